@@ -1,0 +1,46 @@
+"""operando: operational FRFs of running machines from raw vibration measurements.
+
+Public names are loaded on first use, so that ``import operando`` stays light.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "Dof": "operando.dof",
+    "Channel": "operando.data",
+    "Finding": "operando.data",
+    "FrequencyAxis": "operando.data",
+    "Frf": "operando.data",
+    "Geometry": "operando.data",
+    "ModalModel": "operando.data",
+    "TimeRecord": "operando.data",
+    "OperandoError": "operando.errors",
+    "read": "operando.io",
+    "write_uff": "operando.io",
+    "load_test": "operando.config",
+    "estimate_frf": "operando.frf",
+    "fit_ema": "operando.ema",
+    "fit_oma": "operando.oma",
+    "scale_operational": "operando.scaling",
+    "HybridModel": "operando.scaling",
+    "compare": "operando.compare",
+    "Comparison": "operando.compare",
+    "run": "operando.pipeline",
+}
+
+__all__ = ["__version__", *_WHERE]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WHERE:
+        return getattr(importlib.import_module(_WHERE[name]), name)
+    raise AttributeError(f"module 'operando' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

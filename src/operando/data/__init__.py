@@ -1,0 +1,22 @@
+"""The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
+
+from operando.data.findings import Finding
+from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
+from operando.data.geometry import Geometry
+from operando.data.modal import ModalModel, phase_collinearity
+from operando.data.provenance import Provenance, file_hash
+from operando.data.time import Channel, TimeRecord
+
+__all__ = [
+    "QUANTITIES",
+    "Channel",
+    "Finding",
+    "FrequencyAxis",
+    "Frf",
+    "Geometry",
+    "ModalModel",
+    "Provenance",
+    "TimeRecord",
+    "file_hash",
+    "phase_collinearity",
+]

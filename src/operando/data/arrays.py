@@ -1,0 +1,26 @@
+"""Small helpers for read-only, checked arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from operando.errors import DataError
+
+
+def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = None, name: str = "array") -> NDArray[Any]:
+    """Read-only view or copy of ``value``; the caller's array stays writable.
+
+    Raises
+    ------
+    DataError
+        If the number of dimensions is not ``ndim``.
+    """
+    array = np.asarray(value, dtype=dtype)
+    if ndim is not None and array.ndim != ndim:
+        raise DataError(f"{name} has {array.ndim} dimensions, expected {ndim}")
+    view = array.view()
+    view.flags.writeable = False
+    return view

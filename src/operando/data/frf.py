@@ -1,0 +1,187 @@
+"""Frequency axis and frequency response functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.data.arrays import frozen
+from operando.data.findings import Finding
+from operando.data.provenance import Provenance
+from operando.dof import Dof, match_dofs, parse_dofs
+from operando.errors import DataError
+
+QUANTITIES = ("receptance", "mobility", "accelerance")
+"""Displacement, velocity, acceleration over force: powers 0, 1, 2 of iω."""
+
+
+@dataclass(frozen=True)
+class FrequencyAxis:
+    """Frequency lines [Hz], increasing, even or not."""
+
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        values = frozen(self.values, float, 1, "frequency axis")
+        object.__setattr__(self, "values", values)
+        if values.size == 0 or not np.all(np.isfinite(values)) or values[0] < 0 or np.any(np.diff(values) <= 0):
+            raise DataError("frequency lines must be finite, not negative and increasing, at least one")
+
+    @classmethod
+    def even(cls, start: float, step: float, count: int) -> FrequencyAxis:
+        """Evenly spaced lines."""
+        return cls(np.asarray(start + step * np.arange(count), float))
+
+    @property
+    def step(self) -> float | None:
+        """Spacing [Hz] if even to 1e-6 of it, else None."""
+        if self.values.size < 2:
+            return None
+        step = (self.values[-1] - self.values[0]) / (self.values.size - 1)
+        even = self.values[0] + step * np.arange(self.values.size)
+        return float(step) if np.allclose(self.values, even, rtol=0, atol=1e-6 * step + 1e-9 * self.values[-1]) else None
+
+    def __len__(self) -> int:
+        return int(self.values.size)
+
+    def band(self, low: float, high: float) -> slice:
+        """Lines within [low, high] Hz."""
+        i = int(np.searchsorted(self.values, low - 1e-9))
+        j = int(np.searchsorted(self.values, high + 1e-9, side="right"))
+        return slice(i, j)
+
+
+@dataclass(frozen=True)
+class Frf:
+    """Frequency response functions H[response, reference] = response/force, e^{+iωt}.
+
+    Parameters
+    ----------
+    data : (n_responses, n_references, n_lines) complex array
+        SI where ``si`` is true. NaN where a pair was not measured.
+    axis : FrequencyAxis or array
+        Lines [Hz].
+    responses, references : tuple of Dof
+    quantity : {"accelerance", "mobility", "receptance"}
+        Accelerance in (m/s²)/N, mobility in (m/s)/N, receptance in m/N.
+    variance : (n_responses, n_references, n_lines) float array, optional
+        E|ΔH|² of the complex line (contract, ``var_meas``).
+    coherence : array of the same shape, optional
+        Ordinary coherence (single reference) or multiple coherence.
+    averages : float, optional
+        Effective number of averages.
+    si : bool
+        False where the units are not known: then no mass scaling is possible.
+    exponential_window_rate : float
+        Decay rate β [1/s] of an exponential window e^{−βt} used in the estimate; it adds β/ω to the damping
+        ratio of each pole and is taken off after identification.
+    """
+
+    data: NDArray[np.complexfloating[Any, Any]]
+    axis: FrequencyAxis
+    responses: tuple[Dof, ...]
+    references: tuple[Dof, ...]
+    quantity: str = "accelerance"
+    variance: NDArray[np.float64] | None = None
+    coherence: NDArray[np.float64] | None = None
+    averages: float | None = None
+    si: bool = True
+    exponential_window_rate: float = 0.0
+    name: str = ""
+    findings: tuple[Finding, ...] = ()
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "data", frozen(self.data, complex, 3, "FRF data"))
+        if not isinstance(self.axis, FrequencyAxis):
+            object.__setattr__(self, "axis", FrequencyAxis(np.asarray(self.axis, float)))
+        object.__setattr__(self, "responses", parse_dofs(self.responses))
+        object.__setattr__(self, "references", parse_dofs(self.references))
+        object.__setattr__(self, "findings", tuple(self.findings))
+        expected = (len(self.responses), len(self.references), len(self.axis))
+        if self.data.shape != expected:
+            raise DataError(f"FRF data have shape {self.data.shape}, labels and axis say {expected}")
+        for name in ("variance", "coherence"):
+            array = getattr(self, name)
+            if array is not None:
+                object.__setattr__(self, name, frozen(array, float, 3, name))
+                if array.shape != expected:
+                    raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+        if self.quantity not in QUANTITIES:
+            raise DataError(f"quantity {self.quantity!r} is none of {', '.join(QUANTITIES)}")
+        for label, dofs in (("response", self.responses), ("reference", self.references)):
+            seen: set[tuple[int, str]] = set()
+            for d in dofs:
+                if (d.node, d.axis) in seen:
+                    raise DataError(f"{label} DOF {d} appears twice (in either sense)")
+                seen.add((d.node, d.axis))
+
+    @property
+    def frequencies_hz(self) -> NDArray[np.float64]:
+        """Lines [Hz]."""
+        return self.axis.values
+
+    def band(self, low: float, high: float) -> Frf:
+        """The lines within [low, high] Hz."""
+        s = self.axis.band(low, high)
+        return replace(
+            self,
+            data=self.data[:, :, s],
+            axis=FrequencyAxis(self.axis.values[s]),
+            variance=None if self.variance is None else self.variance[:, :, s],
+            coherence=None if self.coherence is None else self.coherence[:, :, s],
+        )
+
+    def select(self, responses: object = None, references: object = None) -> Frf:
+        """Some rows and columns; a DOF asked for in the other sense changes sign.
+
+        Raises
+        ------
+        DofError
+            If a DOF is not measured.
+        """
+        resp = self.responses if responses is None else parse_dofs(responses)
+        refs = self.references if references is None else parse_dofs(references)
+        i, si = match_dofs(resp, self.responses)
+        j, sj = match_dofs(refs, self.references)
+        ix = np.ix_(i, j)
+        signs = np.outer(si, sj)[:, :, None]
+        return replace(
+            self,
+            data=self.data[ix] * signs,
+            responses=resp,
+            references=refs,
+            variance=None if self.variance is None else self.variance[ix],
+            coherence=None if self.coherence is None else self.coherence[ix],
+        )
+
+    def to_quantity(self, quantity: str) -> Frf:
+        """Convert between receptance, mobility and accelerance by powers of iω (a line at 0 Hz becomes NaN if divided)."""
+        if quantity not in QUANTITIES:
+            raise DataError(f"quantity {quantity!r} is none of {', '.join(QUANTITIES)}")
+        power = QUANTITIES.index(quantity) - QUANTITIES.index(self.quantity)
+        if power == 0:
+            return self
+        s = 2j * np.pi * self.frequencies_hz
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = s**power
+        factor[~np.isfinite(factor)] = np.nan
+        var = None if self.variance is None else self.variance * np.abs(factor) ** 2
+        return replace(self, data=self.data * factor, variance=var, quantity=quantity)
+
+    def at(self, frequencies: ArrayLike) -> NDArray[np.intp]:
+        """Indices of the nearest lines."""
+        f = np.atleast_1d(np.asarray(frequencies, float))
+        return np.abs(self.frequencies_hz[None, :] - f[:, None]).argmin(axis=1)
+
+    def drive_points(self) -> list[tuple[int, int]]:
+        """(response, reference) index pairs on the same node and axis."""
+        return [(i, j) for j, r in enumerate(self.references) for i, d in enumerate(self.responses) if d.same_axis(r)]
+
+    def with_findings(self, findings: Sequence[Finding]) -> Frf:
+        """The FRF with more annotations."""
+        return replace(self, findings=(*self.findings, *findings))

@@ -1,0 +1,43 @@
+"""Where data came from and what was done to them."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Inputs (path and content hash) and calls that made an object, oldest first.
+
+    Parameters
+    ----------
+    inputs : tuple of (str, str)
+        Path and SHA-256 of each input file.
+    calls : tuple of str
+        One line a processing step, for example ``estimate_frf(estimator='h1', block_seconds=4.0)``.
+    """
+
+    inputs: tuple[tuple[str, str], ...] = ()
+    calls: tuple[str, ...] = field(default=())
+
+    def then(self, call: str) -> Provenance:
+        """The same inputs with one more processing step."""
+        return Provenance(self.inputs, (*self.calls, call))
+
+    @classmethod
+    def merge(cls, *parts: Provenance) -> Provenance:
+        """Inputs and calls of several objects, each once, in order."""
+        inputs = dict.fromkeys(i for p in parts for i in p.inputs)
+        calls = dict.fromkeys(c for p in parts for c in p.calls)
+        return cls(tuple(inputs), tuple(calls))
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, read in chunks."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as stream:
+        while chunk := stream.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()

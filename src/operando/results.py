@@ -1,0 +1,64 @@
+"""Everything one run of the pipeline found: what the report draws and the results folder stores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from operando.data import Finding, Frf, Geometry, ModalModel
+
+
+@dataclass
+class CheckRun:
+    """One measured operating FRF set the model is judged against."""
+
+    name: str
+    level: str
+    frf: Frf
+
+
+@dataclass
+class Results:
+    """Results of one test, filled stage by stage; what a stage did not make stays None.
+
+    Attributes
+    ----------
+    name : str
+        Name of the test.
+    settings : dict
+        All settings with defaults, as used.
+    findings : list of Finding
+    inventory : list of dict
+        One row a file: path, sets, channels, DOFs, sampling, duration, what was used and ignored.
+    geometry : Geometry or None
+    idle_frf : Frf or None
+    idle : ModalModel or None
+        Unit modal mass, residual modes included; ``details`` is an ``operando.ema.EmaDetails``.
+    operating : ModalModel or None
+        Complex, unscaled; ``details`` is an ``operando.oma.OmaDetails``.
+    hybrid : operando.scaling.HybridModel or None
+    check : list of CheckRun
+    comparison : dict or None
+        ``comparison.json``.
+    diagnosis : dict or None
+        ``diagnosis.json`` (later).
+    left_out : dict
+        Stage name → reason why it was left out.
+    timings_s : dict
+        Stage name → wall seconds.
+    """
+
+    name: str
+    settings: dict[str, Any] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    inventory: list[dict[str, Any]] = field(default_factory=list)
+    geometry: Geometry | None = None
+    idle_frf: Frf | None = None
+    idle: ModalModel | None = None
+    operating: ModalModel | None = None
+    hybrid: Any = None
+    check: list[CheckRun] = field(default_factory=list)
+    comparison: dict[str, Any] | None = None
+    diagnosis: dict[str, Any] | None = None
+    left_out: dict[str, str] = field(default_factory=dict)
+    timings_s: dict[str, float] = field(default_factory=dict)

@@ -1,0 +1,81 @@
+"""The stabilisation diagram as data: every pole of every order, what was selected, and why the rest was not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.errors import DataError
+
+STATUS = ("unstable", "frequency", "frequency_damping", "stable", "invalid")
+"""Stability class of a pole against the order below: none, frequency only, frequency and damping, also the vector; or not physical."""
+
+
+@dataclass(frozen=True)
+class PoleTable:
+    """All poles of all model orders, one row a pole.
+
+    Parameters
+    ----------
+    order : (p,) int array
+    frequency_hz, damping_ratio : (p,) arrays
+    vectors : (m, p) complex array
+        Shape or participation of each pole, the quantity whose MAC decides stability.
+    status : (p,) int array
+        Index into ``STATUS``.
+    """
+
+    order: NDArray[np.int_]
+    frequency_hz: NDArray[np.float64]
+    damping_ratio: NDArray[np.float64]
+    vectors: NDArray[Any]
+    status: NDArray[np.int_]
+
+    def __post_init__(self) -> None:
+        p = self.order.size
+        if not (self.frequency_hz.shape == self.damping_ratio.shape == self.status.shape == (p,) and self.vectors.shape[1] == p):
+            raise DataError("columns of the pole table have different lengths")
+
+
+@dataclass(frozen=True)
+class RejectedPole:
+    """A candidate that was not taken, with its reason.
+
+    ``code`` is a short word (``too_damped``, ``unstable``, ``harmonic``, ``small_cluster``, ``complex_shape``, ``by_hand``,
+    ``negative_modal_mass``, ``outside_band``, …), ``reason`` one sentence with the numbers.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Stabilization:
+    """Stabilisation diagram with selection.
+
+    Parameters
+    ----------
+    table : PoleTable
+    selected_hz, selected_damping : (n,) arrays
+        The modes taken (before any later refinement).
+    selected_vectors : (m, n) array
+    selected_members : tuple of int arrays
+        Rows of the table that belong to each mode.
+    rejected : tuple of RejectedPole
+    indicator_hz, indicator : arrays
+        What is drawn behind the diagram (CMIF for EMA, first singular values for OMA): (k,), (n_curves, k), positive.
+    """
+
+    table: PoleTable
+    selected_hz: NDArray[np.float64]
+    selected_damping: NDArray[np.float64]
+    selected_vectors: NDArray[Any]
+    selected_members: tuple[NDArray[np.int_], ...]
+    rejected: tuple[RejectedPole, ...] = ()
+    indicator_hz: NDArray[np.float64] | None = None
+    indicator: NDArray[np.float64] | None = None
