@@ -1,0 +1,71 @@
+# Two commands do all the set-up:  make demo   and   make test
+# Needs Python 3.11 or later, make, and a package index for pip. Everything goes into .venv; nothing else on the machine is touched.
+
+SHELL := /bin/bash
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO ?= demo-results
+WORKERS ?= 2
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+# The first Python on the path that is new enough; `make PYTHON=/path/to/python …` chooses another.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; break; fi; done)
+
+# Small matrices are slower with several BLAS threads; the tests run in $(WORKERS) processes instead.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+export MPLBACKEND := Agg
+
+.PHONY: help demo test lint types tests slow wheel example clean
+
+help:
+	@echo "make demo   install into $(VENV) and run the example, from raw files to the report in $(DEMO)/"
+	@echo "make test   install what development needs and run ruff, mypy and the tests"
+	@echo "make slow   the longer studies among the tests"
+	@echo "make wheel  build dist/operando-*.whl"
+	@echo "make example  make data/example again from benchmarks/example_data/make.py"
+	@echo "make clean  remove the environment and what was built"
+
+demo: $(VENV)/.installed
+	$(BIN)/operando demo -o $(DEMO)
+	@echo
+	@echo "The report: $(abspath $(DEMO))/report.html"
+
+test: lint types tests
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed-dev
+	$(BIN)/mypy
+
+tests: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -q -n $(WORKERS) -m "not slow"
+
+slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -q -n $(WORKERS) -m slow
+
+wheel: $(VENV)/.installed
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
+
+example: $(VENV)/.installed
+	$(BIN)/python benchmarks/example_data/make.py
+
+clean:
+	rm -rf $(VENV) $(DEMO) build dist .pytest_cache .ruff_cache .mypy_cache
+
+# Stamps: a second call installs nothing as long as pyproject.toml is unchanged.
+$(VENV)/bin/python:
+	@test -n "$(PYTHON)" || { echo "operando needs Python 3.11 or later; none was found. Name it: make PYTHON=/path/to/python3.11 demo" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
+	$(PIP) --editable ".[dev]"
+	@touch $(VENV)/.installed $@
