@@ -1,0 +1,238 @@
+"""Operando's own HDF5 format: any of its dataclasses, arrays as datasets under their field names, the rest as one JSON text.
+
+A group that holds an object has a dataset ``__tree__`` (JSON, with each array replaced by the path of its dataset). So
+``h5dump`` or any HDF5 viewer shows ``idle/frequencies_hz``, ``idle/shapes``, … without knowing operando.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from operando.dof import Dof
+from operando.errors import DataError, FormatError, OperandoError
+
+if TYPE_CHECKING:
+    import h5py
+
+SCHEMA = "operando/hdf5/1"
+TREE = "__tree__"
+
+
+def write_object(group: h5py.Group, obj: Any) -> None:
+    """Write an operando object into an (empty) HDF5 group.
+
+    Parameters
+    ----------
+    group : h5py.Group
+        Where to write; what it holds already is kept, name clashes are errors.
+    obj : object
+        Any dataclass defined in operando (``TimeRecord``, ``Frf``, ``ModalModel``, ``Geometry``, ``Stabilization``, …, nested as deep
+        as wanted), or a dict, list, tuple, array, number, text or None made of such.
+
+    Raises
+    ------
+    DataError
+        If the object holds something that has no lasting form (a function, a foreign object).
+    """
+    tree = _encode(obj, group, "")
+    _dataset(group, TREE, json.dumps(tree, ensure_ascii=False, allow_nan=False))
+
+
+def read_object(group: h5py.Group) -> Any:
+    """Read what :func:`write_object` wrote.
+
+    Fields that this version of operando does not know are left out; fields the file lacks take their defaults.
+
+    Raises
+    ------
+    FormatError
+        If the group does not hold an operando object or names a class that does not exist.
+    """
+    if TREE not in group:
+        raise FormatError(f"group {group.name!r} holds no operando object", where=_where(group), hint="expected a dataset " + TREE)
+    try:
+        text = group[TREE][()]
+        tree = json.loads(text.decode("utf-8") if isinstance(text, bytes) else text)
+    except (ValueError, OSError, AttributeError, RuntimeError) as error:
+        raise FormatError(f"the description of {group.name!r} is damaged: {error}", where=_where(group)) from error
+    return _decode(tree, group)
+
+
+def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
+    """Write named objects into an HDF5 file, one group each; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    objects : mapping of name to object
+        See :func:`write_object`.
+    """
+    import h5py
+
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with h5py.File(beside, "w") as file:
+            file.attrs["schema"] = SCHEMA
+            for name, obj in objects.items():
+                write_object(file.create_group(name), obj)
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def read_hdf5(path: str | Path) -> dict[str, Any]:
+    """Objects of an HDF5 file of operando, by name.
+
+    Raises
+    ------
+    FormatError
+        If the file is no HDF5 file of operando, or is damaged.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            found = {str(name): read_object(item) for name, item in file.items() if isinstance(item, h5py.Group) and TREE in item}
+    except OperandoError:
+        raise
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+        raise FormatError(f"cannot be read as HDF5: {error}", where=str(path)) from error
+    if not found:
+        raise FormatError("an HDF5 file, but without objects of operando", where=str(path), hint="expected groups written by operando")
+    return found
+
+
+def _where(group: h5py.Group) -> str:
+    return f"{group.file.filename}:{group.name}"
+
+
+def _dataset(group: h5py.Group, path: str, value: Any) -> None:
+    import h5py
+
+    if isinstance(value, str) or (isinstance(value, np.ndarray) and value.dtype.kind in "UO"):
+        group.create_dataset(path, data=value, dtype=h5py.string_dtype("utf-8"))
+    else:
+        group.create_dataset(path, data=value)
+
+
+def _encode(value: Any, group: h5py.Group, path: str) -> Any:
+    """JSON form of a value; arrays go to datasets named after their path."""
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, np.bool_ | np.integer):
+        return value.item()
+    if isinstance(value, float | np.floating):
+        number = float(value)
+        return number if math.isfinite(number) else {"__float__": repr(number)}
+    if isinstance(value, complex | np.complexfloating):
+        return {"__complex__": [repr(float(value.real)), repr(float(value.imag))]}
+    if isinstance(value, Dof):
+        return {"__dof__": str(value)}
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        return _encode_array(value, group, path)
+    if isinstance(value, tuple | list):
+        return _encode_sequence(value, group, path)
+    if isinstance(value, Mapping):
+        if all(isinstance(k, str) and not k.startswith("__") for k in value):
+            return {k: _encode(v, group, _join(path, k)) for k, v in value.items()}
+        pairs = [[_encode(k, group, f"{path}/key{i}"), _encode(v, group, _join(path, str(i)))] for i, (k, v) in enumerate(value.items())]
+        return {"__dict__": pairs}
+    if is_dataclass(value) and not isinstance(value, type) and type(value).__module__.split(".")[0] == "operando":
+        kind = type(value)
+        body = {f.name: _encode(getattr(value, f.name), group, _join(path, f.name)) for f in fields(value) if f.init}
+        return {"__class__": f"{kind.__module__}:{kind.__qualname__}", "fields": body}
+    raise DataError(f"{type(value).__module__}.{type(value).__qualname__} at {path or 'the top'} cannot be stored in HDF5")
+
+
+def _encode_array(value: np.ndarray, group: h5py.Group, path: str) -> Any:
+    if value.dtype.kind not in "biufcUS":
+        raise DataError(f"an array of {value.dtype} at {path or 'the top'} cannot be stored in HDF5")
+    name = path or "value"
+    _dataset(group, name, value)
+    return {"__array__": name}
+
+
+def _encode_sequence(value: tuple | list, group: h5py.Group, path: str) -> Any:
+    if len(value) > 0 and all(isinstance(v, Dof) for v in value):
+        name = path or "value"
+        _dataset(group, name, np.array([str(v) for v in value], dtype=object))
+        tree: Any = {"__dofs__": name}
+        return tree if isinstance(value, tuple) else {"__list__": tree}
+    if len(value) > 32 and all(type(v) is float for v in value):
+        return {"__floats__": _encode_array(np.asarray(value, float), group, path), "tuple": isinstance(value, tuple)}
+    items = [_encode(v, group, _join(path, str(i))) for i, v in enumerate(value)]
+    return {"__tuple__": items} if isinstance(value, tuple) else items
+
+
+def _join(path: str, name: str) -> str:
+    clean = name.replace("/", "_").replace(".", "_") or "_"
+    return f"{path}/{clean}" if path else clean
+
+
+def _decode(tree: Any, group: h5py.Group) -> Any:
+    if isinstance(tree, list):
+        return [_decode(item, group) for item in tree]
+    if not isinstance(tree, dict):
+        return tree
+    if "__class__" in tree:
+        return _decode_class(tree, group)
+    if "__array__" in tree:
+        return _read_array(group, tree["__array__"])
+    if "__dofs__" in tree:
+        return tuple(Dof.parse(str(text)) for text in _read_array(group, tree["__dofs__"]))
+    if "__list__" in tree:
+        return list(_decode(tree["__list__"], group))
+    if "__tuple__" in tree:
+        return tuple(_decode(item, group) for item in tree["__tuple__"])
+    if "__floats__" in tree:
+        numbers = _decode(tree["__floats__"], group).tolist()
+        return tuple(numbers) if tree.get("tuple") else numbers
+    if "__float__" in tree:
+        return float(tree["__float__"])
+    if "__complex__" in tree:
+        return complex(*(float(part) for part in tree["__complex__"]))
+    if "__dof__" in tree:
+        return Dof.parse(tree["__dof__"])
+    if "__dict__" in tree:
+        return {_decode(k, group): _decode(v, group) for k, v in tree["__dict__"]}
+    return {k: _decode(v, group) for k, v in tree.items()}
+
+
+def _read_array(group: h5py.Group, name: str) -> np.ndarray:
+    item = group[name]
+    if item.dtype.kind == "O":
+        return np.asarray(item.asstr()[()])
+    return np.asarray(item[()])
+
+
+def _decode_class(tree: dict[str, Any], group: h5py.Group) -> Any:
+    # Only dataclasses of operando itself are made: a file can name no other code.
+    module_name, _, qualname = str(tree["__class__"]).partition(":")
+    kind: Any = None
+    if module_name.split(".")[0] == "operando":
+        try:
+            kind = importlib.import_module(module_name)
+            for part in qualname.split("."):
+                kind = getattr(kind, part)
+        except (ImportError, AttributeError):
+            kind = None
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        raise FormatError(f"{tree['__class__']!r} is no class of this version of operando", where=_where(group))
+    known = {f.name for f in fields(kind) if f.init}
+    values = {name: _decode(item, group) for name, item in tree["fields"].items() if name in known}
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise FormatError(f"cannot make {qualname} from what the file holds: {error}", where=_where(group)) from error

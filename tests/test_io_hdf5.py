@@ -1,0 +1,105 @@
+"""The native HDF5 format: everything written comes back equal."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
+from operando.dof import Dof
+from operando.errors import DataError, FormatError
+from operando.io import read_hdf5, read_object, write_hdf5, write_object
+from operando.stabilization import PoleTable, RejectedPole, Stabilization
+
+h5py = pytest.importorskip("h5py")
+
+
+def equal(a, b):
+    """Deep equality with types, arrays by bytes."""
+    if type(a) is not type(b):
+        return False
+    if dataclasses.is_dataclass(a):
+        return all(equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal(a[k], b[k]) for k in a)
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(equal(x, y) for x, y in zip(a, b, strict=True))
+    return a == b or (isinstance(a, float) and np.isnan(a) and np.isnan(b))
+
+
+def samples():
+    rng = np.random.default_rng(1)
+    dofs = (Dof(1, "Z"), Dof(2, "X", -1), Dof(3), Dof(4, "RY"))
+    finding = Finding("overload", "too loud", file="a.uff", time_s=(0.1, 0.2), consequence="cut")
+    provenance = Provenance((("a.uff", "00"),), ("read",))
+    record = TimeRecord(
+        rng.normal(size=(2, 30)).astype(np.float32),
+        512.0,
+        (Channel(dofs[0], "force", "N", "in", "lbf", 0), Channel(None, name="tacho/µ")),
+        start_s=-0.5,
+        name="run 1",
+        findings=(finding,),
+        provenance=provenance,
+    )
+    h = rng.normal(size=(4, 1, 9)) + 1j * rng.normal(size=(4, 1, 9))
+    h[1, 0, 3] = np.nan
+    frf = Frf(
+        h, np.arange(9.0) / 3, dofs, (dofs[0],), "mobility", variance=np.abs(h) ** 2, coherence=np.ones((4, 1, 9)), averages=7.5, si=False
+    )
+    table = PoleTable(np.array([2, 4]), np.ones(2), np.ones(2), np.ones((3, 2), complex), np.array([0, 3]))
+    details = Stabilization(
+        table, np.ones(1), np.ones(1), np.ones((3, 1)), (np.array([0, 1]),), (RejectedPole(1.0, 0.2, "unstable", "no"),)
+    )
+    model = ModalModel(
+        np.array([1.0, 2.0]), np.array([0.01, 0.02]), rng.normal(size=(4, 2)), dofs, "unit_modal_mass",
+        residual=np.array([False, True]), covariance=np.eye(12), band_hz=(0.5, 3.0), misfit=float("nan"), details=details,
+    )  # fmt: skip
+    geometry = Geometry((1, 2, 3), rng.normal(size=(3, 3)), ((1, 2), (2, 3)), ((1, 2, 3),), "plate")
+    plain = {
+        "a": [1, 2.5, None, True, "ä"],
+        "b": (1, (2, 3)),
+        "c": {1: 2j, "x": float("inf")},
+        "d": [],
+        "e": {},
+        "f": tuple(np.arange(40.0).tolist()),
+    }
+    return {"record": record, "frf": frf, "model": model, "geometry": geometry, "plain": plain}
+
+
+@pytest.mark.parametrize("name", ["record", "frf", "model", "geometry", "plain"])
+def test_object_round_trip(tmp_path, name):
+    obj = samples()[name]
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        write_object(file.create_group("deep/er"), obj)
+    with h5py.File(tmp_path / "x.h5") as file:
+        back = read_object(file["deep/er"])
+    assert equal(obj, back)
+
+
+def test_file_round_trip_and_names(tmp_path):
+    path = tmp_path / "model.h5"
+    write_hdf5(path, samples())
+    assert equal(read_hdf5(path), dict(sorted(samples().items())))
+    with h5py.File(path) as file:
+        assert file["model/frequencies_hz"][1] == 2.0  # readable without operando
+        assert file["model/details/table/order"][1] == 4
+        assert file["model/dofs"].asstr()[1] == "2-X"
+    assert [p.name for p in tmp_path.iterdir()] == ["model.h5"]
+
+
+def test_foreign_objects_are_refused(tmp_path):
+    path = tmp_path / "model.h5"
+    with pytest.raises(DataError, match="function"):
+        write_hdf5(path, {"a": {"f": lambda: None}})
+    assert not list(tmp_path.iterdir())
+    with h5py.File(path, "w") as file:
+        file.create_group("a")["__tree__"] = '{"__class__": "subprocess:Popen", "fields": {"args": "true"}}'
+    with pytest.raises(FormatError, match="no class"):
+        read_hdf5(path)
+    path.write_bytes(b"\x89HDF\r\n\x1a\nrubbish")
+    with pytest.raises(FormatError):
+        read_hdf5(path)
