@@ -1,0 +1,127 @@
+"""H1, H2 and Hv from averaged spectra, with coherence and the variance of each line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.errors import DataError
+from operando.frf.spectra import CrossSpectra
+
+ESTIMATORS = ("h1", "h2", "hv")
+
+Array = NDArray[Any]
+
+
+def inverse_force_matrix(force: Array) -> tuple[Array, Array]:
+    """Inverse of Gff at each line and its condition number after scaling to unit auto spectra.
+
+    Parameters
+    ----------
+    force : (n_forces, n_forces, n_lines) complex array
+
+    Returns
+    -------
+    inverse : (n_forces, n_forces, n_lines) array
+        NaN where a force is absent.
+    condition : (n_lines,) array
+    """
+    g = np.moveaxis(force, -1, 0)
+    auto = np.sqrt(np.maximum(np.real(np.einsum("lii->li", g)), 0))
+    safe = np.where(auto > 0, auto, np.nan)
+    scaled = g / safe[:, :, None] / safe[:, None, :]
+    ok = np.isfinite(scaled).all(axis=(1, 2))
+    eye = np.eye(g.shape[1])
+    scaled = np.where(ok[:, None, None], scaled, eye)
+    values, vectors = np.linalg.eigh(scaled)
+    floor = 1e-12 * values[:, -1:]
+    condition = values[:, -1] / np.maximum(values[:, 0], floor[:, 0])
+    inverse = (vectors / np.maximum(values, floor)[:, None, :]) @ np.conj(np.swapaxes(vectors, 1, 2))
+    inverse = inverse / safe[:, :, None] / safe[:, None, :]
+    inverse[~ok] = np.nan
+    condition[~ok] = np.inf
+    return np.moveaxis(inverse, 0, -1), condition
+
+
+def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array, Array, Array]:
+    """FRF matrix from averaged spectra.
+
+    H1 = Gxf·Gff⁻¹ (noise on the responses), H2 = Gxx/Gfx (noise on the force; one force at a time), Hv by total
+    least squares on signals scaled to equal auto spectra (Rocklin, Crowley & Vold 1985), which for one force is
+    the geometric mean of H1 and H2.
+
+    Parameters
+    ----------
+    spectra : CrossSpectra
+    estimator : {"h1", "h2", "hv"}
+
+    Returns
+    -------
+    h : (n_responses, n_forces, n_lines) complex array
+    variance : (n_responses, n_forces, n_lines) array
+        E|ΔH|² = Gxx(1−γ²)[Gff⁻¹]_jj/(n_eff − n_forces): the contract's |H|²(1−γ²)/(γ²·n_eff) for one force, with the noise estimated
+        without bias (the sample coherence takes n_forces of the averages). NaN where n_eff ≤ n_forces.
+    coherence : (n_responses, n_lines) array
+        Multiple coherence of each response with all forces (ordinary for one force).
+    condition : (n_lines,) array
+        Condition number of the scaled force matrix.
+
+    Raises
+    ------
+    DataError
+        If the estimator is unknown, or H2 is asked for with several forces at once.
+    """
+    if estimator not in ESTIMATORS:
+        raise DataError(f"estimator {estimator!r} is none of {', '.join(ESTIMATORS)}, lrm")
+    n_f = spectra.force.shape[0]
+    inverse, condition = inverse_force_matrix(spectra.force)
+    h1 = np.einsum("ijl,jkl->ikl", spectra.cross, inverse)
+    explained = np.real(np.einsum("ijl,ijl->il", h1, spectra.cross.conj()))
+    power = spectra.response
+    coherence = np.clip(np.divide(explained, power, out=np.zeros_like(power), where=power > 0), 0, 1)
+    if estimator == "h1":
+        h = h1
+    elif estimator == "h2":
+        if n_f > 1:
+            raise DataError("H2 needs one force at a time", hint="use estimator h1 or hv for several forces at once")
+        conj = spectra.cross[:, 0].conj()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            h = (power / conj)[:, None, :]
+    else:
+        h = _total_least_squares(spectra)
+    dof = spectra.averages - n_f
+    if dof > 0:
+        noise = power * (1 - coherence)
+        diagonal = np.real(np.einsum("jjl->jl", inverse))
+        variance = noise[:, None, :] * diagonal[None] / dof
+    else:
+        variance = np.full(h.shape, np.nan)
+    return h, variance, coherence, condition
+
+
+def _total_least_squares(spectra: CrossSpectra) -> Array:
+    """Hv: null vector of the scaled matrix of forces and one response, for all responses and lines."""
+    n_x, n_f, n_l = spectra.cross.shape
+    out = np.empty((n_x, n_f, n_l), complex)
+    auto = np.sqrt(np.maximum(np.real(np.einsum("jjl->jl", spectra.force)), 0)).T
+    g = np.empty((n_l, n_f + 1, n_f + 1), complex)
+    for i in range(n_x):
+        size = np.sqrt(np.maximum(spectra.response[i], 0))
+        scale = np.column_stack([auto, size])
+        scale = np.where(scale > 0, scale, np.nan)
+        g[:, :n_f, :n_f] = np.moveaxis(spectra.force, -1, 0)
+        g[:, n_f, :n_f] = spectra.cross[i].T
+        g[:, :n_f, n_f] = spectra.cross[i].T.conj()
+        g[:, n_f, n_f] = spectra.response[i]
+        scaled = g / scale[:, :, None] / scale[:, None, :]
+        bad = ~np.isfinite(scaled).all(axis=(1, 2))
+        scaled[bad] = np.eye(n_f + 1)
+        # Rows obey Σ_j H_j F_j − X = 0: the row vector v with v G = 0 is the conjugate of the eigenvector of the least value.
+        vector = np.linalg.eigh(scaled)[1][:, :, 0].conj()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            h = -vector[:, :n_f] / vector[:, n_f:] * scale[:, n_f:] / scale[:, :n_f]
+        h[bad] = np.nan
+        out[i] = h.T
+    return out
