@@ -47,3 +47,22 @@ class Chain:
             _, y, _ = dlsim((Ad, Bd, Cd, Dd, 1 / fs), q_force[r], x0=None if x0 is None else x0[r])
             acc += np.outer(self.phi[:, r], y[:, 0])
         return acc
+
+
+def modified(chain, spring=None, mass=None, coupling=None, global_stiffness=0.0, zeta=None):
+    """A chain with a ground spring (dof, N/m), a mass (dof, kg), a coupling spring (dof, dof, N/m) or all stiffness scaled."""
+    out = object.__new__(Chain)
+    out.M, out.K = chain.M.copy(), chain.K * (1 + global_stiffness)
+    if spring:
+        out.K[spring[0], spring[0]] += spring[1]
+    if mass:
+        out.M[mass[0], mass[0]] += mass[1]
+    if coupling:
+        i, j, k = coupling
+        b = np.zeros(len(chain.hz))
+        b[i], b[j] = 1, -1
+        out.K += k * np.outer(b, b)
+    w2, out.phi = eigh(out.K, out.M)
+    out.hz = np.sqrt(w2) / 2 / np.pi
+    out.zeta = chain.zeta if zeta is None else np.full(len(out.hz), zeta)
+    return out

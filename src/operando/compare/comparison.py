@@ -1,0 +1,249 @@
+"""Compare any model with any measurement: ``comparison.json``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.compare.measures import Lines, band_edges, error_db, misfit, model_share, noise_floor_db, relative_error
+from operando.data import Frf
+from operando.dof import Dof, match_dofs
+from operando.errors import DataError
+from operando.results import CheckRun
+
+
+class FrfModel(Protocol):
+    """Anything that makes FRFs."""
+
+    def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
+        """FRFs at the lines asked for."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One M of ``comparison.json``.
+
+    Values are None where the data do not allow them (no variance, no line above the noise).
+    """
+
+    error_db: float | None
+    relative_error: float | None
+    misfit: float | None
+    noise_floor_db: float | None
+    model_share: float | None
+    by_dof: tuple[dict[str, Any], ...]
+    by_band: tuple[dict[str, Any], ...]
+    by_mode: tuple[dict[str, Any], ...]
+    n_lines: int = 0
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object as in the contract."""
+        return {
+            "error_db": self.error_db,
+            "relative_error": self.relative_error,
+            "misfit": self.misfit,
+            "noise_floor_db": self.noise_floor_db,
+            "model_share": self.model_share,
+            "by_dof": [dict(d) for d in self.by_dof],
+            "by_band": [dict(d) for d in self.by_band],
+            "by_mode": [dict(d) for d in self.by_mode],
+            "n_lines": self.n_lines,
+            "notes": list(self.notes),
+        }
+
+
+def compare(
+    model: FrfModel | Frf,
+    measured: Frf | Sequence[Frf],
+    band_hz: tuple[float, float] | None = None,
+    var_model: Frf | None = None,
+) -> Comparison:
+    """Error measures of a model against a measurement (contract, "Error measures").
+
+    Parameters
+    ----------
+    model : model or Frf
+        Anything with ``.frf(frequencies, responses, references, quantity)``, or FRFs on the measured lines.
+    measured : Frf or several
+        Reference; without variance it is taken as exact. Several are pooled.
+    band_hz : (float, float), optional
+        Lines used; default all.
+    var_model : Frf, optional
+        Not used yet.
+
+    Raises
+    ------
+    DataError
+        If model and measurement share no pair or no line.
+    """
+    runs = [measured] if isinstance(measured, Frf) else list(measured)
+    labels: list[Dof] = []
+    notes: list[str] = []
+    parts = [collect(model, run, labels, notes, band_hz) for run in runs]
+    lines = pool(parts)
+    if lines.model.size == 0:
+        raise DataError("model and measurement share no finite line")
+    low, high = float(lines.frequency_hz.min()), float(lines.frequency_hz.max())
+    by_dof = []
+    for i, dof in enumerate(labels):
+        part = lines.where(lines.response == i)
+        if part.model.size:
+            by_dof.append({"dof": str(dof), "error_db": error_db(part), "misfit": misfit(part)})
+    by_band = []
+    edges = band_edges(*(band_hz or (max(low, high * 1e-3), high)))
+    for i in range(8):
+        upper = lines.frequency_hz <= edges[i + 1] if i == 7 else lines.frequency_hz < edges[i + 1]
+        part = lines.where((lines.frequency_hz >= edges[i]) & upper)
+        by_band.append({"band_hz": [float(edges[i]), float(edges[i + 1])], "error_db": error_db(part), "misfit": misfit(part)})
+    return Comparison(
+        error_db(lines),
+        relative_error(lines),
+        misfit(lines),
+        noise_floor_db(lines),
+        model_share(lines),
+        tuple(by_dof),
+        tuple(by_band),
+        (),
+        int(lines.model.size),
+        tuple(dict.fromkeys(notes)),
+    )
+
+
+def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, float] | None, notes: list[str]) -> tuple[Frf, Frf]:
+    """Model and measurement on the same pairs, senses, lines and quantity."""
+    if band_hz is not None:
+        if len(measured.axis.values[measured.axis.band(*band_hz)]) == 0:
+            raise DataError(f"no measured line lies in {band_hz[0]:g} … {band_hz[1]:g} Hz")
+        measured = measured.band(*band_hz)
+    have_out, have_in = _available(model)
+    responses = tuple(d for d in measured.responses if have_out is None or (d.node, d.axis) in have_out)
+    references = tuple(d for d in measured.references if have_in is None or (d.node, d.axis) in have_in)
+    if not responses or not references:
+        raise DataError(
+            "model and measurement have no response–reference pair in common",
+            hint="measured responses: " + ", ".join(map(str, measured.responses[:20])),
+        )
+    missing = [str(d) for d in (*measured.responses, *measured.references) if d not in responses and d not in references]
+    if missing:
+        notes.append("not in the model, left out: " + ", ".join(dict.fromkeys(missing)))
+    measured = measured.select(responses, references)
+    f = measured.frequencies_hz
+    if isinstance(model, Frf):
+        keep = (f >= model.frequencies_hz[0] - 1e-9) & (f <= model.frequencies_hz[-1] + 1e-9)
+        index = model.at(f)
+        step = np.diff(model.frequencies_hz).min() if len(model.axis) > 1 else 1.0
+        keep &= np.abs(model.frequencies_hz[index] - f) <= 1e-3 * step
+        if not np.any(keep):
+            raise DataError("the model FRFs and the measurement have no frequency line in common", hint="synthesise on the measured lines")
+        if not np.all(keep):
+            notes.append(f"{int(np.sum(~keep))} measured lines are not in the model FRFs, left out")
+        made = model.select(responses, references).to_quantity(measured.quantity)
+        made = _lines(made, index[keep], f[keep])
+        measured = _lines(measured, np.flatnonzero(keep), f[keep])
+    else:
+        made = model.frf(f, responses, references, measured.quantity)
+    return made, measured
+
+
+def _lines(frf: Frf, index: NDArray[Any], f: NDArray[np.float64]) -> Frf:
+    return Frf(
+        frf.data[:, :, index],
+        f,  # type: ignore[arg-type]
+        frf.responses,
+        frf.references,
+        frf.quantity,
+        variance=None if frf.variance is None else frf.variance[:, :, index],
+    )
+
+
+def _available(model: FrfModel | Frf) -> tuple[set[tuple[int, str]] | None, set[tuple[int, str]] | None]:
+    if isinstance(model, Frf):
+        return {(d.node, d.axis) for d in model.responses}, {(d.node, d.axis) for d in model.references}
+    holder = getattr(model, "modal", model)
+    dofs = getattr(holder, "dofs", None)
+    if dofs is None:
+        return None, None
+    known = {(d.node, d.axis) for d in dofs}
+    return known, known
+
+
+def collect(model: FrfModel | Frf, measured: Frf, labels: list[Dof], notes: list[str], band_hz: tuple[float, float] | None = None) -> Lines:
+    """Flat lines of one run; ``labels`` grows by DOFs not seen before."""
+    made, ref = common_frfs(model, measured, band_hz, notes)
+    known = {(d.node, d.axis): i for i, d in enumerate(labels)}
+    for d in ref.responses:
+        if (d.node, d.axis) not in known:
+            known[(d.node, d.axis)] = len(labels)
+            labels.append(d)
+    which = np.array([known[(d.node, d.axis)] for d in ref.responses])
+    shape = ref.data.shape
+    zero = np.zeros(shape)
+    var_meas = zero if ref.variance is None else ref.variance
+    own = zero if made.variance is None else made.variance
+    good = np.isfinite(made.data) & np.isfinite(ref.data) & np.isfinite(var_meas) & np.isfinite(own)
+    response = np.broadcast_to(which[:, None, None], shape)
+    f = np.broadcast_to(ref.frequencies_hz, shape)
+    if not np.all(good):
+        notes.append(f"{int(np.sum(~good))} lines are not finite, left out")
+    return Lines(made.data[good], ref.data[good], var_meas[good], own[good], response[good], f[good])
+
+
+def pool(parts: Sequence[Lines]) -> Lines:
+    """All lines of several runs."""
+    names = ("model", "measured", "var_meas", "var_model", "response", "frequency_hz")
+    return Lines(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def compare_all(
+    models: Mapping[str, FrfModel | Frf],
+    runs: Sequence[CheckRun],
+    band_hz: tuple[float, float] | None = None,
+) -> dict[str, Any]:
+    """``comparison.json``: every model against the runs of the lowest level, and against each run.
+
+    Parameters
+    ----------
+    models : mapping
+        ``idle``, ``idle_shapes``, ``msf_all``, ``ofrf``, ``effect`` → model.
+    runs : sequence of CheckRun
+    band_hz : (float, float), optional
+
+    Raises
+    ------
+    DataError
+        If there is no run.
+    """
+    if not runs:
+        raise DataError("no check run to compare with")
+    judge = lowest_level(runs)
+    judged = [r.frf for r in runs if r.level == judge]
+    return {
+        "schema": "operando/comparison/1",
+        "judge_level": judge,
+        "models": {name: compare(m, judged, band_hz).to_dict() for name, m in models.items()},
+        "by_run": [
+            {"name": r.name, "level": r.level, "models": {name: compare(m, r.frf, band_hz).to_dict() for name, m in models.items()}}
+            for r in runs
+        ],
+    }
+
+
+def lowest_level(runs: Sequence[CheckRun]) -> str:
+    """The level that judges a linear model: the smallest number in the level texts; the words low, lowest; else the last by name."""
+    levels = list(dict.fromkeys(r.level for r in runs))
+    numbers = [re.search(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", level) for level in levels]
+    if all(n is not None for n in numbers):
+        return min(zip(levels, numbers, strict=True), key=lambda p: float(p[1].group()))[0]  # type: ignore[union-attr]
+    for level in levels:
+        if level.lower() in ("low", "lowest"):
+            return level
+    return sorted(levels)[-1]
+
+
+__all__ = ["Comparison", "FrfModel", "compare", "compare_all", "match_dofs"]

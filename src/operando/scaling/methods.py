@@ -1,0 +1,202 @@
+"""Scale of operational shapes: every named method as a function of arrays, with leading batch dimensions.
+
+All shapes may carry leading dimensions (..., m, n), so that one call serves many perturbed shapes at once.
+No result depends on the arbitrary complex scale of an operational shape: each column is first turned to the real axis and
+brought to a fixed size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.errors import ConfigError, IdentificationError
+
+METHODS = ("msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "idle_shapes")
+"""Named methods, besides ``auto``."""
+
+Array = NDArray[Any]
+
+
+def real_shapes(shapes: ArrayLike) -> tuple[Array, Array]:
+    """Turn complex shapes to the real axis and take the real part (Shen & Lu 2024, Eq 10–12, with the principal axis).
+
+    The mean direction is the principal axis of (Re, Im), ½·arg Σφ², which does not break down near the imaginary axis.
+
+    Parameters
+    ----------
+    shapes : (..., m, n) complex array
+
+    Returns
+    -------
+    real : (..., m, n) array
+        Columns of unit length, sign arbitrary.
+    factor : (..., n) complex array
+        real = Re(factor · shapes).
+    """
+    v = np.asarray(shapes, complex)
+    # Only the sum of squares decides; dividing by the largest value first keeps any scale safe from overflow.
+    size = np.max(np.abs(v), axis=-2, keepdims=True)
+    u = v / np.where(size > 0, size, 1)
+    angle = 0.5 * np.angle(np.sum(u * u, axis=-2))
+    turned = np.real(u * np.exp(-1j * angle)[..., None, :])
+    length = np.linalg.norm(turned, axis=-2)
+    length = np.where(length > 0, length, 1)
+    factor = np.exp(-1j * angle) / (length * np.where(size > 0, size, 1)[..., 0, :])
+    return turned / length[..., None, :], factor
+
+
+def modal_scale_factor(operating: ArrayLike, idle: ArrayLike) -> Array:
+    """MSF = φ_oᴴφ̂_e / (φ_oᴴφ_o) for each column pair (Shen & Lu 2024, Eq 2, 3).
+
+    Parameters
+    ----------
+    operating, idle : (..., m, n) arrays
+
+    Returns
+    -------
+    (..., n) complex array
+    """
+    o, e = np.asarray(operating), np.asarray(idle)
+    return np.sum(o.conj() * e, axis=-2) / np.sum(np.abs(o) ** 2, axis=-2)
+
+
+def _root(matrix: Array, power: float) -> Array:
+    """Principal power of symmetric positive matrices."""
+    value, vector = np.linalg.eigh(matrix)
+    return np.einsum("...ik,...k,...jk->...ij", vector, np.maximum(value, 1e-300) ** power, vector)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is fixed while shapes vary: pairs, classes, basis.
+
+    Parameters
+    ----------
+    partners : (n_operating,) int array
+        Idle index or −1.
+    keep_msf : (n_operating,) bool array
+        Unchanged and beyond-band modes, scaled by MSF in the paper's methods.
+    basis : int array
+        Idle modes of the condensed mass.
+    idle_hz, operating_hz : arrays [Hz]
+    """
+
+    partners: NDArray[np.int_]
+    keep_msf: NDArray[np.bool_]
+    basis: NDArray[np.int_]
+    idle_hz: NDArray[np.float64]
+    operating_hz: NDArray[np.float64]
+
+
+def scale_msf(idle: Array, operating: Array, task: Task) -> Array:
+    """Re(MSF·φ_o) for paired modes (Eq 2, 3); modes without a partner by Eq 13."""
+    out = scale_eq13(idle, operating, task, np.flatnonzero(task.partners < 0))
+    r = np.flatnonzero(task.partners >= 0)
+    partner = idle[..., :, task.partners[r]]
+    factor = modal_scale_factor(operating[..., :, r], partner)
+    out[..., :, r] = np.real(operating[..., :, r] * factor[..., None, :])
+    return out
+
+
+def scale_eq13(idle: Array, operating: Array, task: Task, columns: ArrayLike) -> Array:
+    """φ̂ = φ̃/√(φ̃ᵀM_mφ̃) on the given columns (Eq 13); zero elsewhere. φ̃ᵀM_mφ̃ = qᵀq with q = Φ†φ̃."""
+    index = np.asarray(columns, int)
+    shape = np.broadcast_shapes(idle.shape[:-2], operating.shape[:-2])
+    out = np.zeros((*shape, *operating.shape[-2:]))
+    if index.size:
+        turned = real_shapes(operating[..., :, index])[0]
+        q = np.linalg.pinv(idle[..., :, task.basis]) @ turned
+        out[..., :, index] = turned / _modal_size(np.linalg.norm(q, axis=-2))[..., None, :]
+    return out
+
+
+def _modal_size(size: Array) -> Array:
+    if np.any(size <= 1e-9 * np.max(size)):
+        raise IdentificationError(
+            "an operational shape has no part in the span of the idle shapes: its modal mass cannot be told",
+            hint="use msf_all or idle_shapes, or place more sensors",
+        )
+    return size
+
+
+def scale_eq15(idle: Array, operating: Array, task: Task, columns: ArrayLike) -> Array:
+    """Φ̂ = Φ̃(Φ̃ᵀM_mΦ̃)^(−1/2), columns first of unit modal mass (Eq 14, 15; scale-invariant form)."""
+    index = np.asarray(columns, int)
+    out = scale_eq13(idle, operating, task, index)
+    if index.size > 1:
+        part = out[..., :, index]
+        q = np.linalg.pinv(idle[..., :, task.basis]) @ part
+        gram = np.swapaxes(q, -1, -2) @ q
+        if np.min(np.linalg.eigvalsh(gram)) < 1e-8:
+            raise IdentificationError(
+                "the changed operational shapes are linearly dependent in the span of the idle shapes: Eq 15 has no principal root",
+                hint="use eq13 or msf_all",
+            )
+        out[..., :, index] = part @ _root(gram, -0.5)
+    return out
+
+
+def scale_eq20(idle: Array, operating: Array, task: Task) -> Array:
+    """Φ̂ = Φ[Φ⁻¹(Φ̂_eΦ̂_eᵀ)Φ⁻ᵀ]^(1/2) over all operational modes, columns first of unit modal mass (Eq 20; scale-invariant form)."""
+    every = np.arange(operating.shape[-1])
+    unit = scale_eq13(idle, operating, task, every)
+    if unit.shape[-1] > unit.shape[-2]:
+        raise IdentificationError(
+            f"Eq 20 needs at most as many operational modes ({unit.shape[-1]}) as DOFs ({unit.shape[-2]})", hint="use eq13 or msf_all"
+        )
+    p = np.linalg.pinv(unit) @ idle[..., :, task.basis]
+    return unit @ _root(p @ np.swapaxes(p, -1, -2), 0.5)
+
+
+def scaled_shapes(method: str, idle: Array, operating: Array, task: Task) -> Array:
+    """Real operational shapes of unit modal mass by a named method.
+
+    Parameters
+    ----------
+    method : str
+        One of ``METHODS``.
+    idle : (..., m, n_idle) real array of unit modal mass
+    operating : (..., m, n_operating) complex array of arbitrary scale
+    task : Task
+
+    Returns
+    -------
+    (..., m, n_operating) real array
+
+    Raises
+    ------
+    ConfigError
+        If the method is unknown.
+    IdentificationError
+        If the method cannot be applied to these shapes.
+    """
+    if method not in METHODS:
+        raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")
+    by_msf = scale_msf(idle, operating, task)
+    if method == "msf_all":
+        return by_msf
+    paired = np.flatnonzero(task.partners >= 0)
+    partner = np.broadcast_to(idle[..., :, task.partners[paired]], (*by_msf.shape[:-1], paired.size))
+    if method == "idle_shapes":
+        by_msf[..., :, paired] = partner
+        return by_msf
+    if method == "sqrt_mac":
+        now = by_msf[..., :, paired]
+        size = np.linalg.norm(partner, axis=-2) / np.linalg.norm(now, axis=-2)
+        by_msf[..., :, paired] = now * size[..., None, :]
+        return by_msf
+    changed = np.flatnonzero(~task.keep_msf)
+    if changed.size == 0:
+        return by_msf
+    if method == "eq20":
+        other = scale_eq20(idle, operating, task)
+    elif method == "eq15":
+        other = scale_eq15(idle, operating, task, changed)
+    else:
+        other = scale_eq13(idle, operating, task, changed)
+    by_msf[..., :, changed] = other[..., :, changed]
+    return by_msf

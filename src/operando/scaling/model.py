@@ -1,0 +1,117 @@
+"""The hybrid model: operational poles and scaled shapes, idle residuals, and the FRFs they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.data import Finding, Frf, ModalModel
+from operando.scaling.condensed import CondensedBasis
+from operando.scaling.pairing import Pairing
+
+
+@dataclass(frozen=True)
+class HybridModel:
+    """Operational modes with the scale carried over from rest.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        The idle model given (residual modes included).
+    operating : ModalModel
+        The operational model given (complex, unscaled).
+    modal : ModalModel
+        Operational modes of unit modal mass, then the idle modes carried over as residuals; real shapes, with covariance where
+        both models carry one.
+    pairing : Pairing
+        Indices count modes proper (residual modes left out), as in ``summary.json``.
+    method, reason : str
+        Scaling method used, and why.
+    threshold : float
+    basis : CondensedBasis or None
+        Idle modes of the condensed mass; None where it could not be built.
+    scales : (n,) complex array
+        Least-squares factor of each scaled shape on the operational shape given.
+    scale_std : (n,) array or None
+        Relative standard deviation of the size of each scaled shape.
+    outside_span : (n,) array
+        Part of each operational shape (norm ratio) outside the span of the basis.
+    imaginary_share : (n,) array
+        Norm of what is dropped by taking the real part, over the norm of the shape.
+    alternatives : dict
+        Method → largest difference in dB over lines and pairs from the method used (None where it cannot be applied).
+    alternative_models : dict
+        Method → ModalModel of that method (same residuals).
+    residuals : str
+        Which idle modes are carried over, in words.
+    findings : tuple of Finding
+    """
+
+    idle: ModalModel
+    operating: ModalModel
+    modal: ModalModel
+    pairing: Pairing
+    method: str
+    reason: str
+    threshold: float
+    basis: CondensedBasis | None
+    scales: NDArray[np.complex128]
+    scale_std: NDArray[np.float64] | None
+    outside_span: NDArray[np.float64]
+    imaginary_share: NDArray[np.float64]
+    alternatives: dict[str, float | None]
+    alternative_models: dict[str, ModalModel]
+    residuals: str
+    evidence: dict[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def kappa(self) -> float | None:
+        """Condition number of the idle shapes used, None without a condensed mass."""
+        return None if self.basis is None else self.basis.kappa
+
+    def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
+        """Operational FRFs (Shen & Lu 2024, Eq 4) with the variance of each line where both models carry a covariance.
+
+        Parameters
+        ----------
+        frequencies : array
+            Lines [Hz].
+        responses, references : DOF labels, optional
+            Default: all common DOFs.
+        quantity : {"accelerance", "mobility", "receptance"}
+        """
+        return self.modal.frf(frequencies, responses, references, quantity)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``{"pairing": […], "scaling": {…}}`` of ``summary.json``."""
+        rows = []
+        for p in self.pairing.pairs:
+            r = p.operating
+            rows.append(
+                {
+                    "operating": r,
+                    "idle": p.idle,
+                    "mac": p.mac,
+                    "class": p.kind,
+                    "scale": [float(self.scales[r].real), float(self.scales[r].imag)],
+                    "scale_std": None if self.scale_std is None else float(self.scale_std[r]),
+                    "imaginary_share": float(self.imaginary_share[r]),
+                    "note": p.note,
+                }
+            )
+        scaling = {
+            "method": self.method,
+            "reason": self.reason,
+            "threshold": self.threshold,
+            "kappa": self.kappa if self.kappa is None or np.isfinite(self.kappa) else None,
+            "outside_span": [float(v) for v in self.outside_span],
+            "residuals": self.residuals,
+            "alternatives": dict(self.alternatives),
+            "conflicts": list(self.pairing.conflicts),
+            "evidence": self.evidence,
+        }
+        return {"pairing": rows, "scaling": scaling}
