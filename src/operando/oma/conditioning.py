@@ -1,0 +1,165 @@
+"""From time records to the arrays that identification needs: response rows, one sense a DOF, and a sampling rate that suits the band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from operando.data import Finding, Provenance, TimeRecord
+from operando.dof import Dof, parse_dofs
+from operando.errors import DataError, DofError, IdentificationError
+
+DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""Power of λ that a quantity carries relative to displacement."""
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Response channels of one or several runs, same rows in the same order.
+
+    Parameters
+    ----------
+    runs : tuple of (r, n_samples) arrays
+        Zero-mean not yet taken.
+    sampling_hz : float
+    dofs : tuple of Dof
+    derivative : (r,) int array
+        0 displacement, 1 velocity, 2 acceleration.
+    """
+
+    runs: tuple[NDArray[Any], ...]
+    sampling_hz: float
+    dofs: tuple[Dof, ...]
+    derivative: NDArray[np.int_]
+    findings: tuple[Finding, ...]
+    provenance: Provenance
+
+
+def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
+    """Response rows that all runs have, in the order and sense of the first run.
+
+    Raises
+    ------
+    DataError
+        If there is no run, sampling rates or quantities differ, or samples are not finite.
+    DofError
+        If no response channel has a DOF, or a run lacks one of the first.
+    """
+    runs = [records] if isinstance(records, TimeRecord) else list(records)
+    if not runs:
+        raise DataError("no operating record given")
+    first = runs[0]
+    findings: list[Finding] = []
+    rows: list[int] = []
+    seen: dict[tuple[int, str], int] = {}
+    for i in first.response_indices:
+        dof = first.channels[i].dof
+        assert dof is not None
+        if (dof.node, dof.axis) in seen:
+            findings.append(
+                Finding(
+                    "duplicate_dof",
+                    f"DOF {dof} is measured by more than one channel; {first.channels[i].name or 'the later one'} is left out",
+                    "info",
+                    file=first.name or None,
+                    dof=str(dof),
+                )
+            )
+            continue
+        seen[dof.node, dof.axis] = i
+        rows.append(i)
+    if not rows:
+        unlabelled = [c.name or "unnamed" for c in first.channels if c.dof is None and not c.is_force]
+        raise DofError(
+            f"no response channel with a DOF among {len(first.channels)} channels"
+            + (f" (without DOF: {', '.join(unlabelled[:8])})" if unlabelled else ""),
+            where=first.name or None,
+            hint="give node, direction and quantity (acceleration, velocity, displacement) of each sensor, as in [channels]",
+        )
+    channels = [first.channels[i] for i in rows]
+    arrays: list[NDArray[Any]] = []
+    for run in runs:
+        if abs(run.sampling_hz - first.sampling_hz) > 1e-6 * first.sampling_hz:
+            raise DataError(
+                f"sampled at {run.sampling_hz:g} Hz, {first.name or 'the first run'} at {first.sampling_hz:g} Hz", where=run.name or None
+            )
+        where = {(c.dof.node, c.dof.axis): i for i in reversed(run.response_indices) if (c := run.channels[i]).dof is not None}
+        picked, signs = [], []
+        for channel in channels:
+            dof = channel.dof
+            assert dof is not None
+            k = where.get((dof.node, dof.axis))
+            if k is None:
+                raise DofError(
+                    f"DOF {dof} of {first.name or 'the first run'} is not in this run",
+                    where=run.name or None,
+                    hint="runs are averaged only over the same sensors; fit them apart, or exclude the channel",
+                )
+            other = run.channels[k]
+            if other.quantity != channel.quantity:
+                raise DataError(f"DOF {dof} is {other.quantity} here and {channel.quantity} in the first run", where=run.name or None)
+            assert other.dof is not None
+            picked.append(k)
+            signs.append(dof.sign * other.dof.sign)
+        data = run.data[picked] if picked != list(range(run.data.shape[0])) else run.data
+        if any(s < 0 for s in signs):
+            data = data * np.asarray(signs, data.dtype)[:, None]
+        for row, channel in zip(data, channels, strict=True):
+            if not np.all(np.isfinite(row)):
+                raise DataError(
+                    f"channel {channel.label} holds samples that are not finite",
+                    where=run.name or None,
+                    hint="exclude the channel, or cut the record to its finite part",
+                )
+            if np.ptp(row) == 0:
+                raise DataError(f"channel {channel.label} is constant", where=run.name or None, hint="exclude the channel")
+        arrays.append(data)
+        findings += run.findings if run is not first else ()
+    derivative = np.array([DERIVATIVE[c.quantity] for c in channels])
+    dofs = parse_dofs([c.dof for c in channels if c.dof is not None])
+    provenance = Provenance.merge(*(r.provenance for r in runs))
+    return Responses(tuple(arrays), first.sampling_hz, dofs, derivative, tuple(findings), provenance)
+
+
+def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: float) -> tuple[NDArray[np.float64], float]:
+    """Low-pass and resample each channel by FFT, flat up to ``pass_hz``, a cosine flank down to half the new rate, zero phase.
+
+    Parameters
+    ----------
+    data : (r, n_samples) array
+    sampling_hz, pass_hz, new_hz : float
+
+    Returns
+    -------
+    data : (r, n_new) array
+        Mean removed.
+    sampling_hz : float
+        The new rate, near ``new_hz`` (a whole number of samples over the padded length).
+
+    Raises
+    ------
+    IdentificationError
+        If the new rate cannot hold the pass band.
+    """
+    if not pass_hz < new_hz / 2 < sampling_hz / 2 * 1.000001:
+        raise IdentificationError(f"cannot resample from {sampling_hz:g} to {new_hz:g} Hz with a pass band up to {pass_hz:g} Hz")
+    r, n = data.shape
+    size = fft.next_fast_len(n, real=True)
+    new_size = round(size * new_hz / sampling_hz)
+    new_size += new_size % 2
+    rate = sampling_hz * new_size / size
+    lines = new_size // 2 + 1
+    f = np.arange(lines) * sampling_hz / size
+    flank = np.clip((f - pass_hz) / (rate / 2 - pass_hz), 0, 1)
+    gain = (0.5 + 0.5 * np.cos(np.pi * flank)) * (new_size / size)
+    n_new = int(n * new_size / size)
+    out = np.empty((r, n_new))
+    for i in range(r):
+        row = np.asarray(data[i], float)
+        out[i] = fft.irfft(fft.rfft(row - row.mean(), size)[:lines] * gain, new_size)[:n_new]
+    return out, rate

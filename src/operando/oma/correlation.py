@@ -1,0 +1,124 @@
+"""Correlations of long records by FFT, block by block: bounded memory, and the scatter between blocks for the uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from operando.errors import IdentificationError
+
+
+@dataclass(frozen=True)
+class BlockCorrelations:
+    """Unbiased correlations R(τ) = E[x(t+τ)·x_ref(t)ᵀ] of a record, and of consecutive blocks of it.
+
+    Parameters
+    ----------
+    mean : (n_lags + 1, r, q) array
+        Over the whole record, lags 0 … n_lags.
+    blocks : (n_blocks, n_lags + 1, r, q) array or None
+        Of each block; ``mean`` is their mean with weights ``weights``.
+    weights : (n_blocks,) array
+        Share of the samples in each block, sum 1.
+    """
+
+    mean: NDArray[np.float64]
+    blocks: NDArray[np.floating[Any]] | None
+    weights: NDArray[np.float64]
+
+
+def correlate(
+    data: NDArray[Any], references: NDArray[np.int_], n_lags: int, n_blocks: int = 1, keep_blocks: bool = True, chunk: int = 1 << 15
+) -> BlockCorrelations:
+    """Correlations of all channels with the reference channels.
+
+    Each block takes its own times t and looks ``n_lags`` samples beyond its end, so that nothing is lost at the block
+    borders and no window is needed: blocks add up to the exact unbiased estimate of the whole record
+    (but for the last ``n_lags`` samples as references).
+
+    Parameters
+    ----------
+    data : (r, n_samples) array
+    references : (q,) int array
+        Rows used as references.
+    n_lags : int
+    n_blocks : int
+        Equal consecutive blocks.
+    keep_blocks : bool
+        False keeps only the mean (less memory, fewer inverse FFTs).
+    chunk : int
+        Samples transformed at a time where blocks are longer.
+
+    Raises
+    ------
+    IdentificationError
+        If a block is shorter than the lags.
+    """
+    r, n_samples = data.shape
+    usable = n_samples - n_lags
+    length = usable // n_blocks
+    if length < n_lags:
+        raise IdentificationError(
+            f"{n_samples} samples are too few for {n_blocks} blocks and {n_lags} lags",
+            hint="take a longer record, a narrower band, or fewer block rows",
+        )
+    q = len(references)
+    total = np.zeros((n_lags + 1, r, q))
+    blocks = np.empty((n_blocks, n_lags + 1, r, q), np.float32) if keep_blocks else None
+    pieces = max(1, round(length / max(chunk, 4 * n_lags)))
+    edges = np.linspace(0, length, pieces + 1).astype(int)
+    size = fft.next_fast_len(int(np.diff(edges).max()) + n_lags, real=True)
+    spectrum = np.zeros((size // 2 + 1, r, q), complex)
+    for b in range(n_blocks):
+        for start, stop in zip(edges[:-1] + b * length, edges[1:] + b * length, strict=True):
+            part = np.asarray(data[:, start : stop + n_lags], float)
+            ahead = fft.rfft(part, size, axis=1)
+            now = ahead[references] if start == stop else fft.rfft(part[references, : stop - start], size, axis=1)
+            spectrum += ahead.T[:, :, None] * now.conj().T[:, None, :]
+        if blocks is not None:
+            blocks[b] = fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / length
+            total += blocks[b]
+            spectrum[:] = 0
+    mean = total / n_blocks if blocks is not None else fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / (n_blocks * length)
+    return BlockCorrelations(mean, blocks, np.full(n_blocks, 1 / n_blocks))
+
+
+def pool(parts: list[BlockCorrelations], samples: list[int]) -> BlockCorrelations:
+    """Correlations of several runs as one, weighted by their lengths; their blocks stay apart.
+
+    Parameters
+    ----------
+    parts : list of BlockCorrelations
+        Same lags, channels and references.
+    samples : list of int
+        Length of each run.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    share = np.asarray(samples, float) / sum(samples)
+    mean = np.sum([s * p.mean for s, p in zip(share, parts, strict=True)], axis=0)
+    blocks = None if parts[0].blocks is None else np.concatenate([p.blocks for p in parts])
+    return BlockCorrelations(mean, blocks, np.concatenate([s * p.weights for s, p in zip(share, parts, strict=True)]))
+
+
+def block_hankel(correlations: NDArray[Any], block_rows: int, block_columns: int) -> NDArray[Any]:
+    """Block-Hankel matrix of the lags 1 … block_rows + block_columns − 1.
+
+    Parameters
+    ----------
+    correlations : (n_lags + 1, r, q) array
+
+    Returns
+    -------
+    (block_rows·r, block_columns·q) array
+        Block (k, l) is R(k + l + 1), k and l from 0.
+    """
+    _, r, q = correlations.shape
+    flat = np.ascontiguousarray(correlations[1 : block_rows + block_columns])
+    step = flat.strides
+    view = np.lib.stride_tricks.as_strided(flat, (block_rows, r, block_columns, q), (step[0], step[1], step[0], step[2]), writeable=False)
+    return view.reshape(block_rows * r, block_columns * q)

@@ -1,0 +1,55 @@
+"""Output spectra for the eye: singular values of the power spectral density matrix (frequency-domain decomposition)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+
+class Spectra(NamedTuple):
+    """Singular values of the one-sided PSD matrix: frequencies [Hz] (k,), singular_values (n_curves, k), unit²/Hz."""
+
+    frequencies_hz: NDArray[np.float64]
+    singular_values: NDArray[np.float64]
+
+
+def output_spectra(
+    runs: Sequence[NDArray[Any]], sampling_hz: float, band: tuple[float, float], n_curves: int = 4, max_lines: int = 2000
+) -> Spectra:
+    """Singular values of the averaged PSD matrix (Brincker, Zhang & Andersen 2001): Hann blocks, half overlapped, streamed.
+
+    Parameters
+    ----------
+    runs : sequence of (r, n_samples) arrays
+    band : (low, high)
+        [Hz]; a tenth more is shown on either side.
+    n_curves : int
+        Largest singular values kept.
+    max_lines : int
+        The block length is chosen for at least 30 averages and no more lines than this.
+    """
+    n = min(run.shape[1] for run in runs)
+    total = sum(run.shape[1] for run in runs)
+    low, high = 0.9 * band[0], min(1.1 * band[1], sampling_hz / 2)
+    size = min(total // 15, n, int(max_lines * sampling_hz / max(high - low, sampling_hz / n)))
+    size = max(64, 2 ** int(np.log2(max(size, 64))))
+    size = min(size, n)
+    f = np.arange(size // 2 + 1) * sampling_hz / size
+    keep = np.flatnonzero((f >= low) & (f <= high) & (f > 0))[:max_lines]
+    r = runs[0].shape[0]
+    window = np.hanning(size + 1)[:-1]
+    psd = np.zeros((keep.size, r, r), complex)
+    count = 0
+    for run in runs:
+        for start in range(0, run.shape[1] - size + 1, max(size // 2, 1)):
+            block = np.asarray(run[:, start : start + size], float)
+            lines = fft.rfft((block - block.mean(axis=1, keepdims=True)) * window, axis=1)[:, keep].T
+            psd += lines[:, :, None] * lines[:, None, :].conj()
+            count += 1
+    psd *= 2 / (max(count, 1) * sampling_hz * np.sum(window**2))
+    values = np.linalg.eigvalsh(psd)[:, ::-1][:, :n_curves].T
+    return Spectra(f[keep], np.maximum(values, 0))

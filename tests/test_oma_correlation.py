@@ -1,0 +1,48 @@
+"""Correlations and Hankel matrices against direct sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from operando.errors import IdentificationError
+from operando.oma.correlation import block_hankel, correlate, pool
+
+
+def direct(x, refs, n_lags, start, stop):
+    return np.array([x[:, start + k : stop + k] @ x[refs, start:stop].T for k in range(n_lags + 1)]) / (stop - start)
+
+
+@pytest.mark.parametrize("chunk", [64, 1 << 15])
+def test_blocks_equal_direct_sums_and_add_up(chunk):
+    x = np.random.default_rng(0).standard_normal((3, 1017))
+    refs = np.array([2, 0])
+    c = correlate(x, refs, 17, 4, True, chunk)
+    for b in range(4):
+        np.testing.assert_allclose(c.blocks[b], direct(x, refs, 17, b * 250, (b + 1) * 250), atol=1e-5)
+    np.testing.assert_allclose(c.mean, direct(x, refs, 17, 0, 1000), atol=1e-6)
+    exact = correlate(x, refs, 17, 4, False, chunk)
+    assert exact.blocks is None
+    np.testing.assert_allclose(exact.mean, direct(x, refs, 17, 0, 1000), atol=1e-12)
+
+
+def test_runs_pool_by_length():
+    x = np.random.default_rng(1).standard_normal((2, 500))
+    y = np.random.default_rng(2).standard_normal((2, 900))
+    a, b = correlate(x, np.arange(2), 10, 2), correlate(y, np.arange(2), 10, 3)
+    p = pool([a, b], [500, 900])
+    np.testing.assert_allclose(p.mean, (5 * a.mean + 9 * b.mean) / 14)
+    np.testing.assert_allclose(np.tensordot(p.weights, p.blocks, 1), p.mean, atol=1e-6)
+
+
+def test_too_short_is_refused():
+    with pytest.raises(IdentificationError, match="too few"):
+        correlate(np.zeros((2, 100)), np.arange(2), 40, 4)
+
+
+def test_hankel_blocks():
+    c = np.random.default_rng(0).standard_normal((8, 3, 2))
+    h = block_hankel(c, 3, 4)
+    for k in range(3):
+        for m in range(4):
+            np.testing.assert_array_equal(h[3 * k : 3 * k + 3, 2 * m : 2 * m + 2], c[k + m + 1])
