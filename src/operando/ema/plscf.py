@@ -1,9 +1,11 @@
 """Poly-reference least-squares complex frequency-domain estimator: the poles of all model orders from one Cholesky factor.
 
-The FRF matrix is a right matrix fraction H(ω) = B(z) A(z)⁻¹ in z = e^{iθ(ω)} with real coefficients, linear least squares on the equation
-error B − H A (Guillaume et al. 2003; Peeters et al. 2004, "PolyMAX"). The numerator keeps the largest order for every denominator
-order, so the normal matrices of the denominators are nested: one factor serves them all, and each order costs one triangular solve and the
-eigenvalues of one block companion matrix. The lowest coefficient is the identity: noise then moves spurious poles to the unstable side.
+The FRF matrix is a right matrix fraction H(ω) = B(z) A(z)⁻¹ in z = e^{iθ(ω)}, found by linear least squares on the equation error B − H A
+(Guillaume et al. 2003; Peeters et al. 2004, "PolyMAX"). The band is mapped onto the whole unit circle with complex coefficients, so
+that all poles of the fit serve positive frequencies; or onto its upper half with real coefficients, the textbook form, which needs
+twice the order.
+The numerator keeps the largest order for every denominator order, so the normal matrices of the denominators are nested: one factor
+serves them all, and each order costs one triangular solve and the eigenvalues of one block companion matrix.
 """
 
 from __future__ import annotations
@@ -66,7 +68,10 @@ def plscf(
     weights: ArrayLike | None = None,
     frequency_range: tuple[float, float] | None = None,
     max_damping: float = 0.2,
-    arc: float = 0.95,
+    constraint: Literal["lowest", "highest"] = "lowest",
+    basis: Literal["complex", "real"] = "complex",
+    arc: float = 0.9,
+    numerator_extra: int = 12,
     step: int = 1,
 ) -> list[OrderPoles]:
     """Poles and participation vectors of every order from ``min_order`` to ``max_order``.
@@ -79,7 +84,7 @@ def plscf(
         FRFs of any quantity (the numerator takes up the difference). It is not changed. With more references than responses
         (roving hammer) the transposed problem is solved and the vectors run over the responses.
     max_order, min_order : int
-        Denominator orders; the numerator order is ``max_order`` throughout.
+        Denominator orders; the numerator keeps its order throughout.
     weights : (n_resp, n_ref, n_lines) or (n_resp, n_lines) array, optional
         Amplitude weights, best 1/standard deviation of the line. The equation error mixes the references, so weights by reference are
         reduced to 1/rms(1/weight). A weight of 0 leaves the line out.
@@ -87,9 +92,18 @@ def plscf(
         Band in Hz; default all lines.
     max_damping : float
         Poles above it are flagged as not physical.
+    constraint : {"lowest", "highest"}
+        Which coefficient of A is the identity. "lowest" moves spurious poles to the unstable side and gives clear diagrams, with
+        damping biased low under strong noise; "highest" is more exact, biased high, and makes spurious poles look stable.
+    basis : {"complex", "real"}
+        Whole circle and complex coefficients (``order × n_ref`` poles in the band), or half circle and real ones (half as many).
     arc : float
-        Part of the half circle that the band covers. Below 1 it leaves room at the band edges, where the continuous-time system is not
+        Part of the (half) circle that the band covers. Below 1 it leaves room at the band edges, where the continuous-time system is not
         periodic in θ; too small makes the normal matrix ill-conditioned.
+    numerator_extra : int
+        Powers that the numerator has beyond those of A, on both sides (fewer where there are few lines). They take up what modes
+        outside the band do near its edges: with 12 the poles of a noise-free chain at the lowest sufficient order are 100–1000 times
+        closer than without.
     step : int
         Step between orders.
 
@@ -118,13 +132,28 @@ def plscf(
     n_in = data.shape[1]
     if not 1 <= min_order <= max_order or not 0.3 <= arc <= 1:
         raise DataError(f"orders {min_order} to {max_order} and arc {arc}: need 1 ≤ min_order ≤ max_order and 0.3 ≤ arc ≤ 1")
-    if 2 * f.size * data.shape[0] < (max_order + 1) * (n_in + data.shape[0]) or f.size <= max_order:
+    if f.size < 2 * (max_order + 1):
         raise IdentificationError(f"{f.size} lines are too few for order {max_order}", hint="lower max_order or widen the band")
-    interval = np.pi * arc / (2 * np.pi * (f[-1] - f[0]))
-    theta = 2 * np.pi * (f - f[0]) * interval
+    extra = min(numerator_extra, (f.size // 2 - max_order - 1) // 2)
+    real = basis == "real"
+    interval = arc * (0.5 if real else 1.0) / (f[-1] - f[0])
+    shift_hz = float(f[0] if real else (f[0] + f[-1]) / 2)
+    theta = 2 * np.pi * (f - shift_hz) * interval
     with threadpool_limits(1, "blas"):
-        normal = _normal_matrix(theta, data, None if w is None else _response_weights(w), max_order)
-        return _all_orders(normal, n_in, range(min_order, max_order + 1, step), interval, f, side, max_damping)
+        normal = _normal_matrix(theta, data, None if w is None else _response_weights(w), max_order, extra, real)
+        scale, solved = _denominators(normal, n_in, range(min_order, max_order + 1, step), constraint)
+        out = []
+        for n, blocks in solved:
+            z = _roots(blocks)
+            poles = np.log(z) / interval + 2j * np.pi * shift_hz
+            keep = (poles.imag > 0) & ((z.imag > 0) if real else np.ones(z.size, bool))
+            z, poles = z[keep], poles[keep]
+            rising = np.argsort(np.abs(poles))
+            z, poles = z[rising], poles[rising]
+            hz, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
+            physical = (poles.real < 0) & (zeta < max_damping) & (hz >= f[0]) & (hz <= f[-1])
+            out.append(OrderPoles(n, poles, _null_vectors(blocks, z, scale), side, physical))
+    return out
 
 
 def _prepare(
@@ -132,7 +161,7 @@ def _prepare(
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64] | None]:
     """Checked lines, FRFs and weights (n_resp, n_ref or 1, n_lines) in the band."""
     f = np.asarray(frequencies_hz, float)
-    data = np.asarray(H, complex)
+    data: NDArray[np.complex128] = np.asarray(H, complex)
     if data.ndim != 3 or f.ndim != 1 or data.shape[2] != f.size:
         raise DataError(f"FRFs of shape {data.shape} do not fit {f.shape} lines: expected (n_resp, n_ref, n_lines)")
     if f.size < 2 or np.any(np.diff(f) <= 0):
@@ -162,49 +191,51 @@ def _response_weights(w: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _normal_matrix(
-    theta: NDArray[np.float64], data: NDArray[np.complex128], w: NDArray[np.float64] | None, order: int
-) -> NDArray[np.float64]:
-    """Σ_o T_o − S_oᵀ R_o⁻¹ S_o, ((order + 1)·n_in)², after elimination of the numerators.
+    theta: NDArray[np.float64], data: NDArray[np.complex128], w: NDArray[np.float64] | None, order: int, extra: int, real: bool
+) -> NDArray[Any]:
+    """Σ_o T_o − S_oᴴ R_o⁻¹ S_o, ((order + 1)·n_in)², after elimination of the numerators.
 
     All entries depend on the difference of two powers only (Toeplitz), so they are lag sums over the lines; direct sums as matrix
     products are as fast as an FFT for the orders in use, and serve uneven grids.
     """
     n_out, n_in, n_lines = data.shape
-    p = order + 1
-    lags = np.arange(p)
-    cos, sin = np.cos(np.outer(theta, lags)), np.sin(np.outer(theta, lags))
+    p, q = order + 1, order + 1 + 2 * extra
     same = w is None or bool(np.all(w == w[:1]))
     w2 = np.ones((1, n_lines)) if w is None else (w[:1] ** 2 if same else w**2)
-    w2 = w2 / np.mean(w2, axis=1, keepdims=True) if same else w2 / np.mean(w2)
+    w2 = w2 / np.mean(w2)
+    waves = np.exp(1j * np.outer(theta, np.arange(q)))
+    powers, numerator = np.arange(p), np.arange(q) - extra
 
-    difference = lags[None, :] - lags[:, None] + order
-    gram = (w2 @ cos)[:, np.abs(difference - order)]
+    def toeplitz(g: NDArray[Any], rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[Any]:
+        sums = _lag_sums(g, waves)
+        lags = np.ascontiguousarray(sums.real) if real else sums
+        return lags[..., columns[None, :] - rows[:, None] + q - 1]
+
     weighted = w2[:, None, :] * data
-    s_lags = _lag_sums(weighted.reshape(-1, n_lines), cos, sin).reshape(n_out, n_in, 2 * p - 1)
+    gram = toeplitz(w2, numerator, numerator)
     square = np.matmul(data.conj().transpose(2, 1, 0), weighted.transpose(2, 0, 1)).transpose(1, 2, 0)
-    t_lags = _lag_sums(np.ascontiguousarray(square).reshape(-1, n_lines), cos, sin).reshape(n_in, n_in, 2 * p - 1)
-    total = t_lags[:, :, difference].transpose(2, 0, 3, 1).reshape(p * n_in, p * n_in)
-
+    total = toeplitz(square, powers, powers).transpose(2, 0, 3, 1).reshape(p * n_in, p * n_in)
     # rows: powers of the numerator; columns: (power, input) of the denominator
-    cross = s_lags[:, :, difference].transpose(0, 2, 3, 1).reshape(n_out, p, p * n_in)
+    cross = toeplitz(weighted, numerator, powers)
     if same:
-        rows = linalg.solve_triangular(
-            _cholesky(gram[0]), cross.transpose(1, 0, 2).reshape(p, -1), lower=True, check_finite=False
-        ).reshape(p * n_out, p * n_in)
+        cross = cross.transpose(2, 0, 3, 1).reshape(q, -1)
+        rows = linalg.solve_triangular(_cholesky(gram[0]), cross, lower=True, check_finite=False).reshape(q * n_out, p * n_in)
     else:
-        rows = np.concatenate(
-            [linalg.solve_triangular(_cholesky(gram[o]), cross[o], lower=True, check_finite=False) for o in range(n_out)]
-        )
-    return total - rows.T @ rows
+        cross = cross.transpose(0, 2, 3, 1).reshape(n_out, q, p * n_in)
+        each = [linalg.solve_triangular(_cholesky(gram[o]), cross[o], lower=True, check_finite=False) for o in range(n_out)]
+        rows = np.concatenate(each)
+    return np.asarray(total - rows.conj().T @ rows)
 
 
-def _lag_sums(g: NDArray[np.complex128], cos: NDArray[np.float64], sin: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Re Σ_k g_k e^{iθ_k d} for d = −order … order: (rows, 2·order + 1)."""
-    even, odd = g.real @ cos, g.imag @ sin
-    return np.concatenate([(even + odd)[:, :0:-1], even - odd], axis=1)
+def _lag_sums(g: NDArray[Any], waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Σ_k g_k e^{iθ_k d} for d = −n … n, from e^{iθ_k d} of the non-negative d: (…, 2n + 1)."""
+    flat = g.reshape(-1, g.shape[-1])
+    right = flat @ waves
+    left = right.conj() if not np.iscomplexobj(flat) else (flat.conj() @ waves).conj()
+    return np.concatenate([left[:, :0:-1], right], axis=1).reshape(*g.shape[:-1], -1)
 
 
-def _cholesky(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cholesky(matrix: NDArray[Any]) -> NDArray[Any]:
     """Lower factor; a matrix that rounding made indefinite gets the smallest ridge that helps."""
     scale = float(np.max(np.abs(np.diag(matrix))))
     if not scale > 0:
@@ -217,71 +248,57 @@ def _cholesky(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     raise IdentificationError("the normal matrix is singular", hint="lower max_order or check for lines or channels without content")
 
 
-def _all_orders(
-    normal: NDArray[np.float64],
-    n_in: int,
-    orders: range,
-    interval: float,
-    f: NDArray[np.float64],
-    side: Literal["reference", "response"],
-    max_damping: float,
-) -> list[OrderPoles]:
-    """Denominators with lowest coefficient I, by nested factors, and their poles."""
-    # unit diagonal scaling: references may differ by orders of magnitude
-    scale = np.sqrt(np.abs(np.diag(normal)[:n_in]))
-    scale = np.where(scale > 0, scale, 1.0)
-    full = normal / np.tile(scale, normal.shape[0] // n_in)[:, None] / np.tile(scale, normal.shape[0] // n_in)[None, :]
-    factor = _cholesky(full[n_in:, n_in:])
-    forward = linalg.solve_triangular(factor, full[n_in:, :n_in], lower=True, check_finite=False)
+def _denominators(
+    normal: NDArray[Any], n_in: int, orders: range, constraint: str
+) -> tuple[NDArray[np.float64], list[tuple[int, NDArray[Any]]]]:
+    """Scale of the inputs, and for each order the blocks α_0 … α_n (n + 1, n_in, n_in), one of them the identity."""
+    # inputs of one size: references may differ by orders of magnitude
+    size = np.sqrt(np.abs(np.diag(normal)[:n_in]))
+    size = np.where(size > 0, size, 1.0)
+    tiled = np.tile(size, normal.shape[0] // n_in)
+    scaled = normal / tiled[:, None] / tiled[None, :]
+    identity = np.eye(n_in, dtype=normal.dtype)[None]
     out = []
+    if constraint == "lowest":
+        factor = _cholesky(scaled[n_in:, n_in:])
+        forward = linalg.solve_triangular(factor, scaled[n_in:, :n_in], lower=True, check_finite=False)
+    else:
+        factor = _cholesky(scaled)
     for n in orders:
         k = n * n_in
-        solution = linalg.solve_triangular(factor[:k, :k], forward[:k], lower=True, trans="T", check_finite=False)
-        # A(z) = I + α₁z + … + α_n zⁿ ; in μ = 1/z the polynomial of Aᵀ is monic
-        blocks = -solution.reshape(n, n_in, n_in)
-        companion = np.zeros((k, k), order="F")
-        companion[:n_in] = -blocks.transpose(2, 0, 1).reshape(n_in, k)
-        companion[np.arange(n_in, k), np.arange(k - n_in)] = 1.0
-        mu = linalg.eigvals(companion, overwrite_a=True, check_finite=False)
-        out.append(_order_poles(n, mu, blocks, scale, interval, f, side, max_damping))
-    return out
+        right = forward[:k] if constraint == "lowest" else factor[k : k + n_in, :k].conj().T
+        solution = -linalg.solve_triangular(factor[:k, :k], right, lower=True, trans="C", check_finite=False).reshape(n, n_in, n_in)
+        out.append((n, np.concatenate([identity, solution] if constraint == "lowest" else [solution, identity])))
+    return size, out
 
 
-def _order_poles(
-    order: int,
-    mu: NDArray[np.complex128],
-    blocks: NDArray[np.float64],
-    scale: NDArray[np.float64],
-    interval: float,
-    f: NDArray[np.float64],
-    side: Literal["reference", "response"],
-    max_damping: float,
-) -> OrderPoles:
-    """Continuous-time poles of one order, with vectors and flags."""
-    z = 1 / mu[(mu.imag < 0) & (np.abs(mu) > 1e-12)]
-    poles = np.log(z) / interval + 2j * np.pi * f[0]
-    keep = poles.imag > 0
-    by_frequency = np.argsort(np.abs(poles[keep]))
-    z, poles = z[keep][by_frequency], poles[keep][by_frequency]
-    n_in = scale.size
+def _roots(blocks: NDArray[Any]) -> NDArray[np.complex128]:
+    """z where A(z) = Σ α_k z^k is singular, by the companion matrix of the end that is the identity."""
+    n, n_in = blocks.shape[0] - 1, blocks.shape[1]
+    lowest = np.array_equal(blocks[0], np.eye(n_in))
+    monic = blocks[1:] if lowest else blocks[-2::-1]
+    k = n * n_in
+    companion = np.zeros((k, k), blocks.dtype, order="F")
+    companion[:n_in] = -monic.transpose(2, 0, 1).reshape(n_in, k)
+    companion[np.arange(n_in, k), np.arange(k - n_in)] = 1.0
+    roots = linalg.eigvals(companion, overwrite_a=True, check_finite=False)
+    roots = roots[np.abs(roots) > 1e-12]
+    return np.asarray(1 / roots if lowest else roots, complex)
+
+
+def _null_vectors(blocks: NDArray[Any], z: NDArray[np.complex128], size: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Participation vectors u of uᵀA(z) = 0, (n_in, n_poles): unit norm, principal axis along the real one, largest part positive."""
+    n_in = size.size
     if n_in == 1:
-        vectors = np.ones((1, z.size), complex)
-    else:
-        # null vectors of A(z)ᵀ; scaling by a power keeps the polynomial finite far from the unit circle
-        value = np.zeros((z.size, n_in, n_in), complex)
-        for block in blocks[::-1]:
-            value = (value + block) * z[:, None, None]
-        value += np.eye(n_in)
-        vectors = np.linalg.svd(value.transpose(0, 2, 1))[2][:, -1, :].conj().T * scale[:, None]
-        vectors = _along_real_axis(vectors)
-    hz, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
-    physical = (poles.real < 0) & (zeta < max_damping) & (hz >= f[0]) & (hz <= f[-1])
-    return OrderPoles(order, poles, vectors, side, physical)
-
-
-def _along_real_axis(vectors: NDArray[Any]) -> NDArray[np.complex128]:
-    """Unit norm, Σv² real and positive (principal axis along the real one), largest part positive."""
-    v = vectors / np.linalg.norm(vectors, axis=0)
+        return np.ones((1, z.size), complex)
+    # spurious roots far outside the circle would overflow: there the polynomial in 1/z is used
+    far = np.abs(z) > 1
+    base = np.where(far, 1 / z, z)[:, None, None]
+    value = np.zeros((z.size, n_in, n_in), complex)
+    for up, down in zip(blocks[::-1], blocks, strict=True):
+        value = value * base + np.where(far[:, None, None], down, up)
+    v = np.linalg.svd(value.transpose(0, 2, 1))[2][:, -1, :].conj().T * size[:, None]
+    v = v / np.linalg.norm(v, axis=0)
     v = v * np.exp(-0.5j * np.angle(np.sum(v**2, axis=0)))
     sign = np.sign(v.real[np.argmax(np.abs(v.real), axis=0), np.arange(v.shape[1])])
     return np.asarray(v * np.where(sign == 0, 1, sign), complex)
