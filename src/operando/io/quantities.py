@@ -1,0 +1,226 @@
+"""From what a file states about a quantity to SI: labels, codes, unit exponents, unit sets, and what the user adds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from operando.dof import Dof
+from operando.errors import ConfigError, DofError, UnitError
+from operando.units import SI_UNIT, UFF_QUANTITIES, parse_unit
+
+Units = Mapping[str, Any]
+"""Quantity → unit text, where the file is silent (the test file's ``[units]``)."""
+ChannelSpecs = Mapping[str, Mapping[str, Any]]
+"""Channel name or DOF label → dof, quantity, unit, sensitivity, exclude, reason (the test file's ``[channels]``)."""
+
+SPEC_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
+_ROTATIONAL = {"acceleration": "angular_acceleration", "velocity": "angular_velocity", "displacement": "angle", "force": "moment"}
+_POWERS = {
+    # quantity: powers of length and force in it
+    "acceleration": (1, 0), "velocity": (1, 0), "displacement": (1, 0), "force": (0, 1), "moment": (1, 1), "pressure": (-2, 1),
+    "stress": (-2, 1), "mass": (-1, 1), "angular_acceleration": (0, 0), "angular_velocity": (0, 0), "angle": (0, 0), "strain": (0, 0),
+}  # fmt: skip
+_WORDS = {
+    "acceleration": ("acceleration", "accel", "acc", "beschleunigung"), "force": ("force", "kraft", "hammer", "load"),
+    "velocity": ("velocity", "vel", "geschwindigkeit"), "displacement": ("displacement", "disp", "weg"),
+    "voltage": ("voltage", "volt", "spannung"), "strain": ("strain", "dehnung"), "pressure": ("pressure", "mic"),
+    "temperature": ("temperature", "temp"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """Factors of UFF 164: a value in the file's units divided by its factor is SI."""
+
+    length: float = 1.0
+    force: float = 1.0
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How numbers become SI.
+
+    Parameters
+    ----------
+    quantity : str
+        Physical quantity, ``unknown`` where neither code nor unit says.
+    unit : str
+        SI unit after multiplication by ``factor``; empty where the unit is not known (then the factor is 1).
+    factor : float
+    source_unit : str
+        Unit as stated.
+    origin : str
+        Who stated it: ``label``, ``unit set 164``, ``[units]``, ``[channels]``, or empty.
+    problem : str
+        Contradiction found on the way, in words.
+    """
+
+    quantity: str
+    unit: str = ""
+    factor: float = 1.0
+    source_unit: str = ""
+    origin: str = ""
+    problem: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether the numbers become SI."""
+        return bool(self.unit) or self.quantity in ("order", "rpm")
+
+
+def code_quantity(code: int, dof: Dof | None = None) -> str:
+    """Quantity of a UFF data type code; rotational where the DOF is a rotation."""
+    quantity = UFF_QUANTITIES.get(code, ("unknown", ""))[0]
+    quantity = "force" if quantity == "reaction_force" else quantity
+    if quantity == "general":
+        quantity = "unknown"
+    if dof is not None and dof.axis.startswith("R"):
+        quantity = _ROTATIONAL.get(quantity, quantity)
+    return quantity
+
+
+def quantity_from_words(text: str) -> str:
+    """Quantity named in a channel name or label (``Acceleration1``, ``Hammer force``), or ``unknown``."""
+    words = re.findall(r"[a-zäöü]+", text.lower())
+    for quantity, names in _WORDS.items():
+        if any(word in names for word in words):
+            return quantity
+    return "unknown"
+
+
+def split_ratio(text: str) -> tuple[str, str] | None:
+    """Numerator and denominator of a ratio unit: ``(m/s2)/N``, ``m/s2/N``, ``g/lbf``, ``(1/N)*(m/s²)``, ``1/kg``; None if it is none."""
+    clean = text.strip()
+    if re.fullmatch(r"1\s*/\s*kg|kg\s*\^?\s*-1", clean, re.IGNORECASE):
+        return "m/s2", "N"
+    match = re.fullmatch(r"\(?\s*1\s*/\s*([^()*]+?)\s*\)?\s*\*\s*\(?\s*([^()]+?)\s*\)?", clean)
+    if match is not None:
+        return match[2], match[1]
+    head, slash, tail = clean.rpartition("/")
+    if not slash or not head:
+        return None
+    try:
+        parse_unit(head)
+        if parse_unit(tail.strip("() "))[0] not in ("force", "moment"):
+            return None
+    except UnitError:
+        return None
+    return head.strip("() "), tail.strip("() ")
+
+
+def resolve(
+    quantity: str,
+    text: str,
+    units: Units | None = None,
+    spec: Mapping[str, Any] | None = None,
+    system: UnitSystem | None = None,
+    exponents: tuple[int, int, int] = (0, 0, 0),
+) -> Scale:
+    """Decide quantity and SI factor of some numbers.
+
+    What [channels] says comes first, then the unit text of the file, then the unit set 164 of the file, then [units].
+
+    Parameters
+    ----------
+    quantity : str
+        Quantity stated by the file, or ``unknown``.
+    text : str
+        Unit text of the file, may be empty.
+    units, spec : mappings, optional
+        The user's additions.
+    system : UnitSystem, optional
+        UFF 164 of the file.
+    exponents : (int, int, int)
+        Unit exponents of length, force and temperature of the axis.
+
+    Raises
+    ------
+    UnitError
+        If a unit given by the user is unknown or of another quantity.
+    """
+    spec = spec or {}
+    problem = ""
+    if spec.get("quantity"):
+        quantity = str(spec["quantity"])
+        if quantity not in SI_UNIT:
+            raise UnitError(f"unknown quantity {quantity!r}", where="[channels]", hint="one of " + ", ".join(SI_UNIT))
+    if spec.get("unit"):
+        found, factor = parse_unit(str(spec["unit"]), quantity)
+        return _sensed(Scale(found, SI_UNIT[found], factor, str(spec["unit"]), "[channels]"), spec)
+    if text:
+        try:
+            found, factor = parse_unit(text, "pressure" if quantity == "stress" else quantity)
+            return _sensed(Scale(found, SI_UNIT[found], factor, text, "label"), spec)
+        except UnitError as error:
+            problem = error.message
+    powers = (exponents[0], exponents[1]) if any(exponents[:2]) else _POWERS.get(quantity)
+    if system is not None and powers is not None and not text:
+        factor = system.length ** -powers[0] * system.force ** -powers[1]
+        return _sensed(Scale(quantity, SI_UNIT[quantity], factor, system.description, "unit set 164", problem), spec)
+    given = None if units is None else units.get(quantity)
+    if given and not (text and not problem):
+        found, factor = parse_unit(str(given), quantity)
+        return _sensed(Scale(found, SI_UNIT[found], factor, str(given), "[units]", problem), spec)
+    return _sensed(Scale(quantity, "", 1.0, text, "", problem), spec)
+
+
+def _sensed(scale: Scale, spec: Mapping[str, Any]) -> Scale:
+    """Take a sensitivity (numbers of the file per unit) into the factor."""
+    sensitivity = spec.get("sensitivity")
+    if sensitivity is None:
+        return scale
+    value = float(sensitivity)
+    if not value or value != value or abs(value) == float("inf"):
+        raise ConfigError(f"sensitivity {sensitivity!r} is no number to divide by", where="[channels]")
+    return Scale(scale.quantity, scale.unit, scale.factor / value, scale.source_unit, scale.origin, scale.problem)
+
+
+def find_spec(channels: ChannelSpecs | None, name: str, dof: Dof | None, is_force: bool, position: int | None = None) -> Mapping[str, Any]:
+    """The user's entry for a channel: by name, by DOF label, by ``ch1``, ``ch2``, … (order in the file).
+
+    A DOF label means the sensor of motion there; the force at the same DOF is ``12+Z:force``.
+
+    Raises
+    ------
+    ConfigError
+        If the entry has an unknown key.
+    """
+    if not channels:
+        return {}
+    keys = [name] if name else []
+    if dof is not None:
+        labels = {str(dof), f"{dof.node}{dof.axis}" if dof.sign > 0 else str(dof)}
+        keys += [f"{label}:force" for label in labels] if is_force else list(labels)
+    if position is not None:
+        keys.append(f"ch{position + 1}")
+    for key in keys:
+        if key in channels:
+            return _checked(key, channels[key])
+    return {}
+
+
+def _checked(key: str, spec: Mapping[str, Any]) -> Mapping[str, Any]:
+    for word in spec:
+        if word not in SPEC_KEYS:
+            raise ConfigError(f"unknown key {word!r}", where=f"[channels] {key}", hint="known: " + ", ".join(SPEC_KEYS))
+    return spec
+
+
+def spec_dof(spec: Mapping[str, Any], dof: Dof | None) -> Dof | None:
+    """DOF of a channel: the user's where given.
+
+    Raises
+    ------
+    ConfigError
+        If the label given is no DOF.
+    """
+    if not spec.get("dof"):
+        return dof
+    try:
+        return Dof.parse(str(spec["dof"]))
+    except DofError as error:
+        raise ConfigError(error.message, where="[channels]", hint=error.hint) from error

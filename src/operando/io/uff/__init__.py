@@ -1,0 +1,6 @@
+"""Universal File Format: own reader and writer of 58 and 58b, the small sets with pyuff."""
+
+from operando.io.uff.reader import read_uff, read_uff_sets
+from operando.io.uff.split import RawSet, split_sets
+
+__all__ = ["RawSet", "read_uff", "read_uff_sets", "split_sets"]

@@ -1,0 +1,177 @@
+"""Reading of UFF files: splitting, then records, FRFs, modes, geometry; everything accounted for."""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+from pathlib import Path
+from typing import IO
+
+from operando.data import Provenance, file_hash
+from operando.errors import FormatError, MissingError
+from operando.io.content import Content
+from operando.io.quantities import ChannelSpecs, Units
+from operando.io.uff.frfs import assemble_frfs
+from operando.io.uff.inventory import Inventory, title_of
+from operando.io.uff.models import assemble_geometry, assemble_models
+from operando.io.uff.records import assemble_records, is_time_function
+from operando.io.uff.small import read_units, read_with_pyuff
+from operando.io.uff.split import RawSet, split_sets
+
+_FULL_HASH = 1 << 25
+
+
+def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
+    """Read a UFF file (ASCII, binary, mixed).
+
+    Parameters
+    ----------
+    path : path
+    units : mapping, optional
+        Quantity → unit text where the file is silent; ``length`` for coordinates.
+    channels : mapping, optional
+        Channel name or DOF label → dof, quantity, unit, sensitivity, exclude, reason.
+
+    Raises
+    ------
+    FormatError
+        If the file is no UFF, or everything in it is damaged.
+    MissingError
+        If there is no such file.
+    """
+    path = Path(path)
+    with open_file(path) as stream, map_file(stream, str(path)) as buffer:
+        sets = split_sets(buffer, str(path))
+        provenance = Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",))
+        inventory = Inventory(str(path), buffer, sets, units or {}, channels or {}, provenance)
+        return _read(stream, inventory)
+
+
+def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
+    """All sets of a file as they stand: position, type, header of functions, and the raw bytes with separators.
+
+    Raises
+    ------
+    FormatError
+        If the file is no UFF.
+    """
+    path = Path(path)
+    with open_file(path) as stream, map_file(stream, str(path)) as buffer:
+        return [(raw, raw.raw(buffer)) for raw in split_sets(buffer, str(path))]
+
+
+def open_file(path: Path) -> IO[bytes]:
+    """Open for reading; a missing or unreadable file is an error that says so."""
+    try:
+        return open(path, "rb")
+    except FileNotFoundError as error:
+        raise MissingError("no such file", where=str(path)) from error
+    except OSError as error:
+        raise MissingError(f"cannot be opened: {error.strerror}", where=str(path)) from error
+
+
+def map_file(stream: IO[bytes], where: str) -> mmap.mmap:
+    """Map a file into memory for searching."""
+    try:
+        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    except ValueError as error:
+        raise FormatError("the file is empty", where=where) from error
+
+
+def quick_hash(path: Path) -> str:
+    """SHA-256 of a file; above 32 MB of its size and 64 blocks spread over it (the text then starts with ``sampled:``)."""
+    size = path.stat().st_size
+    if size <= _FULL_HASH:
+        return file_hash(path)
+    digest = hashlib.sha256(str(size).encode())
+    with open(path, "rb") as stream:
+        for i in range(64):
+            stream.seek((size - 65536) * i // 63)
+            digest.update(stream.read(65536))
+    return "sampled:" + digest.hexdigest()
+
+
+def _read(stream: IO[bytes], inventory: Inventory) -> Content:
+    _read_unit_sets(inventory)
+    functions = _functions(inventory)
+    records = assemble_records(stream, [raw for raw in functions if raw.header and is_time_function(raw.header)], inventory)
+    frfs = assemble_frfs(functions, inventory)
+    _ignore_other_functions(functions, inventory)
+    models = assemble_models([raw for raw in inventory.sets if raw.number == 55 and not raw.problem], inventory)
+    geometry = assemble_geometry([raw for raw in inventory.sets if not raw.problem], inventory)
+    _name_unknown(inventory)
+    statuses = [status for status, _, _ in inventory.status.values()]
+    if inventory.damaged and not any(s != "not understood" for s in statuses):
+        more = "" if len(inventory.damaged) == 1 else f" (and {len(inventory.damaged) - 1} more sets)"
+        raise FormatError("nothing in the file can be used: " + inventory.damaged[0] + more, where=inventory.file)
+    return Content(
+        inventory.file, "uff", records, frfs, models, geometry, inventory.set_infos(), tuple(_condensed(inventory)),
+    )  # fmt: skip
+
+
+def _read_unit_sets(inventory: Inventory) -> None:
+    for raw in inventory.sets:
+        if raw.number == 164:
+            try:
+                inventory.systems[raw.index] = system = read_units(raw.raw(inventory.buffer))
+                inventory.use(raw, "units", f"{system.description or 'no name'}: length 1/{system.length:g} m, force 1/{system.force:g} N")
+            except FormatError as error:
+                inventory.refuse(raw, "units", error.message)
+        elif raw.number == 151:
+            try:
+                d = read_with_pyuff(151, raw.raw(inventory.buffer))
+                inventory.use(raw, "header", str(d.get("program") or d.get("db_app") or "").strip())
+            except FormatError as error:
+                inventory.status[raw.index] = ("not understood", "header", error.message)
+
+
+def _functions(inventory: Inventory) -> list[RawSet]:
+    good = []
+    for raw in inventory.sets:
+        if raw.number != 58 and raw.number != 0:
+            continue
+        if raw.problem or raw.header is None:
+            inventory.refuse(raw, title_of(raw), raw.problem or "the header cannot be read")
+        else:
+            good.append(raw)
+            for note in raw.notes:
+                inventory.note("format", f"set {raw.index}: {note}", raw, severity="info")
+    return good
+
+
+def _ignore_other_functions(functions: list[RawSet], inventory: Inventory) -> None:
+    for raw in functions:
+        assert raw.header is not None
+        if raw.index not in inventory.status:
+            inventory.ignore(raw, raw.header.title, f"{raw.header.title}: neither time record, FRF nor coherence; not needed")
+
+
+def _name_unknown(inventory: Inventory) -> None:
+    """One finding for each set type nobody reads."""
+    unknown: dict[int, list[RawSet]] = {}
+    for raw in inventory.sets:
+        if raw.index not in inventory.status:
+            unknown.setdefault(raw.number, []).append(raw)
+    for number, sets in unknown.items():
+        many = f"{len(sets)} sets" if len(sets) > 1 else "set"
+        inventory.note(
+            "unknown_set", f"{many} of type {number} ({title_of(sets[0])}) not understood", sets[0], severity="info",
+            consequence="not used; a conversion to UFF passes them on as they are",
+        )  # fmt: skip
+
+
+def _condensed(inventory: Inventory) -> list:
+    """Findings, with the same message about many sets said once."""
+    from dataclasses import replace
+
+    groups: dict[tuple[str, str, str, str], list] = {}
+    for finding in inventory.findings:
+        key = (finding.kind, finding.severity, finding.consequence, finding.action)
+        groups.setdefault(key, []).append(finding)
+    out = []
+    for same in groups.values():
+        if len(same) <= 3:
+            out += same
+        else:
+            out.append(replace(same[0], message=f"{same[0].message}; and {len(same) - 1} more of this kind", dof=None))
+    return out

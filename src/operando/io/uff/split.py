@@ -1,0 +1,203 @@
+"""Cutting a UFF file into its sets, binary payloads included, by their lengths and never by what they happen to contain."""
+
+from __future__ import annotations
+
+import mmap
+import re
+from dataclasses import dataclass, replace
+
+from operando.errors import FormatError
+from operando.io.uff.header58 import Header58, parse_header58
+
+Buffer = bytes | mmap.mmap
+"""What can be searched, matched and sliced: a mapped file, or bytes."""
+
+_OPENING = re.compile(rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))([ \t]{0,8})-1[ \t]*\r?\n[ \t\r\n]*\d{1,6}[ \t]*(?:[bB][ \t]|[\r\n]|\Z)")
+_NUMBER_LINE = re.compile(rb"[ \t]{0,8}(\d{1,6})[ \t]*([bB]?)(?![^ \t\r\n])")
+_REST_OF_LINE = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)")
+_AFTER_PAYLOAD = re.compile(rb"[ \t\r\n]{0,8}-1[ \t]*(?:\r\n|\n|\r|\Z)")
+_BLANK = re.compile(rb"[\s\x00\x1a]*\Z")
+
+
+@dataclass(frozen=True)
+class RawSet:
+    """Where one set lies in its file.
+
+    Parameters
+    ----------
+    index : int
+        Position in the file, from 0.
+    number : int
+        Set type (58, 15, …); 0 where none is stated.
+    binary : bool
+        Whether it is a ``58b``.
+    start, body, end, stop : int
+        Offsets of the opening separator, of the line with the set type, of the closing separator, and after it.
+    payload : (int, int) or None
+        Offsets of the numbers of a measured function.
+    header : Header58 or None
+        Header of a measured function that could be read.
+    problem : str
+        Why the set cannot be used; empty if nothing is wrong so far.
+    notes : tuple of str
+        Deviations from the standard that were put right.
+    """
+
+    index: int
+    number: int
+    binary: bool
+    start: int
+    body: int
+    end: int
+    stop: int
+    payload: tuple[int, int] | None = None
+    header: Header58 | None = None
+    problem: str = ""
+    notes: tuple[str, ...] = ()
+
+    def raw(self, buffer: Buffer) -> bytes:
+        """The bytes of the set with its separators."""
+        return bytes(buffer[self.start : self.stop])
+
+
+def find_first_set(buffer: Buffer, within: int = 1 << 16) -> re.Match[bytes] | None:
+    """The opening separator of the first set, with its indentation as group 1, or None where there is no UFF set."""
+    return _OPENING.search(buffer[: min(within, len(buffer))])
+
+
+def split_sets(buffer: Buffer, where: str = "") -> list[RawSet]:
+    """All sets of a file in their order.
+
+    Raises
+    ------
+    FormatError
+        If there is no set.
+    """
+    first = find_first_set(buffer)
+    if first is None:
+        raise FormatError("no UFF set found", where=where, hint="a set starts with a line '    -1' and a line with its number")
+    separator = first[1] + b"-1"
+    position = first.start(1)
+    sets: list[RawSet] = []
+    while True:
+        start = _next_separator(buffer, position, separator)
+        if start < 0:
+            break
+        found = _one_set(buffer, start, separator, len(sets))
+        if found is None:  # two separators in a row: the second one opens
+            position = _line_end(buffer, start)
+            continue
+        sets.append(found)
+        position = found.stop
+        if found.end < found.stop and _opens_at_once(buffer, found.stop, separator):
+            # The closing separator is the opening one of the next set as well.
+            position = found.end
+    return sets
+
+
+def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet | None:
+    body = _line_end(buffer, start)
+    while body < len(buffer) and (blank := re.compile(rb"[ \t]*\r?\n").match(buffer, body)):
+        body = blank.end()
+    if body >= len(buffer) or _is_separator(buffer, body, separator):
+        return None
+    match = _NUMBER_LINE.match(buffer, body)
+    number, binary = (int(match[1]), bool(match[2])) if match else (0, False)
+    bare = RawSet(index, number, binary and number == 58, start, body, body, body)
+    if match is None:
+        return _closed(buffer, bare, body, separator, "the line after the separator holds no set number")
+    if number != 58:
+        return _closed(buffer, bare, body, separator, "")
+    try:
+        header, data = parse_header58(buffer, body)
+    except FormatError as error:
+        return _closed(buffer, bare, body, separator, error.message)
+    bare = replace(bare, header=header)
+    if not header.binary:
+        closed = _closed(buffer, bare, data, separator, "")
+        return replace(closed, payload=(data, closed.end))
+    return _binary_set(buffer, bare, header, data, separator)
+
+
+def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separator: bytes) -> RawSet:
+    """Find the end of a binary payload from the number of points, or from the stated number of bytes."""
+    size = len(buffer)
+    for n_bytes in dict.fromkeys((header.expected_bytes, header.stated_bytes)):
+        end = data + n_bytes
+        if n_bytes <= 0 or end > size:
+            continue
+        after = _AFTER_PAYLOAD.match(buffer, end)
+        at_eof = _BLANK.match(buffer, end) is not None if size - end < 4096 else False
+        if after is None and not at_eof:
+            continue
+        close = end if after is None else after.end() - len(after[0].lstrip(b" \t\r\n"))
+        stop = size if after is None else after.end()
+        found = replace(bare, payload=(data, end), end=max(close, end), stop=stop)
+        if n_bytes != header.expected_bytes:
+            return replace(found, problem=_short(header, n_bytes))
+        notes: tuple[str, ...] = ()
+        if header.stated_bytes != n_bytes:
+            notes += (f"the header states {header.stated_bytes} bytes, {header.points} points are {n_bytes} bytes: read by the points",)
+        if after is None:
+            notes += ("no closing separator at the end of the file",)
+        return replace(found, notes=notes)
+    return _lost_payload(buffer, bare, header, data, separator)
+
+
+def _lost_payload(buffer: Buffer, bare: RawSet, header: Header58, data: int, separator: bytes) -> RawSet:
+    """No separator follows the payload where it should: take what lies up to the next separator that opens or closes a set."""
+    at = max(data, min(data + header.expected_bytes - 4, len(buffer)))
+    end = _next_separator(buffer, at, separator)
+    if end < 0:
+        end = _next_separator(buffer, data, separator)
+    stop = len(buffer) if end < 0 else _line_end(buffer, end)
+    end = len(buffer) if end < 0 else end
+    found = replace(bare, payload=(data, end), end=end, stop=stop)
+    payload = bytes(buffer[data:end])
+    extra = len(payload) - header.expected_bytes
+    if extra > 0 and payload.count(b"\r\n") in range(max(extra - 2, 1), extra + 3):
+        return replace(found, problem=f"the binary data are {extra} bytes too long: a transfer in text mode put carriage returns into them")
+    return replace(found, problem=_short(header, len(payload)))
+
+
+def _short(header: Header58, n_bytes: int) -> str:
+    return f"the header declares {header.points} points ({header.expected_bytes} bytes), the set holds {n_bytes} bytes"
+
+
+def _closed(buffer: Buffer, bare: RawSet, after: int, separator: bytes, problem: str) -> RawSet:
+    """A text set: it ends at the next separator line, or with the file."""
+    end = _next_separator(buffer, after, separator)
+    if end < 0:
+        notes = (*bare.notes, "no closing separator at the end of the file")
+        return replace(bare, end=len(buffer), stop=len(buffer), problem=problem, notes=notes)
+    return replace(bare, end=end, stop=_line_end(buffer, end), problem=problem)
+
+
+def _next_separator(buffer: Buffer, position: int, separator: bytes) -> int:
+    """Offset of the next line that is a separator, or −1."""
+    while (found := buffer.find(separator, position)) >= 0:
+        if _is_separator(buffer, found, separator):
+            return found
+        position = found + 1
+    return -1
+
+
+def _is_separator(buffer: Buffer, at: int, separator: bytes) -> bool:
+    if buffer[at : at + len(separator)] != separator:
+        return False
+    line_start = at == 0 or buffer[at - 1 : at] in (b"\n", b"\r") or (at == 3 and buffer[:3] == b"\xef\xbb\xbf")
+    return line_start and _REST_OF_LINE.match(buffer, at + len(separator)) is not None
+
+
+def _opens_at_once(buffer: Buffer, at: int, separator: bytes) -> bool:
+    """Whether a set number follows directly, without a separator of its own."""
+    if at >= len(buffer) or _is_separator(buffer, at, separator):
+        return False
+    line = buffer[at : min(at + 12, len(buffer))]
+    return re.match(rb"[ \t]{2,5}\d{1,5}[bB]?[ \t]*[\r\n]", line) is not None
+
+
+def _line_end(buffer: Buffer, at: int) -> int:
+    """Offset of the next line."""
+    newline = buffer.find(b"\n", at)
+    return len(buffer) if newline < 0 else newline + 1
