@@ -1,1 +1,87 @@
-"""."""
+"""The command line: one file a command, loaded only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import click
+
+from operando import __version__
+
+# command -> (module of this package, what it does); the texts stand here so that --help loads no command
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("demo", "The whole story on the packaged example, from raw UFF to the report."),
+    "init": ("init", "Look at the files in a folder and write a test file."),
+    "inspect": ("inspect", "What is in files: sets, channels, DOFs, units, sampling, findings."),
+    "run": ("run", "All stages of a test, from raw files to the report."),
+    "frf": ("stages", "A test up to the idle FRFs."),
+    "ema": ("stages", "A test up to the idle modes."),
+    "oma": ("stages", "A test up to the operational modes."),
+    "ofrf": ("ofrf", "Operational FRFs of any pair of DOFs."),
+    "compare": ("compare", "Any model against any measurement."),
+    "convert": ("convert", "Convert between file formats."),
+    "report": ("report", "Rebuild report.html of a results folder."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group that imports the module of a command when the command is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names, in the order of a test."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name, or None."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"operando.cli.{COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands, without loading them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run; with --json, wrong usage is answered by a JSON document too (exit code 2)."""
+        if not kwargs.get("standalone_mode", True):
+            return super().main(*args, **kwargs)
+        given = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
+        try:
+            code = super().main(*args, **{**kwargs, "standalone_mode": False})
+        except click.UsageError as error:
+            if "--json" in given:
+                from operando.cli.answer import print_json
+
+                hint = error.ctx.get_usage() if error.ctx is not None else None
+                print_json({"schema": "operando/error/1", "error": error.format_message(), "where": "command line", "hint": hint})
+            error.show()
+            sys.exit(2)
+        except click.ClickException as error:
+            error.show()
+            sys.exit(error.exit_code)
+        except (click.Abort, KeyboardInterrupt):
+            click.echo("interrupted", err=True)
+            sys.exit(130)
+        except BrokenPipeError:
+            sys.stdout = None
+            sys.exit(1)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+@click.command(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Start with `operando demo`, or with your own files: `operando init DIR`, then `operando run DIR/test.toml`.",
+)
+@click.version_option(__version__, prog_name="operando")
+def main() -> None:
+    """Operational FRFs of running machines from raw vibration measurements.
+
+    Every command takes --json (one JSON document on stdout); progress goes to stderr. Exit code 0: done, 1: failed and explained,
+    2: wrong usage.
+    """

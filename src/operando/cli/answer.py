@@ -1,0 +1,130 @@
+"""What all commands share: the answer as text or JSON, errors without tracebacks, progress on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from operando.errors import OperandoError
+from operando.jsonable import jsonable
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command found: one JSON document, a short text, and the error if part of the work failed."""
+
+    document: dict[str, Any]
+    text: str
+    failure: OperandoError | None = None
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """One JSON document on stdout."""
+    sys.stdout.write(json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def answers(function: Callable[..., Answer]) -> Callable[..., int]:
+    """Turn a function that returns an :class:`Answer` into the body of a click command with ``--json``."""
+
+    @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
+    @functools.wraps(function)
+    def body(*args: Any, as_json: bool, **kwargs: Any) -> int:
+        warnings.formatwarning = _short_warning
+        try:
+            # what a library prints belongs to stderr: stdout holds the answer alone
+            with contextlib.redirect_stdout(sys.stderr):
+                answer = function(*args, **kwargs)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except KeyboardInterrupt:
+            return _fail(OperandoError("interrupted", hint="finished stages are kept; the same command goes on from there"), as_json, 130)
+        except BrokenPipeError:
+            raise
+        except OperandoError as error:
+            return _fail(error, as_json)
+        except OSError as error:
+            return _fail(
+                OperandoError(error.strerror or str(error), where=None if error.filename is None else str(error.filename)), as_json
+            )
+        except MemoryError:
+            return _fail(OperandoError("not enough memory", hint="use a shorter record, fewer channels, or a narrower band"), as_json)
+        except Exception as error:  # a fault of the program: explained, with the traceback in a file
+            return _fail(_unexpected(error), as_json)
+        if as_json:
+            print_json(answer.document)
+        elif answer.text:
+            click.echo(answer.text)
+        if answer.failure is not None:
+            click.echo(f"operando: {answer.failure}", err=True)
+            return 1
+        return 0
+
+    return body
+
+
+def _fail(error: OperandoError, as_json: bool, code: int = 1) -> int:
+    if as_json:
+        print_json(error.to_dict())
+    click.echo(f"operando: {error}", err=True)
+    return code
+
+
+def _unexpected(error: Exception) -> OperandoError:
+    log = write_log(traceback.format_exc())
+    return OperandoError(
+        f"unexpected {type(error).__name__}: {error}",
+        where="operando itself",
+        hint=f"this is a fault of the program, not of your data; the traceback is in {log}",
+    )
+
+
+def write_log(text: str) -> Path:
+    """Keep a text in a new log file and return its path."""
+    handle, name = tempfile.mkstemp(prefix="operando-", suffix=".log", text=True)
+    with os.fdopen(handle, "w", encoding="utf-8") as stream:
+        stream.write(time.strftime("%Y-%m-%d %H:%M:%S\n") + " ".join(sys.argv) + "\n" + text)
+    return Path(name)
+
+
+def _short_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
+    return f"warning: {message}\n"
+
+
+def table(rows: Iterable[Sequence[object]], head: Sequence[str]) -> str:
+    """A plain text table; numbers to the right."""
+    body = [[cell if isinstance(cell, str) else _cell(cell) for cell in row] for row in rows]
+    right = [all(not isinstance(c, str) for c in column) for column in zip(*body, strict=True)] if body else [False] * len(head)
+    widths = [max(len(h), *(len(r[i]) for r in body)) if body else len(h) for i, h in enumerate(head)]
+    numeric = [_looks_numeric([r[i] for r in body]) for i in range(len(head))]
+    del right
+    lines = [list(head), *body]
+    return "\n".join("  ".join(c.rjust(w) if n else c.ljust(w) for c, w, n in zip(r, widths, numeric, strict=True)).rstrip() for r in lines)
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _looks_numeric(cells: list[str]) -> bool:
+    def number(text: str) -> bool:
+        try:
+            float(text)
+        except ValueError:
+            return text in ("", "-")
+        return True
+
+    return all(number(c) for c in cells)

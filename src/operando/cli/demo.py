@@ -1,0 +1,44 @@
+"""``operando demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from operando.cli.answer import Answer, answers
+from operando.cli.story import Clock, run_answer, test_options
+
+
+@click.command("demo", epilog="Example: operando demo -o demo && open demo/report.html")
+@click.option("-o", "--output", type=click.Path(file_okay=False), default="demo", show_default=True, help="Results folder.")
+@test_options
+@answers
+def demo(output: str, second_opinion: bool) -> Answer:
+    """The whole story on the packaged example: a plate at rest and running, from raw UFF files to the report."""
+    from operando.config import load_test
+    from operando.pipeline import run
+
+    test = load_test(example_folder() / "test.toml")
+    if second_opinion:
+        test = test.with_analysis(second_opinion=True)
+    click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
+    out = Path(output)
+    return run_answer(run(test, out, progress=Clock()), out, None)
+
+
+def example_folder() -> Path:
+    """Folder of the example data: inside the installed package, else in the source tree."""
+    from importlib.resources import files
+
+    import operando
+    from operando.errors import MissingError
+
+    packaged = Path(str(files(operando))) / "example_data"
+    source = Path(operando.__file__).resolve().parents[2] / "data" / "example"
+    for folder in (packaged, source):
+        if (folder / "test.toml").is_file():
+            return folder
+    raise MissingError(
+        "the example data are not installed", where=str(packaged), hint="install operando from a wheel, or run from its source tree"
+    )

@@ -1,0 +1,425 @@
+"""The test file: what was measured, where the files lie, how it is analysed."""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any, ClassVar
+
+from operando.dof import Dof
+from operando.errors import ConfigError, DofError, UnitError
+from operando.units import SI_UNIT, parse_unit
+
+ESTIMATORS = ("h1", "h2", "hv", "lrm")
+SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
+_STATE_KEYS = ("records", "frfs")
+_CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
+
+
+@dataclass(frozen=True)
+class State:
+    """Files of one state of the structure (idle, operating or check).
+
+    Parameters
+    ----------
+    records : tuple of Path
+        Raw time histories, one run a file.
+    frfs : tuple of Path
+        FRFs measured elsewhere.
+    """
+
+    records: tuple[Path, ...] = ()
+    frfs: tuple[Path, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.records or self.frfs)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files of the state."""
+        return (*self.records, *self.frfs)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Settings of the analysis; every one has a default, and the ones used are stated in every output.
+
+    Parameters
+    ----------
+    band : (float, float) or None
+        Analysis band [Hz]; None: chosen from the data.
+    block_seconds, overlap, window, estimator : optional
+        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv`` or ``lrm`` of the FRF estimate.
+    hits : str or tuple of int
+        ``auto`` (consistent hits are chosen), ``all``, or the indices of the hits to use.
+    references : tuple of str or None
+        Force DOFs to use (None: all).
+    max_order : int or None
+        Largest model order of the EMA.
+    select_hz, reject_hz : tuple of float
+        Idle modes chosen or rejected by hand [Hz].
+    threshold : float
+        MAC from which an operational mode counts as unchanged.
+    scaling : str
+        Scaling method.
+    known_harmonics_hz : tuple of float
+        Rotor orders and other harmonics of the operating state [Hz].
+    exclude_bands : tuple of (float, float)
+        Bands [Hz] that neither fit nor comparison use.
+    kinds, places : tuple of str or None
+        What the diagnosis may look for, and where (None: everything, everywhere).
+    oma_max_order, oma_references, oma_select_hz, oma_reject_hz : optional
+        The same for the operational modes: largest order, reference channels, modes by hand [Hz].
+    second_opinion : bool
+        Whether sdypy-EMA and pyOMA-2 are asked as well.
+    """
+
+    band: tuple[float, float] | None = None
+    block_seconds: float | None = None
+    overlap: float | None = None
+    window: str | None = None
+    estimator: str = "h1"
+    hits: str | tuple[int, ...] = "auto"
+    references: tuple[str, ...] | None = None
+    max_order: int | None = None
+    select_hz: tuple[float, ...] = ()
+    reject_hz: tuple[float, ...] = ()
+    threshold: float = 0.7
+    scaling: str = "auto"
+    known_harmonics_hz: tuple[float, ...] = ()
+    exclude_bands: tuple[tuple[float, float], ...] = ()
+    kinds: tuple[str, ...] | None = None
+    places: tuple[str, ...] | None = None
+    oma_max_order: int | None = None
+    oma_references: tuple[str, ...] | None = None
+    oma_select_hz: tuple[float, ...] = ()
+    oma_reject_hz: tuple[float, ...] = ()
+    second_opinion: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """All settings with defaults, as JSON values."""
+        return {key: _plain(value) for key, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test: the files of each state, units and channels where the files are silent, settings.
+
+    Parameters
+    ----------
+    name : str
+    path : Path or None
+        The test file (None for a test made in Python).
+    idle, operating, check : State
+    geometry_file : Path or None
+    geometry_units : str or None
+        Unit of the coordinates where the file does not say.
+    units : dict
+        Quantity → unit, used where a file is silent.
+    channels : dict
+        Channel name or DOF → dict of ``dof, quantity, unit, sensitivity, exclude, reason``.
+    analysis : Analysis
+    """
+
+    __test__: ClassVar[bool] = False  # not a test class, whatever its name suggests to a collector
+
+    name: str
+    path: Path | None = None
+    idle: State = State()
+    operating: State = State()
+    check: State = State()
+    geometry_file: Path | None = None
+    geometry_units: str | None = None
+    units: dict[str, str] = field(default_factory=dict)
+    channels: dict[str, dict[str, Any]] = field(default_factory=dict)
+    analysis: Analysis = field(default_factory=Analysis)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files the test names, each once."""
+        extra = () if self.geometry_file is None else (self.geometry_file,)
+        return tuple(dict.fromkeys((*self.idle.files, *self.operating.files, *self.check.files, *extra)))
+
+    def settings(self) -> dict[str, Any]:
+        """Settings as exported with every output: those of [analysis] with defaults, units and channels as given."""
+        return self.analysis.to_dict() | {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+
+    def with_analysis(self, **changes: Any) -> Test:
+        """The same test with other settings.
+
+        Raises
+        ------
+        ConfigError
+            If a setting is unknown or its value is wrong.
+        """
+        checked = _analysis(changes, "analysis settings")
+        return replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
+
+
+def load_test(path: str | Path) -> Test:
+    """Read a test file.
+
+    Parameters
+    ----------
+    path : path
+        ``test.toml``, or a folder that holds one. Paths and globs inside are relative to the file.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no TOML, a key is unknown (the nearest known one is named), a value is wrong, or a pattern matches no file.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "test.toml"
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(
+            "there is no such test file", where=str(path), hint="`operando init DIR` writes one from the files in DIR"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"not a text in UTF-8 (byte {error.start})", where=str(path), hint="a test file is TOML text") from None
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        hint = (
+            "write Windows paths in single quotes or with /"
+            if "escape" in str(error).lower()
+            else "see the contract of test.toml in the README"
+        )
+        raise ConfigError(f"not valid TOML: {error}", where=str(path), hint=hint) from None
+    return parse_test(table, path)
+
+
+def parse_test(table: Mapping[str, Any], path: Path) -> Test:
+    """Test of a parsed TOML table; ``path`` is the file it came from (see :func:`load_test`)."""
+    where = str(path)
+    known = ("name", "idle", "operating", "check", "geometry", "units", "channels", "analysis")
+    check_keys(table, known, where)
+    for section in known[1:]:
+        if section in table and not isinstance(table[section], Mapping):
+            raise ConfigError(f"{section!r} is a value, expected a table", where=where, hint=f"write [{section}] on a line of its own")
+    name = table.get("name", path.parent.resolve().name)
+    if not isinstance(name, str) or not name.strip():
+        raise ConfigError(f"name is {name!r}, expected a text", where=where)
+    folder = path.parent
+    states = {key: _state(table.get(key, {}), folder, f"{where} [{key}]") for key in ("idle", "operating", "check")}
+    if not (states["idle"] or states["operating"]):
+        raise ConfigError("names no measurement", where=where, hint='give [idle] or [operating] with records = ["idle/*.uff"]')
+    if states["idle"].records and states["idle"].frfs:
+        raise ConfigError("gives both records and frfs", where=f"{where} [idle]", hint="keep one: raw records if there are any")
+    if states["operating"].frfs:
+        raise ConfigError(
+            "FRFs cannot be measured where the force is unknown", where=f"{where} [operating]", hint="a run with force belongs to [check]"
+        )
+    geometry = table.get("geometry", {})
+    check_keys(geometry, ("file", "units"), f"{where} [geometry]")
+    file = geometry.get("file")
+    geometry_units = geometry.get("units")
+    if geometry_units is not None:
+        _unit(geometry_units, "displacement", f"{where} [geometry] units")
+    return Test(
+        name=name.strip(),
+        path=path,
+        **states,
+        geometry_file=None if file is None else _files([file], folder, f"{where} [geometry] file")[0],
+        geometry_units=geometry_units,
+        units=_units(table.get("units", {}), f"{where} [units]"),
+        channels=_channels(table.get("channels", {}), f"{where} [channels]"),
+        analysis=_analysis(table.get("analysis", {}), f"{where} [analysis]"),
+    )
+
+
+def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Raise a ConfigError that names the nearest known key for the first unknown one."""
+    known = tuple(known)
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.5)
+            hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
+            raise ConfigError(f"unknown key {key!r}" + (f"; the nearest known key is {near[0]!r}" if near else ""), where=where, hint=hint)
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def _natural(path: Path) -> list[Any]:
+    return [int(part) if part.isdigit() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
+
+
+def _files(patterns: Any, folder: Path, where: str) -> tuple[Path, ...]:
+    if isinstance(patterns, str):
+        patterns = [patterns]
+    if not isinstance(patterns, list) or not all(isinstance(p, str) and p for p in patterns):
+        raise ConfigError(f"{patterns!r} is no list of paths", where=where, hint='write for example ["idle/*.uff"]')
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        literal = folder / pattern
+        hits = (
+            [literal]
+            if literal.is_file()
+            else sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
+        )
+        hits = [p for p in hits if p.is_file()]
+        if not hits:
+            raise ConfigError(f"{pattern!r} matches no file", where=where, hint=f"paths are relative to {folder.resolve()}")
+        found |= dict.fromkeys(hits)
+    return tuple(found)
+
+
+def _state(table: Mapping[str, Any], folder: Path, where: str) -> State:
+    check_keys(table, _STATE_KEYS, where)
+    return State(**{key: _files(value, folder, f"{where} {key}") for key, value in table.items() if value != []})
+
+
+def _unit(text: Any, quantity: str | None, where: str) -> str:
+    if not isinstance(text, str):
+        raise ConfigError(f"{text!r} is no unit", where=where, hint='write a text such as "g" or "lbf"')
+    try:
+        parse_unit(text, quantity)
+    except UnitError as error:
+        raise ConfigError(error.message, where=where, hint=error.hint) from None
+    return text
+
+
+def _units(table: Mapping[str, Any], where: str) -> dict[str, str]:
+    check_keys(table, SI_UNIT, where)
+    return {quantity: _unit(text, quantity, f"{where} {quantity}") for quantity, text in table.items()}
+
+
+def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
+    out: dict[str, dict[str, Any]] = {}
+    for name, entry in table.items():
+        here = f"{where} {name!r}"
+        if not isinstance(entry, Mapping):
+            raise ConfigError(
+                f"{entry!r} is no table", where=here, hint='write for example {dof = "12+Z", quantity = "acceleration", unit = "g"}'
+            )
+        check_keys(entry, _CHANNEL_KEYS, here)
+        if "dof" in entry:
+            try:
+                Dof.parse(entry["dof"])
+            except DofError as error:
+                raise ConfigError(error.message, where=here, hint=error.hint) from None
+        quantity = entry.get("quantity")
+        if quantity is not None and quantity not in SI_UNIT:
+            near = difflib.get_close_matches(str(quantity), SI_UNIT, 1, 0.5)
+            raise ConfigError(
+                f"unknown quantity {quantity!r}", where=here, hint=f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(SI_UNIT)
+            )
+        if "unit" in entry:
+            _unit(entry["unit"], quantity, f"{here} unit")
+        if "sensitivity" in entry and (not _is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
+            raise ConfigError(f"sensitivity is {entry['sensitivity']!r}, expected a number other than 0", where=here)
+        if not isinstance(entry.get("exclude", False), bool):
+            raise ConfigError(f"exclude is {entry['exclude']!r}, expected true or false", where=here)
+        if not isinstance(entry.get("reason", ""), str):
+            raise ConfigError(f"reason is {entry['reason']!r}, expected a text", where=here)
+        out[name] = dict(entry)
+    return out
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _check(value: Any, good: bool, expected: str, where: str) -> Any:
+    if not good:
+        raise ConfigError(f"{value!r} is not allowed; expected {expected}", where=where)
+    return value
+
+
+def _band(value: Any, where: str) -> tuple[float, float]:
+    good = isinstance(value, list | tuple) and len(value) == 2 and all(_is_number(v) for v in value) and 0 <= value[0] < value[1]
+    _check(value, good, "two frequencies [low, high] in Hz with 0 <= low < high", where)
+    return float(value[0]), float(value[1])
+
+
+def _bands(value: Any, where: str) -> tuple[tuple[float, float], ...]:
+    _check(value, isinstance(value, list | tuple), "a list of [low, high] in Hz", where)
+    return tuple(_band(v, where) for v in value)
+
+
+def _numbers(value: Any, where: str) -> tuple[float, ...]:
+    good = isinstance(value, list | tuple) and all(_is_number(v) and v > 0 for v in value)
+    return tuple(float(v) for v in _check(value, good, "a list of frequencies in Hz", where))
+
+
+def _texts(value: Any, where: str) -> tuple[str, ...]:
+    return tuple(_check(value, isinstance(value, list | tuple) and all(isinstance(v, str) for v in value), "a list of texts", where))
+
+
+def _dofs(value: Any, where: str) -> tuple[str, ...]:
+    out = []
+    for text in _texts(value, where):
+        try:
+            out.append(str(Dof.parse(text)))
+        except DofError as error:
+            raise ConfigError(error.message, where=where, hint=error.hint) from None
+    return tuple(out)
+
+
+def _positive(value: Any, where: str) -> float:
+    return float(_check(value, _is_number(value) and value > 0, "a positive number", where))
+
+
+def _overlap(value: Any, where: str) -> float:
+    return float(_check(value, _is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where))
+
+
+def _order(value: Any, where: str) -> int:
+    return int(_check(value, isinstance(value, int) and not isinstance(value, bool) and value >= 2, "a whole number of at least 2", where))
+
+
+def _threshold(value: Any, where: str) -> float:
+    return float(_check(value, _is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
+
+
+def _hits(value: Any, where: str) -> str | tuple[int, ...]:
+    if isinstance(value, list | tuple):
+        good = len(value) > 0 and all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in value)
+        return tuple(_check(value, good, "the indices of the hits, from 0", where))
+    return str(_check(value, value in ("auto", "all", "none"), '"auto", "all", "none", or a list of indices from 0', where))
+
+
+def _text(value: Any, where: str) -> str:
+    return str(_check(value, isinstance(value, str) and value != "", "a text", where))
+
+
+def _flag(value: Any, where: str) -> bool:
+    return bool(_check(value, isinstance(value, bool), "true or false", where))
+
+
+def _one_of(choices: tuple[str, ...]) -> Callable[[Any, str], str]:
+    def check(value: Any, where: str) -> str:
+        if isinstance(value, str) and value.lower() in choices:
+            return value.lower()
+        near = difflib.get_close_matches(str(value), choices, 1, 0.5)
+        raise ConfigError(
+            f"{value!r} is not allowed; expected one of {', '.join(choices)}",
+            where=where,
+            hint=f"did you mean {near[0]!r}?" if near else None,
+        )
+
+    return check
+
+
+_CHECKS: dict[str, Callable[[Any, str], Any]] = {
+    "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS), "hits": _hits,
+    "references": _dofs, "max_order": _order, "select_hz": _numbers, "reject_hz": _numbers, "threshold": _threshold,
+    "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts, "places": _texts,
+    "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers, "second_opinion": _flag,
+}  # fmt: skip
+
+
+def _analysis(table: Mapping[str, Any], where: str) -> Analysis:
+    check_keys(table, (f.name for f in fields(Analysis)), where)
+    return Analysis(**{key: _CHECKS[key](value, f"{where} {key}") for key, value in table.items()})

@@ -1,0 +1,74 @@
+"""Check runs by excitation level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from operando.data import Frf, TimeRecord
+from operando.results import CheckRun
+
+LEVEL_RATIO = 1.4
+"""Force levels of the same reference that lie within this factor count as one level."""
+
+
+def force_rms(record: TimeRecord) -> float:
+    """Rms of the forces of a record [N], root mean square over its force channels."""
+    return float(np.sqrt(np.mean([np.mean(np.square(record.data[i], dtype=float)) for i in record.force_indices])))
+
+
+def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
+    """Runs of one level, lowest level first.
+
+    Runs of the same references are ranked by their force; a step of more than ``LEVEL_RATIO`` starts a new level. The groups
+    of all references are joined by rank, so that the lowest level holds every reference.
+    """
+    by_reference: dict[frozenset[tuple[int, str]], list[TimeRecord]] = {}
+    for record in records:
+        dofs = (record.channels[i].dof for i in record.force_indices)
+        by_reference.setdefault(frozenset((d.node, d.axis) for d in dofs if d is not None), []).append(record)
+    groups: list[list[TimeRecord]] = []
+    for runs in by_reference.values():
+        ranked = sorted(runs, key=force_rms)
+        rank = 0
+        for previous, run in zip([None, *ranked], ranked, strict=False):
+            if previous is not None and force_rms(run) > LEVEL_RATIO * force_rms(previous):
+                rank += 1
+            while len(groups) <= rank:
+                groups.append([])
+            groups[rank].append(run)
+    return groups
+
+
+def check_frfs(records: Sequence[TimeRecord], estimate: Callable[[list[TimeRecord]], Frf]) -> list[CheckRun]:
+    """FRFs of the check runs: one for all levels where the estimate finds them homogeneous, else one a level, lowest first.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+        With forces and responses.
+    estimate : callable
+        Records → Frf; a finding ``nonlinear`` says that runs differ beyond their noise.
+    """
+    groups = level_groups(records)
+    everything = estimate(list(records))
+    linear = not any(f.kind == "nonlinear" for f in everything.findings)
+    if len(groups) == 1 or linear:
+        return [CheckRun(_names(records), _level(records, "" if len(groups) == 1 else "all levels agree"), everything)]
+    runs = [CheckRun(_names(group), _level(group), estimate(group)) for group in groups]
+    told = tuple(f for f in everything.findings if f.kind == "nonlinear")
+    return [replace(runs[0], frf=runs[0].frf.with_findings([f for f in told if f not in runs[0].frf.findings])), *runs[1:]]
+
+
+def _names(records: Sequence[TimeRecord]) -> str:
+    return ", ".join(r.name for r in records)
+
+
+def _level(records: Sequence[TimeRecord], note: str = "") -> str:
+    """Level in words; its first number is the lowest force."""
+    forces = [force_rms(r) for r in records]
+    low, high = min(forces), max(forces)
+    text = f"{low:.4g} N rms" if high < 1.05 * low else f"{low:.4g} … {high:.4g} N rms"
+    return f"{text}, {note}" if note else text

@@ -1,0 +1,88 @@
+"""The files of the results folder that one stage makes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from operando.data import Finding, Frf, ModalModel
+from operando.errors import MissingError
+from operando.pipeline.cache import whole, write_json
+from operando.results import Results
+
+OUTPUTS = {
+    "frf": ("idle_frf.uff",),
+    "ema": ("idle_modes.uff",),
+    "oma": ("operating_modes.uff",),
+    "ofrf": ("ofrf.uff",),
+    "compare": ("comparison.json",),
+}
+"""Stage → files it makes."""
+
+MAX_BYTES = 1_000_000_000
+"""Beyond this size ``ofrf.uff`` holds the columns of the measured references only."""
+
+
+def write_output(name: str, out: Path, results: Results) -> list[Finding]:
+    """Write one file of the results folder, whole or not at all; returns what there is to say about it."""
+    if name == "comparison.json":
+        write_json(out / name, results.comparison or {})
+        return []
+    from operando.io import write_uff
+
+    findings: list[Finding] = []
+    objects: list[Any] = []
+    if name == "idle_frf.uff":
+        objects = [results.idle_frf]
+    elif name in ("idle_modes.uff", "operating_modes.uff"):
+        model = results.idle if name == "idle_modes.uff" else results.operating
+        objects = [results.geometry, None if model is None else proper_modes(model)]
+    elif name == "ofrf.uff":
+        objects = [ofrf(results, findings)]
+    with whole(out / name) as beside:
+        write_uff(beside, *(o for o in objects if o is not None))
+    return findings
+
+
+def proper_modes(model: ModalModel) -> ModalModel:
+    """Modes without the residual pseudo-modes, which stand for nothing outside the synthesis."""
+    return replace(model.modes_proper(), details=None)
+
+
+def ofrf_lines(results: Results) -> Any:
+    """Lines of the idle FRFs [Hz].
+
+    Raises
+    ------
+    MissingError
+        If there are none.
+    """
+    if results.idle_frf is None:
+        raise MissingError(
+            "there are no idle FRFs whose lines the operational FRFs could lie on", hint="give the lines: --frequencies A:B:STEP"
+        )
+    return results.idle_frf.frequencies_hz
+
+
+def ofrf(results: Results, findings: list[Finding]) -> Frf:
+    """Operational accelerance over all measured DOFs, on the lines of the idle FRFs."""
+    if results.hybrid is None:
+        raise MissingError("there is no hybrid model")
+    lines = ofrf_lines(results)
+    dofs = results.hybrid.modal.dofs
+    references: tuple[Any, ...] | None = None
+    if len(dofs) ** 2 * lines.size * 16 > MAX_BYTES and results.idle_frf is not None:
+        known = {(d.node, d.axis) for d in dofs}
+        references = tuple(d for d in results.idle_frf.references if (d.node, d.axis) in known)
+        findings.append(
+            Finding(
+                "partial_output",
+                f"ofrf.uff holds the columns of the {len(references)} measured references, not of all {len(dofs)} DOFs: "
+                f"it would exceed {MAX_BYTES / 1e9:g} GB",
+                "info",
+                action="`operando ofrf DIR --references DOFS` makes any column",
+            )
+        )
+    made: Frf = results.hybrid.frf(lines, None, references, "accelerance")
+    return made

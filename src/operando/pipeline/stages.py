@@ -1,0 +1,312 @@
+"""What each stage does: pure in its inputs, settings and upstream results; each returns fields of ``Results``."""
+
+from __future__ import annotations
+
+import inspect as introspection
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from operando.config import Analysis, Test
+from operando.data import Finding
+from operando.errors import DataError, MissingError
+from operando.pipeline.inputs import Inputs
+from operando.results import Results
+
+
+@dataclass
+class Work:
+    """One run of the pipeline: the test, its files, what is known so far."""
+
+    test: Test
+    inputs: Inputs
+    results: Results
+
+    @property
+    def analysis(self) -> Analysis:
+        """Settings."""
+        return self.test.analysis
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A step of the pipeline.
+
+    Parameters
+    ----------
+    name : str
+        Name in the cache.
+    part_of : str
+        Stage of the contract it belongs to.
+    does : callable
+        ``Work`` → fields of ``Results`` it fills (and ``findings``, those of the stage itself).
+    lacks : callable
+        ``Test`` → why the stage is left out, or None.
+    upstream : tuple of str
+        Stages whose results it uses.
+    rooms : tuple of str
+        Rooms of operando whose code decides the result.
+    settings : tuple of str
+        Names in [analysis] that decide the result.
+    states : tuple of str
+        States whose files it reads.
+    optional : bool
+        Whether the run still counts as done when this stage fails.
+    """
+
+    name: str
+    part_of: str
+    does: Callable[[Work], dict[str, Any]]
+    lacks: Callable[[Test], str | None] = field(default=lambda test: None)
+    upstream: tuple[str, ...] = ()
+    rooms: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
+    optional: bool = False
+
+
+def offered(function: Callable[..., Any], **keywords: Any) -> dict[str, Any]:
+    """The keywords that have a value and that the function knows.
+
+    Raises
+    ------
+    DataError
+        If a setting was given that the function cannot use.
+    """
+    known = introspection.signature(function).parameters
+    given = {key: value for key, value in keywords.items() if value is not None and value != ()}
+    unknown = [key for key in given if key not in known]
+    if unknown:
+        raise DataError(f"setting {', '.join(unknown)} cannot be used by {function.__name__}", hint="take it out of [analysis]")
+    return {key: value for key, value in given.items() if key in known}
+
+
+def inspect_files(work: Work) -> dict[str, Any]:
+    """Inventory, geometry, findings of all files."""
+    inventory = work.inputs.inventory()
+    geometry = work.inputs.geometry()
+    findings = work.inputs.all_findings()
+    if all(row["format"] is None for row in inventory):
+        raise MissingError("no file of the test can be read", hint=findings[0].message if findings else None)
+    if geometry is None:
+        message = "no geometry in the files"
+        findings.append(
+            Finding(
+                "no_geometry", message, "info", consequence="mode shapes are drawn as bars", action="give [geometry] file in the test file"
+            )
+        )
+    return {"inventory": inventory, "geometry": geometry, "findings": findings}
+
+
+def idle_frf(work: Work) -> dict[str, Any]:
+    """Idle FRFs, estimated or as given, with drive-point and reciprocity checks."""
+    idle = work.test.idle
+    if idle.frfs:
+        frf = work.inputs.frf(idle)
+        if work.analysis.references is not None:
+            frf = frf.select(references=work.analysis.references)
+    else:
+        frf = estimate(work.inputs.records(idle, force=True), work.analysis)
+    return {"idle_frf": frf, "findings": frf_checks(frf)}
+
+
+def estimate(records: list[Any], analysis: Analysis) -> Any:
+    """``estimate_frf`` with the settings of the test."""
+    from operando.frf import estimate_frf
+
+    keywords = offered(
+        estimate_frf,
+        references=analysis.references,
+        estimator=analysis.estimator,
+        block_seconds=analysis.block_seconds,
+        overlap=analysis.overlap,
+        window=analysis.window,
+        hits=analysis.hits if analysis.hits != "auto" else None,
+    )
+    return estimate_frf(records, **keywords)
+
+
+def frf_checks(frf: Any) -> list[Finding]:
+    """Findings of the drive-point and reciprocity checks that the FRF does not carry already."""
+    import operando.frf as room
+
+    check = getattr(room, "check_drive_points", None)
+    found = [] if check is None else check(frf)
+    return [f for f in (found if isinstance(found, list | tuple) else []) if isinstance(f, Finding) and f not in frf.findings]
+
+
+def idle_modes(work: Work) -> dict[str, Any]:
+    """Idle modes of unit modal mass."""
+    from operando.ema import fit_ema
+
+    analysis = work.analysis
+    records = work.inputs.records(work.test.idle, force=True) if work.test.idle.records else None
+    keywords = offered(
+        fit_ema,
+        band=analysis.band,
+        records=records,
+        max_order=analysis.max_order,
+        select_hz=analysis.select_hz,
+        reject_hz=analysis.reject_hz,
+        exclude_bands=analysis.exclude_bands,
+        second_opinion=analysis.second_opinion or None,
+    )
+    return {"idle": fit_ema(_needed(work.results.idle_frf, "idle FRFs"), **keywords)}
+
+
+def operational_modes(work: Work) -> dict[str, Any]:
+    """Operational modes, complex and unscaled."""
+    from operando.oma import fit_oma
+
+    analysis = work.analysis
+    records = work.inputs.records(work.test.operating, force=False)
+    findings = []
+    record = max(records, key=lambda r: r.duration_s)
+    if len(records) > 1:
+        left = [r.name for r in records if r is not record]
+        message = (
+            f"{len(records)} operating records; the longest one ({record.name}, {record.duration_s:.4g} s) is used, not {', '.join(left)}"
+        )
+        findings.append(
+            Finding(
+                "unused_record", message, "warning", consequence="less data than measured", action="name the record wanted in [operating]"
+            )
+        )
+    keywords = offered(
+        fit_oma,
+        band=analysis.band,
+        max_order=analysis.oma_max_order,
+        references=analysis.oma_references,
+        known_harmonics_hz=analysis.known_harmonics_hz,
+        select_hz=analysis.oma_select_hz,
+        reject_hz=analysis.oma_reject_hz,
+        exclude_bands=analysis.exclude_bands,
+        second_opinion=analysis.second_opinion or None,
+    )
+    return {"operating": fit_oma(record, **keywords), "findings": findings}
+
+
+def hybrid(work: Work) -> dict[str, Any]:
+    """Operational modes with the scale of the idle ones."""
+    from operando.scaling import scale_operational
+
+    idle = _needed(work.results.idle, "idle modes")
+    operating = _needed(work.results.operating, "operational modes")
+    if idle.scaling != "unit_modal_mass" or not idle.si:
+        raise MissingError(
+            "the idle modes are not scaled to unit modal mass, so there is no scale to carry over",
+            hint="give the units the files do not state in [units], for example acceleration and force",
+        )
+    return {"hybrid": scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)}
+
+
+def check_runs(work: Work) -> dict[str, Any]:
+    """Check FRFs: all runs in one where they agree, else by level."""
+    from operando.pipeline.levels import check_frfs
+
+    check = work.test.check
+    runs = (
+        []
+        if not check.records
+        else check_frfs(work.inputs.records(check, force=True), lambda records: estimate(records, _judging(work.analysis)))
+    )
+    if check.frfs:
+        from operando.results import CheckRun
+
+        runs.append(CheckRun(", ".join(p.name for p in check.frfs), "as given", work.inputs.frf(check)))
+    return {"check": runs, "findings": [f for run in runs for f in frf_checks(run.frf)]}
+
+
+def _judging(analysis: Analysis) -> Analysis:
+    """Settings of the check FRFs: the references of the idle FRFs do not bind them."""
+    return replace(analysis, references=None)
+
+
+def comparison(work: Work) -> dict[str, Any]:
+    """Idle model, baselines and operational FRFs against the check."""
+    from operando.compare import compare_all
+    from operando.scaling import scale_operational
+
+    results, findings = work.results, []
+    models: dict[str, Any] = {}
+    if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
+        models["idle"] = results.idle
+    if results.hybrid is not None:
+        for name in ("idle_shapes", "msf_all"):
+            try:
+                models[name] = scale_operational(results.hybrid.idle, results.hybrid.operating, work.analysis.threshold, name)
+            except Exception as error:  # a baseline that cannot be made takes nothing from the rest
+                findings.append(
+                    Finding("baseline_failed", f"baseline {name} cannot be made: {error}", "warning", consequence="it is not compared")
+                )
+        models["ofrf"] = results.hybrid
+    if not models:
+        raise MissingError("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
+    if not results.check:
+        raise MissingError("no check FRF")
+    band = work.analysis.band or (None if results.idle is None else results.idle.band_hz)
+    document = compare_all(models, results.check, **offered(compare_all, band_hz=band))
+    return {"comparison": document | {"settings": results.settings}, "findings": findings}
+
+
+def _needed(value: Any, what: str) -> Any:
+    if value is None:
+        raise MissingError(f"there are no {what}")
+    return value
+
+
+def no_idle(test: Test) -> str | None:
+    """Why a stage of the idle state is left out."""
+    return None if test.idle else "the test has no [idle] measurement"
+
+
+def no_operation(test: Test) -> str | None:
+    """Why a stage of the operating state is left out."""
+    return None if test.operating else "the test has no [operating] records"
+
+
+def no_both(test: Test) -> str | None:
+    """Why a stage that needs both states is left out."""
+    return no_idle(test) or no_operation(test)
+
+
+def no_check(test: Test) -> str | None:
+    """Why the comparison is left out."""
+    return no_idle(test) or (None if test.check else "the test has no [check] measurement")
+
+
+READING = ("data", "io", "quality", "dof", "units", "pipeline/inputs", "pipeline/stages")
+ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits")
+
+_EMA_SETTINGS = ("band", "max_order", "select_hz", "reject_hz", "exclude_bands", "second_opinion")
+_OMA_SETTINGS = ("oma_max_order", "oma_references", "known_harmonics_hz", "oma_select_hz", "oma_reject_hz")
+_EMA_ROOMS = (*READING, "ema", "stabilization", "synthesis", "indicators")
+_OMA_ROOMS = (*READING, "oma", "stabilization", "indicators")
+
+STEPS: tuple[Stage, ...] = (
+    Stage("inspect", "inspect", inspect_files, rooms=READING, states=("idle", "operating", "check", "geometry")),
+    Stage("frf", "frf", idle_frf, no_idle, rooms=(*READING, "frf"), settings=ESTIMATING, states=("idle",)),
+    Stage("ema", "ema", idle_modes, no_idle, ("frf",), _EMA_ROOMS, _EMA_SETTINGS, ("idle",)),
+    Stage(
+        "oma",
+        "oma",
+        operational_modes,
+        no_operation,
+        (),
+        _OMA_ROOMS,
+        ("band", "exclude_bands", "second_opinion", *_OMA_SETTINGS),
+        ("operating",),
+    ),
+    Stage("ofrf", "ofrf", hybrid, no_both, ("ema", "oma"), ("scaling", "synthesis", "pipeline/stages"), ("threshold", "scaling")),
+    Stage("check", "compare", check_runs, no_check, (), (*READING, "frf", "pipeline/levels"), ESTIMATING, ("check",), optional=True),
+    Stage(
+        "compare",
+        "compare",
+        comparison,
+        no_check,
+        ("ema", "ofrf", "check"),
+        ("compare", "scaling", "pipeline/stages"),
+        ("band", "threshold"),
+        optional=True,
+    ),
+)

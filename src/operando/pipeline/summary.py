@@ -1,0 +1,77 @@
+"""``summary.json``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from operando.jsonable import jsonable
+from operando.results import Results
+
+
+def summary(results: Results) -> dict[str, Any]:
+    """``operando/summary/1`` of results; null where a stage made nothing."""
+    scaled = {"pairing": [], "scaling": None} if results.hybrid is None else results.hybrid.to_dict()
+    document: dict[str, Any] = {
+        "schema": "operando/summary/1",
+        "test": results.name,
+        "settings": results.settings,
+        "findings": [f.to_dict() for f in results.findings],
+        "idle": _idle(results),
+        "operating": _operating(results),
+        "pairing": scaled["pairing"],
+        "scaling": scaled["scaling"],
+        "left_out": results.left_out,
+        "timings_s": results.timings_s,
+        "inventory": results.inventory,
+        "geometry": None if results.geometry is None else {"nodes": len(results.geometry.nodes), "unit_known": results.geometry.unit_known},
+        "check": [
+            {"name": r.name, "level": r.level, "references": _texts(r.frf.references), "averages": r.frf.averages} for r in results.check
+        ],
+    }
+    plain: dict[str, Any] = jsonable(document)
+    return plain
+
+
+def _idle(results: Results) -> dict[str, Any] | None:
+    if results.idle is None and results.idle_frf is None:
+        return None
+    out: dict[str, Any] = {"modes": [], "residual_modes": 0, "misfit": None, "scaling": None, "band_hz": None}
+    if results.idle is not None:
+        out |= results.idle.to_dict() | {"band_hz": results.idle.band_hz, "si": results.idle.si, "calls": results.idle.provenance.calls}
+    frf = results.idle_frf
+    if frf is not None:
+        out["frf"] = {
+            "references": _texts(frf.references),
+            "responses": _texts(frf.responses),
+            "averages": frf.averages,
+            "reciprocity_error": _reciprocity(frf),
+            "lines": len(frf.axis),
+            "band_hz": [float(frf.frequencies_hz[0]), float(frf.frequencies_hz[-1])],
+            "si": frf.si,
+            "calls": frf.provenance.calls,
+        }
+    return out
+
+
+def _operating(results: Results) -> dict[str, Any] | None:
+    if results.operating is None:
+        return None
+    harmonics = getattr(results.operating.details, "harmonics_hz", ())
+    return results.operating.to_dict() | {
+        "harmonics_hz": [float(f) for f in harmonics],
+        "band_hz": results.operating.band_hz,
+        "calls": results.operating.provenance.calls,
+    }
+
+
+def _reciprocity(frf: Any) -> float | None:
+    """Relative difference of H and its transpose over the pairs measured both ways; None where there is no such pair."""
+    import operando.frf as room
+
+    measure = getattr(room, "reciprocity_error", None)
+    value = None if measure is None else measure(frf)
+    return None if value is None else float(value)
+
+
+def _texts(dofs: Any) -> list[str]:
+    return [str(d) for d in dofs]
