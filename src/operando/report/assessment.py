@@ -1,0 +1,315 @@
+"""The answer in words: how good the operating FRFs are, and which assumption of the method does not hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from operando.data import Finding
+from operando.indicators import phase_collinearity
+from operando.report.derive import (
+    all_findings,
+    analysis_band,
+    comparison_models,
+    judge_run,
+    level_difference,
+    pairing_of,
+    proper_modes,
+    reciprocity,
+    scaling_of,
+)
+from operando.report.text import band_text, count, decibel, finite, fixed, listing, number
+from operando.results import Results
+
+MODEL_NAMES = {
+    "ofrf": "operating FRFs (this method)",
+    "effect": "idle model with accepted effects",
+    "msf_all": "operating shapes, all scaled by MSF",
+    "idle_shapes": "idle shapes with operating poles",
+    "idle": "idle model",
+}
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One assumption of the method and what the data say about it.
+
+    ``state`` is ``holds``, ``doubtful``, ``fails`` or ``untested``.
+    """
+
+    name: str
+    state: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The answer: a verdict word, its colour class (``good``, ``fair``, ``poor``, ``none``), sentences, and what limits it."""
+
+    verdict: str
+    grade: str
+    sentences: tuple[str, ...]
+    limits: tuple[str, ...]
+
+
+def headline(results: Results) -> Headline:
+    """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers."""
+    limits = [f"{a.name}: {a.text}" for a in assumptions(results) if a.state == "fails"]
+    if results.hybrid is None:
+        return Headline("No operating FRFs", "none", _without_hybrid(results), tuple(limits))
+    sentences = [_what_they_are(results)]
+    models = comparison_models(results)
+    ofrf = models.get("ofrf")
+    if not ofrf or not finite(ofrf.get("error_db")):
+        reason = "there is no check measurement (running, force measured)" if not results.check else "the comparison was not made"
+        sentences.append(
+            f"How far they are from the truth is not known: {reason}. "
+            "The 95 % bands below hold what the identification is unsure of, no more."
+        )
+        grade = "poor" if any(a.state == "fails" for a in assumptions(results)) else "fair"
+        return Headline("Operating FRFs made, not checked", grade, tuple(sentences), tuple(limits))
+    error = float(ofrf["error_db"])
+    others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
+    sentences.append(_agreement(ofrf, others, judge_run(results)))
+    idle = next((e for name, e in others if name == "idle"), None)
+    misfit = float(ofrf["misfit"]) if finite(ofrf.get("misfit")) else None
+    floor = float(ofrf["noise_floor_db"]) if finite(ofrf.get("noise_floor_db")) else None
+    if (misfit is not None and misfit < 1.5) or (floor is not None and error <= 1.2 * floor):
+        verdict, grade = "The operating FRFs agree with the check as well as the data allow", "good"
+    elif idle is not None and error > 0.95 * idle:
+        verdict, grade = "The operating FRFs are no better than the idle model", "poor"
+    elif error < 1.0:
+        verdict, grade = "The operating FRFs agree with the check to within 1 dB", "good"
+    else:
+        verdict, grade = f"The operating FRFs agree with the check to {decibel(error)}", "fair"
+    best = min(others, key=lambda item: item[1], default=None)
+    if best is not None and best[1] < 0.98 * error and best[0] != "idle":
+        limits.append(
+            f"A simpler model is closer here: {MODEL_NAMES.get(best[0], best[0])} is at {decibel(best[1])}, "
+            f"the operating FRFs at {decibel(error)}."
+        )
+    return Headline(verdict, grade, tuple(sentences), tuple(limits))
+
+
+def _what_they_are(results: Results) -> str:
+    pairing, scaling = pairing_of(results), scaling_of(results)
+    modal = getattr(results.hybrid, "modal", None)
+    dofs = len(modal.dofs) if modal is not None else 0
+    classes = [str(p.get("class")) for p in pairing]
+    parts = [f"{classes.count('unchanged')} with the shape they have at rest"]
+    parts += [f"{n} {word}" for n, word in _class_words(classes)]
+    residual = int(np.sum(modal.residual)) if modal is not None else 0
+    text = (
+        f"Operating FRFs between {count(dofs, 'DOF')} ({dofs * dofs} pairs), {band_text(analysis_band(results))}, "
+        f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
+    )
+    text += (
+        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for what lies outside."
+        if residual
+        else "."
+    )
+    shifts = frequency_shifts(results)
+    if shifts:
+        worst = max(shifts, key=lambda s: abs(s["percent"]))
+        text += (
+            f" Against rest the frequencies moved by {fixed(min(s['percent'] for s in shifts), 2, sign=True)} to "
+            f"{fixed(max(s['percent'] for s in shifts), 2, sign=True)} %, most at {number(worst['idle_hz'], 4)} Hz "
+            f"(now {number(worst['operating_hz'], 4)} Hz)."
+        )
+    kappa = scaling.get("kappa")
+    if scaling.get("method"):
+        text += f" The scale was carried over by “{scaling['method']}”" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
+    return text
+
+
+def _class_words(classes: list[str]) -> list[tuple[int, str]]:
+    words = {
+        "changed": "with a changed shape",
+        "beyond_idle_band": "paired beyond the idle band",
+        "unpaired": "without an idle partner",
+    }
+    return [(classes.count(k), w) for k, w in words.items() if k in classes]
+
+
+def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]], run: Any) -> str:
+    text = f"Measured with a known force while running, they are off by {decibel(ofrf['error_db'])} rms"
+    if others:
+        text += " (" + ", ".join(f"{MODEL_NAMES.get(name, name)}: {decibel(e)}" for name, e in others) + ")"
+    if finite(ofrf.get("noise_floor_db")):
+        text += f"; noise of that measurement and the model's own uncertainty explain {decibel(ofrf['noise_floor_db'])} of it"
+    if finite(ofrf.get("misfit")):
+        text += f" (misfit {number(ofrf['misfit'], 3)}, where 1 is as good as the data allow)"
+    return text + "."
+
+
+def _without_hybrid(results: Results) -> tuple[str, ...]:
+    have = []
+    if results.idle is not None:
+        have.append(f"the idle model has {count(proper_modes(results.idle).size, 'mode')}")
+    elif results.idle_frf is not None:
+        have.append("idle FRFs were measured")
+    if results.operating is not None:
+        have.append(f"the operating state has {count(proper_modes(results.operating).size, 'mode')}")
+    text = "Operating FRFs were not made"
+    for stage in ("ofrf", "oma", "ema", "frf"):
+        if stage in results.left_out:
+            text += f" ({results.left_out[stage].rstrip('.')})"
+            break
+    else:
+        if results.idle is not None and results.idle.scaling != "unit_modal_mass":
+            text += ", because the idle shapes have no mass scaling: force or acceleration units are not known (give them under [units])"
+        elif results.operating is None:
+            text += ", because there are no operating modes"
+        elif results.idle is None:
+            text += ", because there is no idle model"
+    return (text + ".", (listing(have)[:1].upper() + listing(have)[1:] + ".") if have else "Nothing has been identified yet.")
+
+
+def frequency_shifts(results: Results) -> list[dict[str, float]]:
+    """Frequency and damping of each paired operating mode against its idle mode."""
+    if results.idle is None or results.operating is None:
+        return []
+    rows = []
+    idle_index, operating_index = proper_modes(results.idle), proper_modes(results.operating)
+    for p in pairing_of(results):
+        if p.get("idle") is None or p.get("operating") is None:
+            continue
+        if not (0 <= p["idle"] < idle_index.size and 0 <= p["operating"] < operating_index.size):
+            continue
+        a, b = idle_index[p["idle"]], operating_index[p["operating"]]
+        f0, f1 = float(results.idle.frequencies_hz[a]), float(results.operating.frequencies_hz[b])
+        rows.append({"idle_hz": f0, "operating_hz": f1, "percent": 100 * (f1 / f0 - 1) if f0 > 0 else float("nan")})
+    return [r for r in rows if finite(r["percent"])]
+
+
+def assumptions(results: Results) -> list[Assumption]:
+    """Each assumption of the method (Shen & Lu 2024, Section 2) with what the data say about it."""
+    found = all_findings(results)
+    return [
+        _light_and_real(results),
+        _dominant_modes(results),
+        _same_mass(results),
+        _ema_better(results),
+        _reciprocal(results, found),
+        _linear(results, found),
+    ]
+
+
+def _light_and_real(results: Results) -> Assumption:
+    name = "Light damping, real modes"
+    if results.idle is None and results.operating is None:
+        return Assumption(name, "untested", "No modes were identified.")
+    damping, complex_modes = [], []
+    for model in (results.idle, results.operating):
+        if model is not None:
+            damping += [float(model.damping_ratios[i]) for i in proper_modes(model)]
+    if results.operating is not None:
+        for i in proper_modes(results.operating):
+            mpc = phase_collinearity(results.operating.shapes[:, i])
+            if mpc < 0.9:
+                complex_modes.append(f"{number(results.operating.frequencies_hz[i], 4)} Hz ({mpc:.2f})")
+    top = max(damping, default=float("nan"))
+    text = f"Greatest damping ratio {fixed(100 * top, 2)} %. "
+    if complex_modes:
+        text += f"Operating shapes that are not real (modal phase collinearity below 0.9): {listing(complex_modes)}; "
+        text += "their imaginary part is lost in the operating FRFs."
+        return Assumption(name, "doubtful", text)
+    if results.operating is not None:
+        text += "All operating shapes are close to real (modal phase collinearity 0.9 or more)."
+    return Assumption(name, "holds" if top < 0.05 else "doubtful", text)
+
+
+def _dominant_modes(results: Results) -> Assumption:
+    name = "The idle model holds the dominant modes"
+    if results.idle is None:
+        return Assumption(name, "untested", "There is no idle model.")
+    misfit, alone = results.idle.misfit, [p for p in pairing_of(results) if p.get("class") in ("unpaired", "beyond_idle_band")]
+    residual = int(np.sum(np.asarray(results.idle.residual)))
+    text = f"{count(proper_modes(results.idle).size, 'idle mode')} and {count(residual, 'residual mode')}; "
+    if finite(misfit):
+        text += f"misfit on lines the fit did not use {number(misfit, 3)} (1 is the noise alone)."
+    else:
+        text += "no misfit was computed."
+    state = "holds" if finite(misfit) and float(misfit or 0) < 2 else "doubtful" if finite(misfit) else "untested"
+    if alone:
+        text += f" {count(len(alone), 'operating mode')} without a partner among the idle modes in band."
+        state = "doubtful" if state == "holds" else state
+    return Assumption(name, state, text)
+
+
+def _same_mass(results: Results) -> Assumption:
+    name = "Same mass at rest and running"
+    models = comparison_models(results)
+    if results.diagnosis:
+        masses = [e for e in results.diagnosis.get("effects") or [] if str(e.get("kind")).endswith("mass")]
+        if masses:
+            return Assumption(
+                name, "fails", "The diagnosis found a change of mass (see Diagnosis): modes scaled by the idle mass are off by it."
+            )
+    heights = [
+        abs(float(r["height_error_db"])) for r in (models.get("ofrf") or {}).get("by_mode") or [] if finite(r.get("height_error_db"))
+    ]
+    if heights:
+        typical = float(np.median(heights))
+        text = f"No direct test without the diagnosis; peak heights of the operating FRFs are off by {decibel(typical)} in the median "
+        text += "against the check, where a change of mass would show."
+        return Assumption(name, "holds" if typical < 0.5 else "doubtful", text)
+    return Assumption(name, "untested", "Responses alone cannot show a change of mass; a check measurement with force would.")
+
+
+def _ema_better(results: Results) -> Assumption:
+    name = "EMA is more certain than OMA"
+    idle, operating = results.idle, results.operating
+    if idle is None or operating is None or idle.frequency_std_hz is None or operating.frequency_std_hz is None:
+        return Assumption(name, "untested", "Uncertainties of both models are needed.")
+    a = np.median((idle.frequency_std_hz / idle.frequencies_hz)[proper_modes(idle)])
+    b = np.median((operating.frequency_std_hz / operating.frequencies_hz)[proper_modes(operating)])
+    text = f"Median relative standard deviation of frequency: idle {number(100 * a, 2)} %, operating {number(100 * b, 2)} %."
+    return Assumption(name, "holds" if a <= b else "doubtful", text)
+
+
+def _of_kind(found: list[Finding], kind: str) -> list[Finding]:
+    return [f for f in found if f.kind == kind]
+
+
+def _reciprocal(results: Results, found: list[Finding]) -> Assumption:
+    name = "Reciprocity in operation"
+    named = [f for f in _of_kind(found, "not_reciprocal") if f.severity != "info"]
+    consequence = (
+        "A sum over real shapes is symmetric by construction, so the operating FRFs cannot hold a gyroscopic or circulatory effect; "
+    )
+    consequence += "only the route idle model + effect can."
+    if named:
+        return Assumption(name, "fails", f"{named[0].message.rstrip('.')}. {consequence}")
+    run = judge_run(results)
+    rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []
+    if not rows:
+        text = "Not tested: it takes a check measurement with two forced points. " + consequence
+        return Assumption(name, "untested", text)
+    worst = max(rows, key=lambda r: r["ratio"] if r["ratio"] is not None else r["relative"])
+    first, second = worst["pair"]
+    text = f"H at {first} from {second} and the reverse differ by {number(100 * worst['relative'], 2)} % of their size"
+    if worst["ratio"] is not None:
+        text += f", {number(worst['ratio'], 3)} times the noise variance"
+    if (worst["ratio"] or 0) > 3 and worst["relative"] > 0.1:
+        return Assumption(name, "fails", f"{text}. {consequence}")
+    return Assumption(name, "holds" if (worst["ratio"] or 0) <= 3 else "doubtful", text + ".")
+
+
+def _linear(results: Results, found: list[Finding]) -> Assumption:
+    name = "Linear in operation"
+    named = [f for f in _of_kind(found, "nonlinear") if f.severity != "info"]
+    if named:
+        return Assumption(name, "fails", f"{named[0].message.rstrip('.')}. The operating FRFs stand for the level they were measured at.")
+    levels = level_difference(results.check)
+    if levels is None:
+        return Assumption(name, "untested", "It takes check measurements at two levels of force.")
+    percent = number(100 * (levels["relative"] or 0), 2)
+    text = f"FRFs of level {levels['levels'][0]} and {levels['levels'][1]} differ by {percent} % of their size"
+    ratio = levels["ratio"]
+    if ratio is None:
+        return Assumption(name, "untested", text + ".")
+    text += f", {number(ratio, 3)} times the noise variance."
+    return Assumption(name, "holds" if ratio < 2 else "doubtful", text)

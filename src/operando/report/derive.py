@@ -1,0 +1,301 @@
+"""Numbers the report draws that no stage keeps: judge run, errors by DOF and band, level and reciprocity tests, conditioning by DOF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding, Frf, ModalModel
+from operando.dof import Dof
+from operando.errors import OperandoError
+from operando.results import CheckRun, Results
+
+SNR_POWER = 100.0
+"""Lines count for dB errors where |H|² is more than so many times its variance (contract, ``error_db``)."""
+
+_RANK = {"error": 0, "warning": 1, "info": 2}
+
+
+def all_findings(results: Results) -> list[Finding]:
+    """Findings of the test and of every object in it, each once, the gravest first."""
+    parts: list[Any] = [results.findings]
+    for item in (results.idle_frf, results.idle, results.operating, results.hybrid, *(run.frf for run in results.check)):
+        parts.append(getattr(item, "findings", ()) or ())
+    unique = dict.fromkeys(f for part in parts for f in part)
+    return sorted(unique, key=lambda f: _RANK[f.severity])
+
+
+def proper_modes(model: ModalModel | None) -> NDArray[np.intp]:
+    """Indices of the modes that are not residual modes."""
+    return np.zeros(0, np.intp) if model is None else np.flatnonzero(~np.asarray(model.residual, bool))
+
+
+def pairing_of(results: Results) -> list[dict[str, Any]]:
+    """The pairing rows of ``summary.json``; empty where no hybrid model was made."""
+    return list(_hybrid_dict(results).get("pairing") or [])
+
+
+def scaling_of(results: Results) -> dict[str, Any]:
+    """The scaling object of ``summary.json``; empty where no hybrid model was made."""
+    return dict(_hybrid_dict(results).get("scaling") or {})
+
+
+def _hybrid_dict(results: Results) -> dict[str, Any]:
+    return {} if results.hybrid is None else dict(results.hybrid.to_dict())
+
+
+def comparison_models(results: Results) -> dict[str, dict[str, Any]]:
+    """The models of ``comparison.json`` that have numbers."""
+    models = (results.comparison or {}).get("models") or {}
+    return {name: m for name, m in models.items() if m}
+
+
+def judge_run(results: Results) -> CheckRun | None:
+    """What the dB errors are drawn for: the check runs of the level that judges, their references side by side where they fit.
+
+    The level is the one named in ``comparison.json``, else the last by name.
+    """
+    if not results.check:
+        return None
+    level = (results.comparison or {}).get("judge_level")
+    if level is None or level not in {run.level for run in results.check}:
+        level = max(run.level for run in results.check)
+    runs = [run for run in results.check if run.level == level]
+    return beside(runs) or runs[0]
+
+
+def beside(runs: Sequence[CheckRun]) -> CheckRun | None:
+    """Runs with the same responses and lines but other references as one; None where they do not fit."""
+    first = runs[0].frf
+    names = [(d.node, d.axis) for run in runs for d in run.frf.references]
+    if len(set(names)) != len(names):
+        return None
+    for run in runs[1:]:
+        frf = run.frf
+        if frf.responses != first.responses or frf.quantity != first.quantity or frf.si != first.si:
+            return None
+        if len(frf.axis) != len(first.axis) or not np.allclose(frf.frequencies_hz, first.frequencies_hz):
+            return None
+    stack = lambda arrays: None if any(a is None for a in arrays) else np.concatenate(arrays, axis=1)  # noqa: E731
+    frf = replace(
+        first,
+        data=np.concatenate([run.frf.data for run in runs], axis=1),
+        references=tuple(d for run in runs for d in run.frf.references),
+        variance=stack([run.frf.variance for run in runs]),
+        coherence=stack([run.frf.coherence for run in runs]),
+        findings=tuple(dict.fromkeys(f for run in runs for f in run.frf.findings)),
+    )
+    return CheckRun(", ".join(run.name for run in runs), runs[0].level, frf)
+
+
+def model_frf(model: Any, frf: Frf) -> Frf | None:
+    """FRF of a model on the lines and pairs of a measured one; None where the model has no such DOFs or no scale."""
+    if model is None:
+        return None
+    try:
+        out = model.frf(frf.frequencies_hz, responses=frf.responses, references=frf.references, quantity=frf.quantity)
+    except OperandoError:
+        return None
+    return out if isinstance(out, Frf) else None
+
+
+def scaled_idle(results: Results) -> ModalModel | None:
+    """The idle model where it has unit modal mass, else None."""
+    return results.idle if results.idle is not None and results.idle.scaling == "unit_modal_mass" else None
+
+
+def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.bool_]:
+    """(n_responses, n_references, n_lines) mask of finite lines in band well above the noise."""
+    size2 = np.abs(frf.data) ** 2
+    mask = np.isfinite(size2) & (size2 > 0)
+    if frf.variance is not None:
+        with np.errstate(invalid="ignore"):
+            mask &= size2 > SNR_POWER * frf.variance
+    if band is not None:
+        f = frf.frequencies_hz
+        mask &= ((f >= band[0]) & (f <= band[1]))[None, None, :]
+    return mask
+
+
+def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
+    """20·log10(|H_model|/|H_measured|) for each pair and line [dB]; NaN where either is zero or not finite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.abs(model.data) / np.abs(measured.data)
+        out = 20 * np.log10(ratio)
+    return np.where(np.isfinite(out), out, np.nan)
+
+
+def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = None) -> Any:
+    """Root mean square of the masked finite values along some axes; NaN where there are none."""
+    use = mask & np.isfinite(values)
+    total = np.sum(np.where(use, values, 0.0) ** 2, axis=axis)
+    n = np.sum(use, axis=axis)
+    return np.sqrt(np.divide(total, n, out=np.full(np.shape(total), np.nan), where=n > 0))
+
+
+def analysis_band(results: Results) -> tuple[float, float] | None:
+    """The band of the analysis [Hz], from the models or the settings."""
+    for model in (results.idle, results.operating):
+        if model is not None and model.band_hz is not None:
+            return (float(model.band_hz[0]), float(model.band_hz[1]))
+    band = results.settings.get("band") or (results.settings.get("analysis") or {}).get("band")
+    if band:
+        return (float(band[0]), float(band[1]))
+    if results.idle_frf is not None:
+        f = results.idle_frf.frequencies_hz
+        return (float(f[0]), float(f[-1]))
+    return None
+
+
+def band_edges(band: Sequence[float], n: int = 8) -> NDArray[np.float64]:
+    """n bands, equal in log frequency (contract, ``by_band``)."""
+    low = max(float(band[0]), 1e-3 * float(band[1]))
+    return np.geomspace(low, float(band[1]), n + 1)
+
+
+def error_by_dof_band(model: Frf, measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """rms dB error by response DOF and band, over all references: (n_responses, n_bands), NaN where no line is clear."""
+    error, mask, f = level_error_db(model, measured), clear_lines(measured), measured.frequencies_hz
+    columns = []
+    for low, high in pairwise(edges):
+        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
+        columns.append(rms_over(error, mask & inside, axis=(1, 2)))
+    return np.column_stack(columns)
+
+
+def choose_pairs(frf: Frf, error: NDArray[np.float64] | None, most_drive: int = 2, most_worst: int = 2) -> list[tuple[int, int, str]]:
+    """Pairs worth a picture: drive points, then the pairs with the greatest error; the strongest responses where there is neither.
+
+    Parameters
+    ----------
+    frf : Frf
+    error : (n_responses, n_references) array, optional
+        Error of each pair, NaN where there is none.
+
+    Returns
+    -------
+    list of (response index, reference index, why)
+    """
+    chosen: dict[tuple[int, int], str] = {}
+    for i, j in frf.drive_points()[:most_drive]:
+        chosen[(i, j)] = "drive point"
+    missing = most_drive - len(chosen)
+    if error is not None and np.any(np.isfinite(error)):
+        order = np.argsort(np.where(np.isfinite(error), -error, np.inf), axis=None)
+        for flat in order[: int(np.isfinite(error).sum())]:
+            i, j = (int(v) for v in np.unravel_index(flat, error.shape))
+            if (i, j) in chosen:
+                chosen[(i, j)] += ", worst pair" if len(chosen) <= most_drive else ""
+                continue
+            chosen[(i, j)] = "worst pair" if not any("worst" in why for why in chosen.values()) else "next worst pair"
+            if sum("worst" in why for why in chosen.values()) >= most_worst + max(missing, 0):
+                break
+    if not chosen:
+        with np.errstate(invalid="ignore"):
+            size = np.nan_to_num(np.nanmean(np.abs(frf.data), axis=2)) if frf.data.size else np.zeros(frf.data.shape[:2])
+        for flat in np.argsort(-size, axis=None)[: most_drive + most_worst]:
+            i, j = (int(v) for v in np.unravel_index(flat, size.shape))
+            chosen[(i, j)] = "strong response"
+    return [(i, j, why) for (i, j), why in chosen.items()]
+
+
+def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str, Any]]:
+    """How far H[i, j] is from H[j, i], for each pair of references that are also responses.
+
+    Returns
+    -------
+    list of dict
+        ``pair`` (two DOFs), ``relative`` (rms difference over rms size), ``ratio`` (mean |difference|² over its variance; None
+        without variances).
+    """
+    index: dict[tuple[int, str], tuple[int, int]] = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
+    rows: list[dict[str, Any]] = []
+    part = frf if band is None else frf.band(*band)
+    for a, first in enumerate(frf.references):
+        for b in range(a):
+            second = frf.references[b]
+            at_first, at_second = index.get((first.node, first.axis)), index.get((second.node, second.axis))
+            if at_first is None or at_second is None:
+                continue
+            one = part.data[at_first[0], b] * at_first[1] * first.sign
+            two = part.data[at_second[0], a] * at_second[1] * second.sign
+            ok = np.isfinite(one) & np.isfinite(two)
+            if not ok.any():
+                continue
+            gap = np.abs(one - two)[ok] ** 2
+            size = 0.5 * (np.abs(one[ok]) ** 2 + np.abs(two[ok]) ** 2)
+            ratio = None
+            if part.variance is not None:
+                noise = (part.variance[at_first[0], b] + part.variance[at_second[0], a])[ok]
+                good = np.isfinite(noise) & (noise > 0)
+                ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
+            rows.append({"pair": (first, second), "relative": float(np.sqrt(gap.sum() / max(size.sum(), 1e-300))), "ratio": ratio})
+    return rows
+
+
+def level_difference(check: Sequence[CheckRun]) -> dict[str, Any] | None:
+    """Whether the FRFs of two levels agree: relative difference and mean |ΔH|² over its variance; None with one level."""
+    levels = sorted({run.level for run in check})
+    if len(levels) < 2:
+        return None
+    ends = [[run for run in check if run.level == level] for level in (levels[0], levels[-1])]
+    first, second = (beside(runs) or runs[0] for runs in ends)
+    one, two = first.frf, second.frf
+    if one.data.shape != two.data.shape or one.references != two.references or not np.allclose(one.frequencies_hz, two.frequencies_hz):
+        return None
+    gap = np.abs(one.data - two.data) ** 2
+    ok = np.isfinite(gap)
+    size = float(np.sum(np.abs(two.data[ok]) ** 2))
+    ratio = None
+    if one.variance is not None and two.variance is not None:
+        noise = one.variance + two.variance
+        good = ok & np.isfinite(noise) & (noise > 0)
+        ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
+    return {"levels": (levels[0], levels[-1]), "relative": float(np.sqrt(gap[ok].sum() / size)) if size > 0 else None, "ratio": ratio}
+
+
+def sensor_redundancy(shapes: NDArray[Any], dofs: Sequence[Dof]) -> dict[str, Any] | None:
+    """What makes the condition number of the idle shapes large.
+
+    The singular vectors of the least singular value say which combination of modes the sensors barely see, and which
+    sensors carry nearly the same information about the modes.
+
+    Returns
+    -------
+    dict or None
+        ``kappa``, ``modes`` (share of each mode), ``dofs`` (share of each DOF), ``without`` (κ with one DOF left out, NaN
+        where too few are left); None with fewer DOFs than modes.
+    """
+    m, n = shapes.shape
+    if n == 0 or m < n:
+        return None
+    u, s, vh = np.linalg.svd(shapes, full_matrices=False)
+    without = np.full(m, np.nan)
+    if m > n:
+        for i in range(m):
+            without[i] = np.linalg.cond(np.delete(shapes, i, axis=0))
+    return {
+        "kappa": float(s[0] / s[-1]) if s[-1] > 0 else float("inf"),
+        "modes": np.abs(vh[-1]) ** 2,
+        "dofs": np.abs(u[:, -1]) ** 2,
+        "without": without,
+        "labels": [str(d) for d in dofs],
+    }
+
+
+def real_shapes(model: ModalModel) -> NDArray[np.float64]:
+    """Shapes turned to the real axis (principal axis of each), greatest entry 1: for drawing only."""
+    out = np.zeros(model.shapes.shape)
+    for k in range(model.n_modes):
+        v = np.asarray(model.shapes[:, k])
+        if np.iscomplexobj(v):
+            angle = 0.5 * np.angle(np.sum(v**2))  # principal axis of the complex entries
+            v = np.real(v * np.exp(-1j * angle))
+        peak = np.max(np.abs(v)) if v.size else 0.0
+        out[:, k] = v / peak if peak > 0 else v
+    return out

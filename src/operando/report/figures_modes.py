@@ -1,0 +1,288 @@
+"""Mode shapes on the geometry, idle and operating side by side, and MAC matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.data import Geometry
+from operando.dof import Dof
+from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+_PER_ROW = 3
+
+
+class ShapePair:
+    """One row of the gallery: an idle shape, an operating shape or both, real, with captions."""
+
+    def __init__(
+        self, label: str, idle: NDArray[Any] | None, operating: NDArray[Any] | None, idle_text: str = "", operating_text: str = ""
+    ) -> None:
+        self.label, self.idle, self.operating = label, idle, operating
+        self.idle_text, self.operating_text = idle_text, operating_text
+
+
+def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
+    """SVG: each mode at rest and running, side by side, deformed over the undeformed structure; as bars without a geometry.
+
+    Parameters
+    ----------
+    geometry : Geometry or None
+    dofs : sequence of Dof
+        One a row of each shape.
+    pairs : list of ShapePair
+    """
+    return _mode_shapes(geometry, tuple(dofs), pairs)
+
+
+@drawn
+def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequence[ShapePair]) -> tuple[Figure, str]:
+    columns = min(_PER_ROW, max(len(pairs), 1))
+    rows = -(-max(len(pairs), 1) // columns)
+    width, head, cell = 10.2, 0.34, 1.75
+    height = rows * (head + cell) + 0.1
+    figure = new_figure(width, height)
+    step = width / columns
+    mesh = None if geometry is None else _mesh(geometry, dofs)
+    for k, pair in enumerate(pairs):
+        x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
+        figure.text((x0 + 0.06) / width, (y0 + cell + 0.13) / height, pair.label, fontsize=9, fontweight="bold", va="bottom")
+        for side, (shape, text, color) in enumerate(((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))):
+            half = (step - 0.1) / 2
+            left = x0 + 0.04 + side * half
+            figure.text((left + half / 2) / width, (y0 + cell - 0.02) / height, text, fontsize=7.5, color=color, ha="center", va="center")
+            if shape is None:
+                figure.text((left + half / 2) / width, (y0 + cell / 2) / height, "none", fontsize=7.5, color=GREY, ha="center")
+                continue
+            axes = figure.add_axes((left / width, y0 / height, half / width, (cell - 0.12) / height))
+            if mesh is None:
+                _bars(axes, dofs, shape, color)
+            else:
+                _deformed(axes, mesh, dofs, shape)
+    return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
+
+
+class _Mesh:
+    """What is drawn: node positions, sides and patches among all nodes, and which nodes are measured."""
+
+    def __init__(self, geometry: Geometry, dofs: tuple[Dof, ...]) -> None:
+        index = {n: i for i, n in enumerate(geometry.nodes)}
+        self.xyz = np.asarray(geometry.coordinates, float)
+        self.node_of_dof = [index.get(d.node) for d in dofs]
+        self.measured = np.zeros(len(index), bool)
+        self.measured[[i for i in self.node_of_dof if i is not None]] = True
+        lines = [[index[n] for n in line if n in index] for line in geometry.lines]
+        self.edges = {tuple(sorted(e)) for line in lines for e in pairwise(line) if e[0] != e[1]}
+        self.faces = [tuple(index[n] for n in face if n in index) for face in geometry.faces]
+        self.faces = [f for f in self.faces if len(f) >= 3]
+        self.outline = set(self.edges) | {tuple(sorted((f[i - 1], f[i]))) for f in self.faces for i in range(len(f))}
+        moving = lambda group: bool(np.all(self.measured[list(group)]))  # noqa: E731
+        usable = [e for e in self.outline if moving(e)]
+        if len(usable) < 0.5 * max(len(self.outline), 1):
+            self.faces, self.edges = _triangulate(self.xyz, np.flatnonzero(self.measured))
+            if not self.outline:
+                self.outline = set(self.edges) | {tuple(sorted((f[i - 1], f[i]))) for f in self.faces for i in range(len(f))}
+        else:
+            self.faces = [f for f in self.faces if moving(f)]
+            self.edges = {e for e in self.outline if moving(e)}
+
+
+def _mesh(geometry: Geometry, dofs: tuple[Dof, ...]) -> _Mesh | None:
+    mesh = _Mesh(geometry, dofs)
+    return mesh if mesh.measured.sum() >= 2 else None
+
+
+def _triangulate(xyz: NDArray[np.float64], nodes: NDArray[np.intp]) -> tuple[list[tuple[int, ...]], set[tuple[int, ...]]]:
+    """Delaunay triangles of nodes in their best-fit plane; a chain along the main axis where they lie on a line."""
+    centred = xyz[nodes] - xyz[nodes].mean(axis=0)
+    _, s, vh = np.linalg.svd(centred, full_matrices=False)
+    flat = centred @ vh[:2].T if vh.shape[0] >= 2 else np.column_stack([centred @ vh[0], np.zeros(nodes.size)])
+    if nodes.size < 3 or s[1] < 0.02 * s[0]:
+        order = nodes[np.argsort(flat[:, 0])]
+        return [], {tuple(sorted((int(a), int(b)))) for a, b in pairwise(order)}
+    from matplotlib.tri import Triangulation
+
+    try:
+        triangles = Triangulation(flat[:, 0], flat[:, 1]).triangles
+    except (RuntimeError, ValueError):  # duplicate or degenerate points
+        return [], set()
+    corner = flat[triangles]
+    sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
+    d1, d2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    area = 0.5 * np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0])
+    good = area > 0.06 * sides.max(axis=1) ** 2  # slivers along the hull join sensors that are not neighbours
+    faces = [tuple(int(nodes[i]) for i in t) for t in triangles[good]]
+    return faces, {tuple(sorted((f[i - 1], f[i]))) for f in faces for i in range(3)}
+
+
+def _project(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Orthographic view from the front right above: drawing plane (n, 2) and depth (n,)."""
+    azimuth, elevation = np.radians(-58.0), np.radians(32.0)
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    right = np.array([-sa, ca, 0.0])
+    up = np.array([-se * ca, -se * sa, ce])
+    towards = np.array([ce * ca, ce * sa, se])
+    return np.column_stack([xyz @ right, xyz @ up]), xyz @ towards
+
+
+def _displacements(mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> NDArray[np.float64]:
+    """Displacement vector of each node (n_nodes, 3) for a real shape; rotations are not drawn, scalars move along z."""
+    out = np.zeros((mesh.xyz.shape[0], 3))
+    for dof, node, value in zip(dofs, mesh.node_of_dof, shape, strict=True):
+        if node is not None and dof.axis in ("", "X", "Y", "Z"):
+            out[node, _AXES.get(dof.axis, 2)] += dof.sign * float(value)
+    return out
+
+
+def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> None:
+    import matplotlib
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    move = _displacements(mesh, dofs, shape)
+    length = np.linalg.norm(move, axis=1)
+    peak = length.max() if length.size and length.max() > 0 else 1.0
+    span = np.linalg.norm(np.ptp(mesh.xyz, axis=0)) or 1.0
+    moved = mesh.xyz + move * (0.13 * span / peak)
+    direction = np.linalg.svd(move, full_matrices=False)[2][0]
+    signed = move @ direction * (1 if direction[np.argmax(np.abs(direction))] >= 0 else -1) / peak
+    rest, _ = _project(mesh.xyz)
+    flat, depth = _project(moved)
+    axes.add_collection(LineCollection([rest[list(e)] for e in mesh.outline], colors="#c3cbd3", linewidths=0.6, zorder=1))
+    colors = matplotlib.colormaps["PuOr"]
+    if mesh.faces:
+        order = sorted(mesh.faces, key=lambda f: float(depth[list(f)].mean()))
+        shade = [colors(0.5 + 0.46 * float(signed[list(f)].mean())) for f in order]
+        axes.add_collection(
+            PolyCollection([flat[list(f)] for f in order], facecolors=shade, edgecolors="#5b6670", linewidths=0.4, alpha=0.92, zorder=2)
+        )
+    if mesh.edges and not mesh.faces:
+        axes.add_collection(LineCollection([flat[list(e)] for e in mesh.edges], colors=MODEL, linewidths=1.2, zorder=2))
+    shown = mesh.measured
+    if not mesh.faces and not mesh.edges:
+        axes.add_collection(
+            LineCollection([np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], colors=MODEL, linewidths=1.0)
+        )
+    axes.scatter(
+        flat[shown, 0],
+        flat[shown, 1],
+        s=5,
+        color=[colors(0.5 + 0.5 * float(v)) for v in signed[shown]],
+        edgecolors=INK,
+        linewidths=0.35,
+        zorder=3,
+    )
+    both = np.vstack([rest, flat[shown]])
+    low, high = both.min(axis=0), both.max(axis=0)
+    margin = 0.04 * float(np.max(high - low) or 1.0)
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_aspect("equal")
+    axes.axis("off")
+
+
+def _bars(axes: Axes, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str) -> None:
+    values = np.asarray(shape, float)
+    peak = float(np.max(np.abs(values))) or 1.0
+    axes.bar(np.arange(values.size), values / peak, color=color, width=0.7)
+    axes.axhline(0, color=INK, lw=0.6)
+    axes.set_ylim(-1.15, 1.15)
+    axes.set_yticks([])
+    every = max(1, values.size // 8)
+    axes.set_xticks(np.arange(0, values.size, every), [str(dofs[i]) for i in range(0, values.size, every)], rotation=90, fontsize=5.5)
+    axes.spines["left"].set_visible(False)
+    axes.spines["bottom"].set_visible(False)
+    axes.tick_params(length=0)
+
+
+def mac_matrices(
+    matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]],
+) -> str:
+    """SVG: MAC matrices side by side with values in the cells.
+
+    Parameters
+    ----------
+    matrices : sequence of (title, (rows, columns) array, row labels, column labels, row axis name, column axis name)
+    """
+    return _mac_matrices(matrices)
+
+
+@drawn
+def _mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]]) -> tuple[Figure, str]:
+    import matplotlib
+
+    width, n = 10.2, len(matrices)
+    panel = (width - 0.1) / max(n, 2) - 0.85
+    heights = [panel * np.shape(m[1])[0] / max(np.shape(m[1])[1], 1) for m in matrices]
+    tall = min(max(heights), 1.3 * panel)
+    height = tall + 1.1
+    figure = new_figure(width, height)
+    colors = matplotlib.colormaps["Blues"]
+    for k, (title, values, row_labels, column_labels, row_name, column_name) in enumerate(matrices):
+        mac = np.asarray(values, float)
+        rows, columns = mac.shape
+        wide = min(panel, tall * columns / rows)
+        high = wide * rows / columns
+        axes = figure.add_axes(((0.78 + k * (panel + 0.85)) / width, (height - 0.3 - high) / height, wide / width, high / height))
+        axes.pcolormesh(
+            np.arange(columns + 1),
+            np.arange(rows + 1),
+            np.clip(mac, 0, 1),
+            cmap=colors,
+            vmin=0,
+            vmax=1.15,
+            edgecolors="white",
+            linewidth=0.5,
+        )
+        size = float(np.clip(72 * wide / columns * 0.34, 0, 8))
+        if size >= 4.2:
+            for i in range(rows):
+                for j in range(columns):
+                    if mac[i, j] >= 0.005:
+                        text = "1" if mac[i, j] > 0.995 else f"{mac[i, j]:.2f}"[1:]
+                        axes.text(
+                            j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=size, color="white" if mac[i, j] > 0.6 else INK
+                        )
+        axes.set_xticks(np.arange(columns) + 0.5, list(column_labels), rotation=90, fontsize=min(8, size + 1.5))
+        axes.set_yticks(np.arange(rows) + 0.5, list(row_labels), fontsize=min(8, size + 1.5))
+        axes.invert_yaxis()
+        axes.tick_params(length=0)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+        axes.set_title(title)
+        axes.set_xlabel(column_name)
+        axes.set_ylabel(row_name)
+    return figure, "Modal assurance criterion matrices: " + "; ".join(m[0] for m in matrices)
+
+
+def conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> str:
+    """SVG: which sensors are nearly redundant and which combination of modes they barely tell apart, as shares of the weakest direction."""
+    return _conditioning(labels, share, modes, mode_share)
+
+
+@drawn
+def _conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> tuple[Figure, str]:
+    figure = new_figure(10.2, 2.3)
+    for left, names, values, color, title in (
+        (0.06, labels, share, MODEL, "Sensors in the weakest direction"),
+        (0.56, modes, mode_share, IDLE, "Idle modes in the weakest direction"),
+    ):
+        axes = figure.add_axes((left, 0.33, 0.43, 0.53))
+        heights = 100 * np.asarray(values, float)
+        axes.bar(np.arange(heights.size), heights, color=color, width=0.7)
+        every = max(1, heights.size // 24)
+        axes.set_xticks(np.arange(0, heights.size, every), list(names)[::every], rotation=90, fontsize=7)
+        axes.set_ylabel("Share [%]")
+        axes.set_title(title)
+        axes.grid(True, axis="y")
+        axes.tick_params(axis="x", length=0)
+        axes.spines["left"].set_color(PALE)
+    return figure, "Share of each sensor and each idle mode in the least well conditioned direction of the idle shape matrix"

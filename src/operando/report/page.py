@@ -1,0 +1,70 @@
+"""The report as one HTML file: assembly of the sections, style inlined, written beside and renamed."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from importlib.resources import files
+from pathlib import Path
+
+from operando.report.sections import build
+from operando.report.text import band_text, esc
+from operando.results import Results
+
+# folded tables print too
+_SCRIPT = "addEventListener('beforeprint',function(){document.querySelectorAll('details').forEach(function(d){d.open=true})});"
+
+
+def render_report(results: Results) -> str:
+    """HTML text of the whole report, without any reference outside itself."""
+    from datetime import datetime
+
+    from operando import __version__
+    from operando.report.derive import analysis_band
+
+    sections = build(results)
+    style = files("operando.report").joinpath("report.css").read_text(encoding="utf-8")
+    contents = "".join(f'<li><a href="#{s.anchor}">{n}. {esc(s.title)}</a></li>' for n, s in enumerate(sections, start=1))
+    body = "".join(
+        f'<section id="{s.anchor}" aria-labelledby="{s.anchor}-title"><h2 id="{s.anchor}-title">{n}. {esc(s.title)}</h2>{s.html}</section>'
+        for n, s in enumerate(sections, start=1)
+    )
+    made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    title = results.name or "unnamed test"
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{esc(title)}: operating FRFs</title><style>{style}</style></head><body>"
+        f'<div class="frame"><nav aria-label="Contents"><h2>Contents</h2><ol>{contents}</ol></nav><main>'
+        f'<header><p class="kicker">Operating frequency response functions · test report</p><h1>{esc(title)}</h1>'
+        f'<p class="meta">Analysis band {band_text(analysis_band(results))} · made {esc(made)} · operando {esc(__version__)}</p></header>'
+        f"{body}<footer>Made by operando {esc(__version__)}. Method: Shen &amp; Lu, Machines 2024, 12(8), 516. SI units; "
+        "e<sup>+iωt</sup>; H = response/force; levels in dB are 20·log<sub>10</sub>.</footer></main></div>"
+        f"<script>{_SCRIPT}</script></body></html>\n"
+    )
+
+
+def write_report(results: Results, path: str | Path) -> None:
+    """Write the report of one test as a single self-contained HTML file.
+
+    Parameters
+    ----------
+    results : Results
+        Any part may be missing; the report says so in its place.
+    path : path
+        Target file; it appears whole or not at all (written beside, then renamed).
+    """
+    from threadpoolctl import threadpool_limits
+
+    target = Path(path)
+    with threadpool_limits(1, "blas"):
+        text = render_report(results)
+    handle, beside = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        os.chmod(beside, 0o644)
+        os.replace(beside, target)
+    except BaseException:
+        Path(beside).unlink(missing_ok=True)
+        raise

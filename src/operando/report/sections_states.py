@@ -1,0 +1,191 @@
+"""Sections on the two states: at rest (FRFs, idle model) and running (spectra, operational modes)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from operando.data import Frf, ModalModel
+from operando.report import derive, figures_frf, figures_stabilization, tables
+from operando.report.parts import Numbering, left_out, missing, paragraph
+from operando.report.text import band_text, count, esc, finite, listing, number
+from operando.results import Results
+
+
+def idle(results: Results, numbering: Numbering) -> str:
+    """FRFs at rest, stabilisation, rejected poles, residual modes, misfit, reciprocity, second opinion."""
+    frf, model, band = results.idle_frf, results.idle, derive.analysis_band(results)
+    out = []
+    if model is None:
+        out.append(missing(left_out(results, "ema", "There is no idle model")))
+    else:
+        out.append(paragraph(_idle_text(results)))
+        if model.scaling != "unit_modal_mass":
+            text = "The shapes have no mass scaling, since units of force or acceleration are not known; give them under [units]."
+            out.append(missing(text))
+    if frf is None:
+        out.append(missing(left_out(results, "frf", "There are no idle FRFs")))
+    else:
+        synthesised = _synthesised(results, frf)
+        out.append("<h3>Measured and synthesised FRFs</h3>")
+        caption = "All idle FRFs together (rms over pairs). The difference between measurement and model should lie on the noise level."
+        out.append(numbering.figure(figures_frf.frf_overview(frf, synthesised, band), caption))
+        error = None
+        if synthesised is not None:
+            error = _misfit_by_pair(synthesised, frf, results)
+        pairs = derive.choose_pairs(frf, error)
+        caption = (
+            "Idle FRFs at drive points and where the model fits worst: magnitude, phase and coherence; outside the analysis band shaded."
+        )
+        out.append(numbering.figure(figures_frf.frf_pairs(frf, synthesised, pairs, band), caption))
+        out.append(_reciprocity_text(frf, results))
+    out.append("<h3>Stabilisation diagram</h3>" + _stabilization(model, numbering, results, "idle"))
+    if model is not None:
+        caption = (
+            "<b>Idle modes.</b> Shapes have unit modal mass."
+            if model.scaling == "unit_modal_mass"
+            else "<b>Idle modes.</b> Shapes are not scaled."
+        )
+        out.append(tables.modal_table(model, caption))
+        out.append(_second_opinion(model))
+    return "".join(out)
+
+
+def _synthesised(results: Results, frf: Frf) -> Frf | None:
+    """Synthesised idle FRF; the fit's own one where the shapes have no scale."""
+    out = derive.model_frf(derive.scaled_idle(results), frf)
+    if out is None and results.idle is not None:
+        for name in ("synthesis", "synthesised", "frf"):
+            kept = getattr(results.idle.details, name, None)
+            if isinstance(kept, Frf) and kept.data.shape == frf.data.shape:
+                return kept
+    return out
+
+
+def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
+    """Mean |ΔH|² over the noise variance by pair, or relative error where there is none."""
+    inside = derive.clear_lines(frf, derive.analysis_band(results))
+    gap = np.abs(model.data - frf.data) ** 2
+    weight = frf.variance if frf.variance is not None else np.nanmean(np.abs(frf.data) ** 2, axis=2, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return derive.rms_over(np.sqrt(gap / weight), inside & np.isfinite(gap / weight), axis=2)
+
+
+def _idle_text(results: Results) -> str:
+    model = results.idle
+    assert model is not None
+    residual = int(np.sum(np.asarray(model.residual)))
+    inside = int(np.sum(np.asarray(model.in_band)))
+    text = f"The idle model has {count(derive.proper_modes(model).size, 'mode')}, {inside} of them in the band {_band(model, results)}"
+    if residual:
+        where = ", ".join(f"{number(f, 4)} Hz" for f in model.frequencies_hz[np.asarray(model.residual)])
+        text += f", and {count(residual, 'residual mode')} (at {where}) that stand for what lies below and above; "
+        text += "they take part in every synthesis and are never listed as modes"
+    text += ". "
+    if finite(model.misfit):
+        text += f"On lines the fit did not use its misfit is {number(model.misfit, 3)}; 1 means that only measurement noise is left."
+    else:
+        text += "No misfit on unused lines was computed."
+    return text
+
+
+def _band(model: ModalModel, results: Results) -> str:
+    return band_text(model.band_hz or derive.analysis_band(results))
+
+
+def _reciprocity_text(frf: Frf, results: Results) -> str:
+    rows = derive.reciprocity(frf, derive.analysis_band(results))
+    if not rows:
+        return missing("Reciprocity at rest cannot be checked: no two references are both driven and measured.")
+    parts = []
+    for r in rows:
+        text = f"{r['pair'][0]} and {r['pair'][1]}: {number(100 * r['relative'], 2)} %"
+        parts.append(text + (f" ({number(r['ratio'], 2)} times the noise variance)" if r["ratio"] is not None else ""))
+    return paragraph(f"Reciprocity at rest, difference of H and its reverse against their size: {listing(parts)}.")
+
+
+def _stabilization(model: ModalModel | None, numbering: Numbering, results: Results, which: str) -> str:
+    stabilization = getattr(getattr(model, "details", None), "stabilization", None)
+    if model is None or stabilization is None:
+        return missing("No stabilisation diagram was kept.")
+    harmonics = _harmonics(results) if which == "operating" else []
+    name = "First singular values of the spectra" if which == "operating" else "Mode indicator (CMIF)"
+    svg = figures_stabilization.stabilization_diagram(
+        stabilization, model.band_hz or derive.analysis_band(results), model.frequencies_hz[derive.proper_modes(model)], harmonics, name
+    )
+    caption = (
+        f"Stabilisation diagram of the {which} state: poles of each model order, coloured by what has settled against the order below; "
+        "lines are the modes taken, with their numbers; crosses are rejected candidates."
+    )
+    out = numbering.figure(svg, caption)
+    rejected = getattr(model.details, "rejected", None) or stabilization.rejected
+    return out + (tables.rejected_table(rejected) if rejected else missing("No candidate was rejected."))
+
+
+def _harmonics(results: Results) -> list[float]:
+    values = getattr(getattr(results.operating, "details", None), "harmonics_hz", None)
+    return [] if values is None else [float(v) for v in values]
+
+
+def _second_opinion(model: ModalModel) -> str:
+    """Disagreements with an independent program, in whatever form the identification kept them."""
+    opinion = getattr(model.details, "second_opinion", None)
+    if not opinion:
+        return missing("No second opinion from another program was asked for.")
+    rows = opinion.get("modes") if isinstance(opinion, dict) else opinion if isinstance(opinion, list | tuple) else None
+    out = "<h3>Second opinion</h3>"
+    if isinstance(opinion, dict):
+        for key in ("program", "name", "text", "message", "summary"):
+            if isinstance(opinion.get(key), str):
+                out += paragraph(opinion[key])
+    if rows and all(isinstance(r, dict) for r in rows):
+        keys = list(dict.fromkeys(k for r in rows for k in r))
+        cells = [
+            [number(r.get(k), 5) if finite(r.get(k)) and not isinstance(r.get(k), bool) else esc(r.get(k, "")) for k in keys] for r in rows
+        ]
+        return out + tables.table([esc(k.replace("_", " ")) for k in keys], cells, numeric=range(len(keys)))
+    if rows is None and isinstance(opinion, str):
+        out += paragraph(opinion)
+    return out
+
+
+def operating(results: Results, numbering: Numbering) -> str:
+    """Spectra, stabilisation, harmonics, rejected poles and modes of the running state."""
+    model = results.operating
+    if model is None:
+        return missing(left_out(results, "oma", "There is no model of the running state"))
+    details = model.details
+    harmonics = _harmonics(results)
+    text = f"From responses alone, {count(derive.proper_modes(model).size, 'mode')} in {_band(model, results)}. "
+    if harmonics:
+        text += f"Harmonics of rotation were found at {listing(number(h, 5) + ' Hz' for h in harmonics)} and kept out of the modes."
+    else:
+        text += "No harmonics of rotation were found."
+    out = [paragraph(text)]
+    f, values = _spectra(details)
+    if f is None:
+        out.append(missing("No spectra were kept."))
+    else:
+        modes = model.frequencies_hz[derive.proper_modes(model)]
+        unit = "(m/s²)²/Hz" if model.si else "units of the file squared per Hz"
+        svg = figures_stabilization.singular_values(f, values, model.band_hz or derive.analysis_band(results), modes, harmonics, unit)
+        out.append(numbering.figure(svg, "Singular values of the operating spectra with the modes taken (numbered) and harmonics."))
+    out.append("<h3>Stabilisation diagram</h3>" + _stabilization(model, numbering, results, "operating"))
+    out.append(tables.modal_table(model, "<b>Operating modes.</b> Shapes are complex and of arbitrary scale."))
+    out.append(_second_opinion(model))
+    return "".join(out)
+
+
+def _spectra(details: Any) -> tuple[Any, Any]:
+    spectra = getattr(details, "spectra", None)
+    if spectra is None:
+        return None, None
+    if isinstance(spectra, dict):
+        f = next((spectra[k] for k in ("frequencies_hz", "frequencies", "hz") if k in spectra), None)
+        values = next((spectra[k] for k in ("singular_values", "values") if k in spectra), None)
+        return (f, values) if f is not None and values is not None else (None, None)
+    if isinstance(spectra, tuple | list) and len(spectra) == 2:
+        return spectra[0], spectra[1]
+    f, values = getattr(spectra, "frequencies_hz", None), getattr(spectra, "singular_values", None)
+    return (f, values) if f is not None and values is not None else (None, None)

@@ -1,0 +1,105 @@
+"""Numbers and words as HTML text: values with matching uncertainty digits, counts, lists, escaping."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+DASH = "–"
+
+
+def esc(value: object) -> str:
+    """Text safe inside HTML elements and attributes."""
+    return html.escape(str(value), quote=True)
+
+
+def finite(value: Any) -> bool:
+    """Whether a value is a finite number (None, NaN and text are not)."""
+    try:
+        return value is not None and math.isfinite(float(value))
+    except (TypeError, ValueError):
+        return False
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A number with so many significant digits in plain notation where that is readable; a dash where there is none."""
+    if not finite(value):
+        return DASH
+    x = float(value)
+    if x == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(x)))
+    if exponent < -4 or exponent > 6:
+        mantissa = f"{x / 10.0**exponent:.{max(digits - 1, 0)}f}"
+        return f"{mantissa}·10<sup>{exponent}</sup>".replace("-", "−")
+    return f"{x:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
+
+
+def fixed(value: Any, decimals: int = 2, sign: bool = False) -> str:
+    """A number with so many decimals, a true minus sign, a dash where there is none."""
+    if not finite(value):
+        return DASH
+    text = f"{float(value):{'+' if sign else ''}.{decimals}f}"
+    if float(text) == 0:
+        text = f"{0.0:.{decimals}f}"
+    return text.replace("-", "−")
+
+
+def decibel(value: Any) -> str:
+    """A level in dB: two decimals below 10 dB, one above."""
+    if not finite(value):
+        return DASH
+    return fixed(value, 2 if abs(float(value)) < 9.995 else 1) + " dB"
+
+
+def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> str:
+    """Value ± standard deviation, the deviation with two significant digits and the value with as many decimals.
+
+    Parameters
+    ----------
+    value, std : float or None
+        Without a deviation the value stands alone with ``digits`` significant digits.
+    factor : float
+        Multiplies both (100 for per cent).
+    """
+    if not finite(value):
+        return DASH
+    x = float(value) * factor
+    if not finite(std) or float(std) <= 0:
+        return number(x, digits)
+    s = float(std) * factor
+    decimals = min(max(1 - math.floor(math.log10(s)), 0), 8)
+    if float(f"{s:.{decimals}f}") >= 10.0 ** (2 - decimals) and decimals > 0:  # 0.0996 rounds to 0.10: one digit fewer
+        decimals -= 1
+    return f'{x:.{decimals}f}<span class="pm"> ± {s:.{decimals}f}</span>'.replace("-", "−")
+
+
+def count(n: int, noun: str, plural: str | None = None) -> str:
+    """``1 mode``, ``3 modes``, ``no modes``."""
+    many = plural or noun + "s"
+    return f"no {many}" if n == 0 else f"{n} {noun if n == 1 else many}"
+
+
+def listing(items: Iterable[object], most: int = 8) -> str:
+    """``a, b and c``; the rest is counted where there are more than ``most``."""
+    texts = [str(i) for i in items]
+    if len(texts) > most:
+        return ", ".join(texts[:most]) + f" and {len(texts) - most} more"
+    if len(texts) < 2:
+        return "".join(texts)
+    return ", ".join(texts[:-1]) + " and " + texts[-1]
+
+
+def band_text(band: Sequence[float] | None) -> str:
+    """``5.4–142.2 Hz``."""
+    return DASH if band is None else f"{number(band[0], 4)}–{number(band[1], 4)} Hz"
+
+
+def size_text(n_bytes: Any) -> str:
+    """File size in kB or MB."""
+    if not finite(n_bytes):
+        return DASH
+    n = float(n_bytes)
+    return f"{n / 1e6:.1f} MB" if n >= 1e6 else f"{n / 1e3:.0f} kB" if n >= 1e3 else f"{n:.0f} B"

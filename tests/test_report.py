@@ -1,0 +1,393 @@
+"""The report: whole and partial results, self-contained HTML, figures, numbers in words."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass, field, replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from operando.compare import compare_all
+from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
+from operando.dof import Dof
+from operando.report import assumptions, derive, headline, render_report, tables, write_report
+from operando.report.figures_modes import ShapePair, mode_shapes
+from operando.report.svg import thin
+from operando.report.text import count, fixed, listing, number, plus_minus
+from operando.results import CheckRun, Results
+from operando.scaling import scale_operational
+from operando.stabilization import PoleTable, RejectedPole, Stabilization
+from structures import Chain
+
+N = 12
+BAND = (8.0, 140.0)
+
+
+@dataclass(frozen=True)
+class Details:
+    """What an identification keeps, as the report reads it."""
+
+    stabilization: Stabilization | None = None
+    harmonics_hz: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    spectra: object = None
+    second_opinion: object = None
+
+
+def dofs():
+    return tuple(Dof(100 + i, "Z") for i in range(N))
+
+
+def grid():
+    nodes = tuple(100 + i for i in range(N))
+    xyz = np.array([[0.3 * (i % 4), 0.25 * (i // 4), 0.0] for i in range(N)])
+    lines = tuple((100 + 4 * r + c, 101 + 4 * r + c) for r in range(3) for c in range(3))
+    return Geometry(nodes, xyz, lines + tuple((100 + i, 104 + i) for i in range(8)))
+
+
+def diagram(hz, zeta, seed):
+    rng = np.random.default_rng(seed)
+    order, f, z, status = [], [], [], []
+    for n in range(2, 61, 2):
+        found = min(len(hz), n // 2)
+        order += [n] * (found + n // 4)
+        f += list(hz[:found] * (1 + 1e-4 * rng.standard_normal(found))) + list(rng.uniform(*BAND, n // 4))
+        z += list(zeta[:found]) + list(rng.uniform(0, 0.1, n // 4))
+        status += [3 if n > 26 else 2] * found + list(rng.integers(0, 2, n // 4))
+    table = PoleTable(np.array(order), np.array(f), np.array(z), np.ones((2, len(f)), complex), np.array(status))
+    rejected = (
+        RejectedPole(50.0, 0.0002, "harmonic", "a harmonic of 25.00 Hz: its damping of 0.02 % is below that of any mode"),
+        RejectedPole(71.3, 0.081, "too_damped", "damping of 8.1 % is above the limit of 5 % <script>"),
+    )
+    lines = np.linspace(*BAND, 900)
+    curves = np.array([np.sum([1 / ((lines - h) ** 2 + 0.2) for h in hz[k::2]], axis=0) for k in range(2)])
+    return Stabilization(table, hz, zeta, np.ones((2, len(hz)), complex), tuple(np.array([0]) for _ in hz), rejected, lines, curves)
+
+
+def covariance(n, m, f, z, shapes, relative):
+    std = np.concatenate([relative * 0.02 * f, relative * z, relative * np.abs(np.asarray(shapes)).max() * np.ones(m * n)])
+    return np.diag(std**2)
+
+
+def measured(chain, f, references, noise, seed):
+    rng = np.random.default_rng(seed)
+    h = chain.accelerance(f, ref=references)
+    variance = (noise * np.sqrt(np.mean(np.abs(h) ** 2, axis=2, keepdims=True)) * np.ones(f.size)) ** 2
+    data = h + np.sqrt(variance / 2) * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    coherence = np.abs(h) ** 2 / (np.abs(h) ** 2 + 20 * variance)
+    refs = tuple(dofs()[i] for i in references)
+    inputs = Provenance((("idle/run1.uff", "ab" * 32),), ("estimate_frf(estimator='h1')",))
+    return Frf(data, f, dofs(), refs, variance=variance, coherence=coherence, averages=20.0, provenance=inputs)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    rest = Chain(N, mass=1.0, stiffness=2e5, zeta=0.008, seed=1)
+    running = Chain(N, mass=1.0, stiffness=2e5, zeta=0.011, seed=1)
+    running.K[4, 4] += 1.5e5
+    w2, running.phi = np.linalg.eigh(np.linalg.inv(np.sqrt(running.M)) @ running.K @ np.linalg.inv(np.sqrt(running.M)))
+    running.phi = np.linalg.inv(np.sqrt(running.M)) @ running.phi
+    running.hz = np.sqrt(w2) / 2 / np.pi
+    f = np.arange(6.0, 150.0, 0.1)
+    frf = measured(rest, f, [0, 7], 0.01, 2)
+    residual = np.r_[np.zeros(N, bool), True]
+    hz, zeta = np.r_[rest.hz, 190.0], np.r_[rest.zeta, 0.01]
+    shapes = np.column_stack([rest.phi, 0.02 * np.ones(N)])
+    idle = ModalModel(
+        hz, zeta, shapes, dofs(), "unit_modal_mass", residual, covariance=covariance(N + 1, N, hz, zeta, shapes, 0.01), band_hz=BAND,
+        misfit=1.04, details=Details(diagram(rest.hz, rest.zeta, 3)),
+    )  # fmt: skip
+    rng = np.random.default_rng(5)
+    factor = np.exp(1j * rng.uniform(0, 6, N)) * rng.uniform(1, 9, N)
+    noisy = (running.phi + 0.01 * (rng.standard_normal((N, N)) + 1j * rng.standard_normal((N, N)))) * factor
+    lines = np.linspace(6, 150, 1500)
+    singular = np.array([np.sum([1 / ((lines - h) ** 2 + 0.3) for h in running.hz], axis=0) / 10**k for k in range(4)])
+    cov = np.diag(np.r_[2e-4 * running.hz, 0.05 * running.zeta, 0.02 * np.ones(2 * N * N)] ** 2)
+    operating = ModalModel(
+        running.hz, running.zeta, noisy, dofs(), covariance=cov, band_hz=BAND,
+        details=Details(diagram(running.hz, running.zeta, 4), np.array([25.0, 50.0]), (lines, singular)),
+    )  # fmt: skip
+    hybrid = scale_operational(idle, operating)
+    check = [
+        CheckRun("check/run1a.uff", "a", measured(running, f, [0], 0.01, 6)),
+        CheckRun("check/run2a.uff", "a", measured(running, f, [7], 0.01, 7)),
+        CheckRun("check/run1b.uff", "b", measured(running, f, [0], 0.02, 8)),
+        CheckRun("check/run2b.uff", "b", measured(running, f, [7], 0.02, 9)),
+    ]
+    models = {"idle": idle, "ofrf": hybrid} | {k: hybrid.alternative_models[k] for k in ("idle_shapes", "msf_all")}
+    comparison = compare_all(models, check, BAND)
+    findings = [
+        Finding("double_hit", "two hits within 12 ms", "info", "run1.uff", 2, "100+Z", (1.0, 1.012), None, "hit left out", "hit once"),
+        Finding("overload", "18 samples at full scale", "error", "run2.uff", 0, "103+Z", None, None, "peaks are cut", "lower the gain"),
+        Finding("few_averages", "4 averages & <few>", "warning", "run1.uff"),
+    ]
+    inventory = [
+        {"file": "idle/run1.uff", "role": "idle", "format": "uff", "channels": 13, "dofs": [str(d) for d in dofs()], "units": {"force": "N"},
+         "sampling_hz": 1024.0, "duration_s": 40.0, "used": True, "ignored": []},
+    ]  # fmt: skip
+    return Results(
+        "chain & <grid>", {"band": list(BAND), "threshold": 0.7, "oma": {"method": "ssi-cov"}}, findings, inventory, grid(), frf, idle, operating,
+        hybrid, check, comparison, None, {"diagnose": "not built yet"}, {"frf": 1.2, "ema": 9.75},
+    )  # fmt: skip
+
+
+class Page(HTMLParser):
+    """Collects what matters and insists on balanced tags."""
+
+    VOID = frozenset({"meta", "br", "link", "img", "hr", "input", "path", "use", "rect", "circle", "line"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.stack, self.ids, self.targets, self.counts = [], [], [], {}
+        self.feed(text)
+        assert not self.stack
+
+    def handle_starttag(self, tag, attrs):
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value)
+            if name in ("href", "xlink:href", "src"):
+                self.targets.append(value)
+        if tag not in self.VOID or self.get_starttag_text().endswith("/>"):
+            self.stack.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        if tag not in self.VOID:
+            self.handle_starttag(tag, attrs)
+            self.stack.pop()
+        else:
+            self.handle_starttag(tag, attrs)
+            if self.stack and self.stack[-1] == tag:
+                self.stack.pop()
+
+    def handle_endtag(self, tag):
+        if self.stack and self.stack[-1] == tag:
+            self.stack.pop()
+        else:
+            assert tag in self.VOID, f"</{tag}> closes {self.stack[-3:]}"
+
+
+@pytest.fixture(scope="module")
+def html(whole):
+    return render_report(whole)
+
+
+def test_whole_report_is_self_contained(html):
+    page = Page(html)
+    assert all(t.startswith(("#", "data:")) for t in page.targets)
+    assert not re.search(r"(?:src|href)\s*=\s*[\"']?(?:https?:)?//", html)
+    assert "url(http" not in html
+    assert "@import" not in html
+    assert len(page.ids) == len(set(page.ids)), "two elements share an id"
+    assert {t[1:] for t in page.targets if t.startswith("#")} <= set(page.ids)
+    assert len(html.encode()) < 6e6
+    assert not re.search(r"\bnan\b", re.sub(r"<style.*?</style>", "", html, flags=re.DOTALL).lower())
+
+
+def test_every_figure_and_section_is_there(html):
+    page = Page(html)
+    assert page.counts["figure"] == page.counts["svg"] == 13
+    assert [int(n) for n in re.findall(r"<b>Figure (\d+)\.</b>", html)] == list(range(1, 14))
+    for anchor in ("answer", "data", "idle", "operating", "shapes", "scaling", "ofrf", "diagnosis", "settings"):
+        assert f'href="#{anchor}"' in html
+    assert html.count("aria-label=") >= 13
+    assert "not built yet" in html
+    assert "abab" in html
+    assert "&lt;script&gt;" in html
+    assert "chain &amp; &lt;grid&gt;" in html
+
+
+def test_answer_has_the_numbers_of_the_comparison(whole, html):
+    error = whole.comparison["models"]["ofrf"]["error_db"]
+    text = " ".join(headline(whole).sentences)
+    assert f"{error:.2f} dB" in text
+    assert (
+        f"{whole.comparison['models']['idle']['error_db']:.2f} dB" in text
+        or f"{whole.comparison['models']['idle']['error_db']:.1f} dB" in text
+    )
+    assert html.index(text[:40]) < html.index("2. What was measured</h2>")
+
+
+def test_findings_gravest_first(html):
+    body = html[html.index("What is wrong with the data") :]
+    assert body.index("18 samples") < body.index("4 averages") < body.index("two hits")
+
+
+def test_figures_are_quick_and_load_no_pyplot(whole, tmp_path):
+    import sys
+
+    start = time.perf_counter()
+    write_report(whole, tmp_path / "report.html")
+    assert time.perf_counter() - start < 12
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_failed_write_leaves_the_old_report(whole, tmp_path, monkeypatch):
+    target = tmp_path / "report.html"
+    target.write_text("old")
+    monkeypatch.setattr("os.replace", lambda *a: (_ for _ in ()).throw(OSError("disk")))
+    with pytest.raises(OSError, match="disk"):
+        write_report(replace_results(whole, name="x", idle=None, operating=None, hybrid=None, check=[], idle_frf=None), target)
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def replace_results(results, **changes):
+    values = {k: getattr(results, k) for k in results.__dataclass_fields__}
+    return Results(**(values | changes))
+
+
+PARTS = {
+    "no check": ({"check": [], "comparison": None}, "no check measurement"),
+    "no geometry": ({"geometry": None}, "There is no geometry"),
+    "no operating": (
+        {"operating": None, "hybrid": None, "comparison": None, "left_out": {"oma": "no [operating] in the test"}},
+        "no [operating]",
+    ),
+    "no idle": ({"idle": None, "idle_frf": None, "hybrid": None, "comparison": None}, "There is no idle model"),
+    "no comparison": ({"comparison": None}, "The comparison was not made"),
+    "only frf": (
+        {"idle": None, "operating": None, "hybrid": None, "check": [], "comparison": None, "geometry": None},
+        "No modes were identified",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_missing_parts_are_said_in_a_sentence(whole, name):
+    changes, sentence = PARTS[name]
+    text = render_report(replace_results(whole, **changes))
+    Page(text)
+    assert sentence in text
+
+
+def test_empty_results_make_a_report():
+    text = render_report(Results("nothing"))
+    page = Page(text)
+    assert "svg" not in page.counts
+    assert text.count('class="missing"') >= 8
+    assert "Operating FRFs were not made" in text
+
+
+def test_idle_without_units_says_how_to_give_them(whole):
+    idle = replace(whole.idle, scaling="unscaled", shapes=whole.idle.shapes.astype(complex), covariance=None, si=False)
+    frf = replace(whole.idle_frf, si=False)
+    text = render_report(replace_results(whole, idle=idle, idle_frf=frf, hybrid=None, comparison=None, check=[]))
+    assert "[units]" in text
+    assert "units of the file" in text
+
+
+def test_not_reciprocal_is_the_first_thing_that_does_not_hold(whole):
+    finding = Finding("not_reciprocal", "H differs from its transpose by 21 %", "error")
+    results = replace_results(whole, findings=[*whole.findings, finding])
+    limits = headline(results).limits
+    assert any("21 %" in t and "symmetric" in t for t in limits)
+    assert next(a for a in assumptions(whole) if a.name.startswith("Reciprocity")).state == "holds"
+
+
+def test_skew_check_is_found_not_reciprocal_from_the_numbers(whole):
+    runs = [r for r in whole.check if r.level == "b"]
+    skewed = [replace_check(runs[0], 1.0), replace_check(runs[1], 1.4)]
+    state = next(a for a in assumptions(replace_results(whole, check=skewed)) if a.name.startswith("Reciprocity"))
+    assert state.state == "fails"
+
+
+def replace_check(run, factor):
+    return CheckRun(run.name, run.level, replace(run.frf, data=run.frf.data * factor))
+
+
+def test_runs_of_one_level_stand_side_by_side(whole):
+    run = derive.judge_run(whole)
+    assert run.level == "b"
+    assert [str(d) for d in run.frf.references] == ["100+Z", "107+Z"]
+    assert len(run.frf.drive_points()) == 2
+
+
+def test_level_difference_is_one_where_only_noise_differs(whole):
+    assert derive.level_difference(whole.check)["ratio"] == pytest.approx(1.0, abs=0.05)
+    louder = [replace_check(r, 1.3 if r.level == "a" else 1.0) for r in whole.check]
+    assert derive.level_difference(louder)["ratio"] > 5
+
+
+def test_error_map_agrees_with_a_known_gain(whole):
+    run = derive.judge_run(whole)
+    louder = replace(run.frf, data=run.frf.data * 2)
+    error = derive.error_by_dof_band(louder, run.frf, derive.band_edges(BAND))
+    assert error.shape == (N, 8)
+    np.testing.assert_allclose(error[np.isfinite(error)], 20 * np.log10(2), rtol=1e-9)
+
+
+def test_sensor_redundancy_points_at_the_twins():
+    rng = np.random.default_rng(0)
+    shapes = rng.standard_normal((5, 5))
+    shapes[3] = shapes[1] + 1e-3 * rng.standard_normal(5)
+    found = derive.sensor_redundancy(shapes, dofs()[:5])
+    assert set(np.argsort(-found["dofs"])[:2]) == {1, 3}
+    assert found["kappa"] == pytest.approx(np.linalg.cond(shapes))
+    assert derive.sensor_redundancy(shapes[:3], dofs()[:3]) is None
+
+
+def test_thinned_curve_keeps_peaks():
+    x = np.linspace(0, 1, 50_000)
+    y = np.zeros(x.size)
+    y[31_415] = 7.0
+    keep = thin(x, y, 300)
+    assert keep.size <= 602
+    assert 31_415 in keep
+    assert {0, x.size - 1} <= set(keep.tolist())
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (21.07868, 0.00123, "21.0787 ± 0.0012"),
+        (64.2, 0.0996, "64.20 ± 0.10"),
+        (3.0, 12.3, "3 ± 12"),
+        (-0.5, None, "−0.50000"),
+        (None, 1.0, "–"),
+    ],
+)
+def test_value_and_uncertainty_have_matching_digits(value, std, text):
+    assert re.sub("<[^>]+>", "", plus_minus(value, std)) == text
+
+
+def test_words():
+    assert (count(0, "mode"), count(1, "mode"), count(3, "mode")) == ("no modes", "1 mode", "3 modes")
+    assert listing(["a", "b", "c"]) == "a, b and c"
+    assert number(float("nan")) == "–"
+    assert number(1.23456e-7, 3) == "1.23·10<sup>−7</sup>"
+    assert fixed(-0.001, 2, sign=True) == "+0.00" or fixed(-0.001, 2, sign=True) == "0.00"
+
+
+@pytest.mark.parametrize("layout", ["line", "plane", "solid", "twins"])
+def test_shapes_are_drawn_without_lines_in_the_geometry(layout):
+    rng = np.random.default_rng(1)
+    xyz = rng.uniform(0, 1, (N, 3)) * {"line": [1, 0, 0], "plane": [1, 1, 0], "solid": [1, 1, 1], "twins": [0, 0, 1]}[layout]
+    if layout == "twins":
+        xyz[:] = xyz[0]
+    geometry = Geometry(tuple(100 + i for i in range(N)), xyz)
+    shape = rng.standard_normal(N)
+    svg = mode_shapes(geometry, dofs(), [ShapePair("one", shape, -shape, "idle", "running"), ShapePair("two", shape, None)])
+    assert svg.startswith("<svg")
+    assert "nan" not in svg
+
+
+def test_inventory_and_findings_cells_are_escaped():
+    text = tables.inventory_table([{"file": "a<b>.uff", "channels": 3, "note": "x & y", "nothing": None}])
+    assert "a&lt;b&gt;.uff" in text
+    assert "x &amp; y" in text
+    assert "nothing" not in text
+    assert tables.findings_table([Finding("nan", "<i>", dof="1+Z")]).count("<i>") == 0
+
+
+def test_record_types_used_by_the_report_import_without_matplotlib():
+    import subprocess
+    import sys
+
+    code = "import sys, operando.report; assert not {'matplotlib', 'scipy.signal', 'pandas'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert TimeRecord(np.zeros((1, 4)), 10.0, (Channel(None),)).duration_s == 0.4
