@@ -3,7 +3,7 @@
 from operando.io.content import Content, SetInfo
 from operando.io.detect import detect_format, read
 from operando.io.hdf5 import read_hdf5, read_object, write_hdf5, write_object
-from operando.io.uff import read_uff, read_uff_sets
+from operando.io.uff import read_uff, read_uff_sets, write_uff
 
 __all__ = [
     "Content",
@@ -16,4 +16,5 @@ __all__ = [
     "read_uff_sets",
     "write_hdf5",
     "write_object",
+    "write_uff",
 ]

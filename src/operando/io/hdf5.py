@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 
 from operando.dof import Dof
 from operando.errors import DataError, FormatError, OperandoError
+from operando.io.atomic import replacing
 
 if TYPE_CHECKING:
     import h5py
@@ -78,16 +78,10 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     """
     import h5py
 
-    path = Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with h5py.File(beside, "w") as file:
-            file.attrs["schema"] = SCHEMA
-            for name, obj in objects.items():
-                write_object(file.create_group(name), obj)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path, "w+b") as stream, h5py.File(stream, "w") as file:
+        file.attrs["schema"] = SCHEMA
+        for name, obj in objects.items():
+            write_object(file.create_group(name), obj)
 
 
 def read_hdf5(path: str | Path) -> dict[str, Any]:
