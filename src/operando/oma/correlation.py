@@ -77,11 +77,12 @@ def correlate(
         for start, stop in zip(edges[:-1] + b * length, edges[1:] + b * length, strict=True):
             part = np.asarray(data[:, start : stop + n_lags], float)
             ahead = fft.rfft(part, size, axis=1)
-            now = ahead[references] if start == stop else fft.rfft(part[references, : stop - start], size, axis=1)
+            now = fft.rfft(part[references, : stop - start], size, axis=1)
             spectrum += ahead.T[:, :, None] * now.conj().T[:, None, :]
         if blocks is not None:
-            blocks[b] = fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / length
-            total += blocks[b]
+            block = fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / length
+            blocks[b] = block
+            total += block
             spectrum[:] = 0
     mean = total / n_blocks if blocks is not None else fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / (n_blocks * length)
     return BlockCorrelations(mean, blocks, np.full(n_blocks, 1 / n_blocks))

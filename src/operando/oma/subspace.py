@@ -8,16 +8,112 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+
+from operando.errors import IdentificationError
+from operando.oma.correlation import block_hankel
 
 
 @dataclass(frozen=True)
 class Factors:
-    """Leading singular triplets H ≈ U·diag(s)·Vᵀ: left (a, n), s (n,), right (b, n)."""
+    """Leading singular triplets of the (weighted) Hankel matrix, Lf⁻¹·H·Lp⁻ᵀ ≈ U·diag(s)·Vᵀ.
+
+    Parameters
+    ----------
+    left : (a, n) array
+        U, orthonormal.
+    s : (n,) array
+    right : (b, n) array
+        V, orthonormal.
+    left_factor, right_factor : (a, a), (b, b) lower triangular arrays or None
+        Lf and Lp; None stands for the identity.
+    """
 
     left: NDArray[np.float64]
     s: NDArray[np.float64]
     right: NDArray[np.float64]
+    left_factor: NDArray[np.float64] | None = None
+    right_factor: NDArray[np.float64] | None = None
+
+    @property
+    def observability(self) -> NDArray[np.float64]:
+        """Lf·U: extended observability matrix, any leading columns of it."""
+        return self.left if self.left_factor is None else self.left_factor @ self.left
+
+
+def whitening_factor(
+    correlations: NDArray[Any], rows: int, n_samples: int, past: bool, regularisation: float = 1e-3
+) -> NDArray[np.float64]:
+    """Cholesky factor of the block-Toeplitz covariance of stacked outputs, for canonical-variate weights.
+
+    Parameters
+    ----------
+    correlations : (n_lags + 1, r, r) array
+        Unbiased correlations of the stacked channels among themselves; tapered here by (1 − τ/n_samples), which makes them positive.
+    rows : int
+        Block rows.
+    past : bool
+        Outputs stacked backwards in time instead of forwards.
+    regularisation : float
+        White noise added, in parts of each channel's mean square: bands without energy would make the factor singular.
+
+    Raises
+    ------
+    IdentificationError
+        If the channels are linearly dependent beyond what the regularisation mends.
+    """
+    r = correlations.shape[1]
+    ahead = correlations[:rows] * (1 - np.arange(rows) / n_samples)[:, None, None]
+    ahead[0] = (ahead[0] + ahead[0].T) / 2
+    if past:
+        ahead = ahead.transpose(0, 2, 1)
+    both = np.concatenate([ahead[:0:-1].transpose(0, 2, 1), ahead])
+    toeplitz = block_hankel(np.concatenate([both[:1], both]), rows, rows).reshape(rows * r, rows, r)[:, ::-1].reshape(rows * r, rows * r)
+    power = np.tile(np.diag(ahead[0]), rows)
+    for factor in (1, 10, 100):
+        try:
+            return cholesky(toeplitz + np.diag(regularisation * factor * power), lower=True, check_finite=False)
+        except LinAlgError:
+            continue
+    raise IdentificationError(
+        "the covariance matrix of the outputs is singular",
+        hint="look for copied or summed channels and exclude them, or use weighting='none'",
+    )
+
+
+def factorise_weighted(
+    correlations: NDArray[Any], references: NDArray[np.int_], rows: int, rank: int, n_samples: int, weighting: str = "cva"
+) -> Factors:
+    """Hankel matrix of the correlations, weighted and factorised.
+
+    ``cva`` whitens future and past (canonical variates; Van Overschee & De Moor 1996): weak low modes count as much as strong high
+    ones and the estimates come near to maximum likelihood; the singular values are canonical correlations between 0 and 1. With
+    fewer references than channels only the past is whitened, the future scaled by channel. ``none`` is plain SSI-cov.
+
+    Parameters
+    ----------
+    correlations : (n_lags + 1, r, q) array
+    references : (q,) int array
+        Rows used as references, increasing.
+    rows : int
+        Block rows and block columns.
+    rank : int
+        Triplets wanted.
+    n_samples : int
+        Length the correlations were estimated from.
+    """
+    hankel = block_hankel(correlations, rows, rows)
+    if weighting == "none":
+        return factorise(hankel, rank)
+    past = whitening_factor(correlations[:, references, :], rows, n_samples, True)
+    if references.size == correlations.shape[1]:
+        future = whitening_factor(correlations, rows, n_samples, False)
+    else:
+        future = np.diag(np.tile(np.sqrt(np.linalg.norm(correlations[0], axis=1)), rows))
+    weighted = solve_triangular(future, hankel, lower=True, check_finite=False)
+    weighted = solve_triangular(past, weighted.T, lower=True, check_finite=False).T
+    plain = factorise(weighted, rank)
+    return Factors(plain.left, plain.s, plain.right, future, past)
 
 
 def factorise(hankel: NDArray[Any], rank: int, seed: int = 0) -> Factors:
@@ -72,9 +168,10 @@ class Realisation:
 
 def realise(factors: Factors, n_channels: int) -> Realisation:
     """Prepare the shift equation once for all orders: with U_up = QR, A_n = R_n⁻¹ (Qᵀ U_down)_n for every leading n."""
-    up, down = factors.left[:-n_channels], factors.left[n_channels:]
+    left = factors.observability
+    up, down = left[:-n_channels], left[n_channels:]
     q, triangle = np.linalg.qr(up)
-    return Realisation(factors.left, triangle, q.T @ down, n_channels)
+    return Realisation(left, triangle, q.T @ down, n_channels)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,161 @@
+"""Covariance of poles and shapes: the scatter of the correlations between blocks, carried through SSI to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from operando.oma.correlation import BlockCorrelations, block_hankel
+from operando.oma.subspace import Factors, Poles, Realisation
+
+
+@dataclass(frozen=True)
+class Perturbations:
+    """First-order change of poles and shapes by each block's correlations replacing the mean.
+
+    Parameters
+    ----------
+    lam : (n_blocks, p) complex array
+        Change of λ [rad/s].
+    shapes : (n_blocks, r, p) complex array
+        Change of the shapes as they come from ``poles_of_order`` (not normalised).
+    """
+
+    lam: NDArray[np.complex128]
+    shapes: NDArray[np.complex128]
+
+
+def perturb(
+    correlations: BlockCorrelations,
+    factors: Factors,
+    realisation: Realisation,
+    poles: Poles,
+    modes: Sequence[int] | NDArray[np.int_],
+    rows: int,
+    sampling_hz: float,
+) -> Perturbations:
+    """Poles and shapes of one order perturbed by the correlations of each block.
+
+    The chain Hankel matrix → singular subspace → state matrix → eigenvalues is linearised as by Reynders, Pintelon & De Roeck (2008)
+    and Döhler & Mevel (2013), the residual of the shift equation and the coupling to the discarded singular vectors
+    included; whitening factors are held fixed (their change acts on the discarded part only). No covariance of the Hankel matrix is
+    formed: each block costs two products with the n leading singular vectors.
+
+    Parameters
+    ----------
+    modes : sequence of int
+        Columns of ``poles`` wanted.
+
+    Raises
+    ------
+    ValueError
+        If the correlations hold no blocks.
+    """
+    if correlations.blocks is None:
+        raise ValueError("correlations of blocks are needed")
+    n, r = poles.order, realisation.n_channels
+    columns = np.asarray(modes, int)
+    wl, vr = factors.left, factors.right
+    if factors.left_factor is not None and factors.right_factor is not None:
+        wl = solve_triangular(factors.left_factor, wl, lower=True, trans="T", check_finite=False)
+        vr = solve_triangular(factors.right_factor, vr, lower=True, trans="T", check_finite=False)
+    wl32, vr32 = wl.astype(np.float32), vr.astype(np.float32)
+    s1, s2 = factors.s[:n], factors.s[n:]
+    gap = s1[None, :] ** 2 - s2[:, None] ** 2
+    gap = np.maximum(gap, 1e-6 * s1[None, :] ** 2)
+    left = realisation.left
+    up, down = left[:-r, :n], left[r:, :n]
+    state = realisation.state_matrix(n)
+    shift_left = np.linalg.pinv(up)
+    gram_inverse = shift_left @ shift_left.T
+    residual = down - up @ state
+    mu, vectors = np.linalg.eig(state)
+    inverse = np.linalg.inv(vectors)
+    index = np.array([int(np.argmin(np.abs(mu - poles.mu[c]))) for c in columns], int)
+    scale = np.array(
+        [poles.vectors[:, c] @ vectors[:, i].conj() / np.vdot(vectors[:, i], vectors[:, i]) for c, i in zip(columns, index, strict=True)]
+    )
+    psi = vectors[:, index] * scale
+    distance = mu[index][None, :] - mu[:, None]
+    distance[index, np.arange(index.size)] = np.inf
+    mean = correlations.mean.astype(np.float32)
+    n_blocks = correlations.blocks.shape[0]
+    lam = np.empty((n_blocks, columns.size), complex)
+    shapes = np.empty((n_blocks, r, columns.size), complex)
+    for b in range(n_blocks):
+        delta = block_hankel(correlations.blocks[b] - mean, rows, rows)
+        y = delta @ vr32[:, :n]
+        z = wl32[:, :n].T @ delta
+        inside = wl32.T @ y
+        coupling = (inside[n:] * s1 + s2[:, None] * (z @ vr32[:, n:]).T) / gap
+        change = left[:, n:] @ coupling + (y - left @ inside) / s1
+        d_up, d_down = change[:-r], change[r:]
+        d_state = shift_left @ (d_down - d_up @ state) + gram_inverse @ (d_up.T @ residual)
+        turned = inverse @ (d_state @ psi)
+        lam[b] = turned[index, np.arange(index.size)] / scale / mu[index] * sampling_hz
+        d_psi = vectors @ (turned / distance)
+        shapes[b] = change[:r] @ psi + left[:r, :n] @ d_psi
+    return Perturbations(lam, shapes)
+
+
+def normalised_changes(
+    lam: NDArray[np.complex128], shapes: NDArray[np.complex128], change: Perturbations, derivative: NDArray[np.int_] | None = None
+) -> NDArray[np.float64]:
+    """Changes of θ = [f, ζ, Re shapes, Im shapes] from changes of poles and raw shapes.
+
+    Shapes are taken in proportions of displacement (divided by λ to the power ``derivative`` of their channel), then scaled to
+    unit norm with the largest component real and positive.
+
+    Parameters
+    ----------
+    lam : (p,) array
+        Poles [rad/s].
+    shapes : (r, p) array
+        Raw shapes.
+    change : Perturbations
+
+    Returns
+    -------
+    (n_blocks, 2·p + 2·p·r) array
+        In the order of ``ModalModel.covariance``.
+    """
+    size = np.abs(lam)
+    along = (lam.conj() * change.lam).real
+    d_hz = along / size / 2 / np.pi
+    d_zeta = -change.lam.real / size + lam.real * along / size**3
+    raw, d_raw = shapes, change.shapes
+    if derivative is not None and np.any(derivative != derivative[0]):
+        power = lam[None, :] ** derivative[:, None]
+        d_raw = d_raw / power - derivative[None, :, None] * (raw / power)[None] * (change.lam / lam)[:, None, :]
+        raw = raw / power
+    peak = raw[np.argmax(np.abs(raw), axis=0), np.arange(raw.shape[1])]
+    factor = np.abs(peak) / peak / np.linalg.norm(raw, axis=0)
+    unit, d_unit = raw * factor, d_raw * factor
+    top = np.argmax(np.abs(raw), axis=0), np.arange(raw.shape[1])
+    turn = d_unit[:, top[0], top[1]].imag / unit[top].real
+    d_unit = d_unit - 1j * unit[None] * turn[:, None, :]
+    d_unit = d_unit - unit[None] * np.sum(unit.conj()[None] * d_unit, axis=1).real[:, None, :]
+    flat = d_unit.transpose(0, 2, 1).reshape(d_unit.shape[0], -1)
+    return np.concatenate([d_hz, d_zeta, flat.real, flat.imag], axis=1)
+
+
+def covariance_of_mean(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance of the weighted mean of independent block values, widened so that ±1.96 standard deviations cover 95 % in spite of
+    the finite number of blocks (Student's t with n_blocks − 1 degrees of freedom, by its expansion in 1/ν).
+
+    Parameters
+    ----------
+    changes : (n_blocks, k) array
+        Deviation of each block's value from the mean.
+    weights : (n_blocks,) array
+        Sum 1.
+    """
+    nu = weights.size - 1
+    quantile = 1.959964
+    widen = 1 + (quantile**2 + 1) / (4 * nu) + (5 * quantile**4 + 16 * quantile**2 + 3) / (96 * nu**2)
+    scaled = changes * weights[:, None]
+    return scaled.T @ scaled * (weights.size / nu) * widen**2
