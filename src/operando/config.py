@@ -121,7 +121,7 @@ class Test:
     geometry_units : str or None
         Unit of the coordinates where the file does not say.
     units : dict
-        Quantity → unit, used where a file is silent.
+        Quantity → unit, used where a file is silent; ``length`` for coordinates, ``sampling_hz`` for tables without a time column.
     channels : dict
         Channel name or DOF → dict of ``dof, quantity, unit, sensitivity, exclude, reason``.
     analysis : Analysis
@@ -136,7 +136,7 @@ class Test:
     check: State = State()
     geometry_file: Path | None = None
     geometry_units: str | None = None
-    units: dict[str, str] = field(default_factory=dict)
+    units: dict[str, Any] = field(default_factory=dict)
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
     analysis: Analysis = field(default_factory=Analysis)
 
@@ -290,9 +290,16 @@ def _unit(text: Any, quantity: str | None, where: str) -> str:
     return text
 
 
-def _units(table: Mapping[str, Any], where: str) -> dict[str, str]:
-    check_keys(table, SI_UNIT, where)
-    return {quantity: _unit(text, quantity, f"{where} {quantity}") for quantity, text in table.items()}
+def _units(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    check_keys(table, (*SI_UNIT, "length", "sampling_hz"), where)
+    out: dict[str, Any] = {}
+    for quantity, text in table.items():
+        here = f"{where} {quantity}"
+        if quantity == "sampling_hz":
+            out[quantity] = _positive(text, here)
+        else:
+            out[quantity] = _unit(text, "displacement" if quantity == "length" else quantity, here)
+    return out
 
 
 def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:

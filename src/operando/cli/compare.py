@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import click
 
-from operando.cli.answer import Answer, answers
+from operando.cli.answer import Answer, answers, table
 
 
 @click.command("compare", epilog="Example: operando compare pump-results check/run1.uff -o comparison.json")
@@ -13,5 +16,39 @@ from operando.cli.answer import Answer, answers
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="JSON file to write.")
 @answers
 def compare(model: str, measured: str, output: str | None) -> Answer:
-    """Any model (results folder, model.h5, UFF FRFs or modes) against any measurement (FRFs, or records with force)."""
-    raise NotImplementedError
+    """Any model (results folder, model.h5, UFF FRFs or modes) against any measurement (FRFs, or records with force).
+
+    The errors stand under the key "model" of the JSON document.
+    """
+    from operando.cli.sources import load_measured, load_model
+    from operando.compare import compare_all
+
+    source = load_model(model)
+    runs = load_measured(measured)
+    found: dict[str, Any] = compare_all({"model": source.model}, runs, band_hz=source.band_hz)
+    errors = found["models"]["model"]
+    document = found | {"model": errors, "model_source": f"{model}: {source.what}", "measured_source": measured, "band_hz": source.band_hz}
+    if output is not None:
+        from operando.pipeline.cache import write_json
+
+        write_json(Path(output), document)
+    return Answer(document, _text(source.what, errors, document, output))
+
+
+def _text(what: str, errors: dict[str, Any], document: dict[str, Any], output: str | None) -> str:
+    number = lambda v, digits=2: "-" if v is None else f"{v:.{digits}f}"  # noqa: E731
+    head = f"{what}: error {number(errors['error_db'])} dB"
+    head += (
+        f", noise floor {number(errors['noise_floor_db'])} dB"
+        if errors["noise_floor_db"] is not None
+        else ", no noise floor stated by the data"
+    )
+    head += f", relative error {number(None if errors['relative_error'] is None else 100 * errors['relative_error'])} %"
+    head += "." if errors["misfit"] is None else f", misfit {errors['misfit']:.3g}."
+    dofs = table([[d["dof"], number(d["error_db"]), d["misfit"]] for d in errors["by_dof"]], ["DOF", "error dB", "misfit"])
+    bands = table(
+        [[f"{b['band_hz'][0]:.4g} … {b['band_hz'][1]:.4g}", number(b["error_db"]), b["misfit"]] for b in errors["by_band"]],
+        ["band Hz", "error dB", "misfit"],
+    )
+    notes = "\n".join(f"note: {n}" for n in errors.get("notes", ()))
+    return "\n\n".join(p for p in (head, dofs, bands, notes, f"{output} written." if output else "") if p)

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import click
 
-from operando.cli.answer import Answer, answers
+from operando.cli.answer import Answer, answers, table
+
+if TYPE_CHECKING:
+    from operando.data import Frf
+
+UNITS = {"accelerance": "(m/s2)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
+MOST_VALUES = 2_000_000
+"""Complex values beyond which the JSON document refers to the file instead of holding them."""
 
 
 @click.command(
@@ -27,5 +37,128 @@ from operando.cli.answer import Answer, answers
 def ofrf(
     folder: str, responses: str | None, references: str | None, frequencies: str | None, quantity: str, route: str, output: str | None
 ) -> Answer:
-    """Operational FRFs of any response-reference pair, with the standard deviation of each line."""
-    raise NotImplementedError
+    """Operational FRFs of any response-reference pair, with the standard deviation of each line.
+
+    DIR is a results folder or its model.h5. A DOF asked for in the other sense (12-Z) changes sign.
+    """
+    import numpy as np
+
+    from operando.errors import DataError, MissingError
+    from operando.store import load_results
+
+    wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
+    lines = None if frequencies is None else parse_lines(frequencies)
+    results = load_results(folder, only=("hybrid", "idle_frf", "left_out", "settings"))
+    if route == "effect":
+        raise MissingError(
+            "there is no model with accepted effects", where=folder, hint="use --route hybrid; the diagnosis makes the effect route"
+        )
+    if results.hybrid is None:
+        reason = results.left_out.get("ofrf", "the run ended before it")
+        raise MissingError(f"there are no operational FRFs: {reason}", where=folder, hint="run `operando run test.toml` to the stage ofrf")
+    if lines is None:
+        from operando.pipeline.outputs import ofrf_lines
+
+        lines = ofrf_lines(results)
+    frf = results.hybrid.frf(np.asarray(lines, float), wanted, driven, quantity)
+    document = {
+        "schema": "operando/ofrf/1",
+        "route": route,
+        "method": results.hybrid.method,
+        "settings": results.settings,
+        "responses": [str(d) for d in frf.responses],
+        "references": [str(d) for d in frf.references],
+        "quantity": quantity,
+        "unit": UNITS[quantity],
+        "file": output,
+        "findings": [f.to_dict() for f in (*results.hybrid.findings, *frf.findings)],
+    }
+    if output is not None:
+        write_frf(frf, Path(output))
+    elif frf.data.size > MOST_VALUES:
+        raise DataError(f"{frf.data.size} values are too many to print", hint="name a file with -o, or ask for fewer pairs or lines")
+    else:
+        data = np.stack([frf.data.real, frf.data.imag], axis=-1)
+        document |= {"frequencies_hz": frf.frequencies_hz, "data": data, "std": None if frf.variance is None else np.sqrt(frf.variance)}
+    return Answer(document, _text(frf, results.hybrid.method, output))
+
+
+def _dofs(text: str | None, option: str) -> Any:
+    from operando.dof import parse_dofs
+    from operando.errors import DofError
+
+    if text is None:
+        return None
+    try:
+        found = parse_dofs(text)
+    except DofError as error:
+        raise click.BadParameter(str(error), param_hint=option) from None
+    if not found:
+        raise click.BadParameter("names no DOF", param_hint=option)
+    return found
+
+
+def parse_lines(text: str) -> Any:
+    """Lines [Hz] of ``A:B:STEP``, both ends included.
+
+    Raises
+    ------
+    click.BadParameter
+        If the text is no such range.
+    """
+    import numpy as np
+
+    try:
+        low, high, step = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not A:B:STEP in Hz, as in 5:220:0.25", param_hint="--frequencies") from None
+    if not (0 <= low <= high < float("inf") and 0 < step < float("inf")):
+        raise click.BadParameter(f"{text!r}: 0 <= A <= B and STEP > 0 are needed", param_hint="--frequencies")
+    count = int(np.floor((high - low) / step * (1 + 1e-12) + 1e-9)) + 1
+    if count > 10_000_000:
+        raise click.BadParameter(f"{text!r} makes {count} lines", param_hint="--frequencies")
+    return low + step * np.arange(count)
+
+
+def write_frf(frf: Frf, path: Path) -> None:
+    """Write FRFs in the format of the file's ending."""
+    from operando.io import convert, write_hdf5, write_uff
+    from operando.pipeline.cache import whole
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    ending = path.suffix.lower()
+    if ending in (".h5", ".hdf5"):
+        write_hdf5(path, {"ofrf": frf})
+    elif ending in (".uff", ".unv", ".uf", ".bunv", ".asc"):
+        with whole(path) as beside:
+            write_uff(beside, frf)
+    else:
+        import tempfile
+
+        with tempfile.TemporaryDirectory() as folder:
+            between = Path(folder) / "ofrf.h5"
+            write_hdf5(between, {"ofrf": frf})
+            convert(between, path)
+
+
+def _text(frf: Frf, method: str, output: str | None) -> str:
+    import numpy as np
+
+    f, count = frf.frequencies_hz, len(frf.responses) * len(frf.references)
+    head = (
+        f"{count} operational FRFs ({frf.quantity}, {UNITS[frf.quantity]}, method {method}), {f[0]:.6g} … {f[-1]:.6g} Hz, {f.size} lines."
+    )
+    rows: list[list[str]] = []
+    for i, response in enumerate(frf.responses):
+        for j, reference in enumerate(frf.references):
+            if len(rows) == 20:
+                break
+            size = np.abs(frf.data[i, j])
+            top = int(np.nanargmax(size))
+            std = None if frf.variance is None else float(8.686 * np.median(np.sqrt(frf.variance[i, j] / 2) / np.maximum(size, 1e-300)))
+            rows.append([str(response), str(reference), f"{f[top]:.4f}", f"{size[top]:.4g}", "" if std is None else f"{std:.2g}"])
+    parts = [head, table(rows, ["response", "reference", "peak Hz", "peak", "± dB (median)"])]
+    if count > len(rows):
+        parts.append(f"… and {count - len(rows)} more pairs")
+    parts.append(f"{output} written." if output else "Nothing written: -o FILE keeps them, --json prints the values.")
+    return "\n".join(parts)

@@ -46,7 +46,7 @@ class Inputs:
         from operando.io import read
 
         try:
-            content = read(file, units=self.test.units or None, channels=self.test.channels or None)
+            content = read(file, units=self._units(file), channels=self.test.channels or None)
         except OperandoError as error:
             self.findings[file] = [unreadable(file, error)]
             self._contents[file] = None
@@ -59,6 +59,12 @@ class Inputs:
         if held + sum(r.data.nbytes for r in records) <= KEEP_BYTES:
             self._contents[file] = content
         return content
+
+    def _units(self, file: Path) -> dict[str, Any] | None:
+        units = dict(self.test.units)
+        if file == self.test.geometry_file and self.test.geometry_units is not None:
+            units["length"] = self.test.geometry_units
+        return units or None
 
     def _named(self, record: TimeRecord, file: Path) -> TimeRecord:
         provenance = (

@@ -1,0 +1,105 @@
+"""Models and measurements of the command line: from a results folder, ``model.h5``, or any file operando reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from operando.errors import FormatError, MissingError
+
+if TYPE_CHECKING:
+    from operando.results import CheckRun
+
+
+@dataclass(frozen=True)
+class Source:
+    """A model with what it is in words, and the band it is meant for."""
+
+    model: Any
+    what: str
+    band_hz: tuple[float, float] | None = None
+
+
+def load_model(path: str) -> Source:
+    """The best model of a results folder or ``model.h5``; else the FRFs or scaled modes of a file.
+
+    Raises
+    ------
+    MissingError
+        If there is no model that makes FRFs.
+    """
+    results = _results(path)
+    if results is not None:
+        band = results.settings.get("band") or (None if results.idle is None else results.idle.band_hz)
+        band = None if band is None else (float(band[0]), float(band[1]))
+        if results.hybrid is not None:
+            return Source(results.hybrid, "operational FRFs by the hybrid route", band)
+        if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
+            return Source(results.idle, "idle modes", band)
+        raise MissingError("holds no model of unit modal mass", where=path, hint="the idle modes need units ([units]) and a drive point")
+    content = _read(path)
+    if content.frfs:
+        from operando.pipeline.inputs import merge_frfs
+
+        return Source(merge_frfs(content.frfs), "FRFs of the file")
+    scaled = [m for m in content.models if m.scaling == "unit_modal_mass"]
+    if scaled:
+        return Source(scaled[0], "modes of the file (unit modal mass)", scaled[0].band_hz)
+    what = "modes of arbitrary scale" if content.models else "no FRFs and no modes"
+    raise MissingError(f"holds {what}: nothing that predicts FRFs", where=path, hint="give a results folder, model.h5, or FRFs as UFF 58")
+
+
+def load_measured(path: str) -> list[CheckRun]:
+    """Measured FRFs of a file; records with a force are estimated first; of a results folder its check runs.
+
+    Raises
+    ------
+    MissingError
+        If there is no measurement with a force.
+    """
+    from operando.results import CheckRun
+
+    results = _results(path)
+    if results is not None:
+        if results.check:
+            return list(results.check)
+        raise MissingError("holds no check measurement", where=path, hint="give FRFs or records with force as the measurement")
+    content = _read(path)
+    name = Path(path).name
+    if content.frfs:
+        from operando.pipeline.inputs import merge_frfs
+
+        return [CheckRun(name, "as given", merge_frfs(content.frfs))]
+    records = [r for r in content.records if r.force_indices and r.response_indices]
+    if records:
+        from operando.frf import estimate_frf
+
+        return [CheckRun(name, "as measured", estimate_frf(records))]
+    raise MissingError("holds no FRFs and no record with force and responses", where=path, hint="`operando inspect` shows what it holds")
+
+
+def _results(path: str) -> Any:
+    """Results of a folder or results file, or None for any other file."""
+    from operando.store import load_results
+
+    place = Path(path)
+    if not place.exists():
+        raise MissingError("there is no such file or folder", where=path)
+    if place.is_dir():
+        return load_results(place)
+    with open(place, "rb") as stream:
+        if stream.read(8) != b"\x89HDF\r\n\x1a\n":
+            return None
+    try:
+        return load_results(place)
+    except FormatError as error:
+        if "no results of operando" in error.message:
+            return None
+        raise
+
+
+def _read(path: str) -> Any:
+    from operando.io import read
+
+    return read(path)

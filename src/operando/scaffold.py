@@ -1,0 +1,284 @@
+"""A first test file from the files in a folder: what each was taken for, why, and what is unsure."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from operando.errors import ConfigError, MissingError, OperandoError
+
+IDLE_WORDS = ("idle", "rest", "still", "standstill", "stopped", "parked", "off", "ema", "static", "cold")
+CHECK_WORDS = ("check", "verification", "verify", "validation", "judge", "proof")
+OPERATING_WORDS = ("operating", "operation", "operational", "running", "oma", "ambient", "on", "load", "loaded")
+SKIPPED_SUFFIXES = (
+    ".toml", ".md", ".json", ".html", ".pdf", ".png", ".jpg", ".jpeg", ".svg", ".py", ".ipynb", ".zip", ".gz", ".doc", ".docx",
+    ".xls", ".xlsx", ".log", ".yaml", ".yml", ".m", ".exe", ".part",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What one file was taken for.
+
+    Parameters
+    ----------
+    file : Path
+    role : str
+        ``idle records``, ``idle frfs``, ``operating records``, ``check records``, ``check frfs``, ``geometry`` or ``ignored``.
+    reason : str
+    sure : bool
+    """
+
+    file: Path
+    role: str
+    reason: str
+    sure: bool = True
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object."""
+        return {"file": str(self.file), "role": self.role, "reason": self.reason, "sure": self.sure}
+
+
+@dataclass(frozen=True)
+class Scaffold:
+    """A test file to be written, and how it came about.
+
+    Parameters
+    ----------
+    text : str
+        The test file.
+    taken : tuple of Taken
+        One a file.
+    notes : tuple of str
+        What to look at: units, labels, doubts.
+    """
+
+    text: str
+    taken: tuple[Taken, ...]
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object."""
+        return {"taken": [t.to_dict() for t in self.taken], "notes": list(self.notes), "text": self.text}
+
+
+@dataclass
+class _Seen:
+    """What the files lack, gathered while reading."""
+
+    unitless: dict[str, set[str]] = field(default_factory=dict)
+    unlabelled: dict[str, str] = field(default_factory=dict)
+    rates: set[float] = field(default_factory=set)
+
+
+def scaffold(folder: str | Path, target: str | Path | None = None) -> Scaffold:
+    """Look at the files in a folder and propose a test file.
+
+    Records with a force channel and responses are taken as idle, or as check where folder or file names say so; records with
+    responses only as operating; FRFs as idle FRFs; coordinates as geometry.
+
+    Parameters
+    ----------
+    folder : path
+        Searched with its subfolders; hidden ones and results folders are passed over.
+    target : path, optional
+        Where the test file will lie (paths inside are relative to it); default ``folder/test.toml``.
+
+    Raises
+    ------
+    MissingError
+        If there is no folder, or no measurement in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise MissingError("there is no such folder", where=str(folder))
+    base = Path(target).parent if target is not None else folder
+    seen = _Seen()
+    taken = tuple(_take(file, folder, seen) for file in _candidates(folder))
+    if not any(t.role.split()[-1] in ("records", "frfs") for t in taken):
+        raise MissingError(
+            "no measurement was found",
+            where=str(folder),
+            hint="; ".join(f"{t.file.name}: {t.reason}" for t in taken[:4])
+            or "it holds no file of a known format (UFF, MATLAB, CSV, HDF5)",
+        )
+    notes = _notes(taken, seen)
+    return Scaffold(_text(folder, base, taken, seen, notes), taken, tuple(notes))
+
+
+def _candidates(folder: Path) -> list[Path]:
+    found = []
+    for root, folders, files in os.walk(folder):
+        if "summary.json" in files:  # a results folder
+            folders.clear()
+            continue
+        folders[:] = sorted(f for f in folders if not f.startswith("."))
+        found += [Path(root) / f for f in files if not f.startswith(".") and Path(f).suffix.lower() not in SKIPPED_SUFFIXES]
+    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s.lower() for s in re.split(r"(\d+)", p.as_posix())])
+
+
+def _take(file: Path, folder: Path, seen: _Seen) -> Taken:
+    from operando.io import read
+
+    try:
+        content = read(file)
+    except OperandoError as error:
+        return Taken(file, "ignored", f"cannot be read: {error.message}", sure=False)
+    if not (content.records or content.frfs):
+        if content.geometry is not None:
+            return Taken(file, "geometry", f"coordinates of {len(content.geometry.nodes)} nodes")
+        if content.models:
+            return Taken(file, "ignored", "holds modes, not a measurement")
+        return Taken(file, "ignored", "holds nothing a test can use", sure=False)
+    if content.frfs and not content.records:
+        state, reason, sure = _state(file, folder, "idle")
+        state = "check" if state == "operating" else state
+        pairs = sum(len(h.responses) * len(h.references) for h in content.frfs)
+        if not all(h.si for h in content.frfs):
+            seen.unitless.setdefault("acceleration", set()).add(file.name)
+            seen.unitless.setdefault("force", set()).add(file.name)
+        return Taken(file, f"{state} frfs", f"{pairs} FRFs; {reason}", sure)
+    return _take_record(file, folder, content, seen)
+
+
+def _take_record(file: Path, folder: Path, content: Any, seen: _Seen) -> Taken:
+    record = max(content.records, key=lambda r: r.data.size)
+    seen.rates.add(record.sampling_hz)
+    for channel in record.channels:
+        if channel.dof is None or channel.quantity == "unknown":
+            seen.unlabelled.setdefault(channel.name or f"channel {len(seen.unlabelled) + 1}", file.name)
+        elif channel.unit == "":
+            seen.unitless.setdefault(channel.quantity, set()).add(file.name)
+    forces, responses = len(record.force_indices), len(record.response_indices)
+    what = f"{forces} force and {responses} response channels, {record.duration_s:.4g} s at {record.sampling_hz:.6g} Hz"
+    if responses == 0:
+        return Taken(file, "operating records", f"{what}: channels are not labelled; a guess", sure=False)
+    if forces == 0:
+        state, reason, _ = _state(file, folder, "operating")
+        if state == "operating":
+            return Taken(file, "operating records", f"{what}; no force: {reason}")
+        return Taken(file, "operating records", f"{what}; no force, though its name says {state}", sure=False)
+    state, reason, sure = _state(file, folder, "idle")
+    if state == "operating":
+        return Taken(file, "check records", f"{what}; in operation and with force: it can judge the model", sure=False)
+    return Taken(file, f"{state} records", f"{what}; {reason}", sure)
+
+
+def _state(file: Path, folder: Path, default: str) -> tuple[str, str, bool]:
+    """State by the words of folder and file names, the innermost first."""
+    parts = [file.stem, *reversed(file.relative_to(folder).parts[:-1])]
+    for part in parts:
+        words = re.findall(r"[a-z]+", part.lower())
+        for state, known in (("check", CHECK_WORDS), ("idle", IDLE_WORDS), ("operating", OPERATING_WORDS)):
+            if any(word in known for word in words):
+                return state, f"named {part!r}", True
+    return default, f"no name says otherwise, taken as {default}", default == "operating"
+
+
+def _notes(taken: Sequence[Taken], seen: _Seen) -> list[str]:
+    notes = [f"unsure: {t.file.name} taken as {t.role}: {t.reason}" for t in taken if not t.sure]
+    for quantity, files in sorted(seen.unitless.items()):
+        notes.append(
+            f"no unit of {quantity} in {len(files)} files: give it in [units]; without it there is no mass scaling and no FRF in SI"
+        )
+    if seen.unlabelled:
+        names = list(seen.unlabelled)
+        shown = ", ".join(names[:6]) + (" …" if len(names) > 6 else "")
+        notes.append(f"{len(names)} channels without DOF or quantity ({shown}): label them in [channels]")
+    if len(seen.rates) > 1:
+        notes.append("records of different sampling rates: " + ", ".join(f"{r:.6g} Hz" for r in sorted(seen.rates)))
+    roles = {t.role.split()[0] for t in taken}
+    for state, loss in (
+        ("idle", "no scaled model, no operational FRFs"),
+        ("operating", "idle modes only"),
+        ("check", "nothing judges the result"),
+    ):
+        if state not in roles:
+            notes.append(f"no {state} measurement: {loss}")
+    if sum(t.role == "geometry" for t in taken) > 1:
+        notes.append("several geometry files: the first one is used")
+    return notes
+
+
+def _text(folder: Path, base: Path, taken: Sequence[Taken], seen: _Seen, notes: Sequence[str]) -> str:
+    quote = json.dumps
+    lines = [f"name = {quote(folder.resolve().name, ensure_ascii=False)}"]
+    titles = {
+        "idle": "at rest, force measured",
+        "operating": "running, force unknown",
+        "check": "running, force measured: judges the model",
+    }
+    for state, title in titles.items():
+        for kind in ("records", "frfs"):
+            files = [t.file for t in taken if t.role == f"{state} {kind}"]
+            if state == "idle" and kind == "frfs" and any(t.role == "idle records" for t in taken):
+                lines += [f"# left out, there are raw records: {p.name}" for p in files]
+            elif files:
+                if f"[{state}]" not in "\n".join(lines):
+                    lines += ["", f"[{state}]  # {title}"]
+                lines.append(f"{kind} = {quote(_patterns(files, folder, base, taken), ensure_ascii=False)}")
+    geometry = [t.file for t in taken if t.role == "geometry"]
+    if geometry:
+        lines += ["", "[geometry]", f"file = {quote(_relative(geometry[0], base), ensure_ascii=False)}"]
+        lines.append('# units = "m"  # of coordinates, where the file does not say')
+    if seen.unitless:
+        lines += ["", "[units]  # where the files do not say: take off the # and write what was used"]
+        lines += [
+            f'# {quantity} = "{"g" if quantity == "acceleration" else "N" if quantity == "force" else "?"}"'
+            for quantity in sorted(seen.unitless)
+        ]
+    if seen.unlabelled:
+        lines += ["", "[channels]  # what the files do not say"]
+        lines += [
+            f'# {quote(name, ensure_ascii=False)} = {{dof = "1+Z", quantity = "acceleration", unit = "g"}}'
+            for name in list(seen.unlabelled)[:64]
+        ]
+    lines += ["", "[analysis]"]
+    top = f"; sampled at {max(seen.rates):.6g} Hz" if seen.rates else ""
+    lines.append(f"# band = [5.0, 200.0]  # Hz; without it the band is chosen from the data{top}")
+    head = ["# " + note for note in notes]
+    return "\n".join([*head, *([""] if head else []), *lines]) + "\n"
+
+
+def _relative(path: Path, base: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
+
+
+def _patterns(files: Sequence[Path], folder: Path, base: Path, taken: Sequence[Taken]) -> list[str]:
+    """Globs where a folder holds files of this state alone, else the files one by one."""
+    out: list[str] = []
+    for place in dict.fromkeys(p.parent for p in files):
+        for suffix in dict.fromkeys(p.suffix for p in files if p.parent == place):
+            mine = [p for p in files if p.parent == place and p.suffix == suffix]
+            others = [p for p in place.iterdir() if p.is_file() and p.suffix == suffix and p not in mine]
+            literal = any(c in place.as_posix() for c in "[]*?")
+            if others or literal or not suffix or place == folder:
+                out += [_relative(p, base) for p in mine]
+            else:
+                out.append(f"{_relative(place, base)}/*{suffix}")
+    return out
+
+
+def write_test(made: Scaffold, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write the test file.
+
+    Raises
+    ------
+    ConfigError
+        If the file exists and ``overwrite`` is not set.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise ConfigError("exists already", where=str(path), hint="choose another name with -o, or --force to write over it")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        beside.write_text(made.text, encoding="utf-8")
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,143 @@
+"""The test file: what is read, what is refused, and how the refusal helps."""
+
+from __future__ import annotations
+
+import pytest
+
+from operando import load_test
+from operando.config import Analysis, Test
+from operando.errors import ConfigError
+
+FULL = """
+name = "pump"
+[idle]
+records = ["idle/*.uff"]
+[operating]
+records = ["operating/run.uff"]
+[check]
+frfs = ["check.uff"]
+[geometry]
+file = "geometry.uff"
+units = "mm"
+[units]
+acceleration = "g"
+force = "lbf"
+[channels]
+"ch1" = {dof = "12+Z", quantity = "acceleration", unit = "g", sensitivity = 1.0}
+"13+Z" = {exclude = true, reason = "cable"}
+[analysis]
+band = [5, 220.0]
+overlap = 0.5
+hits = [0, 2]
+references = ["1Z", "2-X"]
+exclude_bands = [[49.0, 51.0]]
+select_hz = [11.5]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("idle/run10.uff", "idle/run2.uff", "operating/run.uff", "check.uff", "geometry.uff"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    return tmp_path
+
+
+def write(folder, text):
+    path = folder / "test.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_full_file(folder):
+    test = load_test(write(folder, FULL))
+    assert isinstance(test, Test)
+    assert test.name == "pump"
+    assert [p.name for p in test.idle.records] == ["run2.uff", "run10.uff"]  # natural order
+    assert test.check.frfs == (folder / "check.uff",)
+    assert test.geometry_file == folder / "geometry.uff"
+    assert test.geometry_units == "mm"
+    assert len(test.files) == 5
+    settings = test.settings()
+    assert settings["band"] == [5.0, 220.0]
+    assert settings["references"] == ["1+Z", "2-X"]
+    assert settings["threshold"] == 0.7
+    assert settings["scaling"] == "auto"
+    assert settings["max_order"] is None
+    assert settings["channels"]["13+Z"] == {"exclude": True, "reason": "cable"}
+    assert set(Analysis().to_dict()) <= set(settings)
+
+
+def test_folder_and_bom_and_name(folder):
+    path = write(folder, "[operating]\nrecords = ['operating/*.uff']\n")
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    test = load_test(folder)
+    assert test.name == folder.name
+    assert not test.idle
+    assert test.operating
+
+
+def test_every_setting_has_a_check():
+    from operando.config import _CHECKS
+
+    assert set(_CHECKS) == set(Analysis().to_dict())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message", "hint"),
+    [
+        ("overlap = 0.5", "overlapp = 0.5", "nearest known key is 'overlap'", "did you mean 'overlap'"),
+        ("[analysis]", "[anlysis]", "nearest known key is 'analysis'", "analysis"),
+        ('records = ["idle/*.uff"]', 'record = ["idle/*.uff"]', "nearest known key is 'records'", "records"),
+        ("exclude = true", "exlude = true", "nearest known key is 'exclude'", "exclude"),
+        ('acceleration = "g"', 'accelaration = "g"', "nearest known key is 'acceleration'", "acceleration"),
+        ('acceleration = "g"', 'acceleration = "furlong"', "unknown unit", "known"),
+        ('force = "lbf"', 'force = "mm"', "unit of displacement", "example"),
+        ("band = [5, 220.0]", "band = [220, 5]", "low < high", None),
+        ("overlap = 0.5", "overlap = 1", "below 1", None),
+        ("overlap = 0.5", "threshold = 1.2", "MAC", None),
+        ("overlap = 0.5", "threshold = true", "MAC", None),
+        ("overlap = 0.5", 'scaling = "eq133"', "expected one of", "eq13"),
+        ("overlap = 0.5", "max_order = 20.5", "whole number", None),
+        ("overlap = 0.5", "block_seconds = -1", "positive", None),
+        ("overlap = 0.5", "block_seconds = inf", "positive", None),
+        ("hits = [0, 2]", 'hits = "some"', "indices", None),
+        ('dof = "12+Z"', 'dof = "12+Q"', "no DOF label", "12+Z"),
+        ("sensitivity = 1.0", "sensitivity = 0", "other than 0", None),
+        ('["idle/*.uff"]', '["idel/*.uff"]', "matches no file", "relative to"),
+        ('file = "geometry.uff"', 'file = "geo.uff"', "matches no file", "relative to"),
+        ('frfs = ["check.uff"]', 'frfs = "nothing.uff"', "matches no file", "relative to"),
+        ('records = ["operating/run.uff"]', 'frfs = ["check.uff"]', "force is unknown", "check"),
+        ('name = "pump"', "name = 3", "expected a text", None),
+        ('name = "pump"', 'name = "C:\\pump"', "not valid TOML", "single quotes"),
+        ('records = ["idle/*.uff"]', 'records = ["idle/*.uff"]\nfrfs = ["check.uff"]', "both", "keep one"),
+    ],
+)
+def test_wrong_files_are_refused_with_help(folder, old, new, message, hint):
+    assert old in FULL
+    path = write(folder, FULL.replace(old, new, 1))
+    with pytest.raises(ConfigError) as caught:
+        load_test(path)
+    error = caught.value.to_dict()
+    assert message in error["error"]
+    assert str(path) in error["where"]
+    if hint is not None:
+        assert hint in error["hint"]
+
+
+def test_missing_file_and_no_measurement(folder):
+    with pytest.raises(ConfigError, match="no such test file"):
+        load_test(folder / "none.toml")
+    with pytest.raises(ConfigError, match="names no measurement"):
+        load_test(write(folder, 'name = "x"'))
+    (folder / "test.toml").write_bytes(b"name = '\xff'")
+    with pytest.raises(ConfigError, match="UTF-8"):
+        load_test(folder)
+
+
+def test_settings_can_be_changed_and_are_checked(folder):
+    test = load_test(write(folder, FULL))
+    assert test.with_analysis(second_opinion=True, band=(1, 2)).analysis.band == (1.0, 2.0)
+    assert test.analysis.second_opinion is False
+    with pytest.raises(ConfigError, match="nearest known key is 'threshold'"):
+        test.with_analysis(treshold=0.5)
