@@ -21,7 +21,18 @@ QUANTITIES = ("receptance", "mobility", "accelerance")
 
 @dataclass(frozen=True)
 class FrequencyAxis:
-    """Frequency lines [Hz], increasing, even or not."""
+    """Frequency lines, even or not.
+
+    Parameters
+    ----------
+    values : (n_lines,) array
+        Frequencies [Hz], increasing.
+
+    Raises
+    ------
+    DataError
+        If the values are not finite, negative, or not increasing.
+    """
 
     values: NDArray[np.float64]
 
@@ -79,6 +90,12 @@ class Frf:
     exponential_window_rate : float
         Decay rate β [1/s] of an exponential window e^{−βt} used in the estimate; it adds β/ω to the damping
         ratio of each pole and is taken off after identification.
+    name : str
+        What was measured, as the file says.
+    findings : tuple of Finding
+        What is wrong with it.
+    provenance : Provenance, optional
+        Where it came from.
     """
 
     data: NDArray[np.complexfloating[Any, Any]]

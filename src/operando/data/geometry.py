@@ -26,6 +26,12 @@ class Geometry:
         Polylines through node numbers.
     faces : tuple of tuple of int
         Triangles and quadrilaterals of node numbers.
+    name : str
+        What it is, as the file says.
+    unit_known : bool
+        Whether the unit of the coordinates was stated; else they are taken as metres.
+    provenance : Provenance, optional
+        Where it came from.
     """
 
     nodes: tuple[int, ...]

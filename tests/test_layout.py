@@ -1,0 +1,153 @@
+"""The rules of the house: light imports, one direction of data flow, documented public functions, files of one topic."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import operando
+
+SOURCE = Path(operando.__file__).resolve().parent
+HEAVY = ("matplotlib", "pandas", "sdypy", "pyoma2", "pyuff", "h5py", "sklearn", "plotly", "dash", "rich", "pydantic")
+
+# Each room with its level; a room imports only from levels above (smaller numbers) and from itself.
+LEVELS = {
+    "errors": 0,
+    "dof": 1, "units": 1, "synthesis": 1,
+    "jsonable": 2,
+    "data": 3,
+    "results": 4, "indicators": 4,
+    "io": 5, "quality": 5,
+    "frf": 6,
+    "stabilization": 7,
+    "ema": 8, "oma": 8,
+    "scaling": 9,
+    "compare": 10,
+    "effects": 11, "diagnose": 12,
+    "store": 13,
+    "report": 14,
+    "config": 15, "scaffold": 15,
+    "pipeline": 16,
+    "cli": 17,
+}  # fmt: skip
+NUMERIC = (
+    "dof",
+    "units",
+    "errors",
+    "data",
+    "indicators",
+    "synthesis",
+    "quality",
+    "frf",
+    "stabilization",
+    "ema",
+    "oma",
+    "scaling",
+    "compare",
+)
+
+
+def rooms() -> list[str]:
+    names = {p.stem for p in SOURCE.glob("*.py")} | {p.parent.name for p in SOURCE.glob("*/__init__.py")}
+    return sorted(names - {"__init__", "__main__"})
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter holds after running the code."""
+    script = f"{code}\nimport sys, json\nprint('\\n' + json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def imported_rooms(path: Path) -> set[str]:
+    """Rooms of operando that a file imports anywhere, also inside functions."""
+    package = ("operando", *path.relative_to(SOURCE).parent.parts)
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(part for part in (base, node.module or "") if part)
+            names = [f"{module}.{alias.name}" for alias in node.names] if module == "operando" else [module]
+        else:
+            continue
+        found |= {name.split(".")[1] for name in names if name.startswith("operando.")}
+    return found
+
+
+def test_every_room_has_its_level():
+    assert set(rooms()) <= set(LEVELS), "a new room needs its place in the order of the house"
+
+
+@pytest.mark.parametrize("room", rooms())
+def test_rooms_import_only_rooms_above(room):
+    files = [SOURCE / f"{room}.py"] if (SOURCE / f"{room}.py").exists() else sorted((SOURCE / room).rglob("*.py"))
+    below = {
+        f"{path.relative_to(SOURCE)} imports {other}"
+        for path in files
+        for other in imported_rooms(path) & set(LEVELS)
+        if other != room and LEVELS[other] >= LEVELS[room]
+    }
+    assert not below
+
+
+def test_importing_operando_and_its_numeric_rooms_is_light():
+    code = "import operando\n" + "\n".join(f"import operando.{room}" for room in (*NUMERIC, "io", "config"))
+    assert not loaded_by(code) & set(HEAVY)
+
+
+def test_importing_operando_alone_loads_no_scipy():
+    assert "scipy" not in loaded_by("import operando")
+
+
+def test_help_loads_no_numerics():
+    code = "import sys\nsys.argv = ['operando', '--help']\nfrom operando.cli import main\ntry:\n    main()\nexcept SystemExit:\n    pass"
+    assert not loaded_by(code) & {"numpy", "scipy", *HEAVY}
+
+
+def test_numeric_rooms_never_print_or_plot():
+    """Numerics are functions of arrays: no print, no warning filter set for everybody, no NumPy error state for the process."""
+    found = []
+    for room in NUMERIC:
+        for path in [SOURCE / f"{room}.py"] if (SOURCE / f"{room}.py").exists() else sorted((SOURCE / room).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call):
+                    name = ast.unparse(node.func)
+                    if name in {"print", "np.seterr", "numpy.seterr", "warnings.simplefilter", "logging.basicConfig"}:
+                        inside = "catch_warnings" in path.read_text(encoding="utf-8") and name == "warnings.simplefilter"
+                        if not inside:
+                            found.append(f"{path.relative_to(SOURCE)}:{node.lineno} {name}")
+    assert not found
+
+
+@pytest.mark.parametrize("name", [n for n in operando.__all__ if n != "__version__"])
+def test_public_names_exist_and_document_every_parameter(name):
+    thing = getattr(operando, name)
+    text = inspect.getdoc(thing) or ""
+    assert len(text) > 40, f"operando.{name} needs a docstring"
+    try:
+        parameters = [p for p in inspect.signature(thing).parameters if p not in {"self", "args", "kwargs"}]
+    except ValueError:  # built-in exceptions have none
+        return
+    if issubclass(thing, Exception) if inspect.isclass(thing) else False:
+        return
+    missing = [p for p in parameters if not re.search(rf"(?<![A-Za-z0-9_]){re.escape(p)}(?![A-Za-z0-9_])", text)]
+    assert not missing, f"operando.{name} does not document {missing}"
+
+
+def test_files_keep_to_one_topic():
+    long = {str(p.relative_to(SOURCE)): n for p in SOURCE.rglob("*.py") if (n := len(p.read_text(encoding="utf-8").splitlines())) > 500}
+    assert not long
+
+
+def test_every_module_says_what_it_is():
+    silent = [str(p.relative_to(SOURCE)) for p in SOURCE.rglob("*.py") if not ast.get_docstring(ast.parse(p.read_text(encoding="utf-8")))]
+    assert not silent
