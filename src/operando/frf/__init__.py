@@ -1,5 +1,28 @@
 """FRF estimation: H1, H2, Hv, several references, hammer hits, local rational models, checks."""
 
+from operando.frf.checks import check_drive_points, check_frf, reciprocity_error
 from operando.frf.estimate import estimate_frf
+from operando.frf.hits import Hits, find_hits, is_impact
+from operando.frf.leakage import Peak, resonance_peaks
+from operando.frf.rational import LocalRational, local_rational
+from operando.frf.runs import RunEstimate, merge_runs
+from operando.frf.spectra import CrossSpectra, cross_spectra, effective_averages
 
-__all__ = ["estimate_frf"]
+__all__ = [
+    "CrossSpectra",
+    "Hits",
+    "LocalRational",
+    "Peak",
+    "RunEstimate",
+    "check_drive_points",
+    "check_frf",
+    "cross_spectra",
+    "effective_averages",
+    "estimate_frf",
+    "find_hits",
+    "is_impact",
+    "local_rational",
+    "merge_runs",
+    "reciprocity_error",
+    "resonance_peaks",
+]

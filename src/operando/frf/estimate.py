@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from operando.data import Channel, Finding, Frf, TimeRecord
-from operando.dof import Dof, parse_dofs
+from operando.data import Finding, Frf, TimeRecord
+from operando.dof import parse_dofs
 from operando.errors import DataError
-from operando.frf.estimators import estimate, inverse_force_matrix
+from operando.frf.estimators import ESTIMATORS, estimate, inverse_force_matrix
+from operando.frf.hits import is_impact
+from operando.frf.impact import ImpactBlocks, impact_blocks, impact_spectra, overlap_finding
+from operando.frf.inputs import RunInput, run_input
+from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.runs import RunEstimate, merge_runs
-from operando.frf.spectra import cross_spectra
+from operando.frf.spectra import CrossSpectra, cross_spectra
+from operando.frf.wholerecord import choose_lines, rational_run, usable
 
-MOTION = ("displacement", "velocity", "acceleration")
-QUANTITY = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+FEW_AVERAGES = 4.0
 
 
 def estimate_frf(
@@ -25,100 +31,286 @@ def estimate_frf(
     block_seconds: float | None = None,
     overlap: float | None = None,
     window: str | None = None,
+    hits: str = "auto",
     band: tuple[float, float] | None = None,
+    line_spacing_hz: float | None = None,
+    max_lines: int = 4000,
+    window_lines: int = 17,
+    exponential_end: float = 0.01,
 ) -> Frf:
-    """Estimate FRFs from force and response records."""
-    runs = [records] if isinstance(records, TimeRecord) else list(records)
-    if not runs:
-        raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
-    wanted = None if references is None else parse_dofs(references)
-    block_s = block_seconds if block_seconds is not None else min(r.duration_s for r in runs) / 8
-    estimates = [_welch_run(r, estimator or "h1", block_s, 0.5 if overlap is None else overlap, window or "hann", band) for r in runs]
-    return merge_runs(estimates, wanted)
+    """Estimate the FRF matrix from runs with measured forces.
 
+    Each run has one or several force channels; runs of different references become columns of one matrix, runs of the same reference are
+    averaged after a homogeneity test (see :func:`operando.frf.merge_runs`).
 
-def _welch_run(
-    record: TimeRecord, estimator: str, block_s: float, overlap: float, window: str, band: tuple[float, float] | None
-) -> RunEstimate:
-    forces, responses, quantity, findings = rows_of(record)
-    block = max(8, round(block_s * record.sampling_hz))
-    lines = None
-    if band is not None:
-        step = record.sampling_hz / block
-        lines = slice(max(0, int(np.ceil(band[0] / step - 1e-9))), min(block // 2, int(np.floor(band[1] / step + 1e-9))) + 1)
-    spectra = cross_spectra(record.data, forces, responses, record.sampling_hz, block, overlap=overlap, window=window, lines=lines)
-    h, variance, coherence, _ = estimate(spectra, estimator)
-    inverse, _ = inverse_force_matrix(spectra.force)
-    gain = spectra.averages / np.maximum(np.real(np.einsum("jjl->jl", inverse)), 1e-300)
-    level = float(np.sqrt(np.mean([np.mean(np.square(record.data[i], dtype=float)) for i in forces])))
-    return RunEstimate(
-        spectra.frequencies_hz,
-        h,
-        variance,
-        np.broadcast_to(coherence[:, None, :], h.shape),
-        gain,
-        spectra.averages,
-        _dofs(record, responses),
-        _dofs(record, forces),
-        quantity,
-        level,
-        estimator,
-        si=all(record.channels[i].unit for i in (*forces, *responses)),
-        name=record.name,
-        findings=tuple(findings),
-        provenance=record.provenance.then(
-            f"estimate_frf(estimator={estimator!r}, block_seconds={block / record.sampling_hz:g}, overlap={overlap:g}, window={window!r})"
-        ),
-    )
+    Parameters
+    ----------
+    records : TimeRecord or sequence of TimeRecord
+        Data may be single precision and memory-mapped; they are read block by block.
+    references : DOF labels, optional
+        Columns wanted. Default: all that were excited.
+    estimator : {None, "auto", "h1", "h2", "hv", "lrm"}
+        ``lrm`` is the leakage-free local rational estimate on whole records. None or ``auto``: H1 where blocks are long enough
+        for the damping (hammer: where each response decays before the next hit), else ``lrm``; the finding ``estimator`` gives
+        the reason.
+    block_seconds : float, optional
+        Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough; hammer:
+        the shortest time between two hits.
+    overlap : float, optional
+        Overlap of blocks, default 0.5 with a Hann window, 0 with a rectangular one.
+    window : {"hann", "rectangular"}, or for hammer hits {"rectangular", "force", "exponential", "force_exponential"}
+        Default: Hann; hammer: rectangular. An exponential window adds damping: ``Frf.exponential_window_rate`` says how much.
+    hits : {"auto", "all", "off"}
+        Hammer records: use consistent single hits, all hits, or treat the record as continuous.
+    band : (low, high), optional
+        Lines wanted [Hz]. Default: all (``lrm``: up to 0.78 of the Nyquist frequency).
+    line_spacing_hz, max_lines, window_lines : optional
+        Lines of ``lrm``: spacing (default: at most ``max_lines`` lines, but five in the half-power bandwidth of the sharpest
+        peak, as far as the record resolves them and three times ``max_lines`` allow), DFT lines that a local model is fitted to.
+        Lines closer than a window share data: their errors are correlated.
+    exponential_end : float
+        Value of an exponential window at the end of the block.
 
-
-def _dofs(record: TimeRecord, rows: Sequence[int]) -> tuple[Dof, ...]:
-    return tuple(d for i in rows if (d := record.channels[i].dof) is not None)
-
-
-def rows_of(record: TimeRecord) -> tuple[list[int], list[int], str, list[Finding]]:
-    """Rows of forces and responses with a DOF (each DOF once), FRF quantity, and findings about what is left out.
+    Returns
+    -------
+    Frf
+        With variance and coherence of each line; ``averages`` is the effective number (``lrm``: residual degrees of freedom).
 
     Raises
     ------
     DataError
-        If there is no force or no response with a DOF, or the responses are of several quantities.
+        If a record has no force or response, a reference was not excited, or an option does not fit.
     """
-    findings: list[Finding] = []
+    runs = [run_input(r) for r in ([records] if isinstance(records, TimeRecord) else list(records))]
+    if not runs:
+        raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
+    wanted = None if references is None else parse_dofs(references)
+    if estimator not in (None, "auto", "lrm", *ESTIMATORS):
+        raise DataError(f"estimator {estimator!r} is none of auto, lrm, {', '.join(ESTIMATORS)}")
+    if hits not in ("auto", "all", "off"):
+        raise DataError(f"hits {hits!r} is none of auto, all, off")
+    if band is not None and not 0 <= band[0] < band[1]:
+        raise DataError(f"band {band} Hz is empty")
+    quantities = {r.quantity for r in runs}
+    if len(quantities) > 1:
+        raise DataError(f"the runs measure different quantities: {', '.join(sorted(quantities))}", hint="estimate them apart")
+    automatic = estimator in (None, "auto")
+    with threadpool_limits(1, "blas"):
+        impacts: list[ImpactBlocks | None] = [None] * len(runs)
+        if estimator != "lrm" and hits != "off":
+            impacts = _cut_hits(runs, block_seconds, band, hits == "auto")
+        averaged: list[RunEstimate] | None = None
+        reason, peak = "asked for", None
+        if estimator != "lrm":
+            kind = "h1" if estimator in (None, "auto") else str(estimator)
+            length = _block_seconds(runs, impacts, block_seconds)
+            averaged = [
+                _averaged_run(r, b, kind, length, overlap, window, band, exponential_end) for r, b in zip(runs, impacts, strict=True)
+            ]
+            if automatic:
+                reason, peak = _leakage_reason(averaged, impacts)
+                if reason and not all(usable(r) for r in runs):
+                    reason = ""
+                if not reason and block_seconds is None and peak is not None and not any(impacts):
+                    averaged = _shorter_blocks(runs, averaged, impacts, peak, length, (kind, overlap, window, band, exponential_end))
+        if estimator == "lrm" or (automatic and reason):
+            lines, peak = choose_lines(runs, band, line_spacing_hz, max_lines, window_lines)
+            estimates = [rational_run(r, lines, window_lines) for r in runs]
+            estimates = [
+                replace(e, findings=(*e.findings, *_hit_findings(r, b, True))) for e, r, b in zip(estimates, runs, impacts, strict=True)
+            ]
+            extra = [_estimator_finding(reason, peak, lines)]
+        else:
+            assert averaged is not None
+            estimates = [
+                replace(e, findings=(*e.findings, *_hit_findings(r, b, False))) for e, r, b in zip(averaged, runs, impacts, strict=True)
+            ]
+            extra = []
+        return merge_runs(estimates, wanted).with_findings(extra)
 
-    def unique(rows: list[int], what: str) -> list[int]:
-        seen: dict[tuple[int, str], int] = {}
-        out = []
-        for i in rows:
-            dof = record.channels[i].dof
-            if dof is None:
-                message = f"{what} channel {record.channels[i].name or i} has no DOF and is not used"
-                findings.append(Finding("missing_dof", message, file=record.name or None, action="give its DOF in [channels]"))
-            elif (dof.node, dof.axis) in seen:
-                message = f"{what} channel {record.channels[i].name or i} repeats DOF {dof}; the first one is used"
-                findings.append(
-                    Finding("duplicate_dof", message, file=record.name or None, dof=str(dof), action="exclude one in [channels]")
-                )
-            else:
-                seen[(dof.node, dof.axis)] = i
-                out.append(i)
-        return out
 
-    forces = unique([i for i, c in enumerate(record.channels) if c.is_force], "force")
-    motion: list[tuple[int, Channel]] = [(i, c) for i, c in enumerate(record.channels) if c.quantity in MOTION]
-    if not forces:
-        raise DataError(
-            "no force channel with a DOF", where=record.name or None, hint='label the force channel in [channels]: quantity = "force", dof'
+def _cut_hits(
+    runs: Sequence[RunInput], block_seconds: float | None, band: tuple[float, float] | None, select: bool
+) -> list[ImpactBlocks | None]:
+    """Blocks at hits of each hammer run, all of the length of the shortest."""
+
+    def cut(run: RunInput, seconds: float | None) -> ImpactBlocks:
+        return impact_blocks(run.record, run.forces[0], run.finite(run.responses), block_seconds=seconds, band=band, select=select)
+
+    hammer = [len(r.forces) == 1 and len(r.finite(r.forces)) == 1 and is_impact(r.record.data[r.forces[0]]) for r in runs]
+    blocks = [cut(r, block_seconds) if h else None for r, h in zip(runs, hammer, strict=True)]
+    lengths = {b.block / r.record.sampling_hz for b, r in zip(blocks, runs, strict=True) if b is not None}
+    if len(lengths) > 1:
+        shortest = min(lengths)
+        blocks = [
+            b if b is None or b.block / r.record.sampling_hz == shortest else cut(r, shortest) for b, r in zip(blocks, runs, strict=True)
+        ]
+    return blocks
+
+
+def _block_seconds(runs: Sequence[RunInput], impacts: Sequence[ImpactBlocks | None], given: float | None) -> float:
+    """Block length common to all runs [s]."""
+    cut = [b.block / r.record.sampling_hz for b, r in zip(impacts, runs, strict=True) if b is not None]
+    if cut:
+        return min(cut)
+    return given if given is not None else min(r.record.duration_s for r in runs) / 8
+
+
+def _lines(band: tuple[float, float] | None, sampling_hz: float, block: int) -> slice | None:
+    if band is None:
+        return None
+    step = sampling_hz / block
+    first, last = int(np.ceil(band[0] / step - 1e-9)), min(block // 2, int(np.floor(band[1] / step + 1e-9)))
+    if last < first:
+        raise DataError(f"band {band} Hz holds no line of blocks of {block / sampling_hz:g} s", hint="give a longer block_seconds")
+    return slice(first, last + 1)
+
+
+def _averaged_run(
+    run: RunInput,
+    blocks: ImpactBlocks | None,
+    estimator: str,
+    block_s: float,
+    overlap: float | None,
+    window: str | None,
+    band: tuple[float, float] | None,
+    end: float,
+) -> RunEstimate:
+    """H1, H2 or Hv of one run, averaged over blocks or hits."""
+    record = run.record
+    block = blocks.block if blocks is not None else max(8, round(block_s * record.sampling_hz))
+    lines = _lines(band, record.sampling_hz, block)
+    rate = 0.0
+    if blocks is not None:
+        window = window or "rectangular"
+        responses = run.finite(run.responses)
+        spectra, rate = impact_spectra(record, run.forces[0], responses, blocks, window=window, end=end, lines=lines, bad=run.bad)
+        run = replace(run, responses=tuple(responses))
+        how = f"hits={spectra.blocks}, block_seconds={block / record.sampling_hz:g}, window={window!r}"
+    else:
+        window = window or "hann"
+        share = overlap if overlap is not None else (0.5 if window == "hann" else 0.0)
+        spectra = cross_spectra(
+            record.data, run.forces, run.responses, record.sampling_hz, block, overlap=share, window=window, lines=lines, bad=run.bad
         )
-    if not motion:
-        raise DataError("no response channel", where=record.name or None, hint="label the responses in [channels]: quantity, dof")
-    kinds = [c.quantity for _, c in motion]
-    main = max(set(kinds), key=kinds.count)
-    for i, c in motion:
-        if c.quantity != main:
-            message = f"channel {c.label} measures {c.quantity}, most others {main}; it is left out of the FRFs"
-            findings.append(Finding("mixed_quantity", message, file=record.name or None, dof=c.label, action="estimate it apart"))
-    responses = unique([i for i, c in motion if c.quantity == main], "response")
-    if not responses:
-        raise DataError("no response channel has a DOF", where=record.name or None, hint="label the responses in [channels]")
-    return forces, responses, QUANTITY[main], findings
+        how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
+    h, variance, coherence, condition = estimate(spectra, estimator)
+    inverse, _ = inverse_force_matrix(spectra.force)
+    with np.errstate(divide="ignore"):
+        gain = spectra.averages / np.real(np.einsum("jjl->jl", inverse))
+    findings = (*run.findings, *_average_findings(run, spectra, condition))
+    return RunEstimate(
+        spectra.frequencies_hz,
+        h,
+        variance,
+        np.array(np.broadcast_to(coherence[:, None, :], h.shape)),
+        np.nan_to_num(gain, nan=0.0, posinf=0.0),
+        spectra.averages,
+        run.response_dofs,
+        run.references,
+        run.quantity,
+        run.level,
+        estimator,
+        si=run.si,
+        name=record.name,
+        exponential_window_rate=rate,
+        findings=findings,
+        provenance=record.provenance.then(f"estimate_frf(estimator={estimator!r}, {how}, averages={spectra.averages:.3g})"),
+    )
+
+
+def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarray) -> list[Finding]:
+    """Findings about the number of averages, blocks left out and correlated forces."""
+    out = []
+    dof = ", ".join(str(d) for d in run.references)
+    n_f = len(run.forces)
+    if spectra.averages < FEW_AVERAGES * n_f:
+        enough = spectra.averages > n_f
+        out.append(
+            Finding(
+                "few_averages",
+                f"{spectra.averages:.3g} effective averages for {n_f} force(s)",
+                "warning",
+                file=run.name,
+                dof=dof,
+                consequence="coherence and variance are uncertain" if enough else "coherence says nothing and there is no variance",
+                action="measure longer, use shorter blocks or more hits",
+            )
+        )
+    if spectra.skipped:
+        message = f"{spectra.skipped} of {spectra.skipped + spectra.blocks} blocks hold bad samples and are left out"
+        out.append(Finding("blocks_left_out", message, "info", file=run.name, consequence="fewer averages"))
+    if n_f > 1 and np.median(condition) > 1e3:
+        out.append(
+            Finding(
+                "ill_conditioned",
+                f"the forces at {dof} are nearly coherent (median condition number {np.median(condition):.3g})",
+                "warning",
+                file=run.name,
+                consequence="the columns cannot be told apart",
+                action="drive the shakers with independent signals",
+            )
+        )
+    return out
+
+
+def _hit_findings(run: RunInput, blocks: ImpactBlocks | None, whole_record: bool) -> list[Finding]:
+    """Findings of a hammer run: hits that are not used, and overlap. The whole record uses every hit."""
+    if blocks is None:
+        return []
+    dof = str(run.references[0])
+    out = [] if whole_record else blocks.hits.findings(run.name, dof)
+    if blocks.overlapping:
+        out.append(overlap_finding(blocks, run.name, dof, whole_record))
+    return out
+
+
+def _leakage_reason(averaged: Sequence[RunEstimate], impacts: Sequence[ImpactBlocks | None]) -> tuple[str, Peak | None]:
+    """Why averaging over blocks would leak, empty where it would not; and the sharpest peak."""
+    for blocks in impacts:
+        if blocks is not None and blocks.overlapping:
+            return f"hits overlap: {100 * blocks.remaining:.2g} % of the amplitude is left at {blocks.remaining_hz:.4g} Hz", None
+    peaks = []
+    for estimate_, blocks in zip(averaged, impacts, strict=True):
+        if blocks is None:
+            peak = sharpest(resonance_peaks(estimate_.frequencies_hz, estimate_.data, estimate_.variance))
+            if peak is not None:
+                peaks.append((peak, float(np.median(np.diff(estimate_.frequencies_hz)))))
+    if not peaks:
+        return "", None
+    peak, step = min(peaks, key=lambda item: item[0].bandwidth_hz / item[1])
+    lines = peak.bandwidth_hz / step
+    if lines < LINES_NEEDED:
+        text = (
+            f"the peak at {peak.frequency_hz:.4g} Hz is {lines:.2g} lines wide in blocks of {1 / step:.3g} s, {LINES_NEEDED:g} are needed"
+        )
+        return text, peak
+    return "", peak
+
+
+def _shorter_blocks(
+    runs: Sequence[RunInput],
+    averaged: list[RunEstimate],
+    impacts: Sequence[ImpactBlocks | None],
+    peak: Peak,
+    length: float,
+    options: tuple[str, float | None, str | None, tuple[float, float] | None, float],
+) -> list[RunEstimate]:
+    """The estimate with blocks just long enough for the sharpest peak (twice the lines needed): more averages, fewer lines."""
+    shorter = 2 * LINES_NEEDED / peak.bandwidth_hz
+    if shorter > 0.6 * length:
+        return averaged
+    kind, overlap, window, band, end = options
+    return [_averaged_run(r, b, kind, shorter, overlap, window, band, end) for r, b in zip(runs, impacts, strict=True)]
+
+
+def _estimator_finding(reason: str, peak: Peak | None, lines: np.ndarray) -> Finding:
+    step = float(lines[1] - lines[0]) if lines.size > 1 else 0.0
+    width = f"; sharpest peak {peak.frequency_hz:.4g} Hz, {peak.bandwidth_hz:.3g} Hz wide" if peak is not None else ""
+    return Finding(
+        "estimator",
+        f"local rational estimate on whole records: {reason}{width}",
+        "info",
+        band_hz=(float(lines[0]), float(lines[-1])),
+        consequence=f"no leakage; {lines.size} lines {step:.4g} Hz apart, neighbouring lines share data",
+    )

@@ -32,7 +32,7 @@ def inverse_force_matrix(force: Array) -> tuple[Array, Array]:
     auto = np.sqrt(np.maximum(np.real(np.einsum("lii->li", g)), 0))
     safe = np.where(auto > 0, auto, np.nan)
     scaled = g / safe[:, :, None] / safe[:, None, :]
-    ok = np.isfinite(scaled).all(axis=(1, 2))
+    ok: Array = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
     eye = np.eye(g.shape[1])
     scaled = np.where(ok[:, None, None], scaled, eye)
     values, vectors = np.linalg.eigh(scaled)

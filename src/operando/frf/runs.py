@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, FrequencyAxis, Provenance
+from operando.data import Finding, FrequencyAxis, Frf, Provenance
 from operando.dof import Dof
 from operando.errors import DataError
 
@@ -199,7 +199,7 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
     shape = (len(responses), len(columns), axis.size)
     data, variance, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
     for j in range(len(columns)):
-        for part in sorted(parts, key=lambda r: float(np.nansum(r.gain[j]))):  # noqa: B023
+        for part in sorted(parts, key=lambda r: float(np.nansum(r.gain[j]))):
             there = ~np.isnan(part.data[:, j].real).all(axis=1)
             data[there, j], variance[there, j], coherence[there, j] = part.data[there, j], part.variance[there, j], part.coherence[there, j]
     absent = [f"{d}/{c}" for i, d in enumerate(responses) for j, c in enumerate(columns) if np.isnan(data[i, j].real).all()]
@@ -256,7 +256,8 @@ def _lowest_level(group: list[RunEstimate], findings: list[Finding]) -> RunEstim
         findings.append(
             Finding(
                 "nonlinear",
-                f"runs at reference {name} differ by {100 * relative:.2g} % of |H| ({ratio:.3g} times the variance expected from noise), {cause}",
+                f"runs at reference {name} differ by {100 * relative:.2g} % of |H| "
+                f"({ratio:.3g} times the variance expected from noise), {cause}",
                 "warning",
                 file=run.name or None,
                 dof=str(out.references[0]),

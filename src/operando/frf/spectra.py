@@ -116,6 +116,9 @@ def cross_spectra(
     window: str = "hann",
     lines: slice | None = None,
     bad: Sequence[tuple[int, int]] = (),
+    starts: ArrayLike | None = None,
+    windows: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    offsets: NDArray[np.float64] | None = None,
     group: int = 8,
 ) -> CrossSpectra:
     """Welch estimate of Gff, Gxf and the diagonal of Gxx (Welch 1967; Bendat & Piersol, Random Data).
@@ -137,6 +140,12 @@ def cross_spectra(
         Lines of the block spectrum to keep.
     bad : sequence of (first, last)
         Sample spans that no block may touch.
+    starts : array of int, optional
+        First sample of each block (hammer hits) instead of even overlap.
+    windows : (force window, response window), optional
+        Arrays of ``block`` samples instead of ``window``.
+    offsets : (n_channels,) array, optional
+        Taken off each row instead of the mean of each block (a hit has a mean of its own).
     group : int
         Response rows transformed at once (bounds the working memory).
 
@@ -145,8 +154,8 @@ def cross_spectra(
     DataError
         If no block is usable.
     """
-    starts = block_starts(data.shape[1], block, overlap)
-    w = window_samples(window, block)
+    first = block_starts(data.shape[1], block, overlap) if starts is None else np.asarray(starts, int)
+    w_force, w = windows if windows is not None else (window_samples(window, block),) * 2
     keep = slice(None) if lines is None else lines
     frequencies = fft.rfftfreq(block, 1 / sampling_hz)[keep]
     n_f, n_x, n_l = len(force_rows), len(response_rows), frequencies.size
@@ -157,32 +166,25 @@ def cross_spectra(
     forces, responses = list(force_rows), list(response_rows)
     groups = [slice(i, min(i + group, n_x)) for i in range(0, n_x, group)]
 
-    def transform(rows: list[int], start: int) -> NDArray[np.complex128]:
+    def transform(rows: list[int], start: int, w: NDArray[np.float64]) -> NDArray[np.complex128]:
         x = np.empty((len(rows), block))
         for i, row in enumerate(rows):
             x[i] = data[row, start : start + block]
-        x -= x.mean(axis=1, keepdims=True)
+        x -= x.mean(axis=1, keepdims=True) if offsets is None else offsets[rows, None]
         x *= w
         return np.asarray(fft.rfft(x, axis=1, overwrite_x=True)[:, keep])
 
     used = []
-    for start in starts:
-        if any(start <= last and start + block > first for first, last in bad):
-            continue
-        f = transform(forces, start)
-        finite = bool(np.isfinite(f).all())
-        parts = []
-        if finite and bad_values(data, responses, start, block):
-            finite = False
-        if not finite:
+    for start in first:
+        if any(start <= last and start + block > begin for begin, last in bad) or bad_values(data, (*forces, *responses), start, block):
             continue
         used.append(start)
+        f = transform(forces, start, w_force)
         fc = f.conj()
         for i in range(n_f):
             gff[i] += f[i] * fc
         for g in groups:
-            x = transform(responses[g], start)
-            parts.append(g)
+            x = transform(responses[g], start, w)
             gxx[g] += x.real**2 + x.imag**2
             tmp = scratch[: g.stop - g.start]
             for j in range(n_f):
@@ -191,11 +193,11 @@ def cross_spectra(
     if not used:
         raise DataError("no block of the record is free of bad samples", hint="exclude the bad channel, or give a smaller block_seconds")
     scale = 2 / (sampling_hz * float(w @ w) * len(used))
-    return CrossSpectra(
-        frequencies, gff * scale, gxf * scale, gxx * scale, len(used), effective_averages(w, used), int(starts.size - len(used))
-    )
+    gff *= scale
+    gxf *= scale
+    return CrossSpectra(frequencies, gff, gxf, gxx * scale, len(used), effective_averages(w, used), int(first.size - len(used)))
 
 
 def bad_values(data: NDArray[np.floating[Any]], rows: Sequence[int], start: int, block: int) -> bool:
     """Whether any of the rows holds a value that is not finite within the block."""
-    return any(not np.isfinite(np.sum(data[row, start : start + block], dtype=float)) for row in rows)
+    return any(not np.isfinite(data[row, start : start + block].sum()) for row in rows)

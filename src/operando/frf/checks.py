@@ -1,0 +1,187 @@
+"""Checks of an FRF matrix: sign and phase of drive points, reciprocity, coherence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import QUANTITIES, Finding, Frf
+
+Array = NDArray[Any]
+
+SIGN_SHARE = 0.8
+NOT_RECIPROCAL = 0.05
+LOW_COHERENCE = 0.8
+
+
+def _significant(frf: Frf, i: int, j: int, ratio: float = 10.0) -> NDArray[np.bool_]:
+    """Lines of a pair that are finite and whose power exceeds ``ratio`` times the variance."""
+    h = frf.data[i, j]
+    good = np.isfinite(h) & (np.abs(h) > 0)
+    if frf.variance is not None:
+        variance = frf.variance[i, j]
+        good &= ~(np.abs(h) ** 2 < ratio * np.where(np.isfinite(variance), variance, 0))
+    return np.asarray(good)
+
+
+def power_share(frf: Frf, response: int, reference: int) -> float:
+    """Share of a drive point's dissipated power that has the right sign, from 0 (all wrong) to 1 (all right); NaN without lines.
+
+    The real part of a drive-point mobility is the power that a unit force puts in: never negative for a passive structure
+    (accelerance: Im > 0, receptance: Im < 0). Weighted by |Re Y|, so that resonances count and noise at other lines does not.
+    """
+    f = frf.frequencies_hz
+    good = _significant(frf, response, reference) & (f > 0)
+    if not good.any():
+        return float("nan")
+    sign = frf.responses[response].sign * frf.references[reference].sign
+    power = 1 - QUANTITIES.index(frf.quantity)
+    mobility = sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power
+    real = np.real(mobility)
+    total = float(np.abs(real).sum())
+    return float(np.maximum(real, 0).sum() / total) if total > 0 else float("nan")
+
+
+def check_drive_points(frf: Frf) -> list[Finding]:
+    """Sign and phase of every drive-point FRF, and references without one.
+
+    Returns
+    -------
+    list of Finding
+        ``inverted`` where nearly all dissipated power is negative (force or response channel of the wrong sign);
+        ``drive_point_sign`` where the sign is mixed (force and response not at the same point, a delay, or a wrong label);
+        ``missing_drive_point`` for a reference without a response on its DOF.
+    """
+    out: list[Finding] = []
+    pairs = {j: i for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()}
+    for j, reference in enumerate(frf.references):
+        if j not in pairs:
+            out.append(missing_drive_point(str(reference), frf.name or None, bool(pairs)))
+            continue
+        i = pairs[j]
+        share = power_share(frf, i, j)
+        label = f"{frf.responses[i]}/{reference}"
+        if np.isnan(share):
+            continue
+        if share < 1 - SIGN_SHARE:
+            out.append(
+                Finding(
+                    "inverted",
+                    f"drive point {label}: {100 * (1 - share):.0f} % of the dissipated power is negative",
+                    "error",
+                    file=frf.name or None,
+                    dof=str(frf.responses[i]),
+                    consequence="negative modal masses: the force or the response channel has the wrong sign",
+                    action="turn the sign of one of the two in [channels] (write the DOF in its other sense)",
+                )
+            )
+        elif share < SIGN_SHARE:
+            out.append(
+                Finding(
+                    "drive_point_sign",
+                    f"drive point {label}: only {100 * share:.0f} % of the dissipated power is positive",
+                    "warning",
+                    file=frf.name or None,
+                    dof=str(frf.responses[i]),
+                    consequence="the scale of the mode shapes from this drive point is doubtful",
+                    action="check that force and response are at the same place and direction, and that no channel is delayed",
+                )
+            )
+    return out
+
+
+def missing_drive_point(reference: str, file: str | None, others: bool) -> Finding:
+    """The finding for a reference that no response sits on."""
+    return Finding(
+        "missing_drive_point",
+        f"no response on the reference DOF {reference}",
+        "info" if others else "warning",
+        file=file,
+        dof=reference,
+        consequence="other drive points scale the modes" if others else "modes cannot be scaled to unit modal mass",
+        action="measure the response where the force acts",
+    )
+
+
+def reciprocity_error(frf: Frf) -> float | None:
+    """Largest relative reciprocity error of the pairs of references, noise taken off; None without such a pair.
+
+    sqrt(Σ|H_ij − H_ji|²/Σ½(|H_ij|² + |H_ji|²)) over the lines, the expected noise power taken off the numerator.
+    """
+    errors = reciprocity_pairs(frf)
+    return max(errors.values()) if errors else None
+
+
+def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
+    """Relative reciprocity error of each pair of references that both are measured (see :func:`reciprocity_error`)."""
+    row = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
+    out: dict[tuple[str, str], float] = {}
+    for b in range(len(frf.references)):
+        for a in range(b):
+            first, second = frf.references[a], frf.references[b]
+            at_first, at_second = row.get((first.node, first.axis)), row.get((second.node, second.axis))
+            if at_first is None or at_second is None:
+                continue
+            forward = frf.data[at_second[0], a] * at_second[1] * first.sign
+            backward = frf.data[at_first[0], b] * at_first[1] * second.sign
+            good = np.isfinite(forward) & np.isfinite(backward)
+            noise = 0.0
+            if frf.variance is not None:
+                total = frf.variance[at_second[0], a] + frf.variance[at_first[0], b]
+                good &= np.isfinite(total)
+                noise = float(total[good].sum())
+            size = 0.5 * float(np.sum(np.abs(forward[good]) ** 2 + np.abs(backward[good]) ** 2))
+            if good.any() and size > 0:
+                difference = float(np.sum(np.abs(forward[good] - backward[good]) ** 2))
+                out[(str(first), str(second))] = float(np.sqrt(max(difference - noise, 0.0) / size))
+    return out
+
+
+def check_frf(frf: Frf) -> Frf:
+    """The FRF with the findings of all checks: drive points, reciprocity, coherence."""
+    findings = check_drive_points(frf)
+    for (first, second), error in reciprocity_pairs(frf).items():
+        if error > NOT_RECIPROCAL:
+            findings.append(
+                Finding(
+                    "not_reciprocal",
+                    f"H at {second} from {first} and at {first} from {second} differ by {100 * error:.2g} %",
+                    "warning",
+                    file=frf.name or None,
+                    dof=f"{first},{second}",
+                    consequence="a symmetric modal model cannot hold both; gyroscopic or circulatory effects, or a calibration error",
+                    action="check calibration and mounting; repeat one of the two",
+                )
+            )
+    if frf.coherence is not None:
+        findings += _low_coherence(frf)
+    return frf.with_findings(findings)
+
+
+def _low_coherence(frf: Frf) -> list[Finding]:
+    """Responses whose coherence is low on most lines."""
+    out = []
+    assert frf.coherence is not None
+    for j, reference in enumerate(frf.references):
+        low = {}
+        for i, response in enumerate(frf.responses):
+            values = frf.coherence[i, j][np.isfinite(frf.coherence[i, j])]
+            if values.size and float(np.median(values)) < LOW_COHERENCE:
+                low[str(response)] = float(np.median(values))
+        if low:
+            worst = min(low, key=lambda k: low[k])
+            names = ", ".join(list(low)[:6]) + (" …" if len(low) > 6 else "")
+            out.append(
+                Finding(
+                    "low_coherence",
+                    f"median coherence with {reference} below {LOW_COHERENCE:g} at {names}; lowest {low[worst]:.2f} at {worst}",
+                    "warning",
+                    file=frf.name or None,
+                    dof=worst,
+                    consequence="large variance of these FRFs",
+                    action="more averages, a stronger excitation, or another place",
+                )
+            )
+    return out

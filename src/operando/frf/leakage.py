@@ -1,0 +1,81 @@
+"""How sharp the resonances are, and whether blocks or records are long enough for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+LINES_NEEDED = 8.0
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A resonance peak: its frequency and half-power bandwidth [Hz]."""
+
+    frequency_hz: float
+    bandwidth_hz: float
+
+
+def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None = None, prominence: float = 4.0) -> list[Peak]:
+    """Peaks of Σ|H|²/ω² with their half-power bandwidths.
+
+    Parameters
+    ----------
+    frequencies_hz : (n_lines,) array
+    data : (n_responses, n_references, n_lines) complex array
+        Accelerance (or any quantity; the weight only balances low and high modes).
+    variance : array like ``data``, optional
+        A peak must exceed ten times the noise.
+    prominence : float
+        Ratio of power by which a peak stands above the lowest line towards the next higher peak on either side.
+
+    Returns
+    -------
+    list of Peak, by frequency
+    """
+    f = np.asarray(frequencies_hz, float)
+    weight = 1 / np.maximum(f, f[f > 0].min() if np.any(f > 0) else 1.0) ** 2
+    power = np.nansum(np.abs(data) ** 2, axis=(0, 1)) * weight
+    noise = np.zeros_like(power) if variance is None else np.nansum(variance, axis=(0, 1)) * weight
+    peaks = []
+    for k in np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1:
+        top = power[k]
+        if top < 10 * noise[k]:
+            continue
+        left, right = _half_power(f, power, int(k), -1), _half_power(f, power, int(k), 1)
+        sides = [_valley(power, int(k), -1), _valley(power, int(k), 1)]
+        if left is None or right is None or min(top / max(v, 1e-300) for v in sides) < prominence:
+            continue
+        peaks.append(Peak(float(f[k]), right - left))
+    return peaks
+
+
+def _half_power(f: Array, power: Array, peak: int, step: int) -> float | None:
+    """Frequency where the power has fallen to half on one side, by linear interpolation."""
+    k = peak
+    while 0 <= k + step < power.size and power[k + step] > 0.5 * power[peak]:
+        k += step
+        if power[k] > power[peak]:
+            return None
+    if not 0 <= k + step < power.size:
+        return None
+    a, b = power[k], power[k + step]
+    return float(f[k] + (f[k + step] - f[k]) * (a - 0.5 * power[peak]) / (a - b))
+
+
+def _valley(power: Array, peak: int, step: int) -> float:
+    """Lowest power on the way to the next higher line on one side."""
+    side = power[peak + 1 :] if step > 0 else power[:peak][::-1]
+    higher = np.flatnonzero(side > power[peak])
+    side = side[: higher[0]] if higher.size else side
+    return float(side.min()) if side.size else float(power[peak])
+
+
+def sharpest(peaks: list[Peak]) -> Peak | None:
+    """The peak with the least half-power bandwidth."""
+    return min(peaks, key=lambda p: p.bandwidth_hz) if peaks else None

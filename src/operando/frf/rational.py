@@ -1,0 +1,254 @@
+"""Leakage-free FRFs from full-record spectra: local rational modelling (LRM) with transient terms.
+
+Around each line k₀ the spectra of a record of any length obey, with r = (k − k₀)/half,
+
+    D(r)·X_i(k) = Σ_j N_ij(r)·F_j(k) + I_i(r) + noise,
+
+where D, N and I are low polynomials and I holds the transient (leakage), whose poles are those of the structure
+(McKelvey & Guérin 2012; the local polynomial method is the case D = 1, Schoukens et al. 2009). D is common to all
+responses of a run: the poles of a structure are. H(k₀) = N(0)/D(0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from operando.errors import DataError
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class LocalRational:
+    """Result of :func:`local_rational`.
+
+    Parameters
+    ----------
+    data : (n_responses, n_forces, n_lines) complex array
+    variance : array of the same shape
+        E|ΔH|² from the residual of each response, smoothed over neighbouring windows, the common denominator included.
+    gain : (n_forces, n_lines) array
+        Information: 1/gain is the variance of H at unit noise of the spectra.
+    noise : (n_responses, n_lines) array
+        Noise variance of the response spectra.
+    degrees_of_freedom : float
+        Complex degrees of freedom of the residual of one response in one window.
+    """
+
+    data: Array
+    variance: Array
+    gain: Array
+    noise: Array
+    degrees_of_freedom: float
+
+
+def window_indices(centres: Array, n_lines: int, first: int, last: int) -> NDArray[np.intp]:
+    """Lines of the window around each centre (n_centres, n_lines), shifted inwards at the ends of [first, last].
+
+    Raises
+    ------
+    DataError
+        If the range is shorter than a window.
+    """
+    if last - first + 1 < n_lines:
+        raise DataError(f"{last - first + 1} lines do not hold a window of {n_lines}", hint="the record or the band is too short")
+    start = np.clip(np.rint(centres).astype(int) - n_lines // 2, first, last - n_lines + 1)
+    return start[:, None] + np.arange(n_lines)
+
+
+def spectrum_lines(data: NDArray[np.floating[Any]], rows: ArrayLike, lines: NDArray[np.intp], n_samples: int) -> Array:
+    """Chosen DFT lines of the first ``n_samples`` samples of some rows, one row at a time; mean removed.
+
+    Returns
+    -------
+    (n_rows, n_lines) complex array
+    """
+    rows = np.asarray(rows, int)
+    out = np.empty((rows.size, lines.size), complex)
+    for i, row in enumerate(rows):
+        x = np.array(data[row, :n_samples], float)
+        x -= x.mean()
+        out[i] = fft.rfft(x, overwrite_x=True)[lines]
+    return out
+
+
+def local_rational(
+    force: Array,
+    response: Array,
+    lines: NDArray[np.intp],
+    centres: Array,
+    *,
+    n_lines: int = 17,
+    order: int = 2,
+    passes: int = 2,
+    chunk: int = 128,
+) -> LocalRational:
+    """Local rational estimate of H at chosen lines of the DFT of a whole record.
+
+    Linear least squares, reweighted by the last denominator (Sanathanan & Koerner 1963) and the noise of each response;
+    numerators and transients are eliminated by QR.
+
+    Parameters
+    ----------
+    force : (n_forces, n) complex array
+        Force spectra at ``lines``.
+    response : (n_responses, n) complex array
+    lines : (n,) array of int
+        DFT line numbers, increasing, with every line of every window.
+    centres : (n_centres,) array
+        Where H is wanted, in DFT lines (need not be whole).
+    n_lines : int
+        Lines a window, odd.
+    order : int
+        Order of D, N and I.
+    passes : int
+        Passes that find the denominator and the noise, before the last one.
+    chunk : int
+        Centres handled at once (bounds the memory).
+
+    Raises
+    ------
+    DataError
+        If a window has too few lines for the parameters.
+    """
+    n_f, n_x = force.shape[0], response.shape[0]
+    p = (order + 1) * (n_f + 1)
+    dof = n_lines - p - order / n_x
+    if dof < 1:
+        raise DataError(f"{n_lines} lines are too few for a local model with {p} numerator and transient coefficients")
+    n_c = centres.size
+    windows = window_indices(centres, n_lines, int(lines[0]), int(lines[-1]))
+    parts = [slice(a, min(a + chunk, n_c)) for a in range(0, n_c, chunk)]
+
+    def gather(s: slice) -> _Windows:
+        columns = np.searchsorted(lines, windows[s])
+        r = (windows[s] - centres[s, None]) / (n_lines // 2)
+        return _prepare(np.moveaxis(force[:, columns], 0, -1), np.moveaxis(response[:, columns], 0, -1), r, order)
+
+    noise = np.empty((n_x, n_c))
+    denominators = np.empty((n_c, order + 1), complex)
+    for s in parts:
+        denominators[s], noise[:, s] = _first_pass(gather(s), passes, dof)
+    stride = float(np.median(np.diff(centres))) if n_c > 1 else 1.0
+    noise = smooth(noise, max(3, 2 * int(n_lines / max(stride, 1e-3)) + 1))
+    h, variance, gain = np.empty((n_x, n_f, n_c), complex), np.empty((n_x, n_f, n_c)), np.empty((n_f, n_c))
+    for s in parts:
+        h[:, :, s], variance[:, :, s], gain[:, s] = _last_pass(gather(s), denominators[s], noise[:, s].T)
+    return LocalRational(h, variance, gain, noise, dof)
+
+
+def smooth(values: Array, width: int) -> Array:
+    """Moving mean along the last axis over ``width`` (odd) entries, shorter at the ends."""
+    half = min(width // 2, values.shape[-1] - 1)
+    total = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+    index = np.arange(values.shape[-1])
+    low, high = np.maximum(index - half, 0), np.minimum(index + half + 1, values.shape[-1])
+    return np.asarray(np.maximum(total[..., high] - total[..., low], 0) / (high - low))
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Scaled windows of one chunk: basis (c, n, p) of forces and transient, z (c, n, order+1, n_x) = r^k·X."""
+
+    basis: Array
+    z: Array
+    powers: Array
+    f_scale: Array
+    x_scale: Array
+
+
+def _prepare(f: Array, x: Array, r: Array, order: int) -> _Windows:
+    """Windows f (c, n, n_forces), x (c, n, n_responses), r (c, n), scaled to unit rms."""
+    c, n, _ = f.shape
+    tiny = np.finfo(float).tiny
+    f_scale = np.sqrt(np.mean(np.abs(f) ** 2, axis=1)) + tiny
+    x_scale = np.sqrt(np.mean(np.abs(x) ** 2, axis=1)) + tiny
+    powers = r[:, :, None] ** np.arange(order + 1)
+    # Transient polynomial last, so that row j·(order+1) of the solution is N_j(0).
+    inputs = np.concatenate([f / f_scale[:, None, :], np.ones((c, n, 1))], axis=2)
+    basis = (inputs[:, :, :, None] * powers[:, :, None, :]).reshape(c, n, -1)
+    z = (x / x_scale[:, None, :])[:, :, None, :] * powers[:, :, :, None]
+    return _Windows(basis, z, powers, f_scale, x_scale)
+
+
+def _weights(windows: _Windows, d: Array) -> tuple[Array, Array]:
+    """|D| on the lines of each window, and the weight 1/|D| with a floor, scaled to a maximum of 1."""
+    size = np.abs(np.einsum("cnp,cp->cn", windows.powers, d))
+    weight = 1 / np.maximum(size, 1e-4 * size.max(axis=1, keepdims=True))
+    return size, weight / weight.max(axis=1, keepdims=True)
+
+
+def _first_pass(windows: _Windows, passes: int, dof: float) -> tuple[Array, Array]:
+    """Denominators (c, order+1) and noise variance of each response (n_x, c)."""
+    c, n, p = windows.basis.shape
+    weight = np.ones((c, n))
+    sigma = np.ones((c, windows.z.shape[3]))
+    for _ in range(passes):
+        _, _, rest, free = _project(windows.basis, windows.z, weight)
+        d = _denominator(rest, sigma)
+        size, next_weight = _weights(windows, d)
+        spread = np.sum(free * (size * weight) ** 2, axis=1) * dof / (n - p)
+        residual = np.sum(np.abs(np.einsum("cnpx,cp->cnx", rest, d)) ** 2, axis=1)
+        sigma = np.maximum(residual / np.maximum(spread, 1e-300)[:, None], 1e-28)
+        weight = next_weight
+    return d, (sigma * windows.x_scale**2).T
+
+
+def _last_pass(windows: _Windows, d: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """H, its variance and the gain, with the noise (c, n_x) given and one more update of the denominator."""
+    c, n, _ = windows.basis.shape
+    n_f = windows.f_scale.shape[1]
+    order = d.shape[1] - 1
+    sigma = np.maximum(noise / windows.x_scale**2, 1e-28)
+    size, weight = _weights(windows, d)
+    q, upper, rest, _ = _project(windows.basis, windows.z, weight)
+    d = _denominator(rest, sigma)
+    inverse = np.linalg.inv(upper)[:, :: order + 1][:, :n_f]  # rows of N_j(0): (c, n_f, p)
+    inside = np.conj(np.swapaxes(q, 1, 2)) @ (windows.z * weight[:, :, None, None]).reshape(c, n, -1)
+    parts = (inverse @ inside).reshape(c, n_f, order + 1, -1)  # N(0) for each power of r on X
+    h = np.einsum("cjpx,cp->cjx", parts, d)
+    # Noise of the weighted equations: (|D|·weight)², constant where the floor of the weight is not hit.
+    level = np.mean((size * weight) ** 2, axis=1)[:, None]
+    direct = np.sum(np.abs(inverse) ** 2, axis=2)
+    variance = direct[:, :, None] * (level * sigma)[:, None, :]
+    if order:
+        y = (rest[:, :, 1:] / np.sqrt(level * sigma)[:, None, None, :]).swapaxes(2, 3).reshape(c, -1, order)
+        normal = np.conj(y.swapaxes(1, 2)) @ y
+        ridge = (1e-12 * np.trace(normal, axis1=1, axis2=2).real + 1e-300)[:, None, None] * np.eye(order)
+        covariance = np.linalg.inv(normal + ridge)
+        slope = parts[:, :, 1:].swapaxes(2, 3)
+        variance = variance + np.real(np.sum((slope @ covariance[:, None]) * slope.conj(), axis=3))
+    unit = windows.x_scale[:, None, :] / windows.f_scale[:, :, None]
+    gain = windows.f_scale**2 / np.maximum(direct * level, 1e-300)
+    return np.transpose(h * unit, (2, 1, 0)), np.transpose(variance * unit**2, (2, 1, 0)), gain.T
+
+
+def _project(basis: Array, z: Array, weight: Array) -> tuple[Array, Array, Array, Array]:
+    """QR of the weighted basis; part of the weighted z outside its span; one minus the leverage of each row."""
+    c, n, p, n_x = z.shape
+    q, upper = np.linalg.qr(basis * weight[:, :, None])
+    flat = (z * weight[:, :, None, None]).reshape(c, n, p * n_x)
+    rest = flat - q @ (np.conj(np.swapaxes(q, 1, 2)) @ flat)
+    leverage = np.maximum(1 - np.sum(np.abs(q) ** 2, axis=2), 0)
+    return q, upper, rest.reshape(c, n, p, n_x), leverage
+
+
+def _denominator(rest: Array, sigma: Array) -> Array:
+    """Least-squares D with D(0) = 1 (c, order+1), responses weighted by their noise.
+
+    Taking the noise off the normal matrix (total least squares) was tried and is worse: where the FRF is smooth D cannot be
+    identified, and the pull of the noise towards D = 1 is what keeps the estimate from wild values.
+    """
+    c, _, p, _ = rest.shape
+    d = np.ones((c, p), complex)
+    if p > 1:
+        y = (rest / np.sqrt(sigma)[:, None, None, :]).swapaxes(2, 3).reshape(c, -1, p)
+        normal = np.conj(y.swapaxes(1, 2)) @ y
+        ridge = (1e-13 * np.trace(normal, axis1=1, axis2=2).real + 1e-300)[:, None, None] * np.eye(p - 1)
+        d[:, 1:] = -np.linalg.solve(normal[:, 1:, 1:] + ridge, normal[:, 1:, :1])[:, :, 0]
+    return d
