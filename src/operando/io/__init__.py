@@ -1,20 +1,35 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
 from operando.io.content import Content, SetInfo
+from operando.io.convert import convert
+from operando.io.csv import read_csv, write_csv
 from operando.io.detect import detect_format, read
 from operando.io.hdf5 import read_hdf5, read_object, write_hdf5, write_object
+from operando.io.inspect import inspect_content, inspect_files
+from operando.io.matlab import read_matlab, write_matlab
+from operando.io.sep005 import from_sep005, make_record, to_sep005
 from operando.io.uff import read_uff, read_uff_sets, write_uff
 
 __all__ = [
     "Content",
     "SetInfo",
+    "convert",
     "detect_format",
+    "from_sep005",
+    "inspect_content",
+    "inspect_files",
+    "make_record",
     "read",
+    "read_csv",
     "read_hdf5",
+    "read_matlab",
     "read_object",
     "read_uff",
     "read_uff_sets",
+    "to_sep005",
+    "write_csv",
     "write_hdf5",
+    "write_matlab",
     "write_object",
     "write_uff",
 ]

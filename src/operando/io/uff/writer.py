@@ -62,7 +62,8 @@ def write_uff(
 
     Records become one set 58 (function type 1) a channel; FRFs one a pair (type 4), their coherence beside it (type 6); modes sets 55
     whose ID lines state the scaling; geometries sets 15, 82, 2412. Units are SI, stated in the labels and, if everything is SI, in
-    a set 164. Shapes and coordinates have the six digits of the standard; functions keep all, and so do step and start of their axes.
+    a set 164. Shapes and coordinates have the six digits of the standard; functions keep all, and so do step and start of even axes
+    (an uneven axis in ASCII has 8 digits).
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ def _write_function(stream: IO[bytes], f: _Function, binary: bool, single: bool 
         numbers = np.ascontiguousarray(np.column_stack(columns), dtype)
     stream.write(b"    -1\n" + _header(f, binary, kind, numbers.nbytes, big_endian))
     if binary:
-        stream.write(memoryview(numbers.reshape(-1).view(np.uint8)).cast("B"))
+        stream.write(numbers.reshape(-1).view(np.uint8).data)
         stream.write(b"\n    -1\n")
     else:
         _write_numbers(stream, numbers.reshape(-1), _line_format(f.frequencies is None, complex_values))
@@ -219,10 +220,10 @@ def _axis_line(axis: Axis) -> bytes:
 
 
 def _line_format(even: bool, complex_values: bool) -> tuple[int, str]:
-    """Numbers a line, and its format: 4E20.12, or with an abscissa E13.5 widened to E20.12 (readers take fields by their blanks)."""
+    """Numbers a line, and its format: 4E20.12, or one point a line with an abscissa that fills its 13 columns (8 digits)."""
     if even:
         return 4, "%20.12E" * 4 + "\n"
-    return (3, "%20.12E" * 3 + "\n") if complex_values else (4, "%20.12E" * 4 + "\n")
+    return (3, "%13.7E%20.12E%20.12E\n") if complex_values else (2, "%13.7E%20.12E\n")
 
 
 def _write_numbers(stream: IO[bytes], numbers: NDArray[Any], layout: tuple[int, str]) -> None:

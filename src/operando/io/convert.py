@@ -1,0 +1,158 @@
+"""Conversion between formats; what a format cannot hold is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.errors import FormatError
+from operando.io.detect import read
+from operando.io.quantities import ChannelSpecs, Units
+
+_SUFFIXES = {
+    ".uff": "uff", ".unv": "uff", ".uf": "uff", ".bunv": "uff", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab",
+    ".csv": "csv", ".txt": "csv",
+}  # fmt: skip
+
+
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    units: Units | None = None,
+    channels: ChannelSpecs | None = None,
+    binary: bool = True,
+) -> dict[str, Any]:
+    """Convert a file; the format of the target follows from its name (.uff, .unv, .h5, .mat, .csv).
+
+    Parameters
+    ----------
+    source, target : paths
+    units, channels : mappings, optional
+        As for :func:`operando.io.read`.
+    binary : bool
+        UFF: 58b or ASCII.
+
+    Returns
+    -------
+    dict
+        ``in, out, format_in, format_out, written`` (texts), ``passed_on`` (sets kept as they were), ``lost`` (texts), ``findings``.
+
+    Raises
+    ------
+    FormatError
+        If the source holds nothing that the target format can take, or the name of the target tells no format.
+    """
+    target = Path(target)
+    kind = _SUFFIXES.get(target.suffix.lower())
+    if kind is None:
+        raise FormatError(f"{target.suffix or 'no suffix'!r} tells no format", where=str(target), hint="use .uff, .unv, .h5, .mat or .csv")
+    content = read(source, units=units, channels=channels)
+    passed = [s for s in content.sets if s.raw] if kind == "uff" and content.format == "uff" else []
+    kept = [obj for obj in content.objects if _fits(obj, kind)]
+    if kind == "csv":
+        kept = kept[:1]
+    if not kept and not passed:
+        held = ", ".join(type(o).__name__ for o in content.objects) or "no object"
+        raise FormatError(f"nothing to write: the file holds {held}, which {kind} cannot take", where=str(source))
+    _write(kind, target, kept, [s.raw for s in passed], binary)
+    lost = [f"{_describe(obj)}: {kind} cannot hold it" for obj in content.objects if not any(obj is k for k in kept)]
+    lost += [text for obj in kept for text in losses(obj, kind, binary)]
+    if kind != "uff" or content.format != "uff":
+        lost += [f"set {s.index} ({s.title}): {s.note or s.status}" for s in content.sets if s.status != "used"][:50]
+    return {
+        "in": str(source),
+        "out": str(target),
+        "format_in": content.format,
+        "format_out": kind,
+        "written": [_describe(obj) for obj in kept],
+        "passed_on": [{"set": s.index, "type": s.number, "title": s.title, "reason": s.note} for s in passed],
+        "lost": list(dict.fromkeys(lost)),
+        "findings": [f.to_dict() for f in content.findings],
+    }
+
+
+def _fits(obj: Any, kind: str) -> bool:
+    if kind == "csv":
+        return isinstance(obj, TimeRecord)
+    return isinstance(obj, TimeRecord | Frf) if kind == "matlab" else True
+
+
+def _write(kind: str, target: Path, kept: list[Any], raws: list[bytes], binary: bool) -> None:
+    if kind == "uff":
+        from operando.io.uff.writer import write_uff
+
+        write_uff(target, *kept, binary=binary, passthrough=raws)
+    elif kind == "hdf5":
+        from operando.io.hdf5 import write_hdf5
+
+        counts: dict[str, int] = {}
+        names = {}
+        for obj in kept:
+            name = {TimeRecord: "record", Frf: "frf", ModalModel: "model", Geometry: "geometry"}[type(obj)]
+            counts[name] = counts.get(name, 0) + 1
+            names[f"{name}{counts[name]:04d}" if name != "geometry" else name] = obj
+        write_hdf5(target, names)
+    elif kind == "matlab":
+        from operando.io.matlab import write_matlab
+
+        write_matlab(target, *kept)
+    else:
+        from operando.io.csv import write_csv
+
+        write_csv(target, kept[0])
+
+
+def _describe(obj: Any) -> str:
+    if isinstance(obj, TimeRecord):
+        return f"record of {len(obj.channels)} channels × {obj.n_samples} samples at {obj.sampling_hz:g} Hz"
+    if isinstance(obj, Frf):
+        return f"{obj.quantity} {len(obj.responses)} × {len(obj.references)}, {len(obj.axis)} lines"
+    if isinstance(obj, ModalModel):
+        return f"modal model of {obj.n_modes} modes, {len(obj.dofs)} DOFs, {obj.scaling.replace('_', ' ')}"
+    return f"geometry of {len(obj.nodes)} nodes"
+
+
+def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: bool = True) -> list[str]:
+    """What of an object a format does not keep, in words.
+
+    Parameters
+    ----------
+    obj : TimeRecord, Frf, ModalModel or Geometry
+    kind : {"uff", "hdf5", "matlab", "csv"}
+    binary : bool
+        UFF: 58b keeps all digits of functions, ASCII 13.
+    """
+    if kind == "hdf5":
+        return []
+    out = ["findings and provenance"] if obj.provenance.inputs or getattr(obj, "findings", ()) else []
+    if isinstance(obj, TimeRecord):
+        if any(c.source_unit and c.source_unit != c.unit for c in obj.channels):
+            out.append("source units: the numbers are in SI now")
+        if kind != "uff" and any(c.dof is not None and c.name for c in obj.channels):
+            out.append("channel names: the DOF is the name")
+    elif isinstance(obj, Frf):
+        if obj.variance is not None and (kind != "uff" or obj.coherence is None or obj.averages is None):
+            out.append("variance of the FRF lines")
+        if kind != "uff" and obj.coherence is not None:
+            out.append("coherence")
+        if kind != "uff" and obj.averages is not None:
+            out.append("number of averages")
+        if obj.exponential_window_rate:
+            out.append(f"decay rate of the exponential window, {obj.exponential_window_rate:g} 1/s")
+    elif isinstance(obj, ModalModel):
+        out.append("shapes keep 6 digits")
+        if obj.covariance is not None or obj.std is not None:
+            out.append("uncertainty of the modes")
+        if any(d.sign < 0 for d in obj.dofs):
+            out.append("the sense of DOFs: shapes are along the positive axes now")
+        if obj.in_band is not None and not np.array_equal(obj.in_band, ~np.asarray(obj.residual)):
+            out.append("which modes lie in the band")
+    else:
+        out.append("coordinates keep 6 digits")
+    if kind == "uff" and not binary and isinstance(obj, TimeRecord | Frf):
+        out.append("values keep 13 digits in ASCII")
+    return out

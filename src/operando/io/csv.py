@@ -1,0 +1,265 @@
+"""Tables of time histories: CSV and its relatives (comma, semicolon, tab, blanks; decimal comma)."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding, Provenance, TimeRecord
+from operando.errors import DataError, FormatError, UnitError
+from operando.io.atomic import replacing
+from operando.io.content import Content, SetInfo
+from operando.io.quantities import ChannelSpecs, Units
+from operando.io.sep005 import make_record
+from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.units import parse_unit
+
+_TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$", re.IGNORECASE)
+_RATE_NAMES = re.compile(r"^(fs|sampling(_?hz|_?rate|_?frequency)?|sample_?rate|rate)$", re.IGNORECASE)
+_HEADER_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]\s*$")
+
+
+def read_csv(
+    path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None, sampling_hz: float | None = None
+) -> Content:
+    """Read a table with a header line of ``name [unit]``, one column a channel.
+
+    The rate comes from a time column (``t``, ``time``, …), a column or comment ``fs``, ``sampling_hz`` or ``units["sampling_hz"]``.
+
+    Raises
+    ------
+    FormatError
+        If there is no header line, no number, no sampling rate, or the time is not even.
+    """
+    from operando.io.uff.reader import open_file, quick_hash
+
+    path = Path(path)
+    where = str(path)
+    with open_file(path) as stream:
+        text = _decoded(stream.read(), where)
+    comments, names, texts, table = _table(text, where)
+    del text
+    infos: list[SetInfo] = []
+    rate = sampling_hz or stated_rate(units, comments)
+    keep: list[int] = []
+    start, time_column = 0.0, None
+    for i, name in enumerate(names):
+        column = table[i]
+        finite = int(np.count_nonzero(np.isfinite(column)))
+        if finite and _RATE_NAMES.match(name):
+            rate = rate or float(column[np.isfinite(column)][0])
+            infos.append(SetInfo(i, 0, f"column {name}", "used", "sampling rate"))
+        elif time_column is None and _TIME_NAMES.match(name):
+            time_column = i
+            infos.append(SetInfo(i, 0, f"column {name}", "used", "time"))
+        elif finite < 0.5 * table.shape[1]:
+            infos.append(SetInfo(i, 0, f"column {name or i}", "ignored", f"{finite} of {table.shape[1]} rows hold a number"))
+        else:
+            keep.append(i)
+    if time_column is not None:
+        found, start = _rate_of_time(table[time_column], texts[time_column], where)
+        rate = rate or found
+    if not rate:
+        raise FormatError("no time column and no sampling rate", where=where, hint="give [units] sampling_hz = 512 in the test file")
+    if not keep:
+        raise FormatError("no column with data beside the time", where=where)
+    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    record = make_record(
+        table[keep], float(rate), [names[i] or f"ch{i + 1}" for i in keep], [texts[i] for i in keep], start_s=start, units=units,
+        channels=channels, source=where, provenance=provenance,
+    )  # fmt: skip
+    used = {c.name for c in record.channels}
+    for i in keep:
+        name = names[i] or f"ch{i + 1}"
+        infos.append(
+            SetInfo(i, 0, f"column {name}", "used" if name in used else "ignored", "" if name in used else "excluded by [channels]")
+        )
+    findings: list[Finding] = list(record.findings)
+    gaps = int(np.count_nonzero(~np.isfinite(record.data)))
+    if gaps:
+        findings.append(
+            Finding("nan", f"{gaps} cells of the table hold no number", "warning", where, consequence="they are NaN in the record")
+        )
+    return Content(where, "csv", (record,), sets=tuple(sorted(infos, key=lambda s: s.index)), findings=tuple(findings))
+
+
+def write_csv(path: str | Path, record: TimeRecord) -> None:
+    """Write a record as CSV with a time column and a header of ``name [unit]``; all digits are kept.
+
+    Raises
+    ------
+    MissingError
+        If the file cannot be written.
+    """
+    heads = ["time [s]"]
+    for i, channel in enumerate(record.channels):
+        name = (channel.label or f"ch{i + 1}").replace(",", " ").replace("[", "(").replace("]", ")")
+        heads.append(f"{name} [{channel.unit}]" if channel.unit else name)
+    digits = 9 if record.data.dtype == np.float32 else 17
+    with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
+        stream.write(f"# sampling_hz = {record.sampling_hz!r}\n")
+        stream.write(",".join(heads) + "\n")
+        block = 4096
+        time = record.time_s
+        line = ",".join(["%.17g"] + [f"%.{digits}g"] * len(record.channels)) + "\n"
+        for start in range(0, record.n_samples, block):
+            rows = np.column_stack([time[start : start + block], record.data[:, start : start + block].T])
+            stream.write((line * len(rows)) % tuple(rows.ravel().tolist()))
+
+
+def _decoded(raw: bytes, where: str) -> str:
+    for encoding in ("utf-16",) if raw.startswith((b"\xff\xfe", b"\xfe\xff")) else ("utf-8-sig", "latin-1"):
+        try:
+            return raw.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    raise FormatError("the text cannot be decoded", where=where)
+
+
+def _table(text: str, where: str) -> tuple[list[str], list[str], list[str], NDArray[np.float64]]:
+    """Comments, column names, unit texts, (n_columns, n_rows) numbers."""
+    lines = text.split("\n", 60)
+    comments: list[str] = []
+    position = 0
+    head = None
+    for line in lines[:50]:
+        length = len(line) + 1
+        clean = line.strip()
+        if not clean or clean.startswith("#") or clean.startswith("%"):
+            comments.append(clean)
+            position += length
+            continue
+        head = clean
+        position += length
+        break
+    rest = text[position:]
+    first_row = next((row.strip() for row in rest.split("\n", 20)[:20] if row.strip()), "")
+    if head is None or not first_row:
+        raise FormatError("no header line and data below it", where=where, hint="the first line names the columns: name [unit]")
+    delimiter, decimal = _delimiter(head, first_row)
+    names = [part.strip().strip("\"'").strip() for part in (head.split(delimiter) if delimiter else head.split())]
+    if all(_is_number(part.replace(",", ".")) for part in names if part):
+        raise FormatError(
+            "the table has no header line",
+            where=where,
+            hint="the first line names the columns: name [unit], for example time [s],12+Z [m/s2]",
+        )
+    numbers = _numbers(rest, delimiter, decimal, where)
+    if numbers.shape[1] < len(names) and not any(names[numbers.shape[1] :]):
+        names = names[: numbers.shape[1]]
+    if numbers.shape[1] > len(names):
+        extra = numbers[:, len(names) :]
+        if np.any(np.isfinite(extra)):
+            raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where)
+        numbers = numbers[:, : len(names)]
+    if numbers.shape[1] != len(names):
+        raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where)
+    filled = [i for i, name in enumerate(names) if name or np.any(np.isfinite(numbers[:, i]))]
+    split = [_split_name(names[i]) for i in filled]
+    return comments, [s[0] for s in split], [s[1] for s in split], np.ascontiguousarray(numbers[:, filled].T)
+
+
+def _split_name(head: str) -> tuple[str, str]:
+    """Name and unit of a column head: ``FA [g]``, ``acc (m/s2)``; round brackets count only around a known unit."""
+    match = _HEADER_UNIT.match(head)
+    if match is None:
+        return head, ""
+    if "[" not in head:
+        try:
+            parse_unit(match[2])
+        except UnitError:
+            return head, ""
+    return match[1].strip().strip("\"'"), match[2].strip()
+
+
+def _delimiter(head: str, row: str) -> tuple[str | None, str]:
+    """Delimiter (None: blanks) and decimal mark."""
+    for delimiter in (";", "\t"):
+        if delimiter in row or (delimiter in head and delimiter in row):
+            return delimiter, "," if "," in row and "." not in row else "."
+    if "," in row:
+        if "," not in head and " " in row.strip():
+            return None, ","
+        return ",", "."
+    return None, "."
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDArray[np.float64]:
+    """(n_rows, n_columns) numbers; empty cells are NaN."""
+    clean = text.replace("\r", "")
+    if decimal == ",":
+        clean = clean.replace(",", ".")
+    if delimiter is not None:
+        mark = re.escape(delimiter)
+        clean = re.sub(rf"(?<={mark})[ \t]*(?={mark}|\n|\Z)" if delimiter != "\t" else rf"(?<={mark})(?={mark}|\n|\Z)", "nan", clean)
+        clean = re.sub(rf"(?m)^[ ]*(?={mark})", "nan", clean)
+    clean = clean.replace('"', "")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return np.loadtxt(io.StringIO(clean), delimiter=delimiter, ndmin=2, comments="#")
+    except (ValueError, UserWarning) as error:
+        raise FormatError(f"the table cannot be read: {str(error).splitlines()[0]}", where=where) from error
+
+
+def stated_rate(units: Units | None, comments: list[str]) -> float | None:
+    """Sampling rate [Hz] of ``units["sampling_hz"]`` or of a comment line, None if neither states one.
+
+    Raises
+    ------
+    DataError
+        If it is no positive number.
+    """
+    given: Any = None
+    for key in ("sampling_hz", "sampling"):
+        given = given or (units or {}).get(key)
+    if given is not None:
+        words = str(given).split()
+        try:
+            value = float(words[0]) * (parse_unit(words[1], "frequency")[1] if len(words) > 1 else 1.0)
+        except (ValueError, IndexError, UnitError) as error:
+            raise DataError(f"sampling rate {given!r} is no number of Hz", where="[units] sampling_hz") from error
+        if not (np.isfinite(value) and value > 0):
+            raise DataError(f"sampling rate {given!r} is not positive", where="[units] sampling_hz")
+        return value
+    for comment in comments:
+        match = re.search(r"(?:fs|sampling\w*|sample[ _]?rate)\s*(?:\[Hz\])?\s*[:=]\s*([0-9.eE+]+)", comment, re.IGNORECASE)
+        if match is not None and _is_number(match[1]) and float(match[1]) > 0:
+            return float(match[1])
+    return None
+
+
+def _rate_of_time(time: NDArray[np.float64], unit: str, where: str) -> tuple[float, float]:
+    """Rate [Hz] and start [s] of a time column."""
+    factor = 1.0
+    if unit:
+        try:
+            factor = parse_unit(unit, "time")[1]
+        except UnitError as error:
+            raise FormatError(f"the time column is in {unit!r}: {error.message}", where=where) from error
+    seconds = time * factor
+    if seconds.size < 2 or not np.all(np.isfinite(seconds)) or not np.all(np.diff(seconds) > 0):
+        raise FormatError("the time column does not increase from row to row", where=where, hint="remove repeated or damaged rows")
+    step = restore_step_of_values(float(seconds[0]), float(seconds[-1]), seconds.size)
+    off = float(np.max(np.abs(seconds - seconds[0] - step * np.arange(seconds.size))))
+    if off > 0.5 * step:
+        raise FormatError(
+            f"the samples are not evenly spaced: up to {off / step:.3g} samples off",
+            where=where,
+            hint="resample the data at a constant rate",
+        )
+    return tidy_rate(step), float(seconds[0])

@@ -1,0 +1,171 @@
+"""SEP005 of the SDyPy project: a measurement as a list of dicts, one a channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from operando.data import Channel, Finding, Provenance, TimeRecord
+from operando.dof import Dof
+from operando.errors import DataError, DofError
+from operando.io.quantities import ChannelSpecs, Units, find_spec, quantity_from_words, resolve, spec_dof
+from operando.io.uff.increments import restore_step_of_values, tidy_rate
+
+
+def make_record(
+    data: Any,
+    sampling_hz: float,
+    names: Sequence[str],
+    unit_texts: Sequence[str],
+    *,
+    start_s: float = 0.0,
+    units: Units | None = None,
+    channels: ChannelSpecs | None = None,
+    source: str = "",
+    provenance: Provenance | None = None,
+) -> TimeRecord:
+    """A record from an array and what is known of its channels, converted to SI.
+
+    Parameters
+    ----------
+    data : (n_channels, n_samples) array
+    sampling_hz : float
+    names, unit_texts : sequences of str
+        Name of each channel (a DOF label such as ``12+Z`` becomes its DOF) and its unit, empty where not known.
+    start_s : float
+    units, channels : mappings, optional
+        As for :func:`operando.io.read`.
+    source : str
+        File name, for findings.
+    provenance : Provenance, optional
+
+    Returns
+    -------
+    TimeRecord
+        With the finding ``missing_unit`` for each channel that should have a unit and has none.
+
+    Raises
+    ------
+    DataError
+        If the shapes do not belong together.
+    """
+    array = np.asarray(data)
+    if array.ndim != 2 or array.shape[0] != len(names) or len(names) != len(unit_texts):
+        raise DataError(f"data of shape {array.shape} for {len(names)} names and {len(unit_texts)} units", hint="(n_channels, n_samples)")
+    rows, labels, findings = [], [], []
+    for i, (name, text) in enumerate(zip(names, unit_texts, strict=True)):
+        dof = _dof_of(name)
+        quantity = quantity_from_words(name)
+        spec = find_spec(channels, name, dof, quantity == "force", i)
+        dof = spec_dof(spec, dof)
+        if spec.get("exclude"):
+            reason = str(spec.get("reason") or "no reason given")
+            findings.append(Finding("excluded", f"channel {name} excluded by [channels]: {reason}", "info", source or None, i, name))
+            continue
+        try:
+            scale = resolve("unknown" if text and not spec.get("quantity") else quantity, text, units, spec)
+        except ValueError as error:
+            raise DataError(str(error)) from error
+        if not scale.known and scale.quantity == "unknown" and quantity != "unknown":
+            scale = resolve(quantity, "", units, spec)
+        if not scale.known:
+            findings.append(_missing_unit(name, scale.quantity, source, i))
+        rows.append(array[i] * scale.factor if scale.factor != 1.0 else array[i])
+        labels.append(Channel(dof, scale.quantity, scale.unit, name, scale.source_unit, i))
+    if not rows:
+        raise DataError("no channel is left", where=source or None, hint="[channels] excludes them all")
+    return TimeRecord(np.stack(rows), sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
+
+
+def _dof_of(name: str) -> Dof | None:
+    """DOF of a channel name that is a DOF label with a direction; a bare number is a name."""
+    try:
+        dof = Dof.parse(name)
+    except DofError:
+        return None
+    return dof if dof.axis else None
+
+
+def _missing_unit(name: str, quantity: str, source: str, i: int) -> Finding:
+    return Finding(
+        "missing_unit", f"no unit is known for channel {name}" + ("" if quantity == "unknown" else f" ({quantity})"), "warning",
+        source or None, i, name, consequence="its numbers are kept as they are; nothing can be scaled to unit modal mass with them",
+        action=f'give it in the test file: [channels] "{name}" = {{quantity = "acceleration", unit = "m/s2"}}',
+    )  # fmt: skip
+
+
+def from_sep005(
+    measurement: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    *,
+    units: Units | None = None,
+    channels: ChannelSpecs | None = None,
+    name: str = "",
+) -> TimeRecord:
+    """A record from a SEP005 measurement.
+
+    Parameters
+    ----------
+    measurement : dict or list of dict
+        Each with ``data``, ``name``, ``unit_str`` and ``fs`` or ``time``.
+    units, channels : mappings, optional
+        As for :func:`operando.io.read`.
+    name : str
+
+    Raises
+    ------
+    DataError
+        If a key is missing, or the channels differ in rate or length.
+    """
+    items = [measurement] if isinstance(measurement, Mapping) else list(measurement)
+    if not items:
+        raise DataError("the SEP005 measurement holds no channel")
+    rows, names, texts, rates, starts = [], [], [], [], []
+    for i, item in enumerate(items):
+        if not isinstance(item, Mapping) or "data" not in item:
+            raise DataError(f"channel {i} of the SEP005 measurement has no 'data'")
+        data = np.asarray(item["data"])
+        if data.ndim != 1:
+            raise DataError(f"channel {i} of the SEP005 measurement has {data.ndim} dimensions instead of 1")
+        rate, start = _rate(item, data.size, i)
+        rows.append(data)
+        names.append(str(item.get("name", f"ch{i + 1}")))
+        texts.append(str(item.get("unit_str", "") or ""))
+        rates.append(rate)
+        starts.append(start)
+    if len({r.size for r in rows}) > 1 or not np.allclose(rates, rates[0], rtol=1e-9, atol=0):
+        raise DataError(
+            f"the channels have {sorted({r.size for r in rows})} samples at {sorted(set(rates))} Hz",
+            hint="one record holds channels of one rate and length: make one for each",
+        )
+    return make_record(np.stack(rows), rates[0], names, texts, start_s=starts[0], units=units, channels=channels, source=name)
+
+
+def _rate(item: Mapping[str, Any], samples: int, i: int) -> tuple[float, float]:
+    if item.get("time") is not None:
+        time = np.asarray(item["time"], float)
+        if time.shape != (samples,) or samples < 2 or not np.all(np.diff(time) > 0):
+            raise DataError(f"the time axis of channel {i} does not fit its data, or does not increase")
+        step = restore_step_of_values(float(time[0]), float(time[-1]), samples)
+        if float(np.max(np.abs(time - time[0] - step * np.arange(samples)))) > 0.01 * step:
+            raise DataError(f"channel {i} is not evenly sampled")
+        return (float(item["fs"]) if item.get("fs") else tidy_rate(step)), float(time[0])
+    if item.get("fs") is None:
+        raise DataError(f"channel {i} of the SEP005 measurement has neither 'fs' nor 'time'")
+    return float(item["fs"]), float(item.get("start", 0.0) or 0.0)
+
+
+def to_sep005(record: TimeRecord) -> list[dict[str, Any]]:
+    """A record as SEP005: one dict a channel with ``data``, ``time``, ``fs``, ``name``, ``unit_str``, ``quantity``."""
+    return [
+        {
+            "data": row,
+            "time": record.time_s,
+            "fs": record.sampling_hz,
+            "name": channel.label,
+            "unit_str": channel.unit or channel.source_unit,
+            "quantity": channel.quantity,
+        }
+        for row, channel in zip(record.data, record.channels, strict=True)
+    ]
