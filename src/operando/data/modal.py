@@ -15,7 +15,7 @@ from operando.data.frf import FrequencyAxis, Frf
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
-from operando.synthesis import synthesise
+from operando.synthesis import synthesise, synthesis_variance
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,12 @@ class ModalModel:
         Analysis band [Hz].
     misfit : float, optional
         Mean squared standardised residual on lines the fit did not use.
+    si : bool
+        Whether the shapes are in SI; False where the units of the data were not known.
+    findings : tuple of Finding
+        What is wrong with it.
+    provenance : Provenance, optional
+        Where it came from.
     details : object, optional
         What the identification kept (stabilisation diagram, rejected poles, …); not part of the physics.
 
@@ -178,7 +184,14 @@ class ModalModel:
         i, s = match_dofs(parse_dofs(dofs), self.dofs)
         return self.shapes[i] * np.asarray(s)[:, None]
 
-    def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
+    def frf(
+        self,
+        frequencies: ArrayLike,
+        responses: object = None,
+        references: object = None,
+        quantity: str = "accelerance",
+        variance: bool = True,
+    ) -> Frf:
         """Synthesise FRFs (Shen & Lu 2024, Eq 4) of a model of unit modal mass, residual modes included.
 
         Parameters
@@ -188,6 +201,8 @@ class ModalModel:
         responses, references : DOF labels, optional
             Default: all DOFs of the model.
         quantity : {"accelerance", "mobility", "receptance"}
+        variance : bool
+            Fill the variance of each line from the covariance, where there is one.
 
         Raises
         ------
@@ -203,7 +218,13 @@ class ModalModel:
         refs = self.dofs if references is None else parse_dofs(references)
         axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
         data = synthesise(axis.values, self.frequencies_hz, self.damping_ratios, self.rows(resp), self.rows(refs), quantity)
-        return Frf(data, axis, resp, refs, quantity, provenance=self.provenance.then("ModalModel.frf"))
+        own = None
+        if variance and self.covariance is not None:
+            rows, columns = match_dofs(resp, self.dofs)[0], match_dofs(refs, self.dofs)[0]
+            own = synthesis_variance(
+                axis.values, self.frequencies_hz, self.damping_ratios, self.shapes, self.covariance, rows, columns, quantity
+            )
+        return Frf(data, axis, resp, refs, quantity, variance=own, si=self.si, provenance=self.provenance.then("ModalModel.frf"))
 
     def mode_dict(self, i: int) -> dict[str, Any]:
         """JSON object of one mode, as in ``summary.json``."""

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from operando.data import Finding, ModalModel
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
 from operando.scaling.condensed import CondensedBasis, condensed_basis
-from operando.scaling.methods import METHODS, Task, real_shapes, scaled_shapes
+from operando.scaling.evidence import Choice, choose_method
+from operando.scaling.expansion import make_prior
+from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scaled_shapes
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes
+from operando.scaling.reciprocity import complexity, reciprocity_finding
+from operando.scaling.uncertainty import covariance_of, scaled_covariance, shape_block
+
+KAPPA_LARGE = 100.0
+"""κ from which sensors are said to be badly placed."""
 
 
 def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float = 0.7, method: str = "auto") -> HybridModel:
@@ -47,58 +56,134 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
             "the idle modes are not scaled to unit modal mass, so there is no scale to carry over",
             hint="give the units of force and response ([units] or [channels]) and a drive point to the EMA",
         )
+    with threadpool_limits(1, "blas"):
+        return _scale(idle, operating, threshold, method)
+
+
+def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: str) -> HybridModel:
     findings: list[Finding] = []
-    dofs, idle_rows, operating_rows = common_dofs(idle, operating, findings)
-    proper_idle = idle.modes_proper()
-    proper_operating = operating.modes_proper()
-    idle_shapes = np.asarray(proper_idle.shapes[idle_rows], float)
-    operating_shapes = np.asarray(proper_operating.shapes)[operating_rows[0]] * operating_rows[1][:, None]
-    if not np.all(np.isfinite(operating_shapes)) or np.any(np.max(np.abs(operating_shapes), axis=0) == 0):
+    dofs, idle_rows, (rows, signs) = common_dofs(idle, operating, findings)
+    real_idle = np.flatnonzero(~np.asarray(idle.residual))
+    proper = operating.modes_proper()
+    e = np.asarray(idle.shapes, float)[idle_rows]
+    o = np.asarray(proper.shapes)[rows] * signs[:, None]
+    if proper.n_modes == 0 or real_idle.size == 0:
+        raise DataError("a model without modes cannot be paired")
+    if not np.all(np.isfinite(o)) or np.any(np.max(np.abs(o), axis=0) == 0):
         raise DataError("an operational shape is zero or not finite at the common DOFs")
-    pairing = pair_modes(
-        idle_shapes, proper_idle.frequencies_hz, operating_shapes, proper_operating.frequencies_hz, threshold, proper_idle.in_band
-    )
-    basis = _basis(idle_shapes, proper_idle, findings)
+    in_band = np.asarray(idle.in_band)[real_idle]
+    pairing = pair_modes(e[:, real_idle], idle.frequencies_hz[real_idle], o, proper.frequencies_hz, threshold, in_band)
+    findings += [_conflict(text) for text in pairing.conflicts]
+    basis = _basis(e[:, real_idle], idle.frequencies_hz[real_idle], in_band, dofs, findings)
+    turned, factor = real_shapes(o)
+    noise = _noise(proper, rows, factor)
+    partners = np.where(pairing.partners >= 0, real_idle[pairing.partners], -1)
     task = Task(
-        pairing.partners,
+        partners,
         np.array([p.kind in ("unchanged", "beyond_idle_band") for p in pairing.pairs], bool),
-        np.zeros(0, int) if basis is None else basis.modes,
-        proper_idle.frequencies_hz,
-        proper_operating.frequencies_hz,
+        np.zeros(0, int) if basis is None else real_idle[basis.modes],
+        np.asarray(idle.frequencies_hz),
+        np.asarray(proper.frequencies_hz),
+        make_prior(
+            e, idle.frequencies_hz, turned, proper.frequencies_hz, proper.damping_ratios, partners, None if noise is None else noise[0]
+        ),
     )
+    shapes, refused = _all_methods(method, e, o, task)
+    if method == "auto":
+        choice = choose_method(e, o, task, basis, np.array([p.mac for p in pairing.pairs]), set(shapes))
+        findings += choice.findings
+    else:
+        choice = Choice(method, f"asked for: {IN_WORDS[method]}", {})
+    carried, text = _carried_over(idle, real_idle, pairing, findings)
+    models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried) for name, s in shapes.items()}
+    covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
+    modal = replace(models[choice.method], covariance=covariance)
+    models[choice.method] = modal
+    out = shapes[choice.method]
+    found = complexity(o, modal.frequencies_hz, modal.damping_ratios, modal.shapes, None if noise is None else noise[1])
+    skew = reciprocity_finding(found, proper.frequencies_hz)
+    if skew is not None:
+        findings.append(skew)
+    return HybridModel(
+        idle=idle,
+        operating=operating,
+        modal=modal,
+        pairing=pairing,
+        method=choice.method,
+        reason=choice.reason,
+        threshold=threshold,
+        basis=basis,
+        scales=np.sum(o.conj() * out, axis=0) / np.sum(np.abs(o) ** 2, axis=0),
+        scale_std=_scale_std(modal, proper.n_modes),
+        outside_span=_outside(e[:, real_idle], turned, basis),
+        imaginary_share=found.share,
+        alternatives=_alternatives(models, choice.method),
+        alternative_models=models,
+        residuals=text,
+        evidence={**choice.evidence, "refused": refused},
+        findings=tuple(findings),
+    )
+
+
+def _all_methods(
+    method: str, idle: NDArray[np.float64], operating: NDArray[Any], task: Task
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, str]]:
+    """Shapes by every method that can be applied, and why the others cannot; one asked for by name must."""
     shapes: dict[str, NDArray[np.float64]] = {}
+    refused: dict[str, str] = {}
     for name in METHODS:
         try:
-            shapes[name] = scaled_shapes(name, idle_shapes, operating_shapes, task)
-        except IdentificationError:
+            if task.basis.size == 0 and (name in ("eq13", "eq15", "eq20") or np.any(task.partners < 0)) and not name.startswith("exp"):
+                raise IdentificationError("there is no condensed mass", hint="use expansion or msf_all")
+            shapes[name] = scaled_shapes(name, idle, operating, task)
+        except IdentificationError as error:
             if name == method:
                 raise
-    chosen = ("eq13" if "eq13" in shapes else "msf_all") if method == "auto" else method
-    reason = "asked for" if method != "auto" else "unchanged modes by MSF, changed modes one by one"
-    carried, text = _carried_over(idle, pairing)
-    models = {name: _assemble(idle, proper_operating, dofs, idle_rows, s, carried) for name, s in shapes.items()}
-    out = np.asarray(shapes[chosen])
-    scales = np.sum(operating_shapes.conj() * out, axis=0) / np.sum(np.abs(operating_shapes) ** 2, axis=0)
-    turned, factor = real_shapes(operating_shapes)
-    imaginary = np.linalg.norm(np.imag(operating_shapes * factor), axis=0) / np.linalg.norm(operating_shapes * factor, axis=0)
-    return HybridModel(
-        idle,
-        operating,
-        models[chosen],
-        pairing,
-        chosen,
-        reason,
-        threshold,
-        basis,
-        scales,
-        None,
-        _outside(idle_shapes, turned, basis),
-        imaginary,
-        _alternatives(models, chosen, idle, proper_operating),
-        models,
+            refused[name] = error.message
+    if not shapes:
+        raise IdentificationError("no scaling method can be applied", hint="; ".join(f"{k}: {v}" for k, v in refused.items()))
+    return shapes, refused
+
+
+def _noise(
+    operating: ModalModel, rows: list[int], factor: NDArray[np.complex128]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Standard deviations (m, n) of the real and of the imaginary part of shapes turned and brought to unit length."""
+    covariance = covariance_of(operating)
+    if covariance is None:
+        return None
+    blocks = shape_block(operating, rows)
+    variance = np.diag(covariance)
+    re = variance[blocks[0]].T
+    if len(blocks) == 1:
+        return np.abs(factor) * np.sqrt(re), np.zeros_like(re)
+    im, both = variance[blocks[1]].T, covariance[blocks[0], blocks[1]].T
+    a, b = factor.real, factor.imag
+    real = a**2 * re + b**2 * im - 2 * a * b * both
+    imag = b**2 * re + a**2 * im + 2 * a * b * both
+    return np.sqrt(np.maximum(real, 0)), np.sqrt(np.maximum(imag, 0))
+
+
+def _scale_std(modal: ModalModel, n: int) -> NDArray[np.float64] | None:
+    """Relative standard deviation of the size ‖φ̂‖ of each operational shape."""
+    if modal.covariance is None:
+        return None
+    m = len(modal.dofs)
+    out = np.zeros(n)
+    for r in range(n):
+        at = slice(2 * modal.n_modes + r * m, 2 * modal.n_modes + (r + 1) * m)
+        u = modal.shapes[:, r] / float(modal.shapes[:, r] @ modal.shapes[:, r])
+        out[r] = np.sqrt(max(float(u @ modal.covariance[at, at] @ u), 0))
+    return out
+
+
+def _conflict(text: str) -> Finding:
+    return Finding(
+        "pairing_conflict",
         text,
-        {},
-        tuple(findings),
+        "warning",
+        consequence="one of them is scaled as a changed mode",
+        action="look at both shapes; reject one of the operational modes if it is no mode",
     )
 
 
@@ -128,20 +213,37 @@ def common_dofs(
     return dofs, rows, (index, np.asarray(signs, float))
 
 
-def _basis(shapes: NDArray[np.float64], idle: ModalModel, findings: list[Finding]) -> CondensedBasis | None:
+def _basis(
+    shapes: NDArray[np.float64], hz: NDArray[np.float64], in_band: NDArray[np.bool_], dofs: tuple[Dof, ...], findings: list[Finding]
+) -> CondensedBasis | None:
     try:
-        return condensed_basis(shapes, idle.frequencies_hz, np.asarray(idle.in_band))
+        basis = condensed_basis(shapes, hz, in_band)
     except IdentificationError as error:
         findings.append(
             Finding(
                 "ill_conditioned",
                 f"no condensed mass: {error.message}",
                 "warning",
-                consequence="changed modes are scaled by MSF onto their idle partner",
+                consequence="the methods of Eq 13, 15 and 20 are left out",
                 action=error.hint or "",
             )
         )
         return None
+    if basis.kappa > KAPPA_LARGE or basis.left_out:
+        left = f"; {len(basis.left_out)} idle modes in band do not fit on {len(dofs)} DOFs" if basis.left_out else ""
+        findings.append(
+            Finding(
+                "ill_conditioned",
+                f"κ of the idle shapes is {basis.kappa:.0f}{left}",
+                "warning" if basis.kappa > KAPPA_LARGE else "info",
+                dof=", ".join(str(dofs[i]) for i in basis.weak_dofs),
+                consequence="errors of the shapes grow up to 2κ times in the condensed mass (Eq 16–19)",
+                action="the sensors hardly tell apart the idle modes at "
+                + ", ".join(f"{hz[j]:.2f}" for j in basis.weak_modes)
+                + " Hz: add a sensor where these shapes differ, or leave one of the modes out",
+            )
+        )
+    return basis
 
 
 def _outside(idle: NDArray[np.float64], turned: NDArray[np.float64], basis: CondensedBasis | None) -> NDArray[np.float64]:
@@ -152,19 +254,27 @@ def _outside(idle: NDArray[np.float64], turned: NDArray[np.float64], basis: Cond
     return np.linalg.norm(rest, axis=0) / np.linalg.norm(turned, axis=0)
 
 
-def _carried_over(idle: ModalModel, pairing: Pairing) -> tuple[NDArray[np.int_], str]:
+def _carried_over(idle: ModalModel, real_idle: NDArray[np.int_], pairing: Pairing, findings: list[Finding]) -> tuple[NDArray[np.int_], str]:
     """Idle modes that stand in the OFRF as they are: residual modes, and modes no operational mode was found for."""
-    proper = np.flatnonzero(~np.asarray(idle.residual))
     residual = np.flatnonzero(np.asarray(idle.residual))
-    alone = proper[pairing.idle_without_partner]
+    alone = real_idle[pairing.idle_without_partner]
+    inside = np.asarray(idle.in_band)[alone]
     parts = []
     if residual.size:
         parts.append(f"{residual.size} residual modes of the idle model (" + _hz(idle, residual) + ")")
-    inside = np.asarray(idle.in_band)[alone]
     if np.any(~inside):
         parts.append(f"{int(np.sum(~inside))} idle modes beyond the band (" + _hz(idle, alone[~inside]) + ")")
     if np.any(inside):
         parts.append(f"{int(np.sum(inside))} idle modes in band without an operational mode (" + _hz(idle, alone[inside]) + ")")
+        findings.append(
+            Finding(
+                "mode_not_found",
+                "no operational mode was found for the idle modes at " + _hz(idle, alone[inside]),
+                "warning",
+                consequence="they stand in the operational FRFs as they are at rest",
+                action="look at the stabilisation diagram of the OMA; measure longer or excite them",
+            )
+        )
     text = "carried over as at rest: " + "; ".join(parts) if parts else "none: the idle model has no residual modes"
     return np.concatenate([residual, alone]).astype(int), text
 
@@ -195,11 +305,13 @@ def _assemble(
     )
 
 
-def _alternatives(models: dict[str, ModalModel], chosen: str, idle: ModalModel, operating: ModalModel) -> dict[str, float | None]:
-    """Largest difference in dB over lines and pairs, on 400 lines of the band."""
-    low, high = operating.band_hz or idle.band_hz or (operating.frequencies_hz.min() * 0.8, operating.frequencies_hz.max() * 1.1)
+def _alternatives(models: dict[str, ModalModel], chosen: str) -> dict[str, float | None]:
+    """Largest difference in dB over lines and pairs, on 400 lines of the band; None where a method cannot be applied."""
+    model = models[chosen]
+    real = model.frequencies_hz[~np.asarray(model.residual)]
+    low, high = model.band_hz or (real.min() * 0.8, real.max() * 1.1)
     lines = np.linspace(max(low, 1e-3), high, 400)
-    base = np.abs(models[chosen].frf(lines).data)
+    base = np.abs(model.frf(lines, variance=False).data)
     out: dict[str, float | None] = {}
     for name in METHODS:
         if name == chosen:
@@ -207,12 +319,7 @@ def _alternatives(models: dict[str, ModalModel], chosen: str, idle: ModalModel, 
         if name not in models:
             out[name] = None
             continue
-        other = np.abs(models[name].frf(lines).data)
+        other = np.abs(models[name].frf(lines, variance=False).data)
         good = (base > 0) & (other > 0)
         out[name] = float(np.max(np.abs(20 * np.log10(other[good] / base[good])))) if np.any(good) else None
     return out
-
-
-def with_method(hybrid: HybridModel, method: str) -> HybridModel:
-    """The same models scaled by another named method."""
-    return replace(scale_operational(hybrid.idle, hybrid.operating, hybrid.threshold, method))

@@ -14,9 +14,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.errors import ConfigError, IdentificationError
+from operando.scaling.expansion import Prior, expand, modal_mass, modal_stiffness
 
-METHODS = ("msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "idle_shapes")
+METHODS = ("msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "idle_shapes", "expansion", "expansion_stiffness")
 """Named methods, besides ``auto``."""
+
+IN_WORDS = {
+    "msf_all": "all modes by MSF onto their idle partner (Eq 2, 3)",
+    "sqrt_mac": "all modes by MSF over the square root of MAC",
+    "eq13": "unchanged modes by MSF, changed modes one by one to unit modal mass (Eq 13)",
+    "eq15": "unchanged modes by MSF, changed modes together by the principal square root (Eq 15)",
+    "eq20": "unchanged modes by MSF, changed modes by the swapped root over all modes (Eq 20)",
+    "idle_shapes": "idle shapes with operational poles",
+    "expansion": "prior-weighted expansion in the idle modes, mass as at rest",
+    "expansion_stiffness": "prior-weighted expansion in the idle modes, stiffness as at rest",
+}
+"""What each method does."""
 
 Array = NDArray[Any]
 
@@ -83,6 +96,9 @@ class Task:
     basis : int array
         Idle modes of the condensed mass.
     idle_hz, operating_hz : arrays [Hz]
+        Leading dimensions as the shapes.
+    prior : Prior
+        Of the expansion.
     """
 
     partners: NDArray[np.int_]
@@ -90,6 +106,7 @@ class Task:
     basis: NDArray[np.int_]
     idle_hz: NDArray[np.float64]
     operating_hz: NDArray[np.float64]
+    prior: Prior
 
 
 def scale_msf(idle: Array, operating: Array, task: Task) -> Array:
@@ -152,6 +169,18 @@ def scale_eq20(idle: Array, operating: Array, task: Task) -> Array:
     return unit @ _root(p @ np.swapaxes(p, -1, -2), 0.5)
 
 
+def scale_expansion(idle: Array, operating: Array, task: Task, keep: str) -> Array:
+    """All modes by prior-weighted expansion; ``keep`` says what is as at rest, "mass" or "stiffness"."""
+    q, shape, rest = expand(idle, real_shapes(operating)[0], task.prior)
+    paired = task.partners[task.partners >= 0]
+    in_sight = paired if paired.size else np.arange(idle.shape[-1])
+    if keep == "mass":
+        size = modal_mass(idle, q, rest, in_sight)
+    else:
+        size = modal_stiffness(idle, task.idle_hz, task.operating_hz, q, rest, in_sight)
+    return shape / _modal_size(np.sqrt(size))[..., None, :]
+
+
 def scaled_shapes(method: str, idle: Array, operating: Array, task: Task) -> Array:
     """Real operational shapes of unit modal mass by a named method.
 
@@ -176,6 +205,16 @@ def scaled_shapes(method: str, idle: Array, operating: Array, task: Task) -> Arr
     """
     if method not in METHODS:
         raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")
+    out = _by_method(method, idle, operating, task)
+    paired = np.flatnonzero(task.partners >= 0)
+    sense = np.sum(out[..., :, paired] * idle[..., :, task.partners[paired]], axis=-2, keepdims=True)
+    out[..., :, paired] *= np.where(sense < 0, -1.0, 1.0)
+    return out
+
+
+def _by_method(method: str, idle: Array, operating: Array, task: Task) -> Array:
+    if method.startswith("expansion"):
+        return scale_expansion(idle, operating, task, "stiffness" if method == "expansion_stiffness" else "mass")
     by_msf = scale_msf(idle, operating, task)
     if method == "msf_all":
         return by_msf
