@@ -22,6 +22,9 @@ from operando.errors import DataError, IdentificationError
 
 __all__ = ["OrderPoles", "plscf"]
 
+EDGE = 0.02
+"""How far beyond the lines, in units of the width of the band, a pole may lie."""
+
 
 @dataclass(frozen=True)
 class OrderPoles:
@@ -38,7 +41,8 @@ class OrderPoles:
     side : {"reference", "response"}
         What ``vectors`` run over: the references, or (more references than responses, the transposed problem) the responses.
     physical : (k,) bool array
-        Whether the pole decays, its damping ratio is below the limit, and its frequency lies in the band. The others are kept
+        Whether the pole decays, its damping ratio is below the limit, and its frequency lies in the band or just beyond (``EDGE`` of
+        its width: the flank of such a mode matters). The others are kept
         so that a diagram can show them and say why they were not taken.
     """
 
@@ -151,7 +155,8 @@ def plscf(
             rising = np.argsort(np.abs(poles))
             z, poles = z[rising], poles[rising]
             hz, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
-            physical = (poles.real < 0) & (zeta < max_damping) & (hz >= f[0]) & (hz <= f[-1])
+            edge = EDGE * (f[-1] - f[0])
+            physical = (poles.real < 0) & (zeta < max_damping) & (hz >= f[0] - edge) & (hz <= f[-1] + edge)
             out.append(OrderPoles(n, poles, _null_vectors(blocks, z, scale), side, physical))
     return out
 

@@ -16,7 +16,7 @@ from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from operando.data import Finding
-from operando.dof import Dof, parse_dofs
+from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError, IdentificationError
 from operando.synthesis import modal_kernel
 
@@ -53,7 +53,10 @@ class StartShapes:
     unseen : tuple of int
         In-band modes that no drive point sees well enough to scale them (relative standard deviation of the scale above 20 %).
     misfit : float
-        Mean |H_model − H|²/variance; without a variance, of the norm: 1 − explained part.
+        Mean |H_model − H|²/variance; without a variance the unexplained part of the (weighted) squared norm.
+    references : tuple of Dof
+        What ``inverted_references`` counts: the references, or with more references than responses (roving hammer, solved transposed
+        by reciprocity) the responses.
     """
 
     dofs: tuple[Dof, ...]
@@ -169,6 +172,12 @@ def real_shapes_start(
         raise DataError(f"FRFs of shape {data.shape} do not fit {len(resp)} responses, {len(refs)} references, {f.size} lines")
     if hz.size == 0 or hz.shape != damping.shape:
         raise IdentificationError(f"{hz.size} frequencies and {damping.size} damping ratios: no modes to fit")
+    if len(refs) > len(resp):
+        # roving hammer: the symmetric model is the same for the transposed matrix, and the small side drives the cost
+        turned = None if variance is None else np.broadcast_to(np.asarray(variance, float), data.shape).transpose(1, 0, 2)
+        options = {"pseudo_hz": pseudo_hz, "pseudo_zeta": pseudo_zeta, "prior": prior, "quantity": quantity, "iterations": iterations}
+        out = real_shapes_start(f, data.transpose(1, 0, 2), refs, resp, hz, damping, variance=turned, **options)  # type: ignore[arg-type]
+        return _relabelled(out, resp, refs)
     extra = np.asarray(default_pseudo_hz(float(f[0]), float(f[-1])) if pseudo_hz is None else pseudo_hz, float)
     n_free = hz.size
     all_hz = np.concatenate([hz, extra])
@@ -218,7 +227,15 @@ class _Pairs:
 
     def misfit(self, shapes: Real) -> float:
         costs = self.costs(shapes)
-        return float(costs.sum() / (2 * self.lines.sum()) * self.inflation) if self.known else float(costs.sum() / self.constant.sum())
+        total = max(float(costs.sum()), 0.0)
+        return total / float(2 * self.lines.sum()) * self.inflation if self.known else total / float(self.constant.sum())
+
+
+def _relabelled(turned: StartShapes, responses: tuple[Dof, ...], references: tuple[Dof, ...]) -> StartShapes:
+    """The result of the transposed problem with its rows in the order and sense of the responses, then of other references."""
+    dofs = (*responses, *(r for r in references if not any(r.same_axis(d) for d in responses)))
+    rows, signs = match_dofs(dofs, turned.dofs)
+    return replace(turned, dofs=dofs, shapes=turned.shapes[rows] * np.asarray(signs, float)[:, None])
 
 
 def _rows(responses: tuple[Dof, ...], references: tuple[Dof, ...]) -> tuple[tuple[Dof, ...], list[int], list[int]]:
@@ -422,7 +439,11 @@ class _System:
         inner = np.linalg.solve(block, self.gradient[self.others][:, :, None])[:, :, 0]
         right = self.gradient[self.refs].ravel() - np.tensordot(inner, self.coupling, axes=((0, 1), (0, 1)))
         out = np.zeros_like(self.gradient)
-        at_refs = -np.asarray(linalg.lstsq(self._schur(block, dense), right, lapack_driver="gelsy", check_finite=False)[0])
+        schur = self._schur(block, dense)
+        try:
+            at_refs = -linalg.solve(schur, right, assume_a="pos", check_finite=False)
+        except linalg.LinAlgError:
+            at_refs = -np.asarray(linalg.lstsq(schur, right, check_finite=False)[0])
         out[self.refs] = at_refs.reshape(self.refs.size, -1)
         rest = self.gradient[self.others] + np.tensordot(self.coupling, at_refs, axes=(2, 0))
         out[self.others] = -np.linalg.solve(block, rest[:, :, None])[:, :, 0]
