@@ -12,6 +12,7 @@ from typing import Any
 from operando.config import Test, load_test
 from operando.data import Finding
 from operando.errors import ConfigError, OperandoError
+from operando.jsonable import jsonable
 from operando.pipeline.cache import FOLDER, StageCache, code_hash, key_of, whole, write_json
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.outputs import OUTPUTS, write_output
@@ -69,6 +70,21 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
         return _Run(test, out, progress or (lambda stage, message: None)).all(until)
 
 
+def used_settings(stage: str, results: Results) -> dict[str, Any]:
+    """What a stage chose where the test file leaves it to the data."""
+    if stage == "frf" and results.idle_frf is not None:
+        frf = results.idle_frf
+        return {"call": frf.provenance.calls[-1] if frf.provenance.calls else None, "averages": frf.averages, "lines": len(frf.axis)}
+    model = {"ema": results.idle, "oma": results.operating}.get(stage)
+    if model is not None:
+        chosen = getattr(model.details, "settings", None) or {}
+        used: dict[str, Any] = jsonable({"band": model.band_hz, **chosen})
+        return used
+    if stage == "ofrf" and results.hybrid is not None:
+        return {"scaling": results.hybrid.method, "threshold": results.hybrid.threshold}
+    return {}
+
+
 class _Run:
     """State of one call of :func:`run`."""
 
@@ -88,6 +104,20 @@ class _Run:
     def all(self, until: str | None) -> Results:
         """All stages up to ``until``; later ones only where their stored results still hold."""
         last = len(STAGES) if until is None else STAGES.index(until) + 1
+        try:
+            self._stages(last)
+        except KeyboardInterrupt:
+            # what is finished stays, and no summary or report of older results beside it
+            for name in STAGES[:last]:
+                if name not in self.done and name not in self.results.left_out:
+                    self.results.left_out[name] = "interrupted"
+            (self.out / "report.html").unlink(missing_ok=True)
+            self._store()
+            raise
+        self._store()
+        return self.results
+
+    def _stages(self, last: int) -> None:
         for stage in STEPS:
             self.keys[stage.name] = self._key(stage)
             self._step(stage, asked=STAGES.index(stage.part_of) < last)
@@ -100,9 +130,6 @@ class _Run:
             self._report()
         elif self.fresh:
             (self.out / "report.html").unlink(missing_ok=True)  # it would show results that no longer hold
-        self._gather_findings()
-        self._store()
-        return self.results
 
     def _key(self, stage: Stage) -> str:
         test = self.test
@@ -168,6 +195,9 @@ class _Run:
         seconds = float(found.get("seconds", 0.0))
         self.results.timings_s[stage.part_of] = self.results.timings_s.get(stage.part_of, 0.0) + seconds
         self.own_findings += found.get("findings", [])
+        used = used_settings(stage.name, self.results)
+        if used:
+            self.results.settings.setdefault("used", {})[stage.name] = used
 
     def _write(self, stage: Stage, name: str) -> None:
         try:
@@ -239,6 +269,7 @@ class _Run:
     def _store(self) -> None:
         from operando.store import save_results
 
+        self._gather_findings()
         write_json(self.out / "summary.json", summary(self.results))
         path = self.out / "model.h5"
         key = key_of(sorted(self.done), {name: self.keys[name] for name in self.done}, self.results.left_out, self.results.settings)

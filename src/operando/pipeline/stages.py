@@ -160,18 +160,6 @@ def operational_modes(work: Work) -> dict[str, Any]:
 
     analysis = work.analysis
     records = work.inputs.records(work.test.operating, force=False)
-    findings = []
-    record = max(records, key=lambda r: r.duration_s)
-    if len(records) > 1:
-        left = [r.name for r in records if r is not record]
-        message = (
-            f"{len(records)} operating records; the longest one ({record.name}, {record.duration_s:.4g} s) is used, not {', '.join(left)}"
-        )
-        findings.append(
-            Finding(
-                "unused_record", message, "warning", consequence="less data than measured", action="name the record wanted in [operating]"
-            )
-        )
     keywords = offered(
         fit_oma,
         band=analysis.band,
@@ -183,7 +171,7 @@ def operational_modes(work: Work) -> dict[str, Any]:
         exclude_bands=analysis.exclude_bands,
         second_opinion=analysis.second_opinion or None,
     )
-    return {"operating": fit_oma(record, **keywords), "findings": findings}
+    return {"operating": fit_oma(records, **keywords)}
 
 
 def hybrid(work: Work) -> dict[str, Any]:

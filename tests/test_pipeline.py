@@ -1,0 +1,272 @@
+"""The pipeline on a small test: results folder, cache, resumption, missing data, failing parts."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+import measurements
+import operando
+from operando import load_test
+from operando.errors import ConfigError, IdentificationError
+from operando.pipeline import STAGES, run
+from operando.store import load_results
+
+CONTRACT_FILES = {
+    "summary.json",
+    "comparison.json",
+    "report.html",
+    "idle_frf.uff",
+    "idle_modes.uff",
+    "operating_modes.uff",
+    "ofrf.uff",
+    "model.h5",
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Test file and results folder of one complete run."""
+    folder = tmp_path_factory.mktemp("chain")
+    path = measurements.write_test(folder)
+    results = run(path, folder / "out")
+    return path, folder / "out", results
+
+
+@pytest.fixture(autouse=True)
+def short_report(request, monkeypatch):
+    """The report has its own tests; here a line stands for it, except in the first run."""
+    request.getfixturevalue("finished")
+    monkeypatch.setattr("operando.report.write_report", lambda results, path: path.write_text(results.name, encoding="utf-8"))
+
+
+@pytest.fixture
+def again(finished, tmp_path):
+    """A copy of the finished test that a test may change."""
+    path, _, _ = finished
+    shutil.copytree(path.parent, tmp_path / "t", copy_function=shutil.copy2)
+    return tmp_path / "t/test.toml", tmp_path / "t/out"
+
+
+def log(messages):
+    return lambda stage, message: messages.append((stage, message))
+
+
+def computed(messages):
+    """Stages that were computed, not taken from the last run."""
+    return [stage for stage, message in messages if message.startswith("done")]
+
+
+def strict(path):
+    def refuse(text):
+        raise AssertionError(f"{text} in {path.name}")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_results_folder_is_that_of_the_contract(finished):
+    _, out, results = finished
+    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} == CONTRACT_FILES
+    assert results.left_out == {"diagnose": "not built yet"}
+    summary = strict(out / "summary.json")
+    assert summary["schema"] == "operando/summary/1"
+    assert {"test", "settings", "findings", "idle", "operating", "pairing", "scaling"} <= set(summary)
+    assert summary["settings"]["threshold"] == 0.7
+    assert {"references", "responses", "averages", "reciprocity_error"} <= set(summary["idle"]["frf"])
+    mode = summary["idle"]["modes"][0]
+    assert {"frequency_hz", "frequency_std_hz", "damping_ratio", "damping_ratio_std", "modal_phase_collinearity"} <= set(mode)
+    assert list(mode["shape"]) == ["1+Z", "2+Z", "3+Z", "4+Z"]
+    assert len(summary["operating"]["modes"][0]["shape"]["1+Z"]) == 2
+    assert {"method", "reason", "threshold", "kappa", "outside_span", "residuals", "alternatives"} <= set(summary["scaling"])
+    comparison = strict(out / "comparison.json")
+    assert comparison["schema"] == "operando/comparison/1"
+    assert set(comparison["models"]) == {"idle", "idle_shapes", "msf_all", "ofrf"}
+    assert comparison["settings"] == summary["settings"]
+
+
+def test_identified_modes_are_those_of_the_chain(finished):
+    _, out, _ = finished
+    summary = strict(out / "summary.json")
+    for key, chain, tolerance in (("idle", measurements.idle_chain(), 3e-4), ("operating", measurements.running_chain(), 5e-3)):
+        found = [m["frequency_hz"] for m in summary[key]["modes"] if m["in_band"]]
+        np.testing.assert_allclose(found, chain.hz, rtol=tolerance, err_msg=key)
+
+
+def test_operational_frf_beats_the_idle_model(finished):
+    _, out, _ = finished
+    models = strict(out / "comparison.json")["models"]
+    assert models["ofrf"]["error_db"] < 0.5 * models["idle"]["error_db"]
+
+
+def test_ofrf_file_holds_all_pairs_on_the_lines_of_the_idle_frf(finished):
+    _, out, results = finished
+    made = operando.read(out / "ofrf.uff").frfs[0]
+    assert made.data.shape[:2] == (4, 4)
+    np.testing.assert_allclose(made.frequencies_hz, results.idle_frf.frequencies_hz, rtol=1e-9, atol=1e-9)
+    exact = measurements.running_chain().accelerance(made.frequencies_hz)
+    band = made.axis.band(10, 90)
+    error = np.linalg.norm(made.data[:, :, band] - exact[:, :, band]) / np.linalg.norm(exact[:, :, band])
+    assert error < 0.25
+
+
+def test_second_run_takes_everything_from_the_first(again):
+    path, out = again
+    before = {p.name: p.stat().st_mtime_ns for p in out.iterdir() if p.name in CONTRACT_FILES - {"summary.json"}}
+    messages = []
+    results = run(path, out, progress=log(messages))
+    assert computed(messages) == []
+    assert {p.name: p.stat().st_mtime_ns for p in out.iterdir() if p.name in before} == before
+    assert results.hybrid is not None
+    assert results.timings_s["frf"] > 0
+
+
+def test_a_setting_reruns_only_what_depends_on_it(again):
+    path, out = again
+    messages = []
+    results = run(load_test(path).with_analysis(threshold=0.9), out, progress=log(messages))
+    assert set(computed(messages)) == {"ofrf", "compare", "report"}
+    assert results.hybrid.threshold == 0.9
+    assert strict(out / "summary.json")["settings"]["threshold"] == 0.9
+
+
+def test_a_changed_file_reruns_what_reads_it(again):
+    path, out = again
+    from operando.io import write_uff
+
+    chain = measurements.running_chain()
+    write_uff(path.parent / "check/run1b.uff", measurements.record(chain, [0], 2.0, 55, "run1b"))
+    messages = []
+    run(path, out, progress=log(messages))
+    assert set(computed(messages)) == {"inspect", "compare", "report"}
+    # a touched file of the same content is the same file
+    os.utime(path.parent / "idle/run1.uff")
+    messages.clear()
+    run(path, out, progress=log(messages))
+    assert computed(messages) == []
+
+
+def test_until_and_resume(tmp_path):
+    path = measurements.write_test(tmp_path / "t", check=False)
+    out = tmp_path / "out"
+    messages = []
+    results = run(path, out, until="frf", progress=log(messages))
+    assert computed(messages) == ["inspect", "frf"]
+    assert results.idle is None
+    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} == {"summary.json", "idle_frf.uff", "model.h5"}
+    messages.clear()
+    results = run(path, out, until="oma", progress=log(messages))
+    assert computed(messages) == ["ema", "oma"]
+    # going back keeps later results that still hold
+    results = run(path, out, until="frf")
+    assert results.idle is not None
+    assert (out / "idle_modes.uff").exists()
+    # and takes away those that do not
+    results = run(load_test(path).with_analysis(band=(12.0, 80.0)), out, until="frf")
+    assert results.idle is None
+    assert not (out / "idle_modes.uff").exists()
+
+
+def test_interrupted_run_keeps_finished_stages(tmp_path, monkeypatch):
+    path = measurements.write_test(tmp_path / "t", check=False)
+    out = tmp_path / "out"
+
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("operando.ema.fit_ema", interrupt)
+        patch.setattr(
+            "operando.pipeline.stages.introspection.signature", lambda f: type("S", (), {"parameters": {"band": 1, "records": 1}})
+        )
+        with pytest.raises(KeyboardInterrupt):
+            run(path, out)
+    assert not list(out.glob("**/*.part*"))
+    assert strict(out / "summary.json")["left_out"] == dict.fromkeys(STAGES[2:], "interrupted")
+    assert load_results(out).idle_frf is not None
+    messages = []
+    run(path, out, until="ema", progress=log(messages))
+    assert computed(messages) == ["ema"]
+
+
+@pytest.mark.parametrize(
+    ("parts", "left_out", "files"),
+    [
+        ({"operating": False, "check": False}, {"oma", "ofrf", "compare", "diagnose"}, {"idle_frf.uff", "idle_modes.uff"}),
+        ({"idle": False, "check": False}, {"frf", "ema", "ofrf", "compare", "diagnose"}, {"operating_modes.uff"}),
+    ],
+)
+def test_a_stage_without_data_is_left_out_and_said(tmp_path, parts, left_out, files):
+    path = measurements.write_test(tmp_path / "t", **parts)
+    out = tmp_path / "out"
+    messages = []
+    results = run(path, out, progress=log(messages))
+    assert set(results.left_out) == left_out
+    assert all(any(stage == name and "left out" in text for stage, text in messages) for name in left_out)
+    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} == files | {"summary.json", "model.h5", "report.html"}
+    assert strict(out / "summary.json")["left_out"] == results.left_out
+
+
+def test_comparison_of_an_earlier_run_does_not_survive_its_check(again):
+    path, out = again
+    text = path.read_text()
+    path.write_text(text.replace('[check]\nrecords = ["check/*.uff"]\n', ""))
+    results = run(path, out)
+    assert results.comparison is None
+    assert not (out / "comparison.json").exists()
+    assert (out / "ofrf.uff").exists()
+
+
+def test_a_broken_check_file_takes_nothing_else_away(again):
+    path, out = again
+    for name in ("run1a", "run1b"):
+        (path.parent / f"check/{name}.uff").write_bytes(b"    -1\n    58\nrubbish\n")
+    results = run(path, out)
+    kinds = {(f.kind, f.severity) for f in results.findings}
+    assert ("stage_failed", "error") in kinds
+    assert results.left_out["compare"].startswith("failed")
+    assert results.hybrid is not None
+    assert (out / "ofrf.uff").exists()
+    assert not (out / "comparison.json").exists()
+
+
+def test_a_fault_in_one_stage_is_a_finding_with_a_log(again, monkeypatch):
+    path, out = again
+
+    def fault(*args, **kwargs):
+        raise ZeroDivisionError("sum of nothing")
+
+    monkeypatch.setattr("operando.scaling.scale_operational", fault)
+    results = run(load_test(path).with_analysis(threshold=0.8), out)
+    assert results.left_out["ofrf"].startswith("failed: unexpected ZeroDivisionError")
+    assert results.comparison is not None
+    assert set(results.comparison["models"]) == {"idle"}
+    assert not (out / "ofrf.uff").exists()
+    assert "sum of nothing" in (out / "errors.log").read_text()
+
+
+def test_stored_results_come_back(finished):
+    _, out, results = finished
+    back = load_results(out)
+    np.testing.assert_array_equal(back.idle.shapes, results.idle.shapes)
+    np.testing.assert_array_equal(back.idle.covariance, results.idle.covariance)
+    lines = np.linspace(10, 90, 50)
+    np.testing.assert_array_equal(back.hybrid.frf(lines).data, results.hybrid.frf(lines).data)
+    assert back.findings == results.findings
+    assert back.comparison == results.comparison
+    assert back.settings == results.settings
+    assert load_results(out / "model.h5", only=("hybrid",)).idle is None
+
+
+def test_wrong_calls_are_refused(finished, tmp_path):
+    path, _, _ = finished
+    with pytest.raises(ConfigError, match="unknown stage"):
+        run(path, tmp_path / "o", until="everything")
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ConfigError, match="is a file"):
+        run(path, tmp_path / "file")
+    assert STAGES[-1] == "report"
+    assert issubclass(IdentificationError, operando.OperandoError)
