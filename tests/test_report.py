@@ -90,7 +90,7 @@ def whole():
     w2, running.phi = np.linalg.eigh(np.linalg.inv(np.sqrt(running.M)) @ running.K @ np.linalg.inv(np.sqrt(running.M)))
     running.phi = np.linalg.inv(np.sqrt(running.M)) @ running.phi
     running.hz = np.sqrt(w2) / 2 / np.pi
-    f = np.arange(6.0, 150.0, 0.1)
+    f = np.arange(6.0, 150.0, 0.2)
     frf = measured(rest, f, [0, 7], 0.01, 2)
     residual = np.r_[np.zeros(N, bool), True]
     hz, zeta = np.r_[rest.hz, 190.0], np.r_[rest.zeta, 0.01]
@@ -124,12 +124,12 @@ def whole():
         Finding("few_averages", "4 averages & <few>", "warning", "run1.uff"),
     ]
     inventory = [
-        {"file": "idle/run1.uff", "role": "idle", "format": "uff", "channels": 13, "dofs": [str(d) for d in dofs()], "units": {"force": "N"},
-         "sampling_hz": 1024.0, "duration_s": 40.0, "used": True, "ignored": []},
+        {"file": "idle/run1.uff", "role": "idle", "format": "uff", "channels": 13, "dofs": [str(d) for d in dofs()], "ignored": [],
+         "units": {"force": "N"}, "sampling_hz": 1024.0, "duration_s": 40.0, "used": True},
     ]  # fmt: skip
     return Results(
-        "chain & <grid>", {"band": list(BAND), "threshold": 0.7, "oma": {"method": "ssi-cov"}}, findings, inventory, grid(), frf, idle, operating,
-        hybrid, check, comparison, None, {"diagnose": "not built yet"}, {"frf": 1.2, "ema": 9.75},
+        "chain & <grid>", {"band": list(BAND), "oma": {"method": "ssi-cov"}}, findings, inventory, grid(), frf, idle, operating, hybrid,
+        check, comparison, None, {"diagnose": "not built yet"}, {"frf": 1.2, "ema": 9.75},
     )  # fmt: skip
 
 
@@ -243,13 +243,13 @@ def replace_results(results, **changes):
 
 PARTS = {
     "no check": ({"check": [], "comparison": None}, "no check measurement"),
-    "no geometry": ({"geometry": None}, "There is no geometry"),
+    "no geometry": ({"geometry": None, "check": [], "comparison": None, "idle_frf": None}, "There is no geometry"),
     "no operating": (
         {"operating": None, "hybrid": None, "comparison": None, "left_out": {"oma": "no [operating] in the test"}},
         "no [operating]",
     ),
     "no idle": ({"idle": None, "idle_frf": None, "hybrid": None, "comparison": None}, "There is no idle model"),
-    "no comparison": ({"comparison": None}, "The comparison was not made"),
+    "no comparison": ({"comparison": None, "idle_frf": None, "geometry": None}, "The comparison was not made"),
     "only frf": (
         {"idle": None, "operating": None, "hybrid": None, "check": [], "comparison": None, "geometry": None},
         "No modes were identified",
@@ -391,3 +391,12 @@ def test_record_types_used_by_the_report_import_without_matplotlib():
     code = "import sys, operando.report; assert not {'matplotlib', 'scipy.signal', 'pandas'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
     assert TimeRecord(np.zeros((1, 4)), 10.0, (Channel(None),)).duration_s == 0.4
+
+
+def test_second_opinion_names_the_modes_it_disagrees_on(whole):
+    row = {"frequency_hz": 17.27, "other_frequency_hz": 17.26, "damping_ratio": 0.008, "other_damping_ratio": 0.0081, "mac": 0.999}
+    rows = ({**row, "agrees": True, "text": ""}, {**row, "frequency_hz": 34.05, "agrees": False, "text": "damping & <scale>"})
+    idle = replace(whole.idle, details=replace(whole.idle.details, second_opinion=rows))
+    text = render_report(replace_results(whole, idle=idle, operating=None, hybrid=None, check=[], comparison=None))
+    assert "agrees on 1 of 2 modes; it disagrees at 34.05 Hz" in text
+    assert "damping &amp; &lt;scale&gt;" in text

@@ -83,7 +83,8 @@ def headline(results: Results) -> Headline:
     elif error < 1.0:
         verdict, grade = "The operating FRFs agree with the check to within 1 dB", "good"
     else:
-        verdict, grade = f"The operating FRFs agree with the check to {decibel(error)}", "fair"
+        against = f", the idle model by {decibel(idle)}" if idle is not None else ""
+        verdict, grade = f"The operating FRFs are off by {decibel(error)}{against}", "fair"
     best = min(others, key=lambda item: item[1], default=None)
     if best is not None and best[1] < 0.98 * error and best[0] != "idle":
         limits.append(
@@ -303,7 +304,7 @@ def _linear(results: Results, found: list[Finding]) -> Assumption:
     named = [f for f in _of_kind(found, "nonlinear") if f.severity != "info"]
     if named:
         return Assumption(name, "fails", f"{named[0].message.rstrip('.')}. The operating FRFs stand for the level they were measured at.")
-    levels = level_difference(results.check)
+    levels = level_difference(results.check, analysis_band(results))
     if levels is None:
         return Assumption(name, "untested", "It takes check measurements at two levels of force.")
     percent = number(100 * (levels["relative"] or 0), 2)

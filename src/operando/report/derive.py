@@ -238,14 +238,14 @@ def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str,
     return rows
 
 
-def level_difference(check: Sequence[CheckRun]) -> dict[str, Any] | None:
-    """Whether the FRFs of two levels agree: relative difference and mean |ΔH|² over its variance; None with one level."""
+def level_difference(check: Sequence[CheckRun], band: Sequence[float] | None = None) -> dict[str, Any] | None:
+    """Whether the FRFs of two levels agree in band: relative difference and mean |ΔH|² over its variance; None with one level."""
     levels = sorted({run.level for run in check})
     if len(levels) < 2:
         return None
     ends = [[run for run in check if run.level == level] for level in (levels[0], levels[-1])]
     first, second = (beside(runs) or runs[0] for runs in ends)
-    one, two = first.frf, second.frf
+    one, two = (first.frf, second.frf) if band is None else (first.frf.band(*band), second.frf.band(*band))
     if one.data.shape != two.data.shape or one.references != two.references or not np.allclose(one.frequencies_hz, two.frequencies_hz):
         return None
     gap = np.abs(one.data - two.data) ** 2

@@ -84,7 +84,7 @@ def _error_maps(maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[
     finite = np.concatenate([m[np.isfinite(m)] for _, m in maps])
     top = max(float(np.max(finite)) if finite.size else 1.0, 0.5)
     norm = Normalize(0, top)
-    colors = matplotlib.colormaps["cividis_r"]
+    colors = matplotlib.colormaps["YlOrBr"]
     panel = (width - 1.2) / max(len(maps), 2) - 0.75
     for k, (title, values) in enumerate(maps):
         axes = figure.add_axes(((0.7 + k * (panel + 0.75)) / width, 0.75 / height, panel / width, n * cell / height))

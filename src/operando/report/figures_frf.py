@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Frf
-from operando.report.svg import GREY, IDLE, MEASURED, MODEL, PALE, SKY, drawn, log_axis, new_figure, thin
+from operando.report.svg import IDLE, INK, MEASURED, MODEL, SKY, drawn, log_axis, new_figure, thin
 from operando.report.text import listing
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Seq
 def _frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None) -> tuple[Figure, str]:
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)
-    width, cell, top, bottom = 10.2, 4.1, 0.55, 0.5
+    width, cell, top, bottom = 10.2, 4.1, 0.28, 0.5
     height = rows * cell + top
     figure = new_figure(width, height)
     left, gap = 0.68, 0.75
@@ -108,7 +108,7 @@ def _magnitude(axes: Axes, measured: Frf, model: Frf | None, i: int, j: int, sho
     h = np.abs(measured.data[i, j, shown])
     axes.set_yscale("log")
     if measured.variance is not None:
-        _curve(axes, f, np.sqrt(measured.variance[i, j, shown]), color=GREY, lw=0.8, ls=":", label="noise level (1 σ)")
+        _curve(axes, f, np.sqrt(measured.variance[i, j, shown]), color=INK, lw=1.0, ls=":", label="noise level (1 σ)", zorder=4)
     if model is not None:
         _curve(axes, f, np.abs(model.data[i, j, shown] - measured.data[i, j, shown]), color=SKY, lw=0.7, label="difference")
     _curve(axes, f, h, color=MEASURED, lw=1.5, label="measured", count=1100)
@@ -121,10 +121,12 @@ def _magnitude(axes: Axes, measured: Frf, model: Frf | None, i: int, j: int, sho
     log_axis(axes.yaxis)
 
 
-def _curve(axes: Axes, f: NDArray[Any], y: NDArray[Any], *, color: str, lw: float, label: str, ls: Any = "-", count: int = 700) -> None:
+def _curve(
+    axes: Axes, f: NDArray[Any], y: NDArray[Any], *, color: str, lw: float, label: str, ls: Any = "-", count: int = 700, zorder: float = 2
+) -> None:
     with np.errstate(divide="ignore", invalid="ignore"):
         keep = thin(f, np.log(np.maximum(y, 1e-300)), count)
-    axes.plot(f[keep], np.where(y[keep] > 0, y[keep], np.nan), color=color, lw=lw, ls=ls, label=label)
+    axes.plot(f[keep], np.where(y[keep] > 0, y[keep], np.nan), color=color, lw=lw, ls=ls, label=label, zorder=zorder)
 
 
 def _phase(axes: Axes, measured: Frf, model: Frf | None, i: int, j: int, shown: slice) -> None:
@@ -178,15 +180,15 @@ def _ofrf_pairs(check: Frf, ofrf: Frf | None, idle: Frf | None, pairs: Sequence[
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)
     width, cell = 10.2, 3.0
-    height = rows * cell + 0.45
+    height = rows * cell + 0.25
     figure = new_figure(width, height)
     left, gap = 0.68, 0.75
     panel = (width - left - 0.15 - gap * (columns - 1)) / columns
     shown = _shown(check, band)
     for k, (i, j, why) in enumerate(pairs):
         x0 = left + (k % columns) * (panel + gap)
-        y0 = height - 0.4 - (k // columns + 1) * cell + 0.5
-        axes = figure.add_axes((x0 / width, y0 / height, panel / width, (cell - 0.85) / height))
+        y0 = height - 0.25 - (k // columns + 1) * cell + 0.5
+        axes = figure.add_axes((x0 / width, y0 / height, panel / width, (cell - 0.8) / height))
         ofrf_panel(axes, check, ofrf, idle, i, j, shown)
         axes.set_title(f"{check.responses[i]} from {check.references[j]} ({why})")
         _frequency_axis(axes, check, shown, band, label=True)
@@ -234,14 +236,14 @@ def frf_overview(measured: Frf, model: Frf | None, band: Sequence[float] | None 
 
 @drawn
 def _frf_overview(measured: Frf, model: Frf | None, band: Sequence[float] | None) -> tuple[Figure, str]:
-    figure = new_figure(10.2, 3.2)
-    axes = figure.add_axes((0.067, 0.15, 0.918, 0.74))
+    figure = new_figure(10.2, 3.4)
+    axes = figure.add_axes((0.067, 0.14, 0.918, 0.77))
     shown = _shown(measured, band)
     f = measured.frequencies_hz[shown]
     rms = lambda values: np.sqrt(np.nanmean(np.abs(values[:, :, shown]) ** 2, axis=(0, 1)))  # noqa: E731
     axes.set_yscale("log")
     if measured.variance is not None:
-        _curve(axes, f, rms(np.sqrt(measured.variance)), color=GREY, lw=0.9, ls=":", label="noise level (1 σ)")
+        _curve(axes, f, rms(np.sqrt(measured.variance)), color=INK, lw=1.1, ls=":", label="noise level (1 σ)", zorder=4)
     if model is not None:
         _curve(axes, f, rms(model.data - measured.data), color=SKY, lw=0.8, label="difference")
     _curve(axes, f, rms(measured.data), color=MEASURED, lw=1.6, label="measured", count=1200)
@@ -250,5 +252,5 @@ def _frf_overview(measured: Frf, model: Frf | None, band: Sequence[float] | None
     _frequency_axis(axes, measured, shown, band, label=True)
     axes.set_ylabel(f"rms {magnitude_label(measured)[0].lower()}{magnitude_label(measured)[1:]}")
     log_axis(axes.yaxis)
-    axes.legend(loc="lower right", ncols=4, facecolor="white", frameon=True, edgecolor=PALE)
+    figure.legend(loc="upper left", ncols=4, bbox_to_anchor=(0.057, 1.01))
     return figure, "Root mean square of all measured and synthesised frequency response functions, with difference and noise level"

@@ -94,11 +94,21 @@ class _Mesh:
         else:
             self.faces = [f for f in self.faces if moving(f)]
             self.edges = {e for e in self.outline if moving(e)}
+            if not self.faces and _is_flat(self.xyz[self.measured]):  # patches carry the colour, lines stay the user's
+                self.faces = _triangulate(self.xyz, np.flatnonzero(self.measured))[0]
 
 
 def _mesh(geometry: Geometry, dofs: tuple[Dof, ...]) -> _Mesh | None:
     mesh = _Mesh(geometry, dofs)
     return mesh if mesh.measured.sum() >= 2 else None
+
+
+def _is_flat(points: NDArray[np.float64]) -> bool:
+    """Whether points lie close to a plane but not on a line."""
+    if points.shape[0] < 3:
+        return False
+    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(s[1] > 0.02 * s[0] and s[2] < 0.1 * s[1])
 
 
 def _triangulate(xyz: NDArray[np.float64], nodes: NDArray[np.intp]) -> tuple[list[tuple[int, ...]], set[tuple[int, ...]]]:
@@ -159,13 +169,12 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
     axes.add_collection(LineCollection([rest[list(e)] for e in mesh.outline], colors="#c3cbd3", linewidths=0.6, zorder=1))
     colors = matplotlib.colormaps["PuOr"]
     if mesh.faces:
-        order = sorted(mesh.faces, key=lambda f: float(depth[list(f)].mean()))
-        shade = [colors(0.5 + 0.46 * float(signed[list(f)].mean())) for f in order]
-        axes.add_collection(
-            PolyCollection([flat[list(f)] for f in order], facecolors=shade, edgecolors="#5b6670", linewidths=0.4, alpha=0.92, zorder=2)
-        )
-    if mesh.edges and not mesh.faces:
-        axes.add_collection(LineCollection([flat[list(e)] for e in mesh.edges], colors=MODEL, linewidths=1.2, zorder=2))
+        patches, values = _patches(mesh.faces, flat, depth, signed)
+        shade = colors(0.5 + 0.46 * values)
+        axes.add_collection(PolyCollection(list(patches), facecolors=shade, edgecolors=shade, linewidths=0.35, zorder=2))
+    if mesh.edges:
+        color, thick = ("#46525d", 0.7) if mesh.faces else (MODEL, 1.2)
+        axes.add_collection(LineCollection([flat[list(e)] for e in mesh.edges], colors=color, linewidths=thick, zorder=2.5))
     shown = mesh.measured
     if not mesh.faces and not mesh.edges:
         axes.add_collection(
@@ -187,6 +196,26 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_aspect("equal")
     axes.axis("off")
+
+
+def _patches(
+    faces: Sequence[tuple[int, ...]], flat: NDArray[np.float64], depth: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Triangles of all faces from back to front, divided so that colour runs smoothly: corners (k, 3, 2), mean values (k,)."""
+    corners = np.array([(f[0], f[i], f[i + 1]) for f in faces for i in range(1, len(f) - 1)])
+    n = 4 if len(corners) <= 40 else 2 if len(corners) <= 150 else 1
+    small = []
+    for i in range(n):
+        for j in range(n - i):
+            small.append([(i, j), (i + 1, j), (i, j + 1)])
+            if i + j < n - 1:
+                small.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
+    a, b = np.moveaxis(np.array(small, float), 2, 0) / n
+    weights = np.stack([1 - a - b, a, b], axis=2)
+    points = np.einsum("scw,twx->tscx", weights, flat[corners]).reshape(-1, 3, 2)
+    height = np.einsum("scw,tw->tsc", weights, values[corners]).mean(axis=2).ravel()
+    order = np.argsort(np.einsum("scw,tw->tsc", weights, depth[corners]).mean(axis=2).ravel())
+    return points[order], height[order]
 
 
 def _bars(axes: Axes, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str) -> None:

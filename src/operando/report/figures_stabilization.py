@@ -57,7 +57,7 @@ def _stabilization_diagram(
     modes = np.asarray(stabilization.selected_hz if modes_hz is None else modes_hz, float)
     low, high = _limits(table.frequency_hz, band)
     figure = new_figure(10.2, 4.9)
-    place = (0.06, 0.105, 0.88, 0.74)
+    place = (0.06, 0.105, 0.875, 0.785)
     behind = figure.add_axes(place)
     axes = figure.add_axes(place, frameon=False, label="poles")
     _indicator(behind, stabilization.indicator_hz, stabilization.indicator, low, high, name)
@@ -182,8 +182,8 @@ def _singular_values(
     if curves.shape[0] == f.size and curves.shape[1] != f.size:
         curves = curves.T
     low, high = _limits(f, band)
-    figure = new_figure(10.2, 3.4)
-    axes = figure.add_axes((0.067, 0.14, 0.918, 0.73))
+    figure = new_figure(10.2, 3.6)
+    axes = figure.add_axes((0.067, 0.13, 0.918, 0.72))
     axes.set_yscale("log")
     shown = (f >= low) & (f <= high)
     modes = np.asarray(modes_hz, float)
@@ -206,5 +206,5 @@ def _singular_values(
     axes.set_ylabel(f"Singular value [{unit}]")
     log_axis(axes.yaxis)
     _mode_numbers(axes, modes, low, high)
-    axes.legend(loc="upper right", ncols=5, facecolor="white", frameon=True, edgecolor=PALE, framealpha=0.9)
+    figure.legend(loc="upper left", ncols=5, bbox_to_anchor=(0.057, 1.01))
     return figure, f"Singular values of the operating spectra from {low:.1f} to {high:.1f} Hz"

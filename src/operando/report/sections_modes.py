@@ -15,6 +15,8 @@ from operando.report.text import count, esc, finite, fixed, listing, number
 from operando.results import Results
 
 MOST_SHAPES = 24
+SMALL_KAPPA = 10.0
+"""Below, the doubling of shape errors in the condensed mass is no worse than some ten times."""
 
 
 def shapes(results: Results, numbering: Numbering) -> str:
@@ -108,7 +110,7 @@ def _mac_figure(results: Results, numbering: Numbering) -> str:
         names = _labels(idle, idle_rows)
         matrices.append(("Idle × idle (AutoMAC)", values, names, names, "Idle mode: frequency [Hz]", "Idle mode: frequency [Hz]"))
         off = values - np.diag(np.diag(values))
-        if off.size > 1 and off.max() > 0:
+        if off.size > 1 and off.max() > 0.05:
             a, b = sorted(int(v) for v in np.unravel_index(int(np.argmax(off)), off.shape))
             text.append(
                 f"Least distinct at the sensors are idle modes {a} and {b} (MAC {off.max():.2f})"
@@ -208,16 +210,19 @@ def _condition(results: Results, info: dict[str, Any], numbering: Numbering) -> 
     if shape is None:
         out.append(missing("There are fewer sensors than idle modes, so the sensors' part in κ is not defined."))
         return "".join(out)
-    order = np.argsort(-shape["dofs"])[:3]
-    weak = np.argsort(-shape["modes"])[:3]
+    order = [i for i in np.argsort(-shape["dofs"])[:4] if shape["dofs"][i] > 0.08]
+    weak = [i for i in np.argsort(-shape["modes"])[:4] if shape["modes"][i] > 0.08]
     proper = {int(a): j for j, a in enumerate(derive.proper_modes(idle))}
     sensors, share = listing(shape["labels"][i] for i in order), fixed(100 * float(np.sum(shape["dofs"][order])), 0)
     modes = listing(f"{proper[int(rows[i])]} ({number(idle.frequencies_hz[rows[i]], 4)} Hz)" for i in weak)
-    text = (
-        f"For the {count(rows.size, 'idle mode')} that carry the mass κ is {number(shape['kappa'], 3)}. It is made large by the sensors "
-        f"{sensors} ({share} % of the weakest direction), whose signals are nearly a combination of the others; "
-        f"told apart least are idle modes {modes}."
-    )
+    text = f"For the {count(rows.size, 'idle mode')} that carry the mass κ is {number(shape['kappa'], 3)}. "
+    if shape["kappa"] < SMALL_KAPPA:
+        text += f"That is small: the sensors tell these modes apart well; least by {sensors}, and least idle modes {modes}."
+    else:
+        text += (
+            f"It is made large by the sensors {sensors} ({share} % of the weakest direction), whose signals are nearly made of the "
+            f"others; told apart least are idle modes {modes}. More sensors, or these moved, would lower it."
+        )
     if np.any(np.isfinite(shape["without"])):
         least = int(np.nanargmax(shape["without"]))
         text += f" The sensor hardest to do without is {shape['labels'][least]}: κ would be {number(shape['without'][least], 3)}."

@@ -7,7 +7,7 @@ from typing import Any
 from operando.data import Frf
 from operando.report import derive, figures_frf, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
-from operando.report.text import band_text, count, esc, finite, fixed, listing, number
+from operando.report.text import band_text, count, esc, finite, fixed, listing, number, plain
 from operando.results import Results
 
 
@@ -51,8 +51,8 @@ def _frf_cells(frf: Frf) -> list[str]:
     return [
         f"{len(frf.responses)}: {esc(responses)}",
         f"{len(frf.references)}: {esc(', '.join(str(d) for d in frf.references))}",
-        f"{len(f)} from {number(f[0], 4)} to {number(f[-1], 4)} Hz",
-        number(step, 4) if step else "uneven",
+        f"{len(f)} from {plain(f[0])} to {plain(f[-1])} Hz",
+        plain(step) if step else "uneven",
         number(frf.averages, 3),
         esc(unit),
     ]

@@ -9,7 +9,7 @@ import numpy as np
 from operando.data import Frf, ModalModel
 from operando.report import derive, figures_frf, figures_stabilization, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
-from operando.report.text import band_text, count, esc, finite, listing, number
+from operando.report.text import band_text, count, finite, listing, number
 from operando.results import Results
 
 
@@ -129,25 +129,25 @@ def _harmonics(results: Results) -> list[float]:
 
 
 def _second_opinion(model: ModalModel) -> str:
-    """Disagreements with an independent program, in whatever form the identification kept them."""
+    """Where an independent program finds something else."""
     opinion = getattr(model.details, "second_opinion", None)
-    if not opinion:
+    if opinion is None:
         return missing("No second opinion from another program was asked for.")
-    rows = opinion.get("modes") if isinstance(opinion, dict) else opinion if isinstance(opinion, list | tuple) else None
     out = "<h3>Second opinion</h3>"
+    if isinstance(opinion, str):
+        return out + paragraph(opinion)
     if isinstance(opinion, dict):
-        for key in ("program", "name", "text", "message", "summary"):
-            if isinstance(opinion.get(key), str):
-                out += paragraph(opinion[key])
-    if rows and all(isinstance(r, dict) for r in rows):
-        keys = list(dict.fromkeys(k for r in rows for k in r))
-        cells = [
-            [number(r.get(k), 5) if finite(r.get(k)) and not isinstance(r.get(k), bool) else esc(r.get(k, "")) for k in keys] for r in rows
-        ]
-        return out + tables.table([esc(k.replace("_", " ")) for k in keys], cells, numeric=range(len(keys)))
-    if rows is None and isinstance(opinion, str):
-        out += paragraph(opinion)
-    return out
+        out += "".join(paragraph(opinion[k]) for k in ("program", "text", "summary") if isinstance(opinion.get(k), str))
+        opinion = opinion.get("modes") or ()
+    rows = [dict(r) for r in opinion if isinstance(r, dict)]
+    if not rows:
+        return out + missing("The other program gave no modes to compare.")
+    against = [r for r in rows if r.get("agrees") is False]
+    if all("agrees" in r for r in rows):
+        text = f"An independent program agrees on {len(rows) - len(against)} of {len(rows)} modes"
+        where = listing(f"{number(r.get('frequency_hz'), 4)} Hz" for r in against if finite(r.get("frequency_hz")))
+        out += paragraph(text + (f"; it disagrees at {where}." if where else "."))
+    return out + tables.second_opinion_table(rows)
 
 
 def operating(results: Results, numbering: Numbering) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from operando.data import Finding, ModalModel, phase_collinearity
 from operando.report.assessment import MODEL_NAMES, Assumption
 from operando.report.derive import pairing_of, proper_modes
-from operando.report.text import DASH, decibel, esc, finite, fixed, listing, number, plus_minus, size_text
+from operando.report.text import DASH, decibel, esc, finite, fixed, listing, number, plain, plus_minus, size_text
 from operando.results import Results
 
 CLASS_WORDS = {
@@ -72,7 +72,9 @@ def _at(values: Any, i: int) -> Any:
 
 def percent(share: Any, digits: int = 2) -> str:
     """A share as per cent without the sign, a dash where there is none."""
-    return number(100 * float(share), digits) if finite(share) else DASH
+    if not finite(share):
+        return DASH
+    return "&lt; 0.01" if abs(float(share)) < 1e-4 else number(100 * float(share), digits)
 
 
 def mode_table(results: Results) -> str:
@@ -301,6 +303,37 @@ def by_mode_table(models: Mapping[str, Mapping[str, Any]]) -> str:
     return table(head, [rows[f] for f in sorted(rows)], numeric=range(len(head)), caption=caption)
 
 
+_OPINION_HEAD = {
+    "frequency_hz": "Here<br>[Hz]",
+    "other_frequency_hz": "Other<br>[Hz]",
+    "damping_ratio": "Here<br>[%]",
+    "other_damping_ratio": "Other<br>[%]",
+    "mac": "MAC",
+    "agrees": "Agrees",
+    "text": "In words",
+}
+
+
+def second_opinion_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Modes of this identification beside those of an independent program."""
+    keys = [k for k in _OPINION_HEAD if any(k in r for r in rows)]
+    keys += [k for k in dict.fromkeys(k for r in rows for k in r) if k not in _OPINION_HEAD]
+    cells = [[_opinion_cell(k, r.get(k)) for k in keys] for r in rows]
+    right = [i for i, k in enumerate(keys) if k in ("frequency_hz", "other_frequency_hz", "damping_ratio", "other_damping_ratio", "mac")]
+    heads = [_OPINION_HEAD.get(k, esc(k.replace("_", " ").capitalize())) for k in keys]
+    return table(heads, cells, numeric=right)
+
+
+def _opinion_cell(key: str, value: Any) -> str:
+    if isinstance(value, bool | np.bool_):
+        return tag("yes", "good") if value else tag("no", "poor")
+    if key.endswith("damping_ratio"):
+        return percent(value, 3)
+    if key == "mac":
+        return fixed(value, 3)
+    return number(value, 6) if finite(value) else DASH if value is None else esc(value)
+
+
 def rejected_table(rejected: Sequence[Any]) -> str:
     """Candidates that were not taken with their reasons, folded where there are many."""
     rows = [
@@ -358,7 +391,7 @@ def _cell(key: str, value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        return number(value, 6)
+        return plain(value, 7)
     if isinstance(value, Mapping):
         return esc("; ".join(f"{k}: {v}" for k, v in value.items()))
     if isinstance(value, list | tuple):

@@ -94,7 +94,12 @@ def listing(items: Iterable[object], most: int = 8) -> str:
 
 def band_text(band: Sequence[float] | None) -> str:
     """``5.4–142.2 Hz``."""
-    return DASH if band is None else f"{number(band[0], 4)}–{number(band[1], 4)} Hz"
+    return DASH if band is None else f"{plain(band[0])}–{plain(band[1])} Hz"
+
+
+def plain(value: Any, digits: int = 5) -> str:
+    """A given (not estimated) number without trailing zeros."""
+    return f"{float(value):.{digits}g}".replace("-", "−") if finite(value) else DASH
 
 
 def size_text(n_bytes: Any) -> str:
