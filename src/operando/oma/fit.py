@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.data import ModalModel, TimeRecord
+from operando.data import Finding, ModalModel, TimeRecord
 from operando.errors import ConfigError, IdentificationError
 from operando.oma.conditioning import Responses, gather_responses, resample
 from operando.oma.correlation import BlockCorrelations, correlate, pool
 from operando.oma.details import OmaDetails
+from operando.oma.estimate import Estimate, best_orders, estimate_modes
+from operando.oma.harmonics import Harmonic, find_harmonics
 from operando.oma.spectra import output_spectra
-from operando.oma.subspace import Factors, Poles, Realisation, factorise_weighted, poles_of_orders, realise
-from operando.oma.uncertainty import Perturbations, covariance_of_mean, normalised_changes, perturb
-from operando.stabilization import PoleTable, Stabilization, Tolerances, classify, select_modes
+from operando.oma.subspace import Factors, factorise_weighted, poles_of_orders, realise
+from operando.stabilization import Stabilization, Tolerances, classify, demote, select_modes
 
 METHODS = ("ssi-cov", "ssi-dat")
 WEIGHTINGS = ("cva", "none")
 MAX_ORDER = 120
+UNCERTAIN = 4.0
 
 
 def fit_oma(
@@ -79,6 +80,7 @@ def fit_oma(
     with threadpool_limits(1, "blas"):
         spectra = output_spectra(responses.runs, responses.sampling_hz, band)
         runs, rate = _at_suitable_rate(responses, band)
+        runs, harmonics = _without_harmonics(runs, rate, band, known_harmonics_hz)
         correlations = _correlations(runs, refs, 2 * rows, uncertainty)
         samples = sum(run.shape[1] for run in runs)
         factors = factorise_weighted(correlations.mean, refs, rows, 2 * (max_order or MAX_ORDER), samples, weighting)
@@ -97,8 +99,14 @@ def fit_oma(
             indicator_hz=spectra.frequencies_hz,
             indicator=spectra.singular_values,
         )
-        groups = best_orders(stabilization, orders)
-        estimate = _estimate(groups, poles, orders, correlations, factors, realisation, responses.derivative, rows, rate, table)
+        stabilization = demote(stabilization, harmonic_poles(stabilization, harmonics, select_hz))
+        for _ in range(2):
+            groups = best_orders(stabilization, orders)
+            estimate = estimate_modes(groups, poles, orders, correlations, factors, realisation, responses.derivative, rows, rate, table)
+            doubtful = uncertain_modes(estimate, samples / rate, select_hz)
+            if not doubtful:
+                break
+            stabilization = demote(stabilization, doubtful)
     settings: dict[str, Any] = {
         "method": method,
         "weighting": weighting,
@@ -109,7 +117,7 @@ def fit_oma(
         "references": [str(responses.dofs[i]) for i in refs],
         "blocks": int(correlations.weights.size),
     }
-    details = OmaDetails(stabilization, np.asarray(known_harmonics_hz, float), spectra, model_orders=estimate.orders, settings=settings)
+    details = OmaDetails(stabilization, np.array([h.hz for h in harmonics]), spectra, model_orders=estimate.orders, settings=settings)
     return ModalModel(
         estimate.hz,
         estimate.zeta,
@@ -118,19 +126,10 @@ def fit_oma(
         "unscaled",
         covariance=estimate.covariance,
         band_hz=band,
-        findings=responses.findings,
+        findings=(*responses.findings, *[_finding(h) for h in harmonics]),
         provenance=responses.provenance.then(f"fit_oma(method={method!r}, band={band}, block_rows={rows}, max_order={order})"),
         details=details,
     )
-
-
-@dataclass(frozen=True)
-class _Estimate:
-    hz: NDArray[np.float64]
-    zeta: NDArray[np.float64]
-    shapes: NDArray[np.complex128]
-    covariance: NDArray[np.float64] | None
-    orders: NDArray[np.int_]
 
 
 def default_order(factors: Factors, samples: int, weighting: str) -> int:
@@ -142,83 +141,67 @@ def default_order(factors: Factors, samples: int, weighting: str) -> int:
     return int(np.clip(2 * round(1.3 * signal / 2), 20, MAX_ORDER))
 
 
-def best_orders(stabilization: Stabilization, orders: Sequence[int]) -> list[tuple[int, int]]:
-    """(order, row of the table) each selected mode is taken from.
+def _without_harmonics(
+    runs: list[NDArray[Any]], rate: float, band: tuple[float, float], known_hz: Sequence[float]
+) -> tuple[list[NDArray[Any]], list[Harmonic]]:
+    """Runs without their sinusoids, and all sinusoids found in any of them (each frequency once, the strongest)."""
+    out, found = [], []
+    for run in runs:
+        harmonics, clean = find_harmonics(run, rate, (0.9 * band[0], min(1.05 * band[1], 0.48 * rate)), known_hz)
+        out.append(clean)
+        found += harmonics
+    union: list[Harmonic] = []
+    for h in sorted(found, key=lambda h: h.hz):
+        if union and h.hz - union[-1].hz < max(0.002 * h.hz, h.spread_hz):
+            union[-1] = max(union[-1], h, key=lambda x: x.energy_share)
+        else:
+            union.append(h)
+    return out, union
 
-    One order for as many modes as possible: of those with most modes the one whose poles lie nearest to the medians over all
-    orders; a mode missing there is taken from the order where it lies nearest to its own.
+
+def harmonic_poles(stabilization: Stabilization, harmonics: list[Harmonic], keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
+    """Selected modes that are what is left of a sinusoid: at its frequency and hardly damped."""
+    out = {}
+    for i, (hz, zeta) in enumerate(zip(stabilization.selected_hz, stabilization.selected_damping, strict=True)):
+        for h in harmonics:
+            near = max(0.002 * hz, h.spread_hz)
+            if abs(hz - h.hz) < near and zeta < 0.001 and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
+                text = f"{hz:.5g} Hz with damping ratio {100 * zeta:.2g} % lies on the sinusoid of {h.hz:.5g} Hz"
+                out[i] = ("harmonic", f"{text} (envelope kurtosis {h.kurtosis:.2f})")
+    return out
+
+
+def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
+    """Modes far less certain than a resonance of that frequency and damping would be in so long a record.
+
+    A mode under white excitation has a relative standard deviation of damping of at least 1/√(2πζfT) (long-data
+    asymptotics at high signal-to-noise ratio, Au 2014). Poles that model noise or the flank of a filter are several times worse.
     """
-    table = stabilization.table
-    count = np.zeros(len(orders))
-    distance = np.zeros(len(orders))
-    place = {order: k for k, order in enumerate(orders)}
-    own: list[dict[int, tuple[float, int]]] = []
-    for hz, zeta, members in zip(stabilization.selected_hz, stabilization.selected_damping, stabilization.selected_members, strict=True):
-        far = np.abs(table.frequency_hz[members] - hz) / (zeta * hz) + np.abs(table.damping_ratio[members] - zeta) / zeta
-        mine = {}
-        for row, d in zip(members, far, strict=True):
-            k = place[int(table.order[row])]
-            count[k] += 1
-            distance[k] += d
-            mine[k] = (float(d), int(row))
-        own.append(mine)
-    if not own:
-        return []
-    full = np.flatnonzero(count == count.max())
-    common = int(full[np.argmin(distance[full])])
-    out = []
-    for mine in own:
-        k = common if common in mine else min(mine, key=lambda q: mine[q][0])
-        out.append((orders[k], mine[k][1]))
+    if estimate.covariance is None:
+        return {}
+    out = {}
+    n = estimate.hz.size
+    std = np.sqrt(np.diag(estimate.covariance))
+    for i in range(n):
+        hz, zeta = float(estimate.hz[i]), float(estimate.zeta[i])
+        bound = 1 / np.sqrt(2 * np.pi * abs(zeta) * hz * seconds)
+        relative = float(std[n + i] / abs(zeta))
+        if relative > max(0.5, UNCERTAIN * bound) and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
+            value = f"damping ratio {100 * zeta:.3g} % ± {100 * float(std[n + i]):.3g} %"
+            out[i] = ("uncertain", f"{value}: {relative / bound:.1f} times the scatter of a mode at {hz:.4g} Hz in {seconds:.4g} s")
     return out
 
 
-def _estimate(
-    groups: list[tuple[int, int]],
-    poles: list[Poles],
-    orders: list[int],
-    correlations: BlockCorrelations,
-    factors: Factors,
-    realisation: Realisation,
-    derivative: NDArray[np.int_],
-    rows: int,
-    rate: float,
-    table: PoleTable,
-) -> _Estimate:
-    """Poles, shapes and covariance of the selected modes, each at its order."""
-    n, r = len(groups), realisation.n_channels
-    taken = np.array([g[0] for g in groups], int)
-    lam = np.zeros(n, complex)
-    shapes = np.zeros((r, n), complex)
-    blocks = correlations.weights.size if correlations.blocks is not None else 0
-    d_lam = np.zeros((blocks, n), complex)
-    d_shapes = np.zeros((blocks, r, n), complex)
-    for order in np.unique(taken):
-        of = poles[orders.index(int(order))]
-        modes = np.flatnonzero(taken == order)
-        columns = np.array([int(np.argmin(np.abs(of.hz - table.frequency_hz[groups[i][1]]))) for i in modes])
-        lam[modes] = np.log(of.mu[columns]) * rate
-        shapes[:, modes] = of.shapes[:, columns]
-        if blocks:
-            change = perturb(correlations, factors, realisation, of, columns, rows, rate)
-            d_lam[:, modes], d_shapes[:, :, modes] = change.lam, change.shapes
-    covariance = None
-    if blocks and n:
-        covariance = covariance_of_mean(normalised_changes(lam, shapes, Perturbations(d_lam, d_shapes), derivative), correlations.weights)
-    if np.any(derivative != derivative[0]):
-        shapes = shapes / lam[None, :] ** derivative[:, None]
-    size = np.abs(lam)
-    return _Estimate(size / 2 / np.pi, -lam.real / size, normalise_shapes(shapes), covariance, taken)
-
-
-def normalise_shapes(shapes: NDArray[Any]) -> NDArray[np.complex128]:
-    """Unit norm, largest component real and positive."""
-    out = np.array(shapes, complex)
-    for column in out.T:
-        peak = column[np.argmax(np.abs(column))]
-        if peak != 0:
-            column *= abs(peak) / peak / np.linalg.norm(column)
-    return out
+def _finding(h: Harmonic) -> Finding:
+    kind = "steady" if h.spread_hz == 0 else f"drifting within {h.spread_hz:.2g} Hz"
+    return Finding(
+        "harmonic",
+        f"sinusoid at {h.hz:.5g} Hz, {kind}, up to {100 * h.energy_share:.2g} % of a channel's mean square",
+        "info",
+        band_hz=(h.hz - max(h.spread_hz, 1e-3 * h.hz) / 2, h.hz + max(h.spread_hz, 1e-3 * h.hz) / 2),
+        consequence="taken out of the operating records before identification, so that it is not taken for a mode",
+        action="name rotor orders as known_harmonics_hz to be sure of them",
+    )
 
 
 def _band(band: tuple[float, float] | None, responses: Responses) -> tuple[float, float]:
@@ -252,7 +235,7 @@ def _reference_rows(references: object, responses: Responses) -> NDArray[np.int_
 
 
 def _correlations(runs: list[NDArray[Any]], refs: NDArray[np.int_], n_lags: int, uncertainty: bool) -> BlockCorrelations:
-    """Pooled correlations in blocks of at least four times the lags, about a hundred at most, so that neighbours hardly depend on each other."""
+    """Pooled correlations in blocks of at least four times the lags, about a hundred at most: neighbours hardly depend on each other."""
     samples = [run.shape[1] for run in runs]
     if min(samples) < 5 * n_lags:
         raise IdentificationError(

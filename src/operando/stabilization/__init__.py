@@ -1,7 +1,7 @@
 """Stabilisation diagrams, automatic mode selection, reasons of rejected poles (shared by EMA and OMA)."""
 
 from operando.stabilization.classify import Tolerances, classify
-from operando.stabilization.select import select_modes, track_poles
+from operando.stabilization.select import demote, select_modes, track_poles
 from operando.stabilization.table import STATUS, PoleTable, RejectedPole, Stabilization
 
-__all__ = ["STATUS", "PoleTable", "RejectedPole", "Stabilization", "Tolerances", "classify", "select_modes", "track_poles"]
+__all__ = ["STATUS", "PoleTable", "RejectedPole", "Stabilization", "Tolerances", "classify", "demote", "select_modes", "track_poles"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -162,6 +163,31 @@ def select_modes(
         tuple(sorted(rejected, key=lambda r: r.frequency_hz)),
         indicator_hz,
         indicator,
+    )
+
+
+def demote(stabilization: Stabilization, verdicts: Mapping[int, tuple[str, str]]) -> Stabilization:
+    """The selection without some of its modes, each rejected with a code and a reason.
+
+    Parameters
+    ----------
+    stabilization : Stabilization
+    verdicts : mapping of int to (code, reason)
+        Index of the selected mode → why it is no mode after all (known only after the diagram: a sinusoid, too uncertain, negative
+        modal mass, …).
+    """
+    keep = [i for i in range(stabilization.selected_hz.size) if i not in verdicts]
+    gone = [
+        RejectedPole(float(stabilization.selected_hz[i]), float(stabilization.selected_damping[i]), code, reason)
+        for i, (code, reason) in verdicts.items()
+    ]
+    return replace(
+        stabilization,
+        selected_hz=stabilization.selected_hz[keep],
+        selected_damping=stabilization.selected_damping[keep],
+        selected_vectors=stabilization.selected_vectors[:, keep],
+        selected_members=tuple(stabilization.selected_members[i] for i in keep),
+        rejected=tuple(sorted((*stabilization.rejected, *gone), key=lambda r: r.frequency_hz)),
     )
 
 

@@ -1,0 +1,229 @@
+"""Sinusoids in operating records (rotor orders, mains): found by what no random vibration does, and taken out before identification."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+LEVELS = ((1, 30.0), (4, 14.0), (16, 9.0))
+"""Segments a record is cut into, and how far a line must stand above its neighbours (power, mean over channels) to be looked at."""
+
+STEADY_WIDTH, DRIFT_WIDTH = 16, 32
+"""Bandwidth about a line, in 1/duration, in which a steady or drifting sinusoid must hold its own."""
+MIN_SHARE = 0.75
+"""Smallest share of the power in ``STEADY_WIDTH`` that one steady frequency explains (random: below 0.5)."""
+MAX_KURTOSIS = 1.25
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """One sinusoid of a record.
+
+    Parameters
+    ----------
+    hz : float
+        Mean frequency [Hz].
+    spread_hz : float
+        Bandwidth its phase was followed with [Hz]; 0 for a steady one.
+    height : float
+        Power of the line over that of its neighbours; NaN for one named by the user and not seen.
+    kurtosis : float
+        E|a|⁴/(E|a|²)² of its envelope a: 1 for a sinusoid, 2 for narrow-band random vibration.
+    energy_share : float
+        Largest share of a channel's mean square.
+    """
+
+    hz: float
+    spread_hz: float
+    height: float
+    kurtosis: float
+    energy_share: float
+
+
+def line_height(data: NDArray[Any], sampling_hz: float, segments: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Power of each spectral line over the median of its neighbours three to nine lines away, mean over channels.
+
+    Hann-windowed, half-overlapped segments; channel by channel, so that memory stays that of one channel.
+
+    Returns
+    -------
+    frequencies, height : (k,) arrays
+    """
+    n = data.shape[1]
+    size = n // segments
+    window = np.hanning(size + 1)[:-1]
+    offsets = np.r_[-9:-2, 3:10]
+    height = np.zeros(size // 2 + 1)
+    for row in data:
+        power = np.zeros(size // 2 + 1)
+        for start in range(0, n - size + 1, max(size // 2, 1)):
+            part = np.asarray(row[start : start + size], float)
+            power += np.abs(fft.rfft((part - part.mean()) * window)) ** 2
+        padded = np.pad(power, 9, mode="reflect")
+        around = np.median([padded[9 + k : 9 + k + power.size] for k in offsets], axis=0)
+        height += power / np.maximum(around, 1e-300)
+    return np.arange(height.size) * sampling_hz / size, height / data.shape[0]
+
+
+def envelope(data: NDArray[Any], sampling_hz: float, hz: float, width_hz: float) -> NDArray[np.complex128]:
+    """Complex envelopes of all channels about one frequency (r, k): all within ± width/2, shifted to zero, sampled at ``width_hz``."""
+    n = data.shape[1]
+    centre = hz * n / sampling_hz
+    half = max(2, round(width_hz * n / sampling_hz / 2))
+    low = max(round(centre) - half, 1)
+    out = np.empty((data.shape[0], 2 * half + 1), complex)
+    for i, row in enumerate(data):
+        lines = fft.rfft(np.asarray(row, float))[low : low + 2 * half + 1]
+        out[i, : lines.size] = lines
+        out[i, lines.size :] = 0
+    k = out.shape[1]
+    t = np.arange(k) / k
+    return fft.ifft(out, axis=1) * k * 2 / n * np.exp(-2j * np.pi * (centre - low) * t)
+
+
+def find_harmonics(
+    data: NDArray[Any], sampling_hz: float, band: tuple[float, float], known_hz: Sequence[float] = (), max_count: int = 20
+) -> tuple[list[Harmonic], NDArray[Any]]:
+    """Find sinusoids and take them out of the record.
+
+    A line that stands out of its neighbours is a sinusoid only if its envelope keeps its size: the kurtosis of the envelope is 1 for
+    a sinusoid, also of slowly drifting frequency, and 2 for the response of a mode, however lightly damped, to random forces. It is
+    removed by following its phase and subtracting the best-fitting amplitude and phase of each channel.
+
+    Parameters
+    ----------
+    data : (r, n_samples) array
+    sampling_hz : float
+    band : (low, high)
+        Where to look [Hz].
+    known_hz : sequence of float
+        Rotor orders the user names: removed whether or not they stand out (searched within 0.5 %).
+    max_count : int
+
+    Returns
+    -------
+    harmonics : list of Harmonic
+        By frequency.
+    data : (r, n_samples) array
+        The record without them (the input itself if there are none).
+    """
+    found: list[Harmonic] = []
+    cleaned = data
+    duration = data.shape[1] / sampling_hz
+    refused: list[tuple[float, float]] = []
+    for hz in known_hz:
+        if 0 < hz < sampling_hz / 2:
+            f, height = line_height(cleaned, sampling_hz, 1)
+            near = np.abs(f - hz) <= max(0.005 * hz, 2 / duration)
+            best = int(np.argmax(np.where(near, height, 0)))
+            start = float(f[best]) if height[best] > 8 else float(hz)
+            follow = follow_line(cleaned, sampling_hz, start, STEADY_WIDTH / duration, True)
+            if follow.share < MIN_SHARE:
+                follow = follow_line(cleaned, sampling_hz, start, DRIFT_WIDTH / duration, False)
+            cleaned, energy = subtract_line(cleaned, sampling_hz, follow)
+            found.append(Harmonic(follow.hz, follow.spread_hz, float(height[best]), follow.kurtosis, energy))
+    for segments, threshold in LEVELS:
+        if data.shape[1] // segments < 256 or duration * (band[1] - band[0]) < 64 * segments:
+            break
+        for _ in range(3):
+            f, height = line_height(cleaned, sampling_hz, segments)
+            high = (f >= band[0]) & (f <= band[1]) & (height > threshold)
+            peaks = np.flatnonzero(high & (height >= np.roll(height, 1)) & (height >= np.roll(height, -1)))
+            peaks = peaks[[all(abs(f[k] - hz) > 2 * width for hz, width in refused) for k in peaks]] if peaks.size else peaks
+            step = segments / duration
+            before = len(found)
+            for k in peaks[np.argsort(-height[peaks])]:
+                line = _accepted(cleaned, sampling_hz, float(f[k]), segments)
+                if line is None or len(found) >= max_count:
+                    refused.append((float(f[k]), step))
+                    continue
+                cleaned, energy = subtract_line(cleaned, sampling_hz, line)
+                found.append(Harmonic(line.hz, line.spread_hz, float(height[k]), line.kurtosis, energy))
+            if len(found) == before:
+                break
+    found.sort(key=lambda h: h.hz)
+    return _merged(found, duration), cleaned
+
+
+def _accepted(data: NDArray[Any], sampling_hz: float, hz: float, segments: int) -> Line | None:
+    """The line at ``hz`` if it is a sinusoid: steady and nearly all there is around, or drifting with an envelope that keeps its size."""
+    duration = data.shape[1] / sampling_hz
+    if segments == 1:
+        line = follow_line(data, sampling_hz, hz, STEADY_WIDTH / duration, True)
+        if line.share >= MIN_SHARE and line.kurtosis < MAX_KURTOSIS:
+            return line
+    line = follow_line(data, sampling_hz, hz, max(DRIFT_WIDTH, 4 * segments) / duration, False)
+    return line if line.kurtosis < MAX_KURTOSIS else None
+
+
+@dataclass(frozen=True)
+class Line:
+    """A sinusoid followed through a record: mean frequency, phase samples (time, phase about ``centre_hz``), and how well it holds.
+
+    ``share`` is the part of the envelope's power that one steady frequency explains.
+    """
+
+    hz: float
+    centre_hz: float
+    time_s: NDArray[np.float64]
+    phase: NDArray[np.float64]
+    spread_hz: float
+    kurtosis: float
+    share: float
+
+
+def follow_line(data: NDArray[Any], sampling_hz: float, hz: float, width_hz: float, steady: bool) -> Line:
+    """Follow the sinusoid near ``hz`` by the envelope, within ± width/2, of the combination of channels that holds most of it."""
+    duration = data.shape[1] / sampling_hz
+    bands = envelope(data, sampling_hz, hz, width_hz)
+    scale = np.maximum(np.sqrt(np.mean(np.asarray(data, float) ** 2, axis=1)), 1e-300)
+    direction, _, _ = np.linalg.svd(bands / scale[:, None], full_matrices=False)
+    one = (direction[:, 0].conj() / scale) @ bands
+    edge = max(1, one.size // 16)
+    power = np.abs(one[edge:-edge]) ** 2
+    kurtosis = float(np.mean(power**2) / np.mean(power) ** 2)
+    t = np.arange(one.size) * duration / one.size
+    fine = 64 * one.size
+    spectrum = np.abs(fft.fft(one, fine)) ** 2
+    k = int(np.argmax(spectrum))
+    offset = float(fft.fftfreq(fine, duration / one.size)[k])
+    share = float(spectrum[k] / (one.size * np.sum(np.abs(one) ** 2)))
+    if steady:
+        return Line(hz + offset, hz, np.array([0.0, duration]), 2 * np.pi * offset * np.array([0.0, duration]), 0.0, kurtosis, share)
+    phase = np.unwrap(np.angle(one))
+    slope = (phase[-edge] - phase[edge]) / (t[-edge] - t[edge]) / 2 / np.pi
+    return Line(float(hz + slope), hz, t, phase, width_hz, kurtosis, share)
+
+
+def subtract_line(data: NDArray[Any], sampling_hz: float, line: Line) -> tuple[NDArray[np.float64], float]:
+    """The record without the line (least-squares amplitude and phase of each channel), and its largest share of a channel's mean square."""
+    n = data.shape[1]
+    t = np.arange(n) / sampling_hz
+    angle = 2 * np.pi * line.centre_hz * t + np.interp(t, line.time_s, line.phase)
+    c, s = np.cos(angle), np.sin(angle)
+    gram = np.array([[c @ c, c @ s], [c @ s, s @ s]])
+    out = np.array(data, float)
+    share = 0.0
+    for row in out:
+        right = np.array([c @ row, s @ row])
+        a, b = np.linalg.solve(gram, right)
+        share = max(share, float((a * right[0] + b * right[1]) / max(row @ row, 1e-300)))
+        row -= a * c + b * s
+    return out, share
+
+
+def _merged(found: list[Harmonic], duration: float) -> list[Harmonic]:
+    """One entry where several passes took out parts of the same line."""
+    out: list[Harmonic] = []
+    for h in found:
+        if out and h.hz - out[-1].hz < max(4 / duration, h.spread_hz / 2, out[-1].spread_hz / 2):
+            if h.energy_share > out[-1].energy_share:
+                out[-1] = h
+        else:
+            out.append(h)
+    return out
