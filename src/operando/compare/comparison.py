@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, model_share, noise_floor_db, relative_error
+from operando.compare.peaks import by_mode, fit_peaks
 from operando.data import Frf
-from operando.dof import Dof, match_dofs
+from operando.dof import Dof
 from operando.errors import DataError
 from operando.results import CheckRun
 
@@ -62,7 +63,7 @@ def compare(
     model: FrfModel | Frf,
     measured: Frf | Sequence[Frf],
     band_hz: tuple[float, float] | None = None,
-    var_model: Frf | None = None,
+    variance_of: FrfModel | None = None,
 ) -> Comparison:
     """Error measures of a model against a measurement (contract, "Error measures").
 
@@ -74,8 +75,8 @@ def compare(
         Reference; without variance it is taken as exact. Several are pooled.
     band_hz : (float, float), optional
         Lines used; default all.
-    var_model : Frf, optional
-        Not used yet.
+    variance_of : model, optional
+        Take the model's part of var_total from this model instead (the contract judges misfits by the idle model's own variance).
 
     Raises
     ------
@@ -85,8 +86,8 @@ def compare(
     runs = [measured] if isinstance(measured, Frf) else list(measured)
     labels: list[Dof] = []
     notes: list[str] = []
-    parts = [collect(model, run, labels, notes, band_hz) for run in runs]
-    lines = pool(parts)
+    pairs = [common_frfs(model, run, band_hz, notes) for run in runs]
+    lines = pool([collect(made, ref, labels, notes, variance_of) for made, ref in pairs])
     if lines.model.size == 0:
         raise DataError("model and measurement share no finite line")
     low, high = float(lines.frequency_hz.min()), float(lines.frequency_hz.max())
@@ -109,7 +110,7 @@ def compare(
         model_share(lines),
         tuple(by_dof),
         tuple(by_band),
-        (),
+        tuple(_modes(pairs, notes)),
         int(lines.model.size),
         tuple(dict.fromkeys(notes)),
     )
@@ -173,9 +174,8 @@ def _available(model: FrfModel | Frf) -> tuple[set[tuple[int, str]] | None, set[
     return known, known
 
 
-def collect(model: FrfModel | Frf, measured: Frf, labels: list[Dof], notes: list[str], band_hz: tuple[float, float] | None = None) -> Lines:
+def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str], variance_of: FrfModel | None = None) -> Lines:
     """Flat lines of one run; ``labels`` grows by DOFs not seen before."""
-    made, ref = common_frfs(model, measured, band_hz, notes)
     known = {(d.node, d.axis): i for i, d in enumerate(labels)}
     for d in ref.responses:
         if (d.node, d.axis) not in known:
@@ -185,13 +185,34 @@ def collect(model: FrfModel | Frf, measured: Frf, labels: list[Dof], notes: list
     shape = ref.data.shape
     zero = np.zeros(shape)
     var_meas = zero if ref.variance is None else ref.variance
-    own = zero if made.variance is None else made.variance
+    source = made if variance_of is None else variance_of.frf(ref.frequencies_hz, ref.responses, ref.references, ref.quantity)
+    own = zero if source.variance is None else source.variance
     good = np.isfinite(made.data) & np.isfinite(ref.data) & np.isfinite(var_meas) & np.isfinite(own)
     response = np.broadcast_to(which[:, None, None], shape)
     f = np.broadcast_to(ref.frequencies_hz, shape)
     if not np.all(good):
         notes.append(f"{int(np.sum(~good))} lines are not finite, left out")
     return Lines(made.data[good], ref.data[good], var_meas[good], own[good], response[good], f[good])
+
+
+def _modes(pairs: Sequence[tuple[Frf, Frf]], notes: list[str]) -> list[dict[str, Any]]:
+    """Peaks of the measured FRFs refitted, and the model's; runs on other lines than the first are left out."""
+    f = pairs[0][1].frequencies_hz
+    model, measured = [], []
+    for made, ref in pairs:
+        if ref.frequencies_hz.shape != f.shape or not np.allclose(ref.frequencies_hz, f):
+            notes.append("by_mode uses the runs on the lines of the first only")
+            continue
+        a, b = made.data.reshape(-1, f.size), ref.data.reshape(-1, f.size)
+        good = np.all(np.isfinite(a), axis=1) & np.all(np.isfinite(b), axis=1)
+        model.append(a[good])
+        measured.append(b[good])
+    y, h = np.concatenate(measured), np.concatenate(model)
+    if y.size == 0:
+        return []
+    size = np.sqrt(np.mean(np.abs(y) ** 2, axis=1))
+    weight = np.divide(1, size, out=np.zeros_like(size), where=size > 0)
+    return by_mode(fit_peaks(y, f, weight), fit_peaks(h, f, weight))
 
 
 def pool(parts: Sequence[Lines]) -> Lines:
@@ -222,16 +243,35 @@ def compare_all(
     if not runs:
         raise DataError("no check run to compare with")
     judge = lowest_level(runs)
+    # var_total holds the idle model's own variance, for every model alike (contract, "Error measures").
+    base = models.get("idle")
+    own = None if base is None or isinstance(base, Frf) else _Once(base)
     judged = [r.frf for r in runs if r.level == judge]
     return {
         "schema": "operando/comparison/1",
         "judge_level": judge,
-        "models": {name: compare(m, judged, band_hz).to_dict() for name, m in models.items()},
+        "models": {name: compare(m, judged, band_hz, own).to_dict() for name, m in models.items()},
         "by_run": [
-            {"name": r.name, "level": r.level, "models": {name: compare(m, r.frf, band_hz).to_dict() for name, m in models.items()}}
+            {"name": r.name, "level": r.level, "models": {name: compare(m, r.frf, band_hz, own).to_dict() for name, m in models.items()}}
             for r in runs
         ],
     }
+
+
+class _Once:
+    """A model that makes the same FRFs only once."""
+
+    def __init__(self, model: FrfModel) -> None:
+        self.model = model
+        self.made: dict[Any, Frf] = {}
+
+    def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
+        """FRFs at the lines asked for."""
+        f = np.asarray(frequencies, float)
+        key = (f.tobytes(), str(responses), str(references), quantity)
+        if key not in self.made:
+            self.made[key] = self.model.frf(f, responses, references, quantity)
+        return self.made[key]
 
 
 def lowest_level(runs: Sequence[CheckRun]) -> str:
@@ -244,6 +284,3 @@ def lowest_level(runs: Sequence[CheckRun]) -> str:
         if level.lower() in ("low", "lowest"):
             return level
     return sorted(levels)[-1]
-
-
-__all__ = ["Comparison", "FrfModel", "compare", "compare_all", "match_dofs"]

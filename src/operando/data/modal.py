@@ -15,7 +15,7 @@ from operando.data.frf import FrequencyAxis, Frf
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
-from operando.synthesis import synthesise, synthesis_variance
+from operando.synthesis import synthesis_variance, synthesise
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,235 @@
+"""Resonance peaks of a set of FRFs, refitted one by one: frequency, damping, height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+PROMINENCE_DB = 3.0
+"""How far a peak must stand out of the averaged curve on both sides."""
+
+WINDOW = 4.0
+"""Half-width of the fitted window in half-power bandwidths of the peak."""
+
+LARGEST_SHIFT = 0.15
+"""Frequencies further apart (natural logarithm) are not the same mode."""
+
+SPLIT_GAIN = 0.3
+"""A second pole under one peak must bring the squared residual below this part."""
+
+LEAST_MAC = 0.3
+"""Residue patterns less alike are not the same mode."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """One refitted resonance.
+
+    Parameters
+    ----------
+    frequency_hz, damping_ratio : float
+    height : float
+        ‖R‖/(−Re λ) over all pairs: the size of the modal contribution at resonance.
+    residue : (n_pairs,) complex array
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    height: float
+    residue: NDArray[np.complex128]
+
+
+def find_peaks(level_db: NDArray[np.float64], prominence_db: float = PROMINENCE_DB) -> list[int]:
+    """Lines of local maxima that stand out by at least ``prominence_db`` on both sides."""
+    y = level_db
+    tops = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:])) + 1
+    out = []
+    for k in tops:
+        higher_left = np.flatnonzero(y[:k] > y[k])
+        higher_right = np.flatnonzero(y[k + 1 :] > y[k])
+        left = y[(higher_left[-1] if higher_left.size else 0) : k + 1].min()
+        right = y[k : (k + 2 + higher_right[0] if higher_right.size else y.size)].min()
+        if y[k] - max(left, right) >= prominence_db:
+            out.append(int(k))
+    return out
+
+
+def _half_width(level_db: NDArray[np.float64], f: NDArray[np.float64], k: int) -> float:
+    """Half of the −3 dB width [Hz], from the narrower side, at least half a line."""
+    below = level_db < level_db[k] - 3.0103
+    left, right = np.flatnonzero(below[:k]), np.flatnonzero(below[k + 1 :])
+    sides = []
+    if left.size:
+        sides.append(f[k] - f[left[-1]])
+    if right.size:
+        sides.append(f[k + 1 + right[0]] - f[k])
+    step = float(np.median(np.diff(f)))
+    return max(min(sides) if sides else step, 0.5 * step)
+
+
+def fit_peaks(data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None = None) -> list[Peak]:
+    """Find the peaks of all pairs together and fit each with its near neighbours.
+
+    In the window of a group of peaks H ≈ Σ R/(iω − λ) + a + bω + cω² for each pair, poles common to all pairs; the poles
+    by Gauss–Newton on the projected residual (variable projection, Golub & Pereyra 1973).
+
+    Parameters
+    ----------
+    data : (n_pairs, n_lines) complex array
+        Without NaN.
+    f : (n_lines,) array [Hz]
+    weight : (n_pairs,) array, optional
+        Factor of each pair in the curve and the fit; default 1/rms.
+
+    Returns
+    -------
+    list of Peak
+        In order of frequency.
+    """
+    if f.size < 8 or data.size == 0:
+        return []
+    size = np.sqrt(np.mean(np.abs(data) ** 2, axis=1))
+    w = np.divide(1, size, out=np.zeros_like(size), where=size > 0) if weight is None else weight
+    y = data * w[:, None]
+    level = 10 * np.log10(np.maximum(np.mean(np.abs(y) ** 2, axis=0), 1e-300))
+    tops = find_peaks(level)
+    widths = [_half_width(level, f, k) for k in tops]
+    groups: list[list[int]] = []
+    for i in range(len(tops)):
+        if groups and f[tops[i]] - f[tops[groups[-1][-1]]] < WINDOW * (widths[i] + widths[groups[-1][-1]]) / 2 and len(groups[-1]) < 3:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    peaks: list[Peak] = []
+    for group in groups:
+        first, last = group[0], group[-1]
+        low, high = f[tops[first]] - WINDOW * widths[first], f[tops[last]] + WINDOW * widths[last]
+        # Half way to the next peak outside the group belongs to that peak.
+        if first > 0:
+            low = max(low, (f[tops[first]] + f[tops[first - 1]]) / 2)
+        if last + 1 < len(tops):
+            high = min(high, (f[tops[last]] + f[tops[last + 1]]) / 2)
+        lines = np.flatnonzero((f >= low) & (f <= high))
+        need = 2 * len(group) + 5
+        if lines.size < need:
+            a = max(int(tops[first]) - (need - 1) // 2, 0)
+            lines = np.arange(a, min(max(a + need, int(tops[last]) + 3), f.size))
+        start = [complex(-2 * np.pi * widths[i], 2 * np.pi * f[tops[i]]) for i in group]
+        peaks += _fit_window(y[:, lines], f[lines], np.array(start), w)
+    return sorted(peaks, key=lambda p: p.frequency_hz)
+
+
+def _basis(poles: NDArray[np.complex128], f: NDArray[np.float64]) -> NDArray[np.complex128]:
+    middle, half = (f[0] + f[-1]) / 2, (f[-1] - f[0]) / 2
+    x = (f - middle) / half
+    s = 2j * np.pi * f[:, None]
+    scale = 2 * np.pi * half
+    return np.concatenate([scale / (s - poles[None, :]), np.stack([np.ones_like(x), x, x**2], axis=1)], axis=1)
+
+
+def _project(poles: NDArray[np.complex128], f: NDArray[np.float64], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    basis = _basis(poles, f)
+    solution = np.linalg.lstsq(basis, y, rcond=None)[0]
+    return y - basis @ solution, solution
+
+
+def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128], w: NDArray[np.float64]) -> list[Peak]:
+    """Peaks of one window; one peak may turn out to be two close modes."""
+    poles, cost = _fit_poles(y, f, start)
+    if start.size == 1 and f.size >= 12 and y.shape[0] > 1:
+        apart = 0.5j * abs(poles[0].real)
+        pair, pair_cost = _fit_poles(y, f, np.array([poles[0] - apart, poles[0] + apart]))
+        inside = np.all((pair.imag > 2 * np.pi * f[0]) & (pair.imag < 2 * np.pi * f[-1])) and np.all(-pair.real < 0.5 * pair.imag)
+        # Two poles of a very different width are one mode and a slope.
+        if pair_cost < SPLIT_GAIN * cost and inside and max(pair.real / pair.real[::-1]) < 3:
+            poles = pair
+    return _peaks_of(y, f, poles, w)
+
+
+def _fit_poles(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], float]:
+    """Poles of one window and the squared residual."""
+    columns = y.T
+    n = start.size
+    theta = np.concatenate([start.real, start.imag])
+    scale = np.concatenate([-start.real, -start.real])
+    poles = lambda t: t[:n] + 1j * t[n:]  # noqa: E731
+    rest = _project(poles(theta), f, columns)[0]
+    cost, damping = float(np.sum(np.abs(rest) ** 2)), 1e-3
+    for _ in range(40):
+        jacobian = np.empty((2 * rest.size, 2 * n))
+        for k in range(2 * n):
+            moved = theta.copy()
+            moved[k] += 1e-5 * scale[k]
+            change = (_project(poles(moved), f, columns)[0] - rest).ravel() / 1e-5
+            jacobian[:, k] = np.concatenate([change.real, change.imag])
+        r = np.concatenate([rest.ravel().real, rest.ravel().imag])
+        gram = jacobian.T @ jacobian
+        step = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-300), -jacobian.T @ r)
+        trial = theta + scale * step
+        new_rest = _project(poles(trial), f, columns)[0]
+        new = float(np.sum(np.abs(new_rest) ** 2))
+        if np.all(trial[:n] < 0) and new < cost:
+            gain = cost - new
+            theta, rest, cost, damping = trial, new_rest, new, max(damping / 5, 1e-9)
+            if gain < 1e-10 * cost or np.max(np.abs(step)) < 1e-7:
+                break
+        else:
+            damping *= 6
+            if damping > 1e6:
+                break
+    return poles(theta), cost
+
+
+def _peaks_of(y: NDArray[Any], f: NDArray[np.float64], final: NDArray[np.complex128], w: NDArray[np.float64]) -> list[Peak]:
+    """Peaks at given poles; a pole that left the window is dropped."""
+    columns = y.T
+    n = final.size
+    solution = _project(final, f, columns)[1]
+    half = 2 * np.pi * (f[-1] - f[0]) / 2
+    out = []
+    for k in range(n):
+        hz = abs(final[k]) / 2 / np.pi
+        if not f[0] <= final[k].imag / 2 / np.pi <= f[-1]:
+            continue
+        residue = solution[k] * half / np.where(w > 0, w, np.inf)
+        out.append(Peak(float(hz), float(-final[k].real / abs(final[k])), float(np.linalg.norm(residue) / -final[k].real), residue))
+    return out
+
+
+def match_peaks(measured: list[Peak], model: list[Peak]) -> list[int | None]:
+    """Model peak of each measured one, one to one by frequency and residue pattern; None where there is none."""
+    if not measured or not model:
+        return [None] * len(measured)
+    from scipy.optimize import linear_sum_assignment
+
+    a = np.array([p.residue for p in measured])
+    b = np.array([p.residue for p in model])
+    alike = np.abs(a.conj() @ b.T) ** 2 / np.outer(np.sum(np.abs(a) ** 2, axis=1), np.sum(np.abs(b) ** 2, axis=1))
+    shift = np.abs(np.log([[q.frequency_hz / p.frequency_hz for q in model] for p in measured]))
+    cost = (1 - alike) + np.minimum(shift / LARGEST_SHIFT, 2)
+    rows, columns = linear_sum_assignment(cost)
+    out: list[int | None] = [None] * len(measured)
+    for i, j in zip(rows, columns, strict=True):
+        if shift[i, j] <= LARGEST_SHIFT and alike[i, j] >= LEAST_MAC:
+            out[i] = int(j)
+    return out
+
+
+def by_mode(measured: list[Peak], model: list[Peak]) -> list[dict[str, float | None]]:
+    """Rows of ``by_mode``: errors of the model at each measured peak, None where the model has no such peak."""
+    rows: list[dict[str, float | None]] = []
+    for peak, j in zip(measured, match_peaks(measured, model), strict=True):
+        q = None if j is None else model[j]
+        rows.append(
+            {
+                "frequency_hz": peak.frequency_hz,
+                "damping_ratio": peak.damping_ratio,
+                "frequency_error_percent": None if q is None else 100 * (q.frequency_hz / peak.frequency_hz - 1),
+                "height_error_db": None if q is None or peak.height == 0 else float(20 * np.log10(q.height / peak.height)),
+                "damping_error_percent": None if q is None else 100 * (q.damping_ratio / peak.damping_ratio - 1),
+            }
+        )
+    return rows
