@@ -108,7 +108,8 @@ def missing_drive_point(reference: str, file: str | None, others: bool) -> Findi
 def reciprocity_error(frf: Frf) -> float | None:
     """Largest relative reciprocity error of the pairs of references, noise taken off; None without such a pair.
 
-    sqrt(Σ|H_ij − H_ji|²/Σ½(|H_ij|² + |H_ji|²)) over the lines, the expected noise power taken off the numerator.
+    sqrt(Σ|H_ij − H_ji|²/Σ½(|H_ij|² + |H_ji|²)) over the lines with a
+    signal-to-noise ratio above 10, the expected noise power taken off the numerator.
     """
     errors = reciprocity_pairs(frf)
     return max(errors.values()) if errors else None
@@ -130,12 +131,13 @@ def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
             noise = 0.0
             if frf.variance is not None:
                 total = frf.variance[at_second[0], a] + frf.variance[at_first[0], b]
-                good &= np.isfinite(total)
+                size = np.minimum(np.abs(forward) ** 2, np.abs(backward) ** 2)
+                good &= np.isfinite(total) & (size > 10 * np.where(np.isfinite(total), total, 0))
                 noise = float(total[good].sum())
-            size = 0.5 * float(np.sum(np.abs(forward[good]) ** 2 + np.abs(backward[good]) ** 2))
-            if good.any() and size > 0:
+            power = 0.5 * float(np.sum(np.abs(forward[good]) ** 2 + np.abs(backward[good]) ** 2))
+            if good.any() and power > 0:
                 difference = float(np.sum(np.abs(forward[good] - backward[good]) ** 2))
-                out[(str(first), str(second))] = float(np.sqrt(max(difference - noise, 0.0) / size))
+                out[(str(first), str(second))] = float(np.sqrt(max(difference - noise, 0.0) / power))
     return out
 
 

@@ -132,7 +132,8 @@ def impact_windows(
     """Force window, response window and decay rate β [1/s] for blocks at hits.
 
     ``force`` keeps the pulse and tapers to zero after it; ``exponential`` multiplies force and response by e^{−βt}, which falls
-    to ``end`` over the block: x = h∗f becomes e^{−βt}x = (e^{−βt}h)∗(e^{−βt}f), so that each pole moves by −β exactly and nothing else changes.
+    to ``end`` over the block: x = h∗f becomes e^{−βt}x = (e^{−βt}h)∗(e^{−βt}f): each pole moves by −β exactly and nothing else
+    changes.
 
     Raises
     ------

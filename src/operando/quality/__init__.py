@@ -1,1 +1,17 @@
-"""."""
+"""Raw-data checks: findings with numbers, never silent deletion."""
+
+from operando.quality.record import check_channels, check_forces, check_record, check_runs, dissipated_shares
+from operando.quality.samples import constant_runs, dropouts, not_finite, overload, soft_clipping
+
+__all__ = [
+    "check_channels",
+    "check_forces",
+    "check_record",
+    "check_runs",
+    "constant_runs",
+    "dissipated_shares",
+    "dropouts",
+    "not_finite",
+    "overload",
+    "soft_clipping",
+]

@@ -1,0 +1,279 @@
+"""Checks of whole records: each fault becomes a finding with numbers; no sample is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from operando.data import Finding, TimeRecord
+from operando.data.findings import Severity
+from operando.errors import DataError
+from operando.frf.checks import missing_drive_point
+from operando.frf.hits import is_impact
+from operando.frf.impact import impact_blocks, overlap_finding
+from operando.frf.spectra import cross_spectra
+from operando.quality.samples import Span, constant_runs, dropouts, not_finite, overload, soft_clipping
+
+FLAT_SHARE = 1e-4
+INVERTED_SHARE = 0.1
+SWAPPED_SHARE = 0.97
+MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
+"""Power of iω that turns the quantity into a velocity."""
+
+
+def check_record(record: TimeRecord) -> TimeRecord:
+    """The same record with findings about its samples, channels and hits.
+
+    Checked are NaN, overload, soft clipping, dropout and flat channels; where there is a force also the drive point (missing,
+    inverted, swapped) and, in hammer records, each hit.
+    """
+    findings = [*check_channels(record), *check_forces(record)]
+    known = {(f.kind, f.dof, f.time_s) for f in record.findings}
+    return record.with_findings([f for f in findings if (f.kind, f.dof, f.time_s) not in known])
+
+
+def check_channels(record: TimeRecord) -> list[Finding]:
+    """Findings about the samples of each channel."""
+    spread = np.array([float(np.nanstd(row, dtype=float)) if np.isfinite(row).any() else 0.0 for row in record.data])
+    impact = {i for i in record.force_indices if is_impact(_finite(record.data[i]))}
+    out: list[Finding] = []
+    for i, channel in enumerate(record.channels):
+        peers = [spread[k] for k, c in enumerate(record.channels) if c.quantity == channel.quantity and spread[k] > 0]
+        typical = float(np.median(peers)) if peers else 0.0
+        if spread[i] == 0 or spread[i] < FLAT_SHARE * typical:
+            message = f"rms {spread[i]:.3g}" + (f", others {typical:.3g}" if typical else "") + f" {channel.unit}"
+            out.append(
+                _finding(record, i, "flat", f"no signal: {message}", None, "warning", "the channel says nothing", "check cable and sensor")
+            )
+            continue
+        out += _check_samples(record, i, i in impact)
+    return out
+
+
+def _finite(row: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(row), row, 0.0)
+
+
+def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
+    """NaN, overload, dropout and soft clipping of one channel that carries a signal."""
+    row = record.data[i]
+    out = []
+    bad = not_finite(row) if not np.isfinite(row.sum()) else []
+    for span in _joined(bad, 16):
+        text = f"{span.length} samples that are not finite"
+        out.append(
+            _finding(record, i, "nan", text, span, "error", "blocks with them are left out", "exclude the channel or repair the file")
+        )
+    x = _finite(row) if bad else row
+    runs = constant_runs(x)
+    clipped = overload(x, runs)
+    unit = record.channels[i].unit
+    if clipped:
+        count = sum(s.length for s in clipped)
+        level = max(abs(float(x[s.first])) for s in clipped)
+        for n, span in enumerate(_joined(clipped, max(16, x.size // 200))):
+            text = f"{count} samples in {len(clipped)} runs at full scale {level:.4g} {unit}"
+            text = text if n == 0 else f"clipped at full scale {level:.4g} {unit}"
+            out.append(
+                _finding(
+                    record,
+                    i,
+                    "overload",
+                    text,
+                    span,
+                    "warning",
+                    "harmonics and a wrong level; blocks with it are left out",
+                    "choose a larger input range",
+                )
+            )
+    elif not impact and (soft := soft_clipping(x)) is not None:
+        text = f"crest factor {soft.crest:.2f} and slope at the top {100 * soft.slope_ratio:.0f} % of that in the middle (mean square)"
+        out.append(
+            _finding(record, i, "soft_clip", text, None, "warning", "large values are compressed", "check amplifier and sensor range")
+        )
+    if not impact:
+        lost = [s for s in dropouts(x, runs) if not (bad and any(b.first <= s.last and s.first <= b.last for b in bad))]
+        lost = [s for s in lost if not (s.first == 0 and _all_constant(record, s))]
+        if not (record.channels[i].is_force and sum(s.length for s in lost) > 0.2 * x.size):
+            for span in _joined(lost, 16):
+                text = f"{span.length} samples of one value ({float(x[span.first]):.3g} {unit})"
+                out.append(
+                    _finding(record, i, "dropout", text, span, "warning", "blocks with it are left out", "check cable and connector")
+                )
+    return out
+
+
+def _all_constant(record: TimeRecord, span: Span) -> bool:
+    """Whether every response stands still over the span: the record began before anything moved."""
+    responses = record.response_indices or range(len(record.channels))
+    part = record.data[list(responses), span.first : span.last + 1]
+    return bool(np.all(part.max(axis=1) == part.min(axis=1)))
+
+
+def _joined(spans: Sequence[Span], gap: int) -> list[Span]:
+    """Spans closer than ``gap`` samples as one."""
+    out: list[Span] = []
+    for span in spans:
+        if out and span.first - out[-1].last <= gap:
+            out[-1] = Span(out[-1].first, span.last)
+        else:
+            out.append(span)
+    return out
+
+
+def _finding(
+    record: TimeRecord, i: int, kind: str, text: str, span: Span | None, severity: Severity, consequence: str, action: str
+) -> Finding:
+    channel = record.channels[i]
+    time = None
+    if span is not None:
+        time = (record.start_s + span.first / record.sampling_hz, record.start_s + span.last / record.sampling_hz)
+        text += f", {time[0]:.4g} to {time[1]:.4g} s"
+    return Finding(
+        kind,
+        f"{channel.label}: {text}",
+        severity,
+        file=record.name or None,
+        set=channel.set,
+        dof=channel.label,
+        time_s=time,
+        consequence=consequence,
+        action=action,
+    )
+
+
+def check_forces(record: TimeRecord) -> list[Finding]:
+    """Drive points and hits of a record with force channels."""
+    out: list[Finding] = []
+    forces = [i for i in record.force_indices if record.channels[i].dof is not None]
+    responses = record.response_indices
+    drive = {f: [r for r in responses if record.channels[r].dof.same_axis(record.channels[f].dof)] for f in forces}  # type: ignore[union-attr,arg-type]
+    for f in forces:
+        if responses and not drive[f]:
+            out.append(missing_drive_point(record.channels[f].label, record.name or None, any(drive.values())))
+    if len(forces) != 1 or not responses or not np.isfinite(record.data[forces[0]].sum()):
+        return out
+    force = forces[0]
+    usable = [r for r in responses if np.isfinite(record.data[r].sum()) and record.data[r].max() > record.data[r].min()]
+    if not usable or record.data[force].max() == record.data[force].min():
+        return out
+    if drive[force] and drive[force][0] in usable:
+        out += _check_sign(record, force, drive[force][0], usable)
+    if is_impact(record.data[force]):
+        out += _check_hits(record, force, usable)
+    return out
+
+
+def dissipated_shares(record: TimeRecord, force: int, responses: Sequence[int]) -> np.ndarray:
+    """Share of Re(Gvf) with positive sign for each response to one force (n_responses,).
+
+    Re(Gvf) of a drive point is the power that flows into a passive structure at each line, never negative.
+    """
+    block = int(min(record.n_samples, max(256, min(record.n_samples // 8, 8192))))
+    spectra = cross_spectra(record.data, [force], responses, record.sampling_hz, block)
+    f = spectra.frequencies_hz
+    keep = (f > 3 * record.sampling_hz / block) & (f < record.sampling_hz / 2.56)
+    power = np.array([MOTION[record.channels[r].quantity] for r in responses])
+    sign = np.array([record.channels[r].dof.sign for r in responses]) * record.channels[force].dof.sign  # type: ignore[union-attr]
+    flow = np.real(spectra.cross[:, 0, keep] * sign[:, None] * (2j * np.pi * f[keep]) ** power[:, None])
+    total = np.abs(flow).sum(axis=1)
+    return np.asarray(np.divide(np.maximum(flow, 0).sum(axis=1), total, out=np.full(total.shape, np.nan), where=total > 0))
+
+
+def _check_sign(record: TimeRecord, force: int, drive: int, responses: list[int]) -> list[Finding]:
+    """Inverted force or drive-point response; swapped channels where another response is a drive point beyond doubt."""
+    shares = dissipated_shares(record, force, responses)
+    share = float(shares[responses.index(drive)])
+    label = f"{record.channels[drive].label}/{record.channels[force].label}"
+    if np.isnan(share):
+        return []
+    if share < INVERTED_SHARE:
+        text = f"drive point {label}: {100 * (1 - share):.0f} % of the power at the force flows out of the structure"
+        return [
+            _finding(
+                record,
+                drive,
+                "inverted",
+                text,
+                None,
+                "error",
+                "force or response has the wrong sign: negative modal masses",
+                "turn one of the two in [channels]",
+            )
+        ]
+    others = [r for r, s in zip(responses, shares, strict=True) if r != drive and s > SWAPPED_SHARE]
+    if share < 0.75 and len(others) == 1:
+        text = (
+            f"drive point {label}: only {100 * share:.0f} % of the power at the force flows into the structure, "
+            f"but {100 * shares[responses.index(others[0])]:.0f} % at {record.channels[others[0]].label}"
+        )
+        return [
+            _finding(
+                record, drive, "swapped", text, None, "warning", "the two channels may be exchanged", "check the cables of the two channels"
+            )
+        ]
+    return []
+
+
+def _check_hits(record: TimeRecord, force: int, responses: list[int]) -> list[Finding]:
+    """Hits that are not fit for use, and overlapping ones."""
+    label = record.channels[force].label
+    try:
+        blocks = impact_blocks(record, force, responses)
+    except DataError as error:
+        return [Finding("weak_hit", error.message, "error", file=record.name or None, dof=label, action="repeat the measurement")]
+    out = blocks.hits.findings(record.name or None, label)
+    if blocks.overlapping:
+        out.append(overlap_finding(blocks, record.name or None, label, True))
+    return out
+
+
+def check_runs(records: Sequence[TimeRecord]) -> list[Finding]:
+    """Findings about runs that do not belong together: sampling rates, lengths, channels that come and go."""
+    out: list[Finding] = []
+    if len(records) < 2:
+        return out
+    rates = sorted({r.sampling_hz for r in records})
+    names = {rate: [r.name for r in records if r.sampling_hz == rate] for rate in rates}
+    if len(rates) > 1:
+        text = "; ".join(f"{rate:g} Hz in {len(names[rate])} run(s)" for rate in rates)
+        rare = min(rates, key=lambda rate: len(names[rate]))
+        out.append(
+            Finding(
+                "unequal_rate",
+                f"sampling rates differ: {text}",
+                "warning",
+                file=names[rare][0] or None,
+                consequence="only the common band is usable",
+                action="use one rate",
+            )
+        )
+    lengths = sorted({r.n_samples / r.sampling_hz for r in records})
+    if lengths[-1] > 1.01 * lengths[0]:
+        shortest = min(records, key=lambda r: r.duration_s)
+        text = f"run lengths differ: {lengths[0]:.4g} to {lengths[-1]:.4g} s"
+        out.append(
+            Finding(
+                "unequal_length",
+                text,
+                "info",
+                file=shortest.name or None,
+                consequence="the shortest run sets the resolution",
+                action="measure equally long",
+            )
+        )
+    everywhere = [{c.label for k, c in enumerate(r.channels) if k in r.response_indices} for r in records]
+    common = set.intersection(*everywhere)
+    partial = sorted(set.union(*everywhere) - common)
+    if common and partial:
+        shown = ", ".join(partial[:8]) + (" …" if len(partial) > 8 else "")
+        out.append(
+            Finding(
+                "missing_response",
+                f"{len(partial)} response DOFs are not in every run: {shown}",
+                "info",
+                consequence="NaN in the FRF where not measured",
+            )
+        )
+    return out

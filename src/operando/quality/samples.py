@@ -1,0 +1,137 @@
+"""Faults of single channels, found in their samples alone. Pure functions of arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Array = NDArray[Any]
+
+SHORTEST_DROPOUT = 16
+
+
+@dataclass(frozen=True)
+class Span:
+    """Samples ``first`` to ``last`` (both included)."""
+
+    first: int
+    last: int
+
+    @property
+    def length(self) -> int:
+        """Number of samples."""
+        return self.last - self.first + 1
+
+
+def constant_runs(x: Array, shortest: int = 2) -> list[Span]:
+    """Runs of at least ``shortest`` equal samples, in order."""
+    equal = x[1:] == x[:-1]
+    if not equal.any():
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(np.int8)))
+    starts, stops = edges[::2], edges[1::2]  # run covers starts .. stops
+    keep = stops - starts + 1 >= shortest
+    return [Span(int(a), int(b)) for a, b in zip(starts[keep], stops[keep], strict=True)]
+
+
+def not_finite(x: Array) -> list[Span]:
+    """Runs of NaN or Inf."""
+    bad = ~np.isfinite(x)
+    if not bad.any():
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
+    return [Span(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def smallest_step(x: Array) -> float:
+    """Smallest difference of neighbouring samples that is not zero: the quantisation of a digitised signal."""
+    steps = np.abs(np.diff(x.astype(float)))
+    steps = steps[steps > 0]
+    return float(steps.min()) if steps.size else 0.0
+
+
+def overload(x: Array, runs: list[Span] | None = None) -> list[Span]:
+    """Clipping at full scale: three or more equal samples at the highest or lowest value, reached by a jump.
+
+    A jump is more than twenty quantisation steps on either side: a few equal samples at the top of a coarsely digitised small signal
+    are no overload.
+
+    Parameters
+    ----------
+    x : (n,) finite array
+    runs : list of Span, optional
+        Runs of equal samples, where known.
+    """
+    runs = constant_runs(x) if runs is None else runs
+    top, bottom = float(x.max()), float(x.min())
+    if top == bottom:
+        return []
+    candidates = [r for r in runs if r.length >= 3 and float(x[r.first]) in (top, bottom)]
+    if not candidates:
+        return []
+    step = smallest_step(x)
+
+    def jump(run: Span) -> float:
+        sides = [abs(float(x[k]) - float(x[run.first])) for k in (run.first - 1, run.last + 1) if 0 <= k < x.size]
+        return max(sides, default=0.0)
+
+    middle = float(np.median(x[:: max(1, x.size // 10001)]))
+    spread = max(top - middle, middle - bottom)
+    # A long rest value that happens to be the least or largest sample (a hammer at rest) is near the median, not at full scale.
+    return [r for r in candidates if jump(r) > 20 * step and abs(float(x[r.first]) - middle) > 0.2 * spread]
+
+
+def dropouts(x: Array, runs: list[Span] | None = None) -> list[Span]:
+    """Runs of one value far longer than the signal explains, at least 16 samples; those at full scale are overload, not dropout.
+
+    In a coarsely digitised signal, where equal neighbours are usual, a run must be ten times longer than 99 % of the runs.
+    """
+    runs = constant_runs(x) if runs is None else runs
+    long = [r for r in runs if r.length >= SHORTEST_DROPOUT]
+    if not long:
+        return []
+    clipped = {(r.first, r.last) for r in overload(x, runs)}
+    long = [r for r in long if (r.first, r.last) not in clipped]
+    lengths = np.array([r.length for r in runs])
+    short = lengths[lengths < SHORTEST_DROPOUT]
+    if short.sum() > 0.02 * x.size:
+        limit = max(64.0, 10 * float(np.quantile(lengths, 0.99)))
+        long = [r for r in long if r.length >= limit]
+    return long
+
+
+@dataclass(frozen=True)
+class Saturation:
+    """Evidence of soft clipping: crest factor, and mean square slope at the top relative to the middle."""
+
+    crest: float
+    slope_ratio: float
+
+
+def soft_clipping(x: Array) -> Saturation | None:
+    """Evidence that large values are compressed, None where there is none or it cannot be told.
+
+    In a random signal slope and level are independent; a compressing characteristic y = g(x) leaves the slope at the top small,
+    and the crest factor low. A signal of few zero crossings or one dominated by a single frequency is not judged: a sine looks the same.
+    """
+    x = x - float(np.mean(x, dtype=float))
+    rms = float(np.sqrt(np.mean(np.square(x, dtype=float))))
+    if rms == 0:
+        return None
+    crest = float(np.abs(x).max()) / rms
+    if crest > 2.6 or np.count_nonzero(np.signbit(x[1:]) != np.signbit(x[:-1])) < 500:
+        return None
+    part = x[: min(x.size, 1 << 16)]
+    power = np.abs(fft.rfft(part * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(part.size) / part.size)))) ** 2
+    k = int(np.argmax(power))
+    if power[max(0, k - 3) : k + 4].sum() > 0.3 * power.sum():
+        return None
+    size = np.abs(x[1:-1])
+    slope = np.square(x[2:] - x[:-2], dtype=float)
+    high, middle = slope[size > np.quantile(size, 0.95)], slope[size < np.quantile(size, 0.5)]
+    ratio = float(high.mean() / max(float(middle.mean()), 1e-300))
+    return Saturation(crest, ratio) if ratio < 0.35 else None
