@@ -121,7 +121,7 @@ def scaled_covariance(
         direct = _directions(factor, idle, rows, np.ones(m)).real
         moved = _slope(method, e, o, task, direct, np.zeros(0), factor[: idle.n_modes].T, None)
         change[shape_at[:n].ravel()] = moved.transpose(2, 1, 0).reshape(n * m, -1)
-        change[shape_at[n:].ravel()] = direct[:, :, carried].transpose(2, 1, 0).reshape(k * m, -1)
+        change[shape_at[n:].ravel()] = direct[:, :, carried].transpose(2, 1, 0).reshape(k * m, direct.shape[0])
         out += change @ change.T
     return (out + out.T) / 2
 
