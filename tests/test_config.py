@@ -28,7 +28,7 @@ force = "lbf"
 [analysis]
 band = [5, 220.0]
 overlap = 0.5
-hits = [0, 2]
+hits = "all"
 references = ["1Z", "2-X"]
 exclude_bands = [[49.0, 51.0]]
 select_hz = [11.5]
@@ -101,7 +101,7 @@ def test_every_setting_has_a_check():
         ("overlap = 0.5", "max_order = 20.5", "whole number", None),
         ("overlap = 0.5", "block_seconds = -1", "positive", None),
         ("overlap = 0.5", "block_seconds = inf", "positive", None),
-        ("hits = [0, 2]", 'hits = "some"', "indices", None),
+        ('hits = "all"', 'hits = "al"', "expected one of", "did you mean 'all'"),
         ('dof = "12+Z"', 'dof = "12+Q"', "no DOF label", "12+Z"),
         ("sensitivity = 1.0", "sensitivity = 0", "other than 0", None),
         ('["idle/*.uff"]', '["idel/*.uff"]', "matches no file", "relative to"),

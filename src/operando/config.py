@@ -16,7 +16,8 @@ from operando.dof import Dof
 from operando.errors import ConfigError, DofError, UnitError
 from operando.units import SI_UNIT, parse_unit
 
-ESTIMATORS = ("h1", "h2", "hv", "lrm")
+ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
+HITS = ("auto", "all", "off")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
 _STATE_KEYS = ("records", "frfs")
 _CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
@@ -55,9 +56,10 @@ class Analysis:
     band : (float, float) or None
         Analysis band [Hz]; None: chosen from the data.
     block_seconds, overlap, window, estimator : optional
-        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv`` or ``lrm`` of the FRF estimate.
-    hits : str or tuple of int
-        ``auto`` (consistent hits are chosen), ``all``, or the indices of the hits to use.
+        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv`` or ``lrm`` of the FRF estimate (None: chosen
+        from the length of the records).
+    hits : str
+        Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
     references : tuple of str or None
         Force DOFs to use (None: all).
     max_order : int or None
@@ -84,8 +86,8 @@ class Analysis:
     block_seconds: float | None = None
     overlap: float | None = None
     window: str | None = None
-    estimator: str = "h1"
-    hits: str | tuple[int, ...] = "auto"
+    estimator: str | None = None
+    hits: str = "auto"
     references: tuple[str, ...] | None = None
     max_order: int | None = None
     select_hz: tuple[float, ...] = ()
@@ -390,13 +392,6 @@ def _threshold(value: Any, where: str) -> float:
     return float(_check(value, _is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
 
 
-def _hits(value: Any, where: str) -> str | tuple[int, ...]:
-    if isinstance(value, list | tuple):
-        good = len(value) > 0 and all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in value)
-        return tuple(_check(value, good, "the indices of the hits, from 0", where))
-    return str(_check(value, value in ("auto", "all", "none"), '"auto", "all", "none", or a list of indices from 0', where))
-
-
 def _text(value: Any, where: str) -> str:
     return str(_check(value, isinstance(value, str) and value != "", "a text", where))
 
@@ -420,10 +415,11 @@ def _one_of(choices: tuple[str, ...]) -> Callable[[Any, str], str]:
 
 
 _CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS), "hits": _hits,
-    "references": _dofs, "max_order": _order, "select_hz": _numbers, "reject_hz": _numbers, "threshold": _threshold,
-    "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts, "places": _texts,
-    "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers, "second_opinion": _flag,
+    "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS),
+    "hits": _one_of(HITS), "references": _dofs, "max_order": _order, "select_hz": _numbers, "reject_hz": _numbers,
+    "threshold": _threshold, "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts,
+    "places": _texts, "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers,
+    "second_opinion": _flag,
 }  # fmt: skip
 
 

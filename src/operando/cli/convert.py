@@ -14,19 +14,17 @@ from operando.cli.answer import Answer, answers
 @click.argument("target", metavar="OUT", type=click.Path(dir_okay=False))
 @answers
 def convert(source: str, target: str) -> Answer:
-    """Convert a file; the format of OUT follows its ending.
+    """Convert a file; the format of OUT follows its ending (.uff, .unv, .h5, .mat, .csv).
 
     Lossless where both formats can hold what is there, else it says what is lost.
     """
     from operando.io import convert as convert_file
 
-    found: Any = convert_file(source, target)
-    document: dict[str, Any] = {"schema": "operando/convert/1", "in": source, "out": target}
-    lines = [f"{source} → {target}"]
-    if isinstance(found, dict):
-        document |= found
-    findings = found.get("findings", []) if isinstance(found, dict) else (found or [])
-    shown = [f if isinstance(f, dict) else f.to_dict() for f in findings if isinstance(f, dict) or hasattr(f, "to_dict")]
-    document["findings"] = shown
-    lines += [f"  {f.get('severity', 'info')}: {f.get('message', '')}" for f in shown]
-    return Answer(document, "\n".join(lines))
+    found: dict[str, Any] = convert_file(source, target)
+    lines = [f"{target} written ({found['format_out']}, from {found['format_in']}):"]
+    lines += [f"  {text}" for text in found["written"]]
+    if found["passed_on"]:
+        lines.append(f"  {len(found['passed_on'])} sets passed on unchanged")
+    lines += [f"  lost: {text}" for text in found["lost"]]
+    lines += [f"  {f['severity']}: {f['message']}" for f in found["findings"]]
+    return Answer({"schema": "operando/convert/1"} | found, "\n".join(lines))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -13,13 +14,93 @@ from operando.cli.answer import Answer, answers, table
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @answers
 def inspect(files: tuple[str, ...]) -> Answer:
-    """What is in files: sets, channels, DOFs, units, sampling; what is used, ignored, missing, and wrong."""
+    """What is in files: sets, channels, DOFs, units, sampling; what is used, ignored, missing, and wrong.
+
+    Of a test file (.toml) the files it names are looked at, with its units and channels.
+    """
+    from operando.errors import FormatError
     from operando.io import inspect_files
 
-    document: dict[str, Any] = inspect_files(list(files))
-    from operando.cli.tables import inspection_text
+    paths: list[str | Path] = list(files)
+    units: Any = None
+    channels: Any = None
+    if len(files) == 1 and files[0].endswith(".toml"):
+        from operando.config import load_test
 
-    return Answer(document, inspection_text(document))
+        test = load_test(files[0])
+        paths, units, channels = list(test.files), test.units or None, test.channels or None
+    document: dict[str, Any] = inspect_files(paths, units=units, channels=channels)
+    unread = [f for f in document["files"] if f["error"] is not None]
+    if len(unread) == len(document["files"]):
+        first = unread[0]["error"]
+        raise FormatError(first["error"], where=first["where"] or unread[0]["path"], hint=first["hint"])
+    for entry in document["files"]:
+        if entry["records"]:
+            found = _quality(entry["path"], units, channels, entry["findings"])
+            entry["findings"] += found
+            document["findings"] += found
+    return Answer(document, _text(document))
 
 
-__all__ = ["inspect", "table"]
+def _quality(path: str, units: Any, channels: Any, known: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What the raw-data checks find beyond what reading found."""
+    from operando.io import read
+    from operando.pipeline.inputs import checked
+
+    found = [f.to_dict() for record in read(path, units=units, channels=channels).records for f in checked(record).findings]
+    return [f | {"file": f["file"] or Path(path).name} for f in found if f not in known]
+
+
+def _text(document: dict[str, Any]) -> str:
+    blocks = [_file_text(entry) for entry in document["files"]]
+    blocks += [f"Missing: {text}" for text in document["missing"]]
+    return "\n\n".join(blocks)
+
+
+def _file_text(entry: dict[str, Any]) -> str:
+    if entry["error"] is not None:
+        hint = entry["error"]["hint"]
+        return f"{entry['path']}: cannot be read: {entry['error']['error']}" + (f" ({hint})" if hint else "")
+    lines = [f"{entry['path']} ({entry['format']}, {len(entry['sets'])} sets)"]
+    lines += [f"  found    {text}" for text in entry["found"]]
+    lines += [f"  used     {text}" for text in entry["used"]]
+    lines += [f"  ignored  {text}" for text in _ignored(entry["ignored"])]
+    lines += [f"  missing  {text}" for text in entry["missing"]]
+    for record in entry["records"]:
+        rows = [[c["dof"] or "-", c["quantity"], _unit(c), c["name"]] for c in record["channels"][:64]]
+        lines.append(_indented(table(rows, ["DOF", "quantity", "unit", "name"])))
+        if len(record["channels"]) > 64:
+            lines.append(f"    … and {len(record['channels']) - 64} more channels")
+    for frf in entry["frfs"]:
+        lines.append(f"    responses  {_some(frf['responses'])}")
+        lines.append(f"    references {_some(frf['references'])}; drive points {_some(frf['drive_points'])}")
+    for model in entry["models"]:
+        modes = [f"{f:.4g} Hz" for f in model["frequencies_hz"]]
+        lines.append(f"    modes      {_some(modes)}")
+    lines += [f"  {f['severity']:8s} {f['message']}" for f in entry["findings"]]
+    return "\n".join(lines)
+
+
+def _ignored(sets: list[dict[str, Any]]) -> list[str]:
+    """Sets not used, those of one kind and reason together."""
+    kinds: dict[tuple[Any, str, str], list[int]] = {}
+    for s in sets:
+        kinds.setdefault((s["type"], s["title"], s["reason"] or s["status"]), []).append(s["set"])
+    lines = []
+    for (number, title, reason), which in kinds.items():
+        where = f"set {which[0]}" if len(which) == 1 else f"{len(which)} sets from {which[0]}"
+        lines.append(f"{where} (type {number}): {title}: {reason}")
+    return lines
+
+
+def _unit(channel: dict[str, Any]) -> str:
+    unit, source = channel["unit"] or "unknown", channel["source_unit"]
+    return unit if source in (None, unit) else f"{unit} (from {source})"
+
+
+def _some(items: list[str]) -> str:
+    return (", ".join(items[:12]) + (f" … {len(items)} in all" if len(items) > 12 else "")) or "none"
+
+
+def _indented(text: str) -> str:
+    return "\n".join("    " + line for line in text.splitlines())

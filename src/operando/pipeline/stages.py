@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from operando.config import Analysis, Test
-from operando.data import Finding
+from operando.data import Finding, Frf
 from operando.errors import DataError, MissingError
 from operando.pipeline.inputs import Inputs
 from operando.results import Results
@@ -99,7 +99,9 @@ def inspect_files(work: Work) -> dict[str, Any]:
 
 
 def idle_frf(work: Work) -> dict[str, Any]:
-    """Idle FRFs, estimated or as given, with drive-point and reciprocity checks."""
+    """Idle FRFs, estimated or as given, with drive-point, reciprocity and coherence checks."""
+    from operando.frf import check_frf
+
     idle = work.test.idle
     if idle.frfs:
         frf = work.inputs.frf(idle)
@@ -107,7 +109,7 @@ def idle_frf(work: Work) -> dict[str, Any]:
             frf = frf.select(references=work.analysis.references)
     else:
         frf = estimate(work.inputs.records(idle, force=True), work.analysis)
-    return {"idle_frf": frf, "findings": frf_checks(frf)}
+    return {"idle_frf": check_frf(frf)}
 
 
 def estimate(records: list[Any], analysis: Analysis) -> Any:
@@ -121,18 +123,9 @@ def estimate(records: list[Any], analysis: Analysis) -> Any:
         block_seconds=analysis.block_seconds,
         overlap=analysis.overlap,
         window=analysis.window,
-        hits=analysis.hits if analysis.hits != "auto" else None,
+        hits=analysis.hits,
     )
     return estimate_frf(records, **keywords)
-
-
-def frf_checks(frf: Any) -> list[Finding]:
-    """Findings of the drive-point and reciprocity checks that the FRF does not carry already."""
-    import operando.frf as room
-
-    check = getattr(room, "check_drive_points", None)
-    found = [] if check is None else check(frf)
-    return [f for f in (found if isinstance(found, list | tuple) else []) if isinstance(f, Finding) and f not in frf.findings]
 
 
 def idle_modes(work: Work) -> dict[str, Any]:
@@ -190,6 +183,7 @@ def hybrid(work: Work) -> dict[str, Any]:
 
 def check_runs(work: Work) -> dict[str, Any]:
     """Check FRFs: all runs in one where they agree, else by level."""
+    from operando.frf import check_frf
     from operando.pipeline.levels import check_frfs
 
     check = work.test.check
@@ -202,7 +196,12 @@ def check_runs(work: Work) -> dict[str, Any]:
         from operando.results import CheckRun
 
         runs.append(CheckRun(", ".join(p.name for p in check.frfs), "as given", work.inputs.frf(check)))
-    return {"check": runs, "findings": [f for run in runs for f in frf_checks(run.frf)]}
+    return {"check": [replace(run, frf=_of_check(check_frf(run.frf))) for run in runs]}
+
+
+def _of_check(frf: Frf) -> Frf:
+    """Findings that say that they are about the check measurement."""
+    return replace(frf, findings=tuple(replace(f, message=f"check measurement: {f.message}") for f in frf.findings))
 
 
 def _judging(analysis: Analysis) -> Analysis:

@@ -1,0 +1,170 @@
+"""``operando ofrf, compare, report, convert`` on a finished results folder."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import models
+from measurements import record, running_chain
+from operando import read
+from operando.cli import main
+from operando.cli.ofrf import parse_lines
+from operando.store import save_results
+
+
+def call(*args):
+    return CliRunner().invoke(main, [str(a) for a in args])
+
+
+def answer(*args):
+    done = call(*args, "--json")
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout, parse_constant=lambda text: pytest.fail(text))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("results")
+    save_results(models.results(), place / "model.h5")
+    return place
+
+
+def test_ofrf_values_are_those_of_the_hybrid_model(folder):
+    document = answer(
+        "ofrf", folder, "--responses", "2+Z,3-Z", "--references", "1Z", "--frequencies", "10:12:0.5", "--quantity", "mobility"
+    )
+    assert document["schema"] == "operando/ofrf/1"
+    assert document["responses"] == ["2+Z", "3-Z"]
+    assert document["references"] == ["1+Z"]
+    assert document["unit"] == "(m/s)/N"
+    np.testing.assert_allclose(document["frequencies_hz"], [10, 10.5, 11, 11.5, 12])
+    made = models.results().hybrid.frf(np.arange(10, 12.1, 0.5), "2+Z,3+Z", "1+Z", "mobility")
+    values = np.array(document["data"]) @ [1, 1j]
+    np.testing.assert_allclose(values[0], made.data[0])
+    np.testing.assert_allclose(values[1], -made.data[1])  # the other sense
+    assert np.array(document["std"]).shape == (2, 1, 5)
+
+
+def test_ofrf_defaults_and_files(folder, tmp_path):
+    document = answer("ofrf", folder, "-o", tmp_path / "all.uff")
+    assert "data" not in document
+    made = read(tmp_path / "all.uff").frfs[0]
+    assert made.data.shape == (4, 4, 381)
+    np.testing.assert_allclose(made.frequencies_hz, models.results().idle_frf.frequencies_hz)
+    for name in ("pair.h5", "pair.mat"):
+        done = call("ofrf", folder / "model.h5", "--responses", "2+Z", "--references", "1+Z", "-o", tmp_path / name)
+        assert done.exit_code == 0, done.output
+        assert read(tmp_path / name).frfs[0].data.shape == (1, 1, 381)
+    text = call("ofrf", folder).stdout
+    assert text.startswith("16 operational FRFs")
+    assert "Nothing written" in text
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "message"),
+    [
+        (["--responses", "99+Z"], 1, "99+Z is not measured"),
+        (["--responses", "2+Q"], 2, "no DOF label"),
+        (["--frequencies", "5:2:1"], 2, "A <= B"),
+        (["--frequencies", "5-20"], 2, "A:B:STEP"),
+        (["--frequencies", "0:20:0"], 2, "STEP > 0"),
+        (["--route", "effect"], 1, "no model with accepted effects"),
+        (["-o", "file.xyz"], 1, "tells no format"),
+    ],
+)
+def test_ofrf_refusals(folder, args, code, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = call("ofrf", folder, *args)
+    assert done.exit_code == code
+    assert message in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_lines():
+    np.testing.assert_allclose(parse_lines("5:5:1"), [5])
+    lines = parse_lines("0:220:0.1")
+    assert lines.size == 2201
+    assert lines[-1] == pytest.approx(220)
+
+
+def test_compare_results_with_a_measurement(folder, tmp_path):
+    from operando.io import write_uff
+
+    write_uff(tmp_path / "check.uff", models.measured(running_chain(), "check"))
+    document = answer("compare", folder, tmp_path / "check.uff", "-o", tmp_path / "comparison.json")
+    assert document["schema"] == "operando/comparison/1"
+    assert document["models"]["model"] == document["model"]
+    assert document["model"]["error_db"] < 1
+    assert [d["dof"] for d in document["model"]["by_dof"]] == ["1+Z", "2+Z", "3+Z", "4+Z"]
+    assert len(document["model"]["by_band"]) == 8
+    assert document["band_hz"] == [10.0, 90.0]
+    assert json.loads((tmp_path / "comparison.json").read_text()) == document
+    text = call("compare", folder, tmp_path / "check.uff").stdout
+    assert text.startswith("operational FRFs by the hybrid route: error")
+
+
+def test_compare_takes_any_model_and_any_measurement(folder, tmp_path):
+    from operando.io import write_uff
+
+    chain = running_chain()
+    write_uff(tmp_path / "frf.uff", models.measured(chain, "frf", "mobility", references=(0, 1), noise=0.0))
+    write_uff(tmp_path / "record.uff", record(chain, [0], 5.0, 11, "record"))
+    # FRFs of a file against the same FRFs: no error
+    same = answer("compare", tmp_path / "frf.uff", tmp_path / "frf.uff")
+    assert same["model"]["error_db"] == pytest.approx(0, abs=1e-9)
+    # exact FRFs of another factor: 20·log10(2)
+    from dataclasses import replace
+
+    frf = models.measured(chain, "twice", noise=0.0)
+    write_uff(tmp_path / "twice.uff", replace(frf, data=2 * frf.data))
+    assert answer("compare", tmp_path / "twice.uff", tmp_path / "frf.uff")["model"]["error_db"] == pytest.approx(20 * np.log10(2), rel=1e-6)
+    # records with force are estimated; results judge themselves by their own check runs
+    assert answer("compare", folder, tmp_path / "record.uff")["model"]["error_db"] < 1
+    assert answer("compare", folder, folder)["model"]["error_db"] < 1
+
+
+def test_compare_refusals(folder, tmp_path):
+    from operando.io import write_uff
+
+    write_uff(tmp_path / "geometry.uff", models.results().geometry)
+    done = call("compare", folder, tmp_path / "geometry.uff", "--json")
+    assert done.exit_code == 1
+    assert "no FRFs and no record" in json.loads(done.stdout)["error"]
+    done = call("compare", tmp_path / "geometry.uff", folder)
+    assert done.exit_code == 1
+    assert "nothing that predicts FRFs" in done.stderr
+
+
+def test_report_is_rebuilt(folder):
+    document = answer("report", folder)
+    assert document["bytes"] > 10_000
+    assert (folder / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+def test_convert_says_what_it_wrote(tmp_path):
+    from operando.io import write_uff
+
+    write_uff(tmp_path / "record.uff", record(running_chain(), [0], 5.0, 11, "record"))
+    document = answer("convert", tmp_path / "record.uff", tmp_path / "record.h5")
+    assert document["format_out"] == "hdf5"
+    assert read(tmp_path / "record.h5").records[0].n_samples == read(tmp_path / "record.uff").records[0].n_samples
+
+
+def test_inspect_says_what_is_there(tmp_path):
+    from operando.io import write_uff
+
+    write_uff(tmp_path / "record.uff", record(running_chain(), [0], 5.0, 11, "record"))
+    (tmp_path / "broken.uff").write_bytes(b"\0\1\2")
+    document = answer("inspect", tmp_path / "record.uff", tmp_path / "broken.uff")
+    assert document["schema"] == "operando/inspect/1"
+    assert document["files"][1]["error"] is not None
+    text = call("inspect", tmp_path / "record.uff").stdout
+    assert "1 force and 4 response channels" in text
+    assert "4+Z  acceleration  m/s2" in text
+    done = call("inspect", tmp_path / "broken.uff", "--json")
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["schema"] == "operando/error/1"
