@@ -283,10 +283,16 @@ def test_idle_without_units_says_how_to_give_them(whole):
 
 def test_not_reciprocal_is_the_first_thing_that_does_not_hold(whole):
     finding = Finding("not_reciprocal", "H differs from its transpose by 21 %", "error")
-    results = replace_results(whole, findings=[*whole.findings, finding])
+    results = replace_results(whole, findings=[*whole.findings, finding], check=[], comparison=None)
     limits = headline(results).limits
     assert any("21 %" in t and "symmetric" in t for t in limits)
-    assert next(a for a in assumptions(whole) if a.name.startswith("Reciprocity")).state == "holds"
+    reciprocity = lambda r: next(a for a in assumptions(r) if a.name.startswith("Reciprocity"))  # noqa: E731
+    assert reciprocity(whole).state == "holds"
+    against_the_check = reciprocity(replace_results(whole, findings=[finding]))
+    assert against_the_check.state == "doubtful"
+    assert "21 %" in against_the_check.text
+    at_rest = replace(whole.idle_frf, findings=(finding,))
+    assert reciprocity(replace_results(whole, findings=[finding], idle_frf=at_rest)).state == "holds"
 
 
 def test_skew_check_is_found_not_reciprocal_from_the_numbers(whole):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare.comparison import lowest_level
 from operando.data import Finding, Frf, ModalModel
 from operando.dof import Dof
 from operando.errors import OperandoError
@@ -64,7 +65,7 @@ def judge_run(results: Results) -> CheckRun | None:
         return None
     level = (results.comparison or {}).get("judge_level")
     if level is None or level not in {run.level for run in results.check}:
-        level = max(run.level for run in results.check)
+        level = lowest_level(results.check)
     runs = [run for run in results.check if run.level == level]
     return beside(runs) or runs[0]
 
@@ -240,10 +241,12 @@ def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str,
 
 def level_difference(check: Sequence[CheckRun], band: Sequence[float] | None = None) -> dict[str, Any] | None:
     """Whether the FRFs of two levels agree in band: relative difference and mean |ΔH|² over its variance; None with one level."""
-    levels = sorted({run.level for run in check})
+    levels = list(dict.fromkeys(run.level for run in check))
     if len(levels) < 2:
         return None
-    ends = [[run for run in check if run.level == level] for level in (levels[0], levels[-1])]
+    low = lowest_level(check)
+    high = next(level for level in reversed(levels) if level != low)
+    ends = [[run for run in check if run.level == level] for level in (high, low)]
     first, second = (beside(runs) or runs[0] for runs in ends)
     one, two = (first.frf, second.frf) if band is None else (first.frf.band(*band), second.frf.band(*band))
     if one.data.shape != two.data.shape or one.references != two.references or not np.allclose(one.frequencies_hz, two.frequencies_hz):
@@ -256,7 +259,7 @@ def level_difference(check: Sequence[CheckRun], band: Sequence[float] | None = N
         noise = one.variance + two.variance
         good = ok & np.isfinite(noise) & (noise > 0)
         ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
-    return {"levels": (levels[0], levels[-1]), "relative": float(np.sqrt(gap[ok].sum() / size)) if size > 0 else None, "ratio": ratio}
+    return {"levels": (high, low), "relative": float(np.sqrt(gap[ok].sum() / size)) if size > 0 else None, "ratio": ratio}
 
 
 def sensor_redundancy(shapes: NDArray[Any], dofs: Sequence[Dof]) -> dict[str, Any] | None:

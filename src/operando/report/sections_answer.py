@@ -10,7 +10,7 @@ from operando.data import Frf
 from operando.report import derive, figures_compare, figures_frf, tables
 from operando.report.assessment import MODEL_NAMES, assumptions, frequency_shifts, headline
 from operando.report.parts import Numbering, left_out, missing, paragraph
-from operando.report.text import decibel, esc, finite, fixed, number
+from operando.report.text import decibel, esc, finite, fixed, number, short_names
 from operando.results import Results
 
 
@@ -107,7 +107,9 @@ def ofrf(results: Results, numbering: Numbering) -> str:
         return "".join(out)
     pairs = derive.choose_pairs(run.frf, _pair_error(model, run.frf, results), 2, 4)
     level = f", level {esc(run.level)}" if run.level else ""
-    caption = f"Operating FRFs at drive points and at the worst pairs, against check run {esc(run.name)}{level} and the idle model. "
+    caption = (
+        f"Operating FRFs at drive points and at the worst pairs, against check run {esc(short_names(run.name))}{level} and the idle model. "
+    )
     caption += "The band is 95 % from the covariances of EMA and OMA."
     out.append(numbering.figure(figures_frf.ofrf_pairs(run.frf, model, rest, pairs, band), caption))
     if band is not None:

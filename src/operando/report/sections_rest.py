@@ -7,8 +7,8 @@ from typing import Any
 from operando.data import Frf
 from operando.report import derive, figures_frf, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
-from operando.report.text import band_text, count, esc, finite, fixed, listing, number, plain
-from operando.results import Results
+from operando.report.text import band_text, count, esc, finite, fixed, listing, number, plain, short_names
+from operando.results import CheckRun, Results
 
 
 def measured(results: Results, numbering: Numbering) -> str:
@@ -31,9 +31,7 @@ def _frf_inventory(results: Results) -> str:
     rows = []
     if results.idle_frf is not None:
         rows.append(["idle FRF", *_frf_cells(results.idle_frf)])
-    rows += [
-        [f"check, {esc(run.name)}" + (f" (level {esc(run.level)})" if run.level else ""), *_frf_cells(run.frf)] for run in results.check
-    ]
+    rows += [[_check_cell(run), *_frf_cells(run.frf)] for run in results.check]
     if results.operating is not None:
         dofs = ", ".join(esc(d) for d in results.operating.dofs)
         rows.append(["operating, output only", dofs, "force not known", band_text(results.operating.band_hz), "–", "–", "–"])
@@ -41,6 +39,10 @@ def _frf_inventory(results: Results) -> str:
         return missing("No measurement has been processed yet.")
     head = ["State", "Responses", "References (forces)", "Lines", "Spacing [Hz]", "Effective<br>averages", "Units"]
     return tables.table(head, rows, numeric=(4, 5), caption="<b>What was measured.</b>", wide=True)
+
+
+def _check_cell(run: CheckRun) -> str:
+    return f"check, {esc(short_names(run.name))}" + (f" (level {esc(run.level)})" if run.level else "")
 
 
 def _frf_cells(frf: Frf) -> list[str]:

@@ -29,7 +29,9 @@ def idle(results: Results, numbering: Numbering) -> str:
     else:
         synthesised = _synthesised(results, frf)
         out.append("<h3>Measured and synthesised FRFs</h3>")
-        caption = "All idle FRFs together (rms over pairs). The difference between measurement and model should lie on the noise level."
+        caption = "All idle FRFs together (rms over pairs)."
+        if synthesised is not None:
+            caption += " The difference between measurement and model should lie on the noise level."
         out.append(numbering.figure(figures_frf.frf_overview(frf, synthesised, band), caption))
         error = None
         if synthesised is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from operando.data import Finding, ModalModel, phase_collinearity
 from operando.report.assessment import MODEL_NAMES, Assumption
 from operando.report.derive import pairing_of, proper_modes
-from operando.report.text import DASH, decibel, esc, finite, fixed, listing, number, plain, plus_minus, size_text
+from operando.report.text import DASH, decibel, esc, finite, fixed, listing, number, plain, plus_minus, short_names, size_text
 from operando.results import Results
 
 CLASS_WORDS = {
@@ -349,33 +349,84 @@ def rejected_table(rejected: Sequence[Any]) -> str:
     return f"<details{opened}><summary>{len(rows)} candidates rejected: {esc(summary)}</summary>{body}</details>"
 
 
-_INVENTORY_HEAD = {
-    "role": "Used as",
-    "path": "File",
-    "file": "File",
-    "format": "Format",
-    "sets": "Sets",
-    "channels": "Channels",
-    "dofs": "DOFs",
-    "units": "Units",
-    "sampling_hz": "Sampling [Hz]",
-    "duration_s": "Duration [s]",
-    "samples": "Samples",
-    "used": "Used",
-    "ignored": "Ignored",
-    "missing": "Missing",
-}
+_INVENTORY_SHOWN: tuple[str, ...] = (
+    "file",
+    "path",
+    "used_for",
+    "role",
+    "format",
+    "sets",
+    "used",
+    "ignored",
+    "not_understood",
+    "channels",
+    "forces",
+    "responses",
+)
+_INVENTORY_SHOWN += ("units", "sampling_hz", "duration_s", "samples", "n_findings", "error", "sha256", "findings", "set_types", "dofs")
+_INVENTORY_SHOWN += ("frf_references", "frf_responses", "frf_band_hz", "frf_lines", "geometry_nodes", "models")
 
 
 def inventory_table(inventory: Sequence[Mapping[str, Any]]) -> str:
-    """One row a file; the columns are what the inventory holds."""
-    keys = [k for k in _INVENTORY_HEAD if any(row.get(k) not in (None, [], (), {}, "") for row in inventory)]
-    keys += [k for k in dict.fromkeys(k for row in inventory for k in row) if k not in _INVENTORY_HEAD and k != "findings"]
-    keys = [k for k in keys if any(row.get(k) not in (None, [], (), {}, "") for row in inventory)]
-    rows = [[_cell(k, row.get(k)) for k in keys] for row in inventory]
-    right = [i for i, k in enumerate(keys) if all(isinstance(r.get(k), int | float | None) for r in inventory)]
-    head = [_INVENTORY_HEAD.get(k, esc(k.replace("_", " ").capitalize())) for k in keys]
-    return table(head, rows, numeric=right, caption="<b>Files read.</b>", wide=True)
+    """One row a file: what it holds, what was used, ignored and not understood; keys it does not know get columns of their own."""
+    extra = [k for k in dict.fromkeys(k for row in inventory for k in row) if k not in _INVENTORY_SHOWN]
+    extra = [k for k in extra if any(row.get(k) not in (None, [], (), {}, "") for row in inventory)]
+    rows = []
+    for row in inventory:
+        cells = [_cell("file", row.get("file") or row.get("path")), esc(row.get("used_for") or row.get("role") or DASH)]
+        cells += [esc(row.get("format") or "not readable"), _sets_cell(row), _content_cell(row), _units_cell(row)]
+        cells += [
+            _cell("sampling_hz", row.get("sampling_hz")),
+            _cell("duration_s", row.get("duration_s")),
+            _cell("", row.get("n_findings")),
+        ]
+        rows.append([*cells, *(_cell(k, row.get(k)) for k in extra)])
+    head = ["File", "Used for", "Format", "Sets", "Holds", "Units", "Sampling<br>[Hz]", "Duration<br>[s]", "Findings"]
+    head += [esc(k.replace("_", " ").capitalize()) for k in extra]
+    return table(head, rows, numeric=(6, 7, 8), caption="<b>Files read.</b>", wide=True)
+
+
+def _sets_cell(row: Mapping[str, Any]) -> str:
+    if row.get("error"):
+        return esc(row["error"])
+    total = row.get("sets")
+    parts = [f"{row[k]} {k.replace('_', ' ')}" for k in ("used", "ignored", "not_understood") if isinstance(row.get(k), int) and row[k]]
+    if not isinstance(total, int):
+        return _cell("", total)
+    return esc(f"{total}: {', '.join(parts)}" if parts else str(total))
+
+
+def _content_cell(row: Mapping[str, Any]) -> str:
+    parts = []
+    channels = row.get("channels")
+    if channels:
+        parts.append(f"{channels if isinstance(channels, int) else len(channels)} channels")
+    if row.get("forces"):
+        parts.append("force " + listing(row["forces"], 6))
+    if row.get("responses"):
+        parts.append(f"{len(row['responses'])} responses")
+    if row.get("dofs"):
+        parts.append("DOFs " + listing(row["dofs"], 14))
+    if row.get("frf_lines"):
+        parts.append(f"FRFs of {len(row.get('frf_responses') or ())} responses, references {listing(row.get('frf_references') or (), 6)}")
+    if row.get("geometry_nodes"):
+        parts.append(f"geometry of {row['geometry_nodes']} nodes")
+    if row.get("models"):
+        parts.append(f"{row['models']} modal models")
+    return esc("; ".join(parts)) or DASH
+
+
+def _units_cell(row: Mapping[str, Any]) -> str:
+    """Units as the file states them."""
+    if row.get("units"):
+        return _cell("units", row["units"])
+    channels = row.get("channels")
+    if not isinstance(channels, list | tuple):
+        return DASH
+    names = dict.fromkeys(
+        f"{c.get('quantity', '?')} [{c.get('source_unit') or c.get('unit') or 'not stated'}]" for c in channels if isinstance(c, Mapping)
+    )
+    return esc(", ".join(names)) or DASH
 
 
 def _cell(key: str, value: Any) -> str:

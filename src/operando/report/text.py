@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import PurePath
 from typing import Any
 
 DASH = "–"
@@ -100,6 +101,14 @@ def band_text(band: Sequence[float] | None) -> str:
 def plain(value: Any, digits: int = 5) -> str:
     """A given (not estimated) number without trailing zeros."""
     return f"{float(value):.{digits}g}".replace("-", "−") if finite(value) else DASH
+
+
+def short_names(names: str) -> str:
+    """File names of a comma-separated list of paths, each with its folder only where names would repeat."""
+    paths = [PurePath(part.strip()) for part in names.split(",")]
+    bare = [p.name for p in paths]
+    shown = bare if len(set(bare)) == len(bare) else ["/".join(p.parts[-2:]) for p in paths]
+    return ", ".join(shown)
 
 
 def size_text(n_bytes: Any) -> str:
