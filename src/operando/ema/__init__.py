@@ -1,1 +1,25 @@
-"""."""
+"""Experimental modal analysis: candidate poles, maximum-likelihood fit of real modes, residual modes, second opinion."""
+
+from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
+from operando.ema.fit import EmaDetails, fit_ema
+from operando.ema.indicator_functions import cmif
+from operando.ema.lsfd import lsfd
+from operando.ema.plscf import OrderPoles, plscf
+from operando.ema.second_opinion import second_opinion
+from operando.indicators import mac, mean_phase_deviation, phase_collinearity
+
+__all__ = [
+    "Candidate",
+    "EmaDetails",
+    "OrderPoles",
+    "candidate_poles",
+    "cmif",
+    "fit_ema",
+    "lsfd",
+    "mac",
+    "mean_phase_deviation",
+    "phase_collinearity",
+    "plscf",
+    "second_opinion",
+    "stabilization_diagram",
+]

@@ -1,0 +1,446 @@
+"""Experimental modal analysis in one call: from FRFs and raw records to modes of unit modal mass with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding, Frf, ModalModel, Provenance, TimeRecord
+from operando.dof import Dof
+from operando.ema.candidates import candidate_poles, stabilization_diagram
+from operando.ema.heldout import heldout_misfit
+from operando.ema.order import OrderLog, refine, search_order, thin_lines
+from operando.ema.outside import OutsideModes, outside_modes
+from operando.ema.polish import Polished, signed, start_parameters
+from operando.ema.polish_model import Real
+from operando.ema.remaining import choose_core, remaining_rows
+from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
+from operando.errors import DataError, IdentificationError
+from operando.stabilization import RejectedPole, Stabilization
+
+WIDER = 1.33
+"""The fit reaches this far above the analysis band where the force does."""
+
+FREQUENCY_FLOOR = 1.5e-6
+DAMPING_FLOOR = 2e-4
+SHAPE_FLOOR = 2e-4
+"""Relative standard deviations that no likelihood sees: clock and filters of a measurement chain, the integrator of a simulated one."""
+
+
+@dataclass(frozen=True)
+class EmaDetails:
+    """What the identification did.
+
+    Parameters
+    ----------
+    stabilization : Stabilization
+        Diagram of the linear fit over the band; the modes selected are the final ones.
+    rejected : tuple of RejectedPole
+        Everything that was not taken, with reasons.
+    rounds : tuple of str
+        One line a round of the search for the number of modes.
+    fit_band_hz : (float, float)
+        Lines that the fit used.
+    misfit_by_dof : (n_dofs,) array
+        Held-out misfit of each response DOF; NaN where it was not measured.
+    fit_misfit : float
+        Mean of eᴴC⁻¹e/m on the lines of the fit.
+    converged : bool
+    lower_residual : bool
+        Whether kernels below the band were needed.
+    second_opinion : tuple of dict
+        sdypy-EMA beside it, where asked for.
+    """
+
+    stabilization: Stabilization | None
+    rejected: tuple[RejectedPole, ...]
+    rounds: tuple[str, ...]
+    fit_band_hz: tuple[float, float]
+    misfit_by_dof: NDArray[np.float64]
+    fit_misfit: float
+    converged: bool
+    lower_residual: bool
+    second_opinion: tuple[dict[str, Any], ...] = field(default=())
+
+
+def fit_ema(
+    frf: Frf,
+    *,
+    band: tuple[float, float] | None = None,
+    max_order: int | None = None,
+    records: Sequence[TimeRecord] | None = None,
+    select_hz: Sequence[float] = (),
+    reject_hz: Sequence[float] = (),
+    second_opinion: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> ModalModel:
+    """Identify the modes of the structure at rest.
+
+    Poly-reference least-squares complex frequency fits of the FRFs (Peeters et al. 2004) over the band and its parts give candidate
+    poles; a maximum-likelihood fit of real modes of unit modal mass, on the spectra of the whole records where they are given
+    (transients modelled, response and force noise weighted), else on the FRFs with their variances, refines them, settles how many
+    there are and gives their covariance. Modes outside the band become residual modes, so that undriven FRF columns are predicted too.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRF matrix; any number of responses and references, also more references than responses (roving hammer).
+    band : (float, float), optional
+        Analysis band [Hz]; default: the lines of the FRF without those at the edges.
+    max_order : int, optional
+        Order of the linear fit shown in the stabilisation diagram.
+    records : sequence of TimeRecord, optional
+        Raw runs behind the FRFs: forces and responses.
+    select_hz, reject_hz : sequences of float
+        Modes chosen or refused by hand [Hz].
+    second_opinion : bool
+        Ask sdypy-EMA as well.
+    progress : callable, optional
+        Told one line now and then.
+
+    Returns
+    -------
+    ModalModel
+        Real shapes; ``scaling`` is ``unit_modal_mass`` where units are known and a drive point gives the scale, else ``unscaled``.
+        ``misfit`` is judged on lines the fit did not use; ``details`` is an :class:`EmaDetails`.
+
+    Raises
+    ------
+    IdentificationError
+        If the band holds too few lines or no mode is found.
+    DataError
+        If records and FRFs do not belong together.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, "blas"):
+        return _fit(frf, band, max_order, records, tuple(select_hz), tuple(reject_hz), second_opinion, progress)
+
+
+def _fit(
+    frf: Frf,
+    band: tuple[float, float] | None,
+    max_order: int | None,
+    records: Sequence[TimeRecord] | None,
+    select_hz: tuple[float, ...],
+    reject_hz: tuple[float, ...],
+    second_opinion: bool,
+    progress: Callable[[str], None] | None,
+) -> ModalModel:
+    frf = frf.to_quantity("accelerance")
+    dofs = model_dofs(frf)
+    band = _analysis_band(frf, band)
+    runs, fit_band = _runs(frf, dofs, band, records)
+    weights = None if frf.variance is None else _weights(frf)
+    data = np.nan_to_num(frf.data)
+    candidates = candidate_poles(frf.frequencies_hz, data, weights, fit_band)
+    start = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent]
+    for wanted in select_hz:
+        near = min(candidates, key=lambda c: abs(c.frequency_hz - wanted), default=None)
+        if near is not None and abs(near.frequency_hz - wanted) < 0.01 * wanted:
+            start.append((near.frequency_hz, near.damping_ratio))
+        else:
+            start.append((wanted, 0.01))
+    start = _distinct([s for s in start if not any(abs(s[0] - r) < 0.01 * r for r in reject_hz)])
+    if not start:
+        raise IdentificationError(
+            f"no stable pole between {fit_band[0]:g} and {fit_band[1]:g} Hz",
+            hint="widen the band, check the FRFs, or name modes by select_hz",
+        )
+    core = choose_core(runs, dofs, len(start))
+    core_runs = runs if core is None else [_reduced(run, core) for run in runs]
+    n_dofs = len(dofs) if core is None else len(core)
+    hz, zeta = np.array([s[0] for s in start]), np.array([s[1] for s in start])
+    lower = _needs_lower(core_runs, n_dofs, hz, zeta)
+    fit, log = search_order(core_runs, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, progress=progress)
+    final = _final(core_runs, n_dofs, fit, lower, progress)
+    misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
+    outside = outside_modes(core_runs, final.parameters, band, lower)
+    if core is not None:
+        final, outside = remaining_rows(runs, core, len(dofs), final, outside)
+        by_row = _spread(by_row, core, len(dofs))
+    used = records is not None
+    stabilization = _diagram(frf, data, weights, fit_band, max_order, final, select_hz, reject_hz)
+    model = _model(frf, dofs, final, outside, band, fit_band, misfit, log, used)
+    opinion: tuple[dict[str, Any], ...] = ()
+    if second_opinion:
+        opinion = _opinion(frf, model)
+    rejected = (*log.rejected, *(() if stabilization is None else stabilization.rejected))
+    details = EmaDetails(
+        stabilization,
+        rejected,
+        tuple(log.rounds),
+        fit_band,
+        by_row,
+        final.cost / final.n_data,
+        final.converged,
+        lower,
+        opinion,
+    )
+    return replace(model, details=details)
+
+
+def model_dofs(frf: Frf) -> tuple[Dof, ...]:
+    """DOFs of the model: the responses, then references that are not among them."""
+    have = {(d.node, d.axis) for d in frf.responses}
+    return (*frf.responses, *(d for d in frf.references if (d.node, d.axis) not in have))
+
+
+def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, float]:
+    f = frf.frequencies_hz
+    if band is None:
+        margin = 0.02 * (f[-1] - f[0])
+        return float(max(f[0] + margin, f[f > 0][0])), float(f[-1] - margin)
+    low, high = float(band[0]), float(band[1])
+    if not 0 <= low < high:
+        raise DataError(f"band {low:g}-{high:g} Hz is empty", hint="give [low, high] in Hz")
+    return low, high
+
+
+def _runs(
+    frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float], records: Sequence[TimeRecord] | None
+) -> tuple[list[RunSpectra], tuple[float, float]]:
+    """Spectra to fit, on lines a little wider than the analysis band where the force excites."""
+    f = frf.frequencies_hz
+    if not records:
+        fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
+        return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
+    limit = min(excited_limit(record, band) for record in records)
+    fit_band = (0.6 * band[0], float(max(min(WIDER * band[1], 0.97 * limit), min(band[1], limit))))
+    return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
+
+
+def _weights(frf: Frf) -> Real:
+    assert frf.variance is not None
+    std = np.sqrt(np.where(np.isfinite(frf.variance) & (frf.variance > 0), frf.variance, np.inf))
+    floor = 1e-4 * np.sqrt(np.nanmean(np.abs(np.nan_to_num(frf.data)) ** 2))
+    return np.asarray(1 / np.maximum(std, max(floor, 1e-300)))
+
+
+def _distinct(poles: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    out: list[tuple[float, float]] = []
+    for h, z in sorted(poles):
+        if out and abs(h - out[-1][0]) < 1e-4 * h:
+            continue
+        out.append((h, z))
+    return out
+
+
+def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> bool:
+    """Whether kernels below the band lower the cost by more than their number earns (Bayesian information criterion)."""
+    thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
+    without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
+    theta = without.parameters
+    with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, max_iterations=6)
+    unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
+    price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
+    return without.cost - with_lower.cost > price
+
+
+def _final(runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, lower: bool, progress: Callable[[str], None] | None) -> Polished:
+    rank = np.argsort(fit.parameters.hz)
+    theta = fit.parameters
+    start = start_parameters(runs, theta.hz[rank], theta.zeta[rank], theta.shapes[:, rank], theta.outside_hz)
+    return refine(
+        runs,
+        n_dofs,
+        theta.hz[rank],
+        theta.zeta[rank],
+        lower=lower,
+        start=start,
+        max_iterations=25,
+        tolerance=0.05,
+        want_covariance=True,
+        progress=progress,
+    )
+
+
+def _reduced(run: RunSpectra, core: NDArray[np.int_]) -> RunSpectra:
+    position = {int(row): i for i, row in enumerate(core)}
+    keep = np.array([i for i, row in enumerate(run.response_rows) if int(row) in position])
+    return replace(
+        run,
+        responses=run.responses[keep],
+        response_rows=np.array([position[int(run.response_rows[i])] for i in keep]),
+        response_signs=run.response_signs[keep],
+        response_variance=run.response_variance[keep],
+        force_rows=np.array([position[int(row)] for row in run.force_rows]),
+    )
+
+
+def _spread(values: Real, core: NDArray[np.int_], n: int) -> Real:
+    out = np.full(n, np.nan)
+    out[core] = values
+    return out
+
+
+def _diagram(
+    frf: Frf,
+    data: NDArray[np.complex128],
+    weights: Real | None,
+    fit_band: tuple[float, float],
+    max_order: int | None,
+    final: Polished,
+    select_hz: tuple[float, ...],
+    reject_hz: tuple[float, ...],
+) -> Stabilization | None:
+    n_in = min(data.shape[:2])
+    order = max_order or int(np.clip(np.ceil(6 * final.parameters.hz.size / n_in), 10, 80))
+    try:
+        diagram = stabilization_diagram(frf.frequencies_hz, data, max_order=order, weights=weights, band=fit_band)
+    except IdentificationError:
+        return None
+    hz, zeta = final.parameters.hz, final.parameters.zeta
+    members = []
+    for h in hz:
+        near = np.flatnonzero(np.abs(diagram.table.frequency_hz - h) < 0.003 * h)
+        members.append(near)
+    # What the linear diagram rejected but the refined fit took is not rejected.
+    rejected = tuple(r for r in diagram.rejected if not np.any(np.abs(hz - r.frequency_hz) < 0.005 * hz))
+    return replace(
+        diagram,
+        selected_hz=hz,
+        selected_damping=zeta,
+        selected_vectors=final.parameters.shapes,
+        selected_members=tuple(members),
+        rejected=rejected,
+    )
+
+
+def _model(
+    frf: Frf,
+    dofs: tuple[Dof, ...],
+    final: Polished,
+    outside: OutsideModes,
+    band: tuple[float, float],
+    fit_band: tuple[float, float],
+    misfit: float,
+    log: OrderLog,
+    from_records: bool,
+) -> ModalModel:
+    theta = final.parameters
+    m_dofs, n = theta.shapes.shape
+    p = outside.hz.size
+    sign = np.sign(theta.shapes[np.argmax(np.abs(theta.shapes), axis=0), np.arange(n)])
+    sign[sign == 0] = 1
+    shapes = np.concatenate([theta.shapes * sign, outside.shapes], axis=1)
+    hz, zeta = theta.hz, theta.zeta.copy()
+    if frf.exponential_window_rate > 0 and not from_records:
+        zeta = np.maximum(zeta - frf.exponential_window_rate / (2 * np.pi * hz), 1e-6)
+    covariance = _model_covariance(final, sign, outside, zeta, max(1.0, misfit if np.isfinite(misfit) else 1.0))
+    residual = np.concatenate([(hz > fit_band[1]) | (hz < 0.8 * fit_band[0]), np.ones(p, bool)])
+    in_band = np.concatenate([(hz >= band[0]) & (hz <= band[1]), np.zeros(p, bool)]) & ~residual
+    findings = list(frf.findings) + _findings(frf, dofs, theta.hz, band, log, misfit)
+    drive = any(r.same_axis(d) for r in frf.references for d in frf.responses)
+    scaled = frf.si and drive and len(log.unseen_hz) < n
+    provenance = Provenance.merge(frf.provenance).then(f"fit_ema(band={band}, records={from_records})")
+    return ModalModel(
+        np.concatenate([hz, outside.hz]),
+        np.concatenate([zeta, outside.zeta]),
+        shapes,
+        dofs,
+        "unit_modal_mass" if scaled else "unscaled",
+        residual,
+        in_band,
+        covariance,
+        None,
+        band,
+        None if not np.isfinite(misfit) else float(misfit),
+        frf.si,
+        tuple(findings),
+        provenance,
+    )
+
+
+def _model_covariance(final: Polished, sign: Real, outside: OutsideModes, zeta: Real, inflation: float) -> Real:
+    """Covariance in the order and units of ModalModel, inflated by the misfit and with the floors added."""
+    theta = final.parameters
+    m_dofs, n = theta.shapes.shape
+    p = outside.hz.size
+    units = np.concatenate([theta.hz, zeta, np.repeat(sign, m_dofs)])
+    block = final.covariance * np.outer(units, units) * inflation
+    rms = np.sqrt(np.mean(theta.shapes**2, axis=0))
+    floor = np.concatenate([FREQUENCY_FLOOR * theta.hz, DAMPING_FLOOR * zeta, np.repeat(SHAPE_FLOOR * rms, m_dofs)]) ** 2
+    block[np.diag_indices_from(block)] += floor
+    total = n + p
+    out = np.zeros((total * (2 + m_dofs), total * (2 + m_dofs)))
+    index = np.concatenate([np.arange(n), total + np.arange(n), 2 * total + np.arange(n * m_dofs)])
+    out[np.ix_(index, index)] = block
+    rest = 2 * total + n * m_dofs + np.arange(p * m_dofs)
+    out[np.ix_(rest, rest)] = outside.covariance
+    return out
+
+
+def _findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, float], log: OrderLog, misfit: float) -> list[Finding]:
+    out = []
+    drive = [r for r in frf.references if any(r.same_axis(d) for d in frf.responses)]
+    if not drive:
+        out.append(
+            Finding(
+                "missing_drive_point",
+                "no reference has a response on its own DOF",
+                "error",
+                consequence="the shapes keep an arbitrary scale: no unit modal mass, no FRF of undriven pairs, no operational FRF",
+                action="measure the response at one of the references",
+            )
+        )
+    if not frf.si:
+        out.append(
+            Finding(
+                "missing_unit",
+                "the units of force or response are not known",
+                "warning",
+                consequence="frequencies and damping are right, the scaling to unit modal mass is left out",
+                action="give acceleration and force in [units] of the test file",
+            )
+        )
+    for h in log.unseen_hz:
+        if drive and band[0] <= h <= band[1]:
+            out.append(
+                Finding(
+                    "drive_point_sign",
+                    f"no drive point gives the mode at {h:.4g} Hz a positive modal mass",
+                    "warning",
+                    band_hz=(0.98 * h, 1.02 * h),
+                    consequence="its scale rests on the maximum-likelihood fit alone and is uncertain",
+                    action="check the sense of force and response at the drive points, or add a reference that sees this mode",
+                )
+            )
+    for h, value in log.wrong_sign:
+        if h not in log.unseen_hz and band[0] <= h <= band[1]:
+            out.append(
+                Finding(
+                    "drive_point_sign",
+                    f"a drive-point residue of the mode at {h:.4g} Hz has the wrong sign ({value:.3g} 1/kg): negative modal mass",
+                    "warning",
+                    band_hz=(0.98 * h, 1.02 * h),
+                    consequence="that drive point contradicts the others",
+                    action="check the sense of the force sensor and the accelerometer there",
+                )
+            )
+    if np.isfinite(misfit) and misfit > 3:
+        out.append(
+            Finding(
+                "misfit",
+                f"the idle model misses held-out lines by {misfit:.3g} times their variance",
+                "warning",
+                consequence="noise is not what limits this model: real modes, linearity or stationarity fail somewhere; intervals are widened",
+                action="look at the misfit by DOF, at complex shapes, and at the level dependence of the FRFs",
+            )
+        )
+    return out
+
+
+def _opinion(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:
+    from operando.ema.second_opinion import second_opinion
+
+    proper = model.modes_proper()
+    return tuple(
+        second_opinion(
+            frf.frequencies_hz, frf.data, proper.frequencies_hz, proper.damping_ratios, references=[str(r) for r in frf.references]
+        )
+    )

@@ -1,0 +1,245 @@
+"""How many modes: start from candidate poles, refine, take out what does not earn its place, add what the residuals show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.ema.polish import Polished, polish, residual, start_parameters
+from operando.ema.polish_model import Parameters, Real, run_basis
+from operando.ema.spectra import RunSpectra
+from operando.ema.start import linear_residues, mode_gain, outside_kernels, rank_one
+from operando.stabilization import RejectedPole
+
+FREE_PRIOR = 20.0
+MAX_DAMPING = 0.15
+
+
+@dataclass
+class OrderLog:
+    """What the search did: rejected modes with reasons, and one line a round."""
+
+    rejected: list[RejectedPole] = field(default_factory=list)
+    rounds: list[str] = field(default_factory=list)
+    unseen_hz: list[float] = field(default_factory=list)
+    wrong_sign: list[tuple[float, float]] = field(default_factory=list)
+
+
+def thin_lines(runs: Sequence[RunSpectra], hz: Real, zeta: Real, per_width: int = 12) -> list[RunSpectra]:
+    """Fewer lines for the rounds of the search: all where resonances are narrow, a share elsewhere.
+
+    Lines are independent of each other, so leaving some out costs information, not correctness.
+    """
+    out = []
+    for run in runs:
+        f = run.frequencies_hz
+        if f.size < 3000:
+            out.append(run)
+            continue
+        step = (f[-1] - f[0]) / (f.size - 1)
+        width = np.interp(f, hz, 2 * zeta * hz) if hz.size else np.full(f.size, step)
+        stride = np.clip((width / step / per_width).astype(int), 1, 6)
+        keep = np.arange(f.size) % stride == 0
+        for h, z in zip(hz, zeta, strict=True):
+            keep |= (np.abs(f - h) < 2 * z * h) & (np.arange(f.size) % max(1, int(2 * z * h / step / per_width)) == 0)
+        out.append(run.lines(keep))
+    return out
+
+
+def refine(
+    runs: Sequence[RunSpectra],
+    n_dofs: int,
+    hz: Real,
+    zeta: Real,
+    *,
+    lower: bool,
+    start: Parameters | None = None,
+    max_iterations: int = 12,
+    tolerance: float = 1.0,
+    want_covariance: bool = False,
+    log: OrderLog | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Polished:
+    """Linear start (unless ``start`` is given) and maximum-likelihood fit of the given modes."""
+    if start is None:
+        outside = outside_kernels(runs, hz, lower)
+        residues = linear_residues(runs, hz, zeta, outside)
+        shapes, seen, drive = rank_one(runs, residues, n_dofs)
+        if log is not None:
+            log.unseen_hz = [float(h) for h, s in zip(hz, seen, strict=True) if not s]
+            log.wrong_sign = [
+                (float(hz[r]), float(drive[:, r].min()))
+                for r in range(hz.size)
+                if drive.size and drive[:, r].min() < -0.05 * np.max(np.abs(drive[:, r]))
+            ]
+        start = start_parameters(runs, hz, zeta, shapes, outside)
+    # A wide prior only keeps shapes that no drive point sees from running away.
+    rms = np.sqrt(np.mean(start.shapes**2, axis=0, keepdims=True))
+    std = np.broadcast_to(FREE_PRIOR * np.maximum(rms, np.median(rms)), start.shapes.shape) if hz.size else None
+    return polish(
+        runs, start, shape_std=std, max_iterations=max_iterations, tolerance=tolerance, want_covariance=want_covariance, progress=progress
+    )
+
+
+def mode_strength(runs: Sequence[RunSpectra], theta: Parameters) -> Real:
+    """Share of each mode in the data in units of the noise: Σ |φ_jr Q_r|²/variance, (n,)."""
+    out = np.zeros(theta.hz.size)
+    for i, run in enumerate(runs):
+        basis = run_basis(run, theta, i, run.forces)
+        phi = theta.shapes[run.response_rows]
+        power = np.abs(basis.modal) ** 2
+        out += np.sum(phi**2 * ((1 / run.response_variance) @ power.T), axis=0)
+    return out
+
+
+def search_order(
+    runs: Sequence[RunSpectra],
+    n_dofs: int,
+    hz: Real,
+    zeta: Real,
+    *,
+    lower: bool,
+    keep_hz: Sequence[float] = (),
+    reject_hz: Sequence[float] = (),
+    max_rounds: int = 10,
+    max_modes: int = 200,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Polished, OrderLog]:
+    """Refine the candidate poles and settle the number of modes.
+
+    Parameters
+    ----------
+    runs : sequence of RunSpectra
+    n_dofs : int
+        DOFs of the model.
+    hz, zeta : (n,) arrays
+        Candidate poles.
+    lower : bool
+        Whether a pseudo-mode below the band is needed (rigid-body or suspension modes).
+    keep_hz, reject_hz : sequences of float
+        Chosen or forbidden by hand: the nearest mode is kept whatever its evidence, or taken out.
+
+    Returns
+    -------
+    Polished
+        On thinned lines, without covariance: a start for the final fit.
+    OrderLog
+    """
+    log = OrderLog()
+    order = np.argsort(hz)
+    hz, zeta = np.asarray(hz, float)[order], np.clip(np.asarray(zeta, float)[order], 2e-4, 0.1)
+    thinned = thin_lines(runs, hz, zeta)
+    fit = refine(thinned, n_dofs, hz, zeta, lower=lower, log=log)
+    tried: list[float] = list(reject_hz)
+    for number in range(max_rounds):
+        misfit = fit.cost / fit.n_data
+        out = _weak_modes(thinned, fit, keep_hz, log)
+        if out.size:
+            tried += [float(fit.parameters.hz[i]) for i in out]
+            keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
+            log.rounds.append(f"round {number}: misfit {misfit:.3g}, {out.size} modes taken out")
+            fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
+            misfit = fit.cost / fit.n_data
+        new = _missing_modes(thinned, fit, tried, misfit)
+        if progress is not None:
+            progress(f"EMA order search: {fit.parameters.hz.size} modes, misfit {misfit:.3g}")
+        if not new or fit.parameters.hz.size + len(new) > max_modes:
+            log.rounds.append(f"round {number}: misfit {misfit:.3g}, {fit.parameters.hz.size} modes, nothing more to add")
+            break
+        grown_hz = np.concatenate([fit.parameters.hz, [h for h, _ in new]])
+        grown_zeta = np.concatenate([fit.parameters.zeta, [z for _, z in new]])
+        rank = np.argsort(grown_hz)
+        trial = refine(thinned, n_dofs, grown_hz[rank], grown_zeta[rank], lower=lower)
+        fall = fit.cost - trial.cost
+        needed = _price(thinned) * len(new) * max(1.0, trial.cost / trial.n_data)
+        tried += [h for h, _ in new]
+        if fall < needed:
+            log.rounds.append(f"round {number}: {len(new)} more modes lower the cost by {fall:.3g} only (needed {needed:.3g}): not taken")
+            if len(new) == 1:
+                break
+            continue
+        log.rounds.append(f"round {number}: misfit {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
+        fit = trial
+    return fit, log
+
+
+def _price(runs: Sequence[RunSpectra]) -> float:
+    """Fall of the cost that one more mode must bring: its unknowns times ln(data), a Bayesian information criterion."""
+    responses = max(run.response_rows.size for run in runs)
+    return (responses + 2) * float(np.log(sum(run.responses.size for run in runs))) * 0.5 * 1.5
+
+
+def _weak_modes(runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[float], log: OrderLog) -> NDArray[np.int_]:
+    """Modes that do not earn their place: no share in the data, damping beyond any structure, or twins of a neighbour."""
+    theta = fit.parameters
+    n = theta.hz.size
+    strength = mode_strength(runs, theta)
+    price = _price(runs) * max(1.0, fit.cost / fit.n_data)
+    out = []
+    by_hand = {int(np.argmin(np.abs(theta.hz - h))) for h in keep_hz} if n else set()
+    low = min(run.frequencies_hz[0] for run in runs)
+    high = max(run.frequencies_hz[-1] for run in runs)
+    for i in range(n):
+        h, z = float(theta.hz[i]), float(theta.zeta[i])
+        code = reason = ""
+        if strength[i] < price:
+            code, reason = "no_evidence", f"its share in the data is {strength[i]:.3g} noise units, {price:.3g} are needed"
+        elif z > MAX_DAMPING:
+            code, reason = "too_damped", f"damping {100 * z:.3g} % is a curved background, not a mode"
+        elif not (0.8 * low <= h <= 1.12 * high):
+            code, reason = "outside_band", f"moved to {h:.4g} Hz, outside the fitted lines {low:.4g}-{high:.4g} Hz"
+        elif i and h - theta.hz[i - 1] < 0.3 * z * h and _alike(theta, i, i - 1) and strength[i] < strength[i - 1]:
+            code, reason = "twin", f"the same frequency and shape as {theta.hz[i - 1]:.5g} Hz"
+        elif i < n - 1 and theta.hz[i + 1] - h < 0.3 * z * h and _alike(theta, i, i + 1) and strength[i] < strength[i + 1]:
+            code, reason = "twin", f"the same frequency and shape as {theta.hz[i + 1]:.5g} Hz"
+        if code and i not in by_hand:
+            out.append(i)
+            log.rejected.append(RejectedPole(h, z, code, reason))
+    return np.array(out, int)
+
+
+def _alike(theta: Parameters, i: int, j: int) -> bool:
+    a, b = theta.shapes[:, i], theta.shapes[:, j]
+    norm = float((a @ a) * (b @ b))
+    return norm > 0 and float(a @ b) ** 2 / norm > 0.95
+
+
+def _missing_modes(runs: Sequence[RunSpectra], fit: Polished, tried: Sequence[float], misfit: float) -> list[tuple[float, float]]:
+    """Places where one more mode would lower the cost most; at most three a round, apart from each other."""
+    theta = fit.parameters
+    n = theta.hz.size
+    states = [residual(run, theta, i) for i, run in enumerate(runs)]
+    f0 = min(float(r.frequencies_hz[0]) for r in runs)
+    f1 = max(float(r.frequencies_hz[-1]) for r in runs)
+    typical = float(np.median(theta.zeta)) if n else 0.01
+    found: list[tuple[float, float, float]] = []
+    inflated = [
+        replace(
+            r,
+            response_variance=r.response_variance
+            + np.abs(r.responses) ** 2 * np.sum(r.force_variance, 0) / np.sum(np.abs(r.forces) ** 2, 0),
+        )
+        for r in runs
+    ]
+    for z in (0.5 * typical, typical, 3 * typical):
+        grid = _grid(f0, f1, z)
+        gain = mode_gain(inflated, [s.error for s in states], grid, z)
+        found += [(float(g), float(h), z) for g, h in zip(gain, grid, strict=True)]
+    found.sort(reverse=True)
+    price = _price(runs) * max(1.0, misfit) * 2
+    out: list[tuple[float, float]] = []
+    for gain, h, z in found:
+        if gain < price or len(out) == 3:
+            break
+        near = [abs(h - t) < max(3 * z * h, 0.004 * h) for t in [*tried, *(o for o, _ in out)]]
+        if not any(near) and (not out or gain > 0.1 * found[0][0]):
+            out.append((h, z))
+    return out
+
+
+def _grid(f0: float, f1: float, zeta: float) -> Real:
+    count = int(np.clip(np.log(f1 / f0) / (0.7 * zeta), 50, 1500)) if f0 > 0 else 500
+    return np.geomspace(max(f0, f1 * 1e-3), f1, count)

@@ -1,0 +1,206 @@
+"""What lies outside the band, completed to all DOFs: residual modes from the driven columns and a prior.
+
+The fit knows the out-of-band part of the driven columns of the FRF matrix without any assumption. The undriven columns follow from
+it only through reciprocity and the fact that each mode is one shape. A few pseudo-modes above (and below) the band,
+with independent Gaussian shape values of the size of the in-band ones, are fitted to the driven part; where nothing was
+driven, the prior's remaining variance stands as a local compliance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters, Real, kernels
+from operando.ema.spectra import RunSpectra
+
+UPPER = (1.05, 1.12, 1.2, 1.3, 1.45, 1.7, 2.1, 2.8, 4.0, 8.0)
+LOWER = (0.02, 0.02, 0.02, 0.6)
+LOCAL = 2.0
+N_LINES = 40
+TOLERANCE = 0.003
+
+
+@dataclass(frozen=True)
+class OutsideModes:
+    """Residual modes: poles (p,), real shapes (M, p), covariance of the shapes mode by mode (p·M, p·M)."""
+
+    hz: Real
+    zeta: Real
+    shapes: Real
+    covariance: Real
+
+
+def outside_modes(
+    runs: Sequence[RunSpectra], theta: Parameters, band: tuple[float, float], lower: bool, max_dofs: int = 60
+) -> OutsideModes:
+    """Residual modes of all DOFs from the out-of-band part of the driven columns.
+
+    Parameters
+    ----------
+    runs : sequence of RunSpectra
+    theta : Parameters
+        Result of the fit: its local coefficients hold the driven part.
+    band : (float, float)
+        Hz, where the residual modes must hold.
+    lower : bool
+        Whether kernels below the band were fitted.
+    max_dofs : int
+        DOFs in the nonlinear part of the fit; further ones follow by linear least squares.
+    """
+    top = max([run.top_hz for run in runs] + [float(h) for h in theta.hz])
+    bottom = min(float(run.frequencies_hz[0]) for run in runs)
+    f = np.geomspace(max(band[0], 1e-3 * band[1]), max(run.top_hz for run in runs), N_LINES)
+    m_dofs, n = theta.shapes.shape
+    target, known, refs = _driven(runs, theta, f)
+    rms = float(np.median(np.sqrt(np.mean(theta.shapes**2, axis=0))))
+    spacing = float((theta.hz.max() - theta.hz.min()) / max(n - 1, 1)) or top / max(n, 1)
+    upper_hz = np.array(UPPER) * top
+    share = np.sqrt(np.maximum(np.gradient(upper_hz) / spacing, 1.0))
+    hz, std = upper_hz, rms * share
+    if lower:
+        hz = np.concatenate([hz, np.array(LOWER) * bottom])
+        std = np.concatenate([std, np.full(len(LOWER), 2 * rms)])
+    g = kernels(f, hz, np.full(hz.size, OUTSIDE_DAMPING))[0].real
+    scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
+    weight = 1 / (TOLERANCE * np.maximum(scale, 1e-3 * scale.max() + 1e-300))
+    if not np.any(target[known]):
+        return _empty(m_dofs)
+    core = np.array(sorted(set(refs) | set(_most_telling(target, known, max_dofs))))
+    at = {int(row): i for i, row in enumerate(core)}
+    psi_core, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), g, weight, std)
+    shapes = np.zeros((m_dofs, hz.size))
+    variance = np.broadcast_to(std**2, (m_dofs, hz.size)).copy()
+    shapes[core] = psi_core
+    variance[core] = np.einsum("ipip->ip", cov_core)
+    for row in np.setdiff1d(np.arange(m_dofs), core):
+        shapes[row], variance[row] = _linear_row(target[:, row], known[:, row], psi_core[[at[r] for r in refs]], g, weight, std)
+    covariance = np.zeros((hz.size, m_dofs, hz.size, m_dofs))
+    covariance[np.ix_(range(hz.size), core, range(hz.size), core)] = cov_core.transpose(1, 0, 3, 2)
+    rest = np.setdiff1d(np.arange(m_dofs), core)
+    for p in range(hz.size):
+        covariance[p, rest, p, rest] = variance[rest, p]
+    size = hz.size * m_dofs
+    return _with_local(hz, shapes, covariance.reshape(size, size), variance, refs, len(UPPER), top, f)
+
+
+def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Real, NDArray[np.bool_], list[int]]:
+    """Out-of-band part of the driven columns on lines ``f``: (K, M, L), which of them are measured (K, M), and their rows."""
+    q = theta.outside_hz.size
+    g = kernels(f, theta.outside_hz, np.full(q, OUTSIDE_DAMPING))[0].real
+    refs = list(dict.fromkeys(int(row) for run in runs for row in run.force_rows))
+    m_dofs = theta.shapes.shape[0]
+    total = np.zeros((len(refs), m_dofs, f.size))
+    count = np.zeros((len(refs), m_dofs))
+    for i, run in enumerate(runs):
+        for k, row in enumerate(run.force_rows):
+            column = refs.index(int(row))
+            total[column, run.response_rows] += theta.local[i][:, k * q : (k + 1) * q] @ g
+            count[column, run.response_rows] += 1
+    known = count > 0
+    total[known] /= count[known][:, None]
+    return total, known, refs
+
+
+def _most_telling(target: Real, known: NDArray[np.bool_], count: int) -> list[int]:
+    size = np.sum(np.where(known[:, :, None], target, 0) ** 2, axis=(0, 2))
+    return [int(i) for i in np.argsort(size)[::-1][:count]]
+
+
+def _nonlinear(
+    target: Real, known: NDArray[np.bool_], refs: NDArray[np.int_], g: Real, weight: Real, std: Real, iterations: int = 150
+) -> tuple[Real, Real]:
+    """Levenberg–Marquardt for ψ with Σ_p ψ_jp ψ_kp G_p = target_kj and ψ_p ~ N(0, std_p²). Returns ψ (m, p) and its covariance (m, p, m, p)."""
+    m, n_p = target.shape[1], g.shape[0]
+    rng = np.random.default_rng(0)
+    psi = 0.3 * std * rng.standard_normal((m, n_p))
+    gw = g * weight
+    tw = target * weight
+    use = known[:, :, None]
+
+    def rest(p: Real) -> Real:
+        model = np.einsum("kp,jp,pl->kjl", p[refs], p, gw, optimize=True)
+        return np.concatenate([np.where(use, model - tw, 0).ravel(), (p / std).ravel()])
+
+    def normal(p: Real, r: Real) -> tuple[Real, Real]:
+        # Each residual (k, j) touches only rows j and k of ψ: build the normal matrix from p×p blocks.
+        gram = gw @ gw.T
+        data = r[: known.size * gw.shape[1]].reshape(known.shape[0], m, -1)
+        through = data @ gw.T  # (k, j, p)
+        matrix = np.zeros((m, n_p, m, n_p))
+        gradient = p / std**2
+        for k, row in enumerate(refs):
+            a = p[row]
+            js = np.flatnonzero(known[k])
+            matrix[js, :, js, :] += gram * np.outer(a, a)
+            matrix[row, :, row, :] += np.einsum("pq,jp,jq->pq", gram, p[js], p[js], optimize=True)
+            for j in js:
+                cross = gram * np.outer(a, p[j])
+                matrix[j, :, row, :] += cross
+                matrix[row, :, j, :] += cross.T
+            gradient[js] += through[k, js] * a
+            gradient[row] += np.sum(through[k, js] * p[js], axis=0)
+        flat = matrix.reshape(m * n_p, m * n_p)
+        flat[np.diag_indices(m * n_p)] += np.tile(1 / std**2, m)
+        return flat, gradient.ravel()
+
+    r = rest(psi)
+    cost, damping = float(r @ r), 1e-2
+    for _ in range(iterations):
+        matrix, gradient = normal(psi, r)
+        d = np.diag(matrix)
+        fall = 0.0
+        for _ in range(10):
+            step = np.linalg.solve(matrix + damping * np.diag(d), -gradient).reshape(psi.shape)
+            trial = rest(psi + step)
+            fall = cost - float(trial @ trial)
+            if fall > 0:
+                break
+            damping *= 6
+        if fall <= 0:
+            break
+        psi, r, cost = psi + step, trial, cost - fall
+        damping = max(damping / 6, 1e-12)
+        if fall < 1e-4 * cost:
+            break
+    covariance = np.linalg.inv(normal(psi, r)[0])
+    return psi, covariance.reshape(m, n_p, m, n_p)
+
+
+def _linear_row(target: Real, known: NDArray[np.bool_], psi_refs: Real, g: Real, weight: Real, std: Real) -> tuple[Real, Real]:
+    rows = np.flatnonzero(known)
+    if not rows.size:
+        return np.zeros(std.size), std**2
+    design = np.concatenate([(psi_refs[k][:, None] * g * weight).T for k in rows])
+    values = np.concatenate([target[k] * weight for k in rows])
+    covariance = np.linalg.inv(design.T @ design + np.diag(1 / std**2))
+    return covariance @ (design.T @ values), np.diag(covariance)
+
+
+def _with_local(
+    hz: Real, shapes: Real, covariance: Real, variance: Real, refs: list[int], n_upper: int, top: float, f: Real
+) -> OutsideModes:
+    """Add one local mode a DOF that was not driven: the prior's remaining variance as a compliance on the diagonal."""
+    m_dofs = shapes.shape[0]
+    rows = np.setdiff1d(np.arange(m_dofs), refs)
+    local_hz = LOCAL * top
+    middle = np.array([np.sqrt(f[0] * f[-1])])
+    g = kernels(middle, hz[:n_upper], np.full(n_upper, OUTSIDE_DAMPING))[0].real[:, 0]
+    unit = kernels(middle, np.array([local_hz]), np.array([OUTSIDE_DAMPING]))[0].real[0, 0]
+    amplitude = np.sqrt(np.maximum(variance[rows][:, :n_upper] @ g / unit, 0))
+    extra = np.zeros((m_dofs, rows.size))
+    extra[rows, np.arange(rows.size)] = amplitude
+    size, added = covariance.shape[0], rows.size * m_dofs
+    grown = np.zeros((size + added, size + added))
+    grown[:size, :size] = covariance
+    position = size + np.arange(rows.size) * m_dofs + rows
+    grown[position, position] = (0.5 * amplitude) ** 2
+    all_hz = np.concatenate([hz, np.full(rows.size, local_hz)])
+    return OutsideModes(all_hz, np.full(all_hz.size, OUTSIDE_DAMPING), np.concatenate([shapes, extra], axis=1), grown)
+
+
+def _empty(m_dofs: int) -> OutsideModes:
+    return OutsideModes(np.zeros(0), np.zeros(0), np.zeros((m_dofs, 0)), np.zeros((0, 0)))

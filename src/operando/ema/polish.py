@@ -1,0 +1,391 @@
+"""Maximum-likelihood refinement of a real modal model on the spectra of whole records.
+
+The errors-in-variables likelihood for known noise variances: with e = X − H(θ)F − T(θ), response noise D and force noise σ_f,
+the covariance of a line is C = D + H σ_f² Hᴴ; eᴴC⁻¹e is minimised by Levenberg–Marquardt with an analytic Jacobian
+(Pintelon & Schoukens, System Identification, 2nd ed., 2012, ch. 9, errors-in-variables maximum likelihood; here with
+modal parameters). The Jacobian uses the force as cleaned by the model, which makes the step unbiased by force noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from operando.ema.polish_model import (
+    Complex,
+    Parameters,
+    Real,
+    n_local,
+    n_nuisance,
+    parameter_map,
+    predict,
+    run_basis,
+    transfer,
+)
+from operando.ema.spectra import RunSpectra
+from operando.errors import IdentificationError
+
+_BAND_GRAMS = 12
+
+
+@dataclass(frozen=True)
+class Polished:
+    """Result of :func:`polish`.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    covariance : (p, p) array
+        Of [ln f, ln ζ, shapes mode by mode].
+    local_estimates : tuple of (coefficients (m·b,), information (m·b, m·b))
+        For each run the local coefficients response by response and their information given the modes, transients eliminated.
+    cost : float
+        Σ eᴴC⁻¹e over runs and lines.
+    n_data : int
+        Complex data.
+    iterations : int
+    converged : bool
+    """
+
+    parameters: Parameters
+    covariance: Real
+    local_estimates: tuple[tuple[Real, Real], ...]
+    cost: float
+    n_data: int
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class _Residual:
+    error: Complex  # e (m, L)
+    whitened: Complex  # C⁻¹e (m, L)
+    clean_force: Complex  # (k, L)
+    common: Complex | None  # rows w_k (k, m, L): C⁻¹ = D⁻¹ − Σ_k w_kᴴ w_k
+    transfer: Complex  # H (k, m, L)
+    cost: float
+
+
+def start_parameters(runs: Sequence[RunSpectra], hz: Real, zeta: Real, shapes: Real, outside_hz: Real) -> Parameters:
+    """Parameters with empty transients and local terms."""
+    n = len(hz)
+    transients = tuple(np.zeros((2, 0 if run.step_s is None else n)) for run in runs)
+    local = tuple(np.zeros((run.response_rows.size, n_local(run, len(outside_hz)))) for run in runs)
+    return Parameters(
+        np.asarray(hz, float), np.asarray(zeta, float), np.asarray(shapes, float), np.asarray(outside_hz, float), transients, local
+    )
+
+
+def signed(run: RunSpectra) -> RunSpectra:
+    """The run with all senses as in the model's DOF list."""
+    return replace(
+        run,
+        responses=run.responses * run.response_signs[:, None],
+        forces=run.forces * run.force_signs[:, None],
+        response_signs=np.ones_like(run.response_signs),
+        force_signs=np.ones_like(run.force_signs),
+    )
+
+
+def residual(run: RunSpectra, theta: Parameters, index: int) -> _Residual:
+    """Residuals of one run, weighted by the full noise covariance of each line."""
+    basis = run_basis(run, theta, index, run.forces)
+    error = run.responses - predict(run, theta, index, basis)
+    weighted = error / run.response_variance
+    h = transfer(run, theta, index, basis)  # (k, m, L)
+    if not np.any(run.force_variance > 0):
+        return _Residual(error, weighted, run.forces, None, h, float(np.sum(np.real(error.conj() * weighted))))
+    root = np.sqrt(run.force_variance)[:, None, :]
+    scaled = h.conj() * root / run.response_variance  # σ_f hᴴ D⁻¹
+    k = h.shape[0]
+    if k == 1:
+        inner = np.sum(np.abs(h[0]) ** 2 / run.response_variance, axis=0) * run.force_variance[0]
+        rows = scaled / np.sqrt(1 + inner)
+    else:
+        inner = np.einsum("kml,jml->ljk", h * root, scaled, optimize=True)
+        factor = np.linalg.cholesky(np.eye(k) + inner)
+        rows = np.linalg.solve(factor, scaled.transpose(2, 0, 1)).transpose(1, 2, 0)
+    projection = np.einsum("kml,ml->kl", rows, error)
+    whitened = weighted - np.einsum("kml,kl->ml", rows.conj(), projection)
+    clean = run.forces + run.force_variance * np.einsum("kml,ml->kl", h.conj(), whitened)
+    return _Residual(error, whitened, clean, rows, h, float(np.sum(np.real(error.conj() * whitened))))
+
+
+def total_cost(runs: Sequence[RunSpectra], theta: Parameters, shape_std: Real | None = None) -> float:
+    """Σ eᴴC⁻¹e plus half the quadratic form of the shapes' prior."""
+    data = sum(residual(run, theta, i).cost for i, run in enumerate(runs))
+    return data + (0.0 if shape_std is None else 0.5 * float(np.sum((theta.shapes / shape_std) ** 2)))
+
+
+def _band_grams(stack: Complex, variance: Real) -> NDArray[np.float64]:
+    """Real Gram matrices Re(B W_j Bᴴ) for each response, (m, K, K); cheap where the variance is piecewise constant over lines."""
+    m, n_lines = variance.shape
+    change = np.flatnonzero(np.any(np.diff(variance, axis=1) != 0, axis=0)) + 1
+    pieces = np.concatenate([[0], change, [n_lines]])
+    if pieces.size - 1 <= _BAND_GRAMS * 4:
+        out = np.zeros((m, stack.shape[0], stack.shape[0]))
+        for start, stop in zip(pieces[:-1], pieces[1:], strict=True):
+            part = np.concatenate([stack[:, start:stop].real, stack[:, start:stop].imag], axis=1)
+            out += (part @ part.T)[None] / variance[:, start, None, None]
+        return out
+    out = np.empty((m, stack.shape[0], stack.shape[0]))
+    for j in range(m):
+        part = stack / np.sqrt(variance[j])
+        part_real = np.concatenate([part.real, part.imag], axis=1)
+        out[j] = part_real @ part_real.T
+    return out
+
+
+def _common_rows(run: RunSpectra, theta: Parameters, stack: Complex, rows: Complex, n_all: int) -> Real:
+    """V (n_all, 2·k·L): the Jacobian seen through the force-noise direction of each line."""
+    k, m, n_lines = rows.shape
+    m_dofs, n = theta.shapes.shape
+    out = np.zeros((n_all, k, 2, n_lines), float)
+    phi = theta.shapes[run.response_rows]
+    mode = np.arange(n)
+    b = n_local(run, theta.outside_hz.size)
+
+    def put(where: NDArray[np.int_] | slice, values: Complex, i: int) -> None:
+        out[where, i, 0] += values.real
+        out[where, i, 1] += values.imag
+
+    for i in range(k):
+        w = rows[i]  # (m, L)
+        through = phi.T @ w  # (n, L)
+        put(slice(0, n), through * stack[n : 2 * n], i)
+        put(slice(n, 2 * n), through * stack[2 * n : 3 * n], i)
+        for j, row in enumerate(run.response_rows):
+            put(2 * n + mode * m_dofs + row, w[j] * stack[:n], i)
+        position = 3 * n
+        for row in run.force_rows:
+            put(2 * n + mode * m_dofs + row, through * stack[position : position + n], i)
+            position += n
+        base = 2 * n + m_dofs * n
+        if run.step_s is not None:
+            put(slice(base, base + n), through * stack[position : position + n], i)
+            put(slice(base + n, base + 2 * n), through * stack[position + n : position + 2 * n], i)
+            base += 2 * n
+        local = stack[stack.shape[0] - b :]
+        for j in range(m):
+            put(slice(base + j * b, base + (j + 1) * b), w[j] * local, i)
+    return out.reshape(n_all, -1)
+
+
+def normal_equations(run: RunSpectra, theta: Parameters, index: int) -> tuple[Real, Real, float]:
+    """Re(JᴴC⁻¹J), Re(JᴴC⁻¹e) of one run over [global parameters, nuisance of the run], and its cost."""
+    state = residual(run, theta, index)
+    basis = run_basis(run, theta, index, state.clean_force)
+    m_dofs, n = theta.shapes.shape
+    n_global = 2 * n + m_dofs * n
+    n_all = n_global + n_nuisance(run, n, theta.outside_hz.size)
+    positions, factors = parameter_map(run, theta, n_global)
+    normal = np.zeros((n_all, n_all))
+    grams = _band_grams(basis.stack, run.response_variance)
+    for j in range(run.response_rows.size):
+        np.add.at(normal, (positions[j][:, None], positions[j][None, :]), grams[j] * np.outer(factors[j], factors[j]))
+    products = np.real(state.whitened @ basis.stack.conj().T)  # (m, K)
+    gradient = np.zeros(n_all)
+    np.add.at(gradient, positions, products * factors)
+    if state.common is not None:
+        v = _common_rows(run, theta, basis.stack, state.common, n_all)
+        normal -= v @ v.T
+    return normal, gradient, state.cost
+
+
+def polish(
+    runs: Sequence[RunSpectra],
+    start: Parameters,
+    *,
+    shape_std: Real | None = None,
+    max_iterations: int = 30,
+    tolerance: float = 0.05,
+    progress: Callable[[str], None] | None = None,
+    want_covariance: bool = True,
+) -> Polished:
+    """Minimise the errors-in-variables cost over poles, shapes, transients and local terms.
+
+    Parameters
+    ----------
+    runs : sequence of RunSpectra
+        Spectra with noise variances; senses as in the model (:func:`signed`).
+    start : Parameters
+        Starting values.
+    shape_std : (M, n) array, optional
+        Standard deviation of a Gaussian prior of the shapes; wide, it only holds what the data do not see.
+    max_iterations : int
+    tolerance : float
+        Stop when the fall of the cost is below this. The cost has unit variance per datum: 0.05 moves every estimate
+        by less than about a third of its standard deviation.
+    progress : callable, optional
+        Told one line an iteration.
+    want_covariance : bool
+
+    Raises
+    ------
+    IdentificationError
+        If the normal equations stay singular.
+    """
+    theta = start
+    m_dofs, n = theta.shapes.shape
+    n_global = 2 * n + m_dofs * n
+    precision = np.zeros(n_global)
+    if shape_std is not None:
+        precision[2 * n :] = (0.5 / shape_std**2).T.ravel()
+    damping = 1e-4
+    cost = total_cost(runs, theta, shape_std)
+    converged = False
+    iteration = 0
+    equations = [normal_equations(run, theta, i) for i, run in enumerate(runs)]
+    for iteration in range(1, max_iterations + 1):
+        trial, trial_cost, gain = None, np.inf, 0.0
+        for _ in range(14):
+            step, nuisance, gain = _solve(equations, theta, precision, n_global, damping)
+            trial = _moved(theta, step, nuisance, runs)
+            trial_cost = total_cost(runs, trial, shape_std) if trial is not None else np.inf
+            if np.isfinite(trial_cost) and trial_cost <= cost:
+                break
+            trial = None
+            if gain < tolerance:
+                break
+            damping = max(damping * 10, 1e-8)
+        if trial is None:
+            converged = gain < max(tolerance, 1e-7 * cost)
+            break
+        fall, cost, theta = cost - trial_cost, trial_cost, trial
+        damping = max(damping / 30, 1e-12)
+        if progress is not None:
+            progress(f"fit {iteration}: cost {cost:.6g}, fell {fall:.3g}")
+        if fall < tolerance:
+            converged = True
+            break
+        equations = [normal_equations(run, theta, i) for i, run in enumerate(runs)]
+    covariance = _covariance(equations, precision, n_global) if want_covariance else np.zeros((0, 0))
+    estimates = tuple(_local_information(run, theta, i, eq[0], n_global) for i, (run, eq) in enumerate(zip(runs, equations, strict=True)))
+    return Polished(theta, covariance, estimates, cost, sum(run.responses.size for run in runs), iteration, converged)
+
+
+def _local_information(run: RunSpectra, theta: Parameters, index: int, normal: Real, n_global: int) -> tuple[Real, Real]:
+    """Local coefficients and twice their normal matrix with the transients eliminated."""
+    first = n_global + (0 if run.step_s is None else 2 * theta.hz.size)
+    block = normal[first:, first:]
+    if first > n_global:
+        cross = normal[n_global:first, first:]
+        inner = normal[n_global:first, n_global:first]
+        d = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        factor = _safe_factor(inner / np.outer(d, d))
+        block = block - (cross / d[:, None]).T @ cho_solve(factor, cross / d[:, None])
+    return theta.local[index].ravel(), 2 * block
+
+
+def _safe_factor(matrix: Real) -> tuple[Real, bool]:
+    """Cholesky factor of a unit-diagonal matrix; a ridge no larger than needed makes it positive."""
+    ridge = 1e-9
+    while True:
+        trial = matrix.copy()
+        trial[np.diag_indices_from(trial)] += ridge
+        try:
+            return cho_factor(trial)
+        except np.linalg.LinAlgError:
+            ridge *= 10
+            if ridge > 1:
+                raise IdentificationError("the normal equations of the fit are singular", hint="fewer modes, or more references") from None
+
+
+def _eliminate(normal: Real, gradient: Real, n_global: int) -> tuple[Real, Real, tuple[Real, Real, Real] | None]:
+    """Take the nuisance unknowns of one run out of its normal equations (Schur complement)."""
+    if normal.shape[0] == n_global:
+        return normal, gradient, None
+    nuisance = normal[n_global:, n_global:].copy()
+    d = np.sqrt(np.maximum(np.diag(nuisance), 1e-300))
+    nuisance /= np.outer(d, d)
+    factor = _safe_factor(nuisance)
+    cross = normal[n_global:, :n_global] / d[:, None]
+    rest = gradient[n_global:] / d
+    solved = cho_solve(factor, np.column_stack([cross, rest]))
+    reduced = normal[:n_global, :n_global] - cross.T @ solved[:, :-1]
+    return reduced, gradient[:n_global] - cross.T @ solved[:, -1], (solved[:, -1], solved[:, :-1], d)
+
+
+def _solve(
+    equations: Sequence[tuple[Real, Real, float]], theta: Parameters, precision: Real, n_global: int, damping: float
+) -> tuple[Real, list[Real], float]:
+    n = theta.hz.size
+    total = np.diag(precision)
+    right = -precision * np.concatenate([np.zeros(2 * n), theta.shapes.T.ravel()])
+    kept = []
+    for normal, gradient, _ in equations:
+        reduced, rest, back = _eliminate(normal, gradient, n_global)
+        total += reduced
+        right += rest
+        kept.append((back, gradient[n_global:]))
+    d = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    d[d < 1e-12 * d.max()] = d.max()  # a parameter without information stays where it is
+    scaled = total / np.outer(d, d)
+    scaled[np.diag_indices_from(scaled)] += damping
+    factor = _safe_factor(scaled)
+    step = cho_solve(factor, right / d) / d
+    gain = float(step @ right)
+    nuisance = []
+    for back, rest in kept:
+        if back is None:
+            nuisance.append(np.zeros(0))
+        else:
+            base, slope, scale = back
+            nuisance.append((base - slope @ step) / scale)
+            gain += float(base @ (rest / scale))
+    return step, nuisance, gain
+
+
+def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequence[RunSpectra]) -> Parameters | None:
+    """Parameters after a step, or None where a pole would leave the physical range."""
+    m_dofs, n = theta.shapes.shape
+    if np.any(np.abs(step[:n]) > 0.5) or np.any(np.abs(step[n : 2 * n]) > 5):
+        return None
+    hz = theta.hz * np.exp(step[:n])
+    zeta = theta.zeta * np.exp(step[n : 2 * n])
+    if np.any(zeta > 0.9) or np.any(zeta < 1e-7):
+        return None
+    shapes = theta.shapes + step[2 * n :].reshape(n, m_dofs).T
+    transients, local = [], []
+    for i, run in enumerate(runs):
+        split = 0 if run.step_s is None else 2 * n
+        transients.append(theta.transients[i] + nuisance[i][:split].reshape(2, -1))
+        local.append(theta.local[i] + nuisance[i][split:].reshape(run.response_rows.size, -1))
+    return replace(theta, hz=hz, zeta=zeta, shapes=shapes, transients=tuple(transients), local=tuple(local))
+
+
+def _covariance(equations: Sequence[tuple[Real, Real, float]], precision: Real, n_global: int) -> Real:
+    """Inverse Fisher information of the global parameters; the information of complex data is twice the normal matrix."""
+    total = np.diag(precision)
+    for normal, gradient, _ in equations:
+        total += _eliminate(normal, gradient, n_global)[0]
+    d = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    d[d < 1e-12 * d.max()] = d.max()
+    values, vectors = np.linalg.eigh(total / np.outer(d, d))
+    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    return np.asarray(0.5 * inverse / np.outer(d, d))
+
+
+def run_misfit(runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDArray[np.bool_]]) -> tuple[float, Real]:
+    """Mean of |e_j|²/(D_j + |H_j|²σ_f²) over the kept lines of each run, and per row of the model's DOFs.
+
+    The kept lines are those the fit did not use; the transients come from the fit.
+    """
+    total, count = 0.0, 0
+    by_row = np.zeros((theta.shapes.shape[0], 2))
+    for i, (run, mask) in enumerate(zip(runs, keep, strict=True)):
+        if not mask.any():
+            continue
+        part = run.lines(mask)
+        state = residual(part, theta, i)
+        variance = part.response_variance + np.einsum("kml,kl->ml", np.abs(state.transfer) ** 2, part.force_variance)
+        ratio = np.abs(state.error) ** 2 / variance
+        total += float(ratio.sum())
+        count += ratio.size
+        np.add.at(by_row, part.response_rows, np.stack([ratio.sum(axis=1), np.full(ratio.shape[0], ratio.shape[1])], axis=1))
+    with np.errstate(invalid="ignore"):
+        return (float(total / count) if count else float("nan")), by_row[:, 0] / by_row[:, 1]

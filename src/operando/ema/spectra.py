@@ -1,0 +1,320 @@
+"""Spectra of whole records and the noise in them, as the maximum-likelihood fit needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as sfft
+
+from operando.data import Frf, TimeRecord
+from operando.dof import Dof, match_dofs
+from operando.errors import DataError, IdentificationError
+
+
+@dataclass(frozen=True)
+class RunSpectra:
+    """One run in the frequency domain: X = H·F + transient + noise.
+
+    Parameters
+    ----------
+    frequencies_hz : (L,) array
+        Lines of the discrete Fourier transform of the whole record.
+    responses : (m, L) complex array
+        Accelerations, or the accelerance column itself where only FRFs are given.
+    forces : (k, L) complex array
+        Forces; ones for FRF columns.
+    response_rows : (m,) int array
+        Row of each response in the DOF list of the model.
+    response_signs : (m,) float array
+        Sense of each response against that DOF.
+    force_rows, force_signs : (k,) arrays
+        The same for the forces.
+    response_variance : (m, L) array
+        E|noise|² of each response line.
+    force_variance : (k, L) array
+        E|noise|² of each force line; 0 for FRF columns.
+    step_s : float or None
+        Sampling interval; None where there is no transient to model (FRF columns).
+    name : str
+    top_hz : float
+        Last line of the fitted band [Hz]; kept when lines are taken out.
+    """
+
+    frequencies_hz: NDArray[np.float64]
+    responses: NDArray[np.complex128]
+    forces: NDArray[np.complex128]
+    response_rows: NDArray[np.int_]
+    response_signs: NDArray[np.float64]
+    force_rows: NDArray[np.int_]
+    force_signs: NDArray[np.float64]
+    response_variance: NDArray[np.float64]
+    force_variance: NDArray[np.float64]
+    step_s: float | None
+    name: str = ""
+    top_hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.top_hz <= 0:
+            object.__setattr__(self, "top_hz", float(self.frequencies_hz[-1]))
+
+    def lines(self, keep: NDArray[Any] | slice) -> RunSpectra:
+        """The same run on some of its lines."""
+        return replace(
+            self,
+            frequencies_hz=self.frequencies_hz[keep],
+            responses=self.responses[:, keep],
+            forces=self.forces[:, keep],
+            response_variance=self.response_variance[:, keep],
+            force_variance=self.force_variance[:, keep],
+        )
+
+    def band(self, low: float, high: float) -> RunSpectra:
+        """The same run on the lines within [low, high] Hz."""
+        part = self.lines((self.frequencies_hz >= low) & (self.frequencies_hz <= high))
+        return replace(part, top_hz=float(part.frequencies_hz[-1]))
+
+
+def record_spectra(record: TimeRecord, dofs: Sequence[Dof], band: tuple[float, float]) -> RunSpectra:
+    """Full-record spectra of one run with measured force, noise estimated from the record.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        Forces and accelerations (velocity and displacement channels are brought to acceleration by powers of iω).
+    dofs : sequence of Dof
+        DOFs of the model; every response and force must be among them.
+    band : (float, float)
+        Lines kept [Hz].
+
+    Raises
+    ------
+    DataError
+        If there is no force or no response channel.
+    """
+    force_index, response_index = record.force_indices, record.response_indices
+    if not force_index:
+        raise DataError("no force channel", where=record.name or None, hint="idle and check runs need a measured force")
+    if not response_index:
+        raise DataError("no response channel with a DOF", where=record.name or None)
+    n = record.n_samples
+    f = sfft.rfftfreq(n, 1 / record.sampling_hz)
+    keep = (f >= max(band[0], 0.5 / record.duration_s)) & (f <= band[1])
+    f = f[keep]
+    spectra = sfft.rfft(np.asarray(record.data, float), axis=1)[:, keep]
+    x, forces = spectra[response_index], spectra[force_index]
+    s = 2j * np.pi * f
+    for row, i in enumerate(response_index):
+        power = {"acceleration": 0, "velocity": 1, "displacement": 2}[record.channels[i].quantity]
+        x[row] = x[row] * s**power
+    wanted = tuple(d for i in response_index if (d := record.channels[i].dof) is not None)
+    references = tuple(d for i in force_index if (d := record.channels[i].dof) is not None)
+    if len(references) != len(force_index):
+        raise DataError("a force channel has no DOF", where=record.name or None, hint="give it in [channels] of the test file")
+    rows, signs = match_dofs(wanted, tuple(dofs))
+    force_rows, force_signs = match_dofs(references, tuple(dofs))
+    response_variance, force_variance = noise_from_spectra(f, x, forces)
+    return RunSpectra(
+        f,
+        x,
+        forces,
+        np.asarray(rows),
+        np.asarray(signs, float),
+        np.asarray(force_rows),
+        np.asarray(force_signs, float),
+        response_variance,
+        force_variance,
+        1 / record.sampling_hz,
+        record.name,
+    )
+
+
+def excited_limit(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> float:
+    """Highest frequency [Hz] up to which the force spectrum stays above ``share`` of its median power in the band."""
+    rows = record.force_indices
+    if not rows:
+        raise DataError("no force channel", where=record.name or None, hint="idle and check runs need a measured force")
+    f = sfft.rfftfreq(record.n_samples, 1 / record.sampling_hz)
+    power = np.sum(np.abs(sfft.rfft(np.asarray(record.data[rows], float), axis=1)) ** 2, axis=0)
+    width = max(8, int(0.01 * f.size))
+    count = f.size // width
+    smooth = np.median(power[: count * width].reshape(count, width), axis=1)
+    middle = f[: count * width].reshape(count, width).mean(axis=1)
+    inside = (middle >= band[0]) & (middle <= band[1])
+    typical = float(np.median(smooth[inside])) if inside.any() else float(np.median(smooth))
+    low = np.flatnonzero((middle > band[1]) & (smooth < share * typical))
+    return float(middle[low[0]]) if low.size else float(0.92 * record.sampling_hz / 2)
+
+
+def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> list[RunSpectra]:
+    """The columns of an FRF matrix as runs with unit force and no transient.
+
+    Raises
+    ------
+    IdentificationError
+        If the band holds fewer than eight lines.
+    """
+    part = frf.to_quantity("accelerance").band(*band)
+    f = part.frequencies_hz
+    if f.size < 8:
+        raise IdentificationError(f"only {f.size} lines within {band[0]:g}-{band[1]:g} Hz", hint="widen [analysis] band")
+    out = []
+    for k, reference in enumerate(part.references):
+        column = part.data[:, k]
+        use = np.all(np.isfinite(column), axis=1) & np.any(column != 0, axis=1)
+        if not use.any():
+            continue
+        measured = tuple(d for d, u in zip(part.responses, use, strict=True) if u)
+        rows, signs = match_dofs(measured, tuple(dofs))
+        force_rows, force_signs = match_dofs((reference,), tuple(dofs))
+        x = column[use]
+        variance = None if part.variance is None else np.array(part.variance[use, k])
+        if variance is None or not np.all(np.isfinite(variance)) or not np.any(variance > 0):
+            variance = local_variance(x)
+        floor = 1e-8 * np.mean(np.abs(x) ** 2, axis=1, keepdims=True)
+        out.append(
+            RunSpectra(
+                f,
+                np.asarray(x),
+                np.ones((1, f.size), complex),
+                np.asarray(rows),
+                np.asarray(signs, float),
+                np.asarray(force_rows),
+                np.asarray(force_signs, float),
+                np.maximum(variance, floor),
+                np.zeros((1, f.size)),
+                None,
+                f"column {reference}",
+            )
+        )
+    if not out:
+        raise IdentificationError("no FRF column with finite values in the band")
+    return out
+
+
+def local_variance(x: NDArray[np.complex128], half_width: int = 4) -> NDArray[np.float64]:
+    """Noise of each FRF line from a local quadratic fit over 2·half_width+1 lines, smoothed by a running median.
+
+    For FRFs that come without coherence. Sharp peaks make it too large, never too small.
+    """
+    width = 2 * half_width + 1
+    d = np.arange(-half_width, half_width + 1) / half_width
+    basis = np.linalg.qr(np.stack([d**p for p in range(3)], axis=1))[0]
+    windows = np.lib.stride_tricks.sliding_window_view(x, width, axis=1)
+    rest = windows - (windows @ basis) @ basis.T
+    variance = np.sum(np.abs(rest) ** 2, axis=2) / (width - 3)
+    variance = np.pad(variance, ((0, 0), (half_width, half_width)), mode="edge")
+    span = np.lib.stride_tricks.sliding_window_view(np.pad(variance, ((0, 0), (10, 10)), mode="edge"), 21, axis=1)
+    return np.asarray(np.median(span, axis=2) / np.log(2) * 0.8)
+
+
+def noise_from_spectra(
+    f: NDArray[np.float64], x: NDArray[np.complex128], forces: NDArray[np.complex128], width: int = 28, degree: int = 3, n_bands: int = 8
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Response and force noise without a modal model, from local polynomial residuals.
+
+    In blocks of ``width`` lines each response is regressed on F·δ^p and δ^p (p ≤ ``degree``: FRF and transient, locally smooth); the
+    covariance of what remains is diag(σ_x²) + Σ_k σ_f,k² h_k h_kᴴ, the second part common to all responses and visible
+    where the FRF is large. Both are fitted by moments over the blocks that the polynomials describe.
+
+    Parameters
+    ----------
+    f : (L,) array
+    x : (m, L) complex array
+    forces : (k, L) complex array
+
+    Returns
+    -------
+    response_variance : (m, L) array
+        Piecewise constant over ``n_bands`` bands of equal width.
+    force_variance : (k, L) array
+        Constant over the lines.
+    """
+    m, n_lines = x.shape
+    k = forces.shape[0]
+    regressors = (degree + 1) * (k + 1)
+    width = max(width, 2 * regressors + 8)
+    n_blocks = n_lines // width
+    if n_blocks < 4:
+        variance = np.repeat(np.mean(np.abs(x) ** 2, axis=1, keepdims=True) * 1e-4, n_lines, axis=1)
+        return variance, np.zeros((k, n_lines))
+    used = n_blocks * width
+    d = np.linspace(-1, 1, width)
+    powers = np.stack([d**p for p in range(degree + 1)])  # (p, width)
+    xb = x[:, :used].reshape(m, n_blocks, width).transpose(1, 2, 0)
+    fb = forces[:, :used].reshape(k, n_blocks, width).transpose(1, 0, 2)
+    basis = np.concatenate([fb[:, i, None, :] * powers for i in range(k)] + [np.broadcast_to(powers, (n_blocks, *powers.shape))], axis=1)
+    scale = np.linalg.norm(basis, axis=2, keepdims=True)
+    basis = (basis / scale).transpose(0, 2, 1)
+    q, r = np.linalg.qr(basis)
+    inner = q.conj().transpose(0, 2, 1) @ xb
+    rest = xb - q @ inner
+    freedom = width - regressors
+    coefficients = np.linalg.solve(r, inner) / scale
+    # A block's force columns are the first of each group of powers: the FRF at the block's middle.
+    h = coefficients[:, [i * (degree + 1) for i in range(k)], :]  # (blocks, k, m)
+    covariance = np.einsum("bli,blj->bij", rest, rest.conj()) / freedom
+    power = np.real(np.einsum("bii->bi", covariance))
+    return _fit_noise(power, covariance, h, f, width, n_blocks, n_bands, np.mean(np.abs(forces) ** 2, axis=1))
+
+
+def _fit_noise(
+    power: NDArray[np.float64],
+    covariance: NDArray[np.complex128],
+    h: NDArray[np.complex128],
+    f: NDArray[np.float64],
+    width: int,
+    n_blocks: int,
+    n_bands: int,
+    force_power: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    n_lines, m = f.size, power.shape[1]
+    k = h.shape[1]
+    band_of_block = np.minimum(np.arange(n_blocks) * n_bands // n_blocks, n_bands - 1)
+    vf = np.zeros(k)
+    vx = np.zeros((n_bands, m))
+    for _ in range(8):
+        common = np.einsum("k,bkm->bm", vf, np.abs(h) ** 2)
+        for b in range(n_bands):
+            rows = band_of_block == b
+            # Response noise from the blocks where the force noise matters least; the median ignores blocks the polynomials miss.
+            clean = np.where(common[rows] < 0.3 * np.maximum(power[rows], 1e-300), power[rows] - common[rows], np.nan)
+            enough = np.sum(np.isfinite(clean), axis=0) >= max(3, rows.sum() // 8)
+            fallback = np.quantile(power[rows], 0.1, axis=0)
+            with np.errstate(all="ignore"):
+                centre = np.where(enough, _nanmedian(clean), fallback)
+            vx[b] = np.maximum(centre, 1e-6 * fallback + 1e-300)
+        vx_block = vx[band_of_block]
+        # Force noise from the cross terms between responses (free of response noise), each weighted by its own variance.
+        new = np.zeros(k)
+        for i in range(k):
+            hi = h[:, i]
+            cross = np.real(np.einsum("bi,bij,bj->b", hi.conj() / vx_block, covariance, hi / vx_block)) - np.sum(
+                np.abs(hi) ** 2 / vx_block**2 * power, axis=1
+            )
+            gain = np.sum(np.abs(hi) ** 2 / vx_block, axis=1) ** 2 - np.sum(np.abs(hi) ** 4 / vx_block**2, axis=1)
+            estimate = cross / np.maximum(gain, 1e-300)
+            strength = gain / np.maximum(np.sum(np.abs(hi) ** 2 / vx_block, axis=1), 1e-300) * force_power[i]
+            order = np.argsort(strength)[::-1][: max(8, n_blocks // 3)]
+            new[i] = max(float(np.median(estimate[order])), 0.0) if m > 1 else 0.0
+        if np.allclose(new, vf, rtol=1e-3, atol=0):
+            vf = new
+            break
+        vf = new
+    # Floors keep the weights finite: noise-free data are simulated, rounded to single precision at best.
+    vf = np.minimum(vf, 0.1 * force_power)
+    edges = np.minimum((np.arange(n_lines) // width) * n_bands // n_blocks, n_bands - 1)
+    vx_line = vx[edges].T
+    return np.ascontiguousarray(vx_line), np.repeat(vf[:, None], n_lines, axis=1)
+
+
+def _nanmedian(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    out = np.full(values.shape[1], np.nan)
+    for j in range(values.shape[1]):
+        column = values[np.isfinite(values[:, j]), j]
+        if column.size:
+            out[j] = np.median(column)
+    return out

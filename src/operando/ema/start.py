@@ -1,0 +1,157 @@
+"""Starting values of the maximum-likelihood fit: linear residues on the run spectra, made rank one with unit modal mass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from operando.ema.polish_model import OUTSIDE_DAMPING, Complex, Real, decays, end_basis, kernels
+from operando.ema.spectra import RunSpectra
+
+OUTSIDE_FACTORS = (1.04, 1.1, 1.25, 1.6, 2.5, 5.0)
+"""Frequencies of the fixed kernels for modes above the band, in units of the highest line."""
+
+LOWER_FACTORS = (0.02, 0.6)
+"""The same below the band, in units of the lowest line: a mass line, and a suspension."""
+
+
+def outside_kernels(runs: Sequence[RunSpectra], hz: Real, lower: bool) -> Real:
+    """Frequencies [Hz] of the fixed kernels that stand for what lies outside the lines of the runs and above the modes ``hz``."""
+    top = max([float(run.frequencies_hz[-1]) for run in runs] + [float(h) for h in hz])
+    bottom = min(float(run.frequencies_hz[0]) for run in runs)
+    return np.array([f * top for f in OUTSIDE_FACTORS] + ([f * bottom for f in LOWER_FACTORS] if lower else []))
+
+
+def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside_hz: Real) -> list[Real]:
+    """Real residues R_jr = φ_jr φ_kr of each run and force by weighted least squares, transients and local terms beside them.
+
+    Returns
+    -------
+    list of (k, m, n) arrays
+        One a run: residues for each of its forces.
+    """
+    out = []
+    n = hz.size
+    for run in runs:
+        f = run.frequencies_hz
+        g = kernels(f, np.concatenate([hz, outside_hz]), np.concatenate([zeta, np.full(outside_hz.size, OUTSIDE_DAMPING)]))[0]
+        parts = [g[:n] * force for force in run.forces] + [g[n:] * force for force in run.forces]
+        if run.step_s is not None:
+            t1, t2 = decays(f, hz, zeta, run.step_s)[:2]
+            parts += [t1, t2, end_basis(f, run.top_hz, run.step_s)]
+        stack = np.concatenate(parts)
+        k, m = run.forces.shape[0], run.response_rows.size
+        # Force noise is proportional to the response it makes; as part of the variance it keeps peaks from ruling alone.
+        gain = np.abs(run.responses) ** 2 * np.sum(run.force_variance / np.maximum(np.abs(run.forces) ** 2, 1e-300), axis=0)
+        residues = np.empty((k, m, n))
+        for j in range(m):
+            weight = 1 / np.sqrt(run.response_variance[j] + gain[j])
+            design = np.concatenate([(stack * weight).real, (stack * weight).imag], axis=1)
+            target = np.concatenate([(run.responses[j] * weight).real, (run.responses[j] * weight).imag])
+            residues[:, j] = _ridge(design, target)[: k * n].reshape(k, n)
+        out.append(residues)
+    return out
+
+
+def _ridge(design: Real, target: Real) -> Real:
+    scale = np.linalg.norm(design, axis=1)
+    scale[scale == 0] = 1
+    normal = (design @ design.T) / np.outer(scale, scale)
+    normal[np.diag_indices_from(normal)] += 1e-7
+    return np.asarray(cho_solve(cho_factor(normal), design @ target / scale) / scale)
+
+
+def rank_one(runs: Sequence[RunSpectra], residues: Sequence[Real], n_dofs: int) -> tuple[Real, NDArray[np.bool_], Real]:
+    """Shapes of unit modal mass from the residues of all references.
+
+    Returns
+    -------
+    shapes : (M, n) array
+    seen : (n,) bool array
+        Whether a drive point with a residue of the right sign gives the scale.
+    drive : (n_drive, n) array
+        Drive-point residues (negative: wrong sign), one row a drive point in the order met.
+    """
+    n = residues[0].shape[2]
+    shapes = np.zeros((n_dofs, n))
+    seen = np.zeros(n, bool)
+    columns: list[tuple[int, NDArray[np.int_], Real]] = []
+    drive: list[Real] = []
+    for run, residue in zip(runs, residues, strict=True):
+        for i, row in enumerate(run.force_rows):
+            columns.append((int(row), run.response_rows, residue[i]))
+            at = np.flatnonzero(run.response_rows == row)
+            if at.size:
+                drive.append(residue[i, at[0]])
+    for r in range(n):
+        shapes[:, r], seen[r] = _rank_one_mode([(row, rows, residue[:, r]) for row, rows, residue in columns], n_dofs)
+    return shapes, seen, np.array(drive).reshape(len(drive), n)
+
+
+def _rank_one_mode(columns: list[tuple[int, NDArray[np.int_], Real]], n_dofs: int, rounds: int = 25) -> tuple[Real, bool]:
+    """One shape φ with R_jk ≈ φ_j φ_k, by alternating least squares from the best drive point."""
+    best, scale = None, 0.0
+    for row, rows, value in columns:
+        at = np.flatnonzero(rows == row)
+        if at.size and value[at[0]] > scale:
+            best, scale = (row, rows, value), float(value[at[0]])
+    size = max(float(np.max(np.abs(np.concatenate([v for _, _, v in columns])))), 1e-30)
+    seen = best is not None and scale > 1e-4 * size
+    phi = np.zeros(n_dofs)
+    if not seen:
+        row, rows, value = max(columns, key=lambda c: float(np.sum(c[2] ** 2)))
+        reference = np.sqrt(size)
+        phi[rows] = value / reference
+        phi[row] = phi[row] or reference
+        # A drive point of the wrong sign is no scale: keep the magnitude, the fit and its findings tell.
+        return phi, False
+    assert best is not None
+    row, rows, value = best
+    phi[rows] = value / np.sqrt(scale)
+    known = {c[0] for c in columns}
+    for _ in range(rounds):
+        for k in known:
+            # Reference DOFs: from their own column and as responses of the other columns.
+            top = bottom = 0.0
+            for row, rows, value in columns:
+                if row == k:
+                    others = rows != k
+                    top += float(phi[rows[others]] @ value[others])
+                    bottom += float(phi[rows[others]] @ phi[rows[others]])
+                elif (at := np.flatnonzero(rows == k)).size:
+                    top += float(phi[row] * value[at[0]])
+                    bottom += float(phi[row] ** 2)
+            own = [float(v[np.flatnonzero(rows == k)[0]]) for row, rows, v in columns if row == k and np.any(rows == k)]
+            if own and max(own) > 0:
+                guess = np.sqrt(max(own)) * (np.sign(phi[k]) or np.sign(top) or 1.0)
+                weight = phi[k] ** 2 + 1e-30
+                top += weight * guess
+                bottom += weight
+            if bottom > 0:
+                phi[k] = top / bottom
+        top_all, bottom_all = np.zeros(n_dofs), np.zeros(n_dofs)
+        for row, rows, value in columns:
+            np.add.at(top_all, rows, phi[row] * value)
+            np.add.at(bottom_all, rows, phi[row] ** 2)
+        free = (bottom_all > 0) & ~np.isin(np.arange(n_dofs), list(known))
+        phi[free] = top_all[free] / bottom_all[free]
+    return phi, True
+
+
+def mode_gain(runs: Sequence[RunSpectra], errors: Sequence[Complex], hz: Real, zeta: float) -> Real:
+    """Fall of the cost if one more mode of damping ``zeta`` stood at each of ``hz``, from the present residuals.
+
+    Free real residues in each response and run are allowed, so the figure is an upper bound with one unknown a response and force.
+    """
+    total = np.zeros(hz.size)
+    for run, error in zip(runs, errors, strict=True):
+        g = kernels(run.frequencies_hz, hz, np.full(hz.size, zeta))[0]
+        for force in run.forces:
+            basis = g * force
+            top = np.real((error / run.response_variance) @ basis.conj().T)
+            bottom = (1 / run.response_variance) @ (np.abs(basis) ** 2).T
+            total += np.sum(top**2 / np.maximum(bottom, 1e-300), axis=0)
+    return total
