@@ -116,7 +116,7 @@ def _found(content: Content) -> list[str]:
     for r in content.records:
         forces, responses = len(r.force_indices), len(r.response_indices)
         out.append(
-            f"time record: {forces} force and {responses} response channels of {len(r.channels)}, {r.sampling_hz:g} Hz, {r.duration_s:.6g} s"
+            f"time record: {forces} force and {responses} response channels of {len(r.channels)}, {r.sampling_hz:g} Hz, {r.duration_s:g} s"
         )
     for f in content.frfs:
         lines = f.frequencies_hz

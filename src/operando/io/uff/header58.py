@@ -142,7 +142,9 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
     function_type, response, reference, response_name, reference_name = _record6(lines[6])
     ids = tuple(_blank(decode(line[:4096])) for line in lines[1:6])
     try:
-        step = restore_step(step_text, points) if even else 0.0
+        axes = [_axis(line) for line in lines[8:12]]
+        spectral = function_type != 1 and axes[0].code != 17
+        step = restore_step(step_text, points, spectral) if even else 0.0
         exact = _exact(ids, "step")
         if exact is not None and math.isclose(exact, step, rel_tol=1e-5):
             step = exact
@@ -155,7 +157,6 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
         raise FormatError(f"the abscissa of the function cannot be read: {lines[7]!r}") from error
     if even and not (math.isfinite(step) and step > 0 and math.isfinite(start)):
         raise FormatError(f"the abscissa increment {step_text.strip()!r} is not positive")
-    axes = [_axis(line) for line in lines[8:12]]
     header = Header58(
         binary, big_endian, float_format, stated, ids, function_type, response, reference, response_name, reference_name,
         kind in _COMPLEX, kind in _DOUBLE, even, points, start, step, axes[0], axes[1], axes[2], axes[3], z_value,

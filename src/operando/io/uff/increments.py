@@ -35,7 +35,7 @@ def printed_rounding(text: str) -> float:
     return 0.5 * 10.0 ** (exponent - len(match[2]))
 
 
-def restore_step(text: str, points: int) -> float:
+def restore_step(text: str, points: int, spectral: bool = False) -> float:
     """The step that was meant by its printed digits.
 
     Of all numbers that print as ``text``, the one whose own value, whose inverse (sampling rate) or whose span over the
@@ -47,6 +47,8 @@ def restore_step(text: str, points: int) -> float:
         The step as printed.
     points : int
         Number of points on the axis.
+    spectral : bool
+        A frequency step: the span over a power of two of lines is half a sampling rate, and as good as a round inverse.
 
     Raises
     ------
@@ -68,7 +70,8 @@ def restore_step(text: str, points: int) -> float:
         if count > 1:
             span = _roundest(low * count, high * count)
             # A round span is weaker evidence than a round rate: it must save two digits.
-            if span and span[0][0] <= 4 and span[0][0] + 2 <= best_digits:
+            saved = 0 if spectral and count >= 64 and count & (count - 1) == 0 else 2
+            if span and span[0][0] <= 4 and span[0][0] + saved <= best_digits:
                 best_digits, best = span[0][0], span[0][1] / count
     return best if low <= best <= high else step
 

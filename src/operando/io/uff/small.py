@@ -90,12 +90,14 @@ def read_with_pyuff(number: int, raw: bytes) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         path = Path(folder) / "set.uff"
         path.write_text(text, encoding="utf-8", newline="\n")
+        out, reason = None, "pyuff cannot read it"
         try:
             out = pyuff.UFF(str(path)).read_sets()
         except Exception as error:  # pyuff raises bare exceptions of every kind
-            raise FormatError(f"set {number} cannot be understood: {error}") from error
+            reason = str(error)
+    # Raised outside: the error of pyuff would keep its open file alive.
     if not isinstance(out, dict) or out.get("type") != number:
-        raise FormatError(f"set {number} cannot be understood")
+        raise FormatError(f"set {number} cannot be understood: {reason}")
     return out
 
 

@@ -122,12 +122,12 @@ def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet
 def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separator: bytes) -> RawSet:
     """Find the end of a binary payload from the number of points, or from the stated number of bytes."""
     size = len(buffer)
-    for n_bytes in dict.fromkeys((header.expected_bytes, header.stated_bytes)):
+    lengths = [n for n in dict.fromkeys((header.expected_bytes, header.stated_bytes)) if 0 < n <= size - data]
+    # A closing separator decides; only without one may the payload end with the file.
+    for n_bytes, needs_separator in [(n, True) for n in lengths] + [(n, False) for n in lengths]:
         end = data + n_bytes
-        if n_bytes <= 0 or end > size:
-            continue
         after = _AFTER_PAYLOAD.match(buffer, end)
-        at_eof = _BLANK.match(buffer, end) is not None if size - end < 4096 else False
+        at_eof = not needs_separator and size - end < 4096 and _BLANK.match(buffer, end) is not None
         if after is None and not at_eof:
             continue
         close = end if after is None else after.end() - len(after[0].lstrip(b" \t\r\n"))

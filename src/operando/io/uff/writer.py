@@ -202,7 +202,7 @@ def _header(f: _Function, binary: bool, kind: int, n_bytes: int, big_endian: boo
 
 def _survives(f: _Function, start: str, step: str) -> bool:
     """Whether a reader gets the exact axis from the six printed digits."""
-    restored = restore_step(step, f.values.size)
+    restored = restore_step(step, f.values.size, f.kind != 1)
     same_step = restored == f.step or tidy_rate(restored) == tidy_rate(f.step)
     return same_step and restore_start(start, restored) == f.start
 
