@@ -16,7 +16,8 @@ Array = NDArray[Any]
 
 WEAK = 0.3
 DOUBLE = 0.05
-RINGING = 0.15
+RINGING = 0.25
+"""Largest side lobe of a band-limited pulse over its highest sample (the peak may fall between two samples)."""
 RINGING_SAMPLES = 10
 FINDING_KINDS = {
     "double_hit": "its force spectrum has notches",
@@ -238,9 +239,8 @@ def hit_blocks(hits: Hits, n_samples: int, block_seconds: float | None = None) -
         return hits, np.zeros(0, np.intp), 0, 0
     # A last hit cut short by the end of the record must not shorten all the others.
     enough = usable[usable >= 0.7 * np.median(usable)]
-    room_all = int(min(enough.min(), limit))
-    pre = int(np.clip(round(0.02 * room_all), min(8, room_all // 4), max(8, round(0.1 * hits.sampling_hz))))
-    block = room_all - 1 if limit >= room_all else limit
+    block = int(min(enough.min() - 1, limit))
+    pre = int(np.clip(round(0.02 * block), min(8, block // 4), max(8, round(0.1 * hits.sampling_hz))))
     starts = []
     for i in np.flatnonzero(hits.used):
         start = int(hits.indices[i]) - pre

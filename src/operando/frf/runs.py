@@ -119,14 +119,18 @@ def inhomogeneity(first: RunEstimate, second: RunEstimate) -> tuple[float, float
 
 
 def pool(runs: Sequence[RunEstimate]) -> RunEstimate:
-    """Mean of runs of the same references, weighted by the information in each line."""
+    """Mean of runs of the same references.
+
+    The weight is the information in each line over the noise of each response in each run (one number over all lines: weights
+    from the variance of single lines would favour lines whose noise happens to look small).
+    """
     base = runs[0]
     if len(runs) == 1:
         return base
     parts = [base, *(aligned(r, base.responses, base.references) for r in runs[1:])]
     data = np.stack([p.data for p in parts])
     variance = np.stack([p.variance for p in parts])
-    weight = np.stack([np.broadcast_to(p.gain[None], p.data.shape) for p in parts])
+    weight = np.stack([p.gain[None] / _noise_level(p) for p in parts])
     weight = np.where(np.isfinite(data), np.maximum(weight, 0), 0)
     total = weight.sum(axis=0)
     share = np.divide(weight, total, out=np.zeros_like(weight), where=total > 0)
@@ -144,6 +148,15 @@ def pool(runs: Sequence[RunEstimate]) -> RunEstimate:
         findings=tuple(f for p in parts for f in p.findings),
         provenance=Provenance.merge(*(p.provenance for p in parts)),
     )
+
+
+def _noise_level(run: RunEstimate) -> Array:
+    """Noise power of each response (n_responses, n_references, 1): median over lines of variance × gain; 1 where there is no variance."""
+    product = np.where(np.isfinite(run.variance), run.variance * run.gain[None], np.nan)
+    known = np.isfinite(product).any(axis=2)
+    level = np.ones((*product.shape[:2], 1))
+    level[known, 0] = np.nanmedian(product[known], axis=1)
+    return np.where(level > 0, level, 1.0)
 
 
 def coherence_of(data: Array, variance: Array, averages: float) -> Array:

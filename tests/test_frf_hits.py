@@ -1,0 +1,231 @@
+"""Hammer hits: detection, rejection with reasons, windows, overlap; checks of FRF matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from operando.data import Frf
+from operando.errors import DataError
+from operando.frf import check_drive_points, check_frf, estimate_frf, find_hits, is_impact, reciprocity_error
+from operando.frf.impact import impact_blocks
+from structures import Chain
+from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
+
+
+def hammer(n, times, levels, rng, noise=0.02, width=3.0):
+    """Half-sine pulses at given times in white noise."""
+    t = np.arange(n) / FS
+    f = np.zeros(n)
+    for at, level in zip(times, levels, strict=True):
+        phase = (t - at) * FS / width
+        f += level * np.where((phase >= 0) & (phase <= 1), np.sin(np.pi * np.clip(phase, 0, 1)), 0)
+    return f + noise * rng.standard_normal(n)
+
+
+def test_hits_are_found_with_their_levels():
+    rng = np.random.default_rng(0)
+    times = [0.5, 3.2, 6.1, 9.4]
+    force = hammer(12288, times, [80, 100, 120, 90], rng)
+    for sign in (1, -1):
+        hits = find_hits(sign * force + 3.0, FS)
+        np.testing.assert_allclose(hits.times_s, times, atol=3 / FS)
+        np.testing.assert_allclose(hits.levels, [80, 100, 120, 90], rtol=0.15)
+        assert hits.used.all()
+        assert hits.findings() == []
+        assert hits.offset == pytest.approx(3, abs=0.01)
+
+
+def test_double_weak_and_clipped_hits_are_rejected_with_reasons():
+    rng = np.random.default_rng(1)
+    force = hammer(16384, [0.5, 3.0, 3.06, 6.0, 9.0, 12.0], [100, 110, 40, 15, 95, 105], rng)
+    hits = find_hits(force, FS)
+    assert hits.reasons == ("", "double_hit", "weak_hit", "", "")
+    assert "60 ms" in hits.messages[1]
+    np.testing.assert_array_equal(hits.double, [False, True, False, False, False])
+    kinds = [f.kind for f in hits.findings("run", "1+Z")]
+    assert kinds == ["double_hit", "weak_hit"]
+    clipped = np.minimum(hammer(16384, [0.5, 3.0, 6.0], [100, 100, 200], rng, width=12), 120.0)
+    assert find_hits(clipped, FS).reasons == ("", "", "overload")
+
+
+def test_ringing_of_an_antialias_filter_is_no_double_hit():
+    # A band-limited pulse: sinc tails of alternating sign, 22 % of the peak next to it.
+    n = 8192
+    t = np.arange(n) - 0.37
+    force = sum(100 * np.sinc(t - at) for at in (1000, 4000, 7000))
+    hits = find_hits(force, FS)
+    np.testing.assert_array_equal(hits.indices, [1000, 4000, 7000])
+    assert hits.used.all()
+
+
+def test_random_forces_are_no_impacts():
+    rng = np.random.default_rng(2)
+    assert not is_impact(rng.standard_normal(20000))
+    assert not is_impact(np.sin(np.arange(20000)))
+    assert is_impact(hammer(20000, [1.0, 9.0], [50, 60], rng))
+    assert not is_impact(np.zeros(100))
+    assert find_hits(np.zeros(100), FS).indices.size == 0
+
+
+def tapped(chain, times, levels, rng, n, at=1, noise=1e-4):
+    force = hammer(n, times, levels, rng, noise=0.0)
+    forces = np.zeros((len(chain.hz), n))
+    forces[at - 1] = force
+    x = chain.respond(forces, FS)
+    return make_record(
+        force[None] + 0.01 * rng.standard_normal(n), x + noise * x.std(axis=1, keepdims=True) * rng.standard_normal(x.shape), FS, [at]
+    )
+
+
+def test_decayed_hits_are_averaged_and_overlapping_ones_use_the_whole_record():
+    rng = np.random.default_rng(3)
+    times = [0.3, 4.4, 8.4, 12.5]
+    damped = tapped(Chain(4, zeta=0.03), times, [100, 90, 110, 95], rng, 16384)
+    frf = estimate_frf(damped, band=(10, 160))
+    assert "hits=3" in frf.provenance.calls[-1] or "hits=4" in frf.provenance.calls[-1]
+    assert not any(f.kind == "overlapping_hits" for f in frf.findings)
+    assert relative(frf.data, sampled_accelerance(Chain(4, zeta=0.03), frf.frequencies_hz, FS, range(4), [0])) < 5e-3
+
+    light = Chain(4, zeta=0.0015)
+    ringing = tapped(light, times, [100, 90, 110, 95], rng, 16384)
+    auto = estimate_frf(ringing, band=(10, 160))
+    finding = next(f for f in auto.findings if f.kind == "overlapping_hits")
+    assert "whole record" in finding.consequence
+    assert "lrm" in auto.provenance.calls[-1]
+    exact = sampled_accelerance(light, auto.frequencies_hz, FS, range(4), [0])
+    forced = estimate_frf(ringing, band=(10, 160), estimator="h1")
+    assert next(f for f in forced.findings if f.kind == "overlapping_hits").severity == "warning"
+    error = relative(auto.data, exact)
+    assert error < 5e-3
+    assert error < 0.05 * relative(forced.data, sampled_accelerance(light, forced.frequencies_hz, FS, range(4), [0]))
+
+
+def test_an_inconsistent_hit_is_rejected():
+    rng = np.random.default_rng(4)
+    chain = Chain(4, zeta=0.04)
+    n = 20480
+    times = [0.3, 4.3, 8.3, 12.3, 16.3]
+    record = tapped(chain, times, [100, 90, 110, 95, 105], rng, n)
+    forces = np.zeros((4, n))
+    stray = hammer(n, [8.3], [110], rng, noise=0.0)
+    forces[0], forces[2] = -stray, stray  # the third hit went to mass 3
+    x = record.data[1:] + chain.respond(forces, FS)
+    moved = make_record(record.data[:1], x, FS, [1])
+    frf = estimate_frf(moved, band=(10, 160), estimator="h1")
+    wrong = [f for f in frf.findings if f.kind == "inconsistent_hit"]
+    assert len(wrong) == 1
+    assert wrong[0].time_s[0] == pytest.approx(8.3, abs=0.01)
+    good = estimate_frf(record, band=(10, 160), estimator="h1")
+    assert not any(f.kind == "inconsistent_hit" for f in good.findings)
+    exact = sampled_accelerance(chain, frf.frequencies_hz, FS, range(4), [0])
+    assert relative(frf.data, exact) < 0.01
+    everything = estimate_frf(moved, band=(10, 160), estimator="h1", hits="all")
+    assert relative(everything.data, exact) > 0.1
+
+
+def test_exponential_window_adds_the_damping_it_says():
+    # Poles move by −β exactly: the estimate is the FRF of a chain with damping ζ + β/ω (and nearly the same frequency).
+    rng = np.random.default_rng(5)
+    chain = Chain(1, zeta=0.01, spread=0.0)
+    record = tapped(chain, [0.3, 4.3, 8.3, 12.3], [100, 90, 110, 95], rng, 16384, noise=1e-6)
+    frf = estimate_frf(record, estimator="h1", window="exponential", exponential_end=0.001)
+    beta = frf.exponential_window_rate
+    blocks = impact_blocks(record, 0, [1])
+    assert beta == pytest.approx(-np.log(0.001) / (blocks.block / FS))
+    h = frf.data[0, 0]
+    f = frf.frequencies_hz
+    band = (f > 0.5 * chain.hz[0]) & (f < 1.5 * chain.hz[0])
+    # One mode: G(s)·(s² + c1·s + c0) = b0 + b1·s + b2·s²; the window moves the poles, the numerator is left free.
+    s = 2j * np.pi * f[band]
+    g = h[band]
+    a = np.column_stack([g * s, g, -np.ones(band.sum()), -s, -(s**2)])
+    y = -g * s**2
+    a, y = np.vstack([a.real, a.imag]), np.concatenate([y.real, y.imag])
+    scale = np.abs(a).max(axis=0)
+    c1, c0 = (np.linalg.lstsq(a / scale, y, rcond=None)[0] / scale)[:2]
+    pole = np.roots([1, c1, c0])[0]
+    wr = 2 * np.pi * chain.hz[0]
+    assert -pole.real == pytest.approx(0.01 * wr + beta, rel=0.02)
+    assert -pole.real - beta == pytest.approx(0.01 * wr, rel=0.05)
+    assert abs(pole.imag) == pytest.approx(wr * np.sqrt(1 - 1e-4), rel=1e-3)
+    with pytest.raises(DataError, match="exponential"):
+        estimate_frf(record, estimator="h1", window="exponential", exponential_end=2.0)
+
+
+def test_force_window_takes_the_noise_between_hits_away():
+    rng = np.random.default_rng(6)
+    chain = Chain(3, zeta=0.05)
+    record = tapped(chain, [0.3, 4.3, 8.3, 12.3], [100, 90, 110, 95], rng, 16384)
+    data = record.data.copy()
+    data[0] += 0.5 * rng.standard_normal(record.n_samples)
+    noisy = make_record(data[:1], data[1:], FS, [1])
+    errors = {}
+    for window in ("rectangular", "force"):
+        frf = estimate_frf(noisy, estimator="h1", window=window, band=(10, 160))
+        errors[window] = relative(frf.data, sampled_accelerance(chain, frf.frequencies_hz, FS, range(3), [0]))
+    assert errors["force"] < 0.5 * errors["rectangular"]
+
+
+def test_hammer_runs_of_different_spacing_share_their_lines():
+    rng = np.random.default_rng(7)
+    chain = Chain(3, zeta=0.05)
+    a = tapped(chain, [0.3, 4.3, 8.3, 12.3], [100, 90, 110, 95], rng, 16384, at=1)
+    b = tapped(chain, [0.3, 3.5, 6.8, 10.1, 13.0], [100, 90, 110, 95, 99], rng, 16384, at=3)
+    frf = estimate_frf([a, b], band=(10, 160))
+    assert relative(frf.data, sampled_accelerance(chain, frf.frequencies_hz, FS, range(3), [0, 2])) < 0.01
+    assert reciprocity_error(frf) < 0.01
+
+
+def test_no_usable_hit_is_an_error():
+    record = tapped(Chain(2, zeta=0.05), [15.99], [100], np.random.default_rng(8), 16384)
+    with pytest.raises(DataError, match="no usable hit"):
+        estimate_frf(record, estimator="h1")
+
+
+def chain_frf(**changes):
+    chain = Chain(4, zeta=0.02)
+    f = np.linspace(5, 150, 600)
+    h = chain.accelerance(f, ref=[0, 2])
+    for (i, j), factor in changes.pop("factors", {}).items():
+        h[i, j] = h[i, j] * factor(f) if callable(factor) else h[i, j] * factor
+    return Frf(h, f, tuple(f"{n}+Z" for n in range(1, 5)), ("1+Z", "3+Z"), **changes)
+
+
+def test_drive_points():
+    assert check_drive_points(chain_frf()) == []
+    inverted = check_drive_points(chain_frf(factors={(0, 0): -1}))
+    assert [(f.kind, f.dof) for f in inverted] == [("inverted", "1+Z")]
+    quarter = check_drive_points(chain_frf(factors={(2, 1): lambda f: np.exp(-2j * np.pi * f * 0.004)}))
+    assert [(f.kind, f.dof) for f in quarter] == [("drive_point_sign", "3+Z")]
+    missing = check_drive_points(chain_frf().select(responses="1+Z,2+Z,4+Z"))
+    assert [(f.kind, f.dof) for f in missing] == [("missing_drive_point", "3+Z")]
+    for quantity in ("receptance", "mobility"):
+        assert check_drive_points(chain_frf().to_quantity(quantity)) == []
+    assert check_drive_points(chain_frf().select(references="1-Z,3+Z")) == []
+
+
+def test_reciprocity():
+    assert reciprocity_error(chain_frf()) < 1e-12
+    assert reciprocity_error(chain_frf(factors={(2, 0): 1.2})) == pytest.approx(0.2 / np.sqrt(1.22), rel=1e-6)
+    assert reciprocity_error(chain_frf().select(references="1+Z")) is None
+    assert [f.kind for f in check_frf(chain_frf(factors={(2, 0): 1.2})).findings] == ["not_reciprocal"]
+    assert check_frf(chain_frf()).findings == ()
+
+
+def test_noise_is_not_called_a_lack_of_reciprocity():
+    rng = np.random.default_rng(9)
+    clean = chain_frf()
+    variance = np.full(clean.data.shape, np.mean(np.abs(clean.data) ** 2) * 0.01)
+    noise = np.sqrt(variance / 2) * (rng.standard_normal(variance.shape) + 1j * rng.standard_normal(variance.shape))
+    noisy = Frf(clean.data + noise, clean.axis, clean.responses, clean.references, variance=variance)
+    assert reciprocity_error(noisy) < 0.05
+
+
+def test_low_coherence_is_reported():
+    chain = Chain(3, zeta=0.05)
+    rng = np.random.default_rng(10)
+    f, x = simulate(chain, FS, 16384, [1], rng)
+    x[2] += 5 * x[2].std() * rng.standard_normal(x.shape[1])
+    frf = check_frf(estimate_frf(make_record(f, x, FS, [1]), estimator="h1", block_seconds=1.0, band=(10, 200)))
+    assert [(item.kind, item.dof) for item in frf.findings] == [("low_coherence", "3+Z")]
