@@ -48,13 +48,15 @@ class Inputs:
         try:
             content = read(file, units=self._units(file), channels=self.test.channels or None)
         except OperandoError as error:
-            self.findings[file] = [unreadable(file, error)]
+            self.findings[file] = [unreadable(self.label(file), error)]
             self._contents[file] = None
             return None
-        records = tuple(self._named(checked(r), file) for r in content.records)
-        content = replace(content, records=records)
+        name = self.label(file)
+        records = tuple(checked(replace(r, name=name)) for r in content.records)
+        content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
-        self.findings[file] = [f if f.file else replace(f, file=file.name) for f in dict.fromkeys(found)]
+        named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
+        self.findings[file] = list(dict.fromkeys(named))
         held = sum(r.data.nbytes for c in self._contents.values() if c is not None for r in c.records)
         if held + sum(r.data.nbytes for r in records) <= KEEP_BYTES:
             self._contents[file] = content
@@ -66,13 +68,10 @@ class Inputs:
             units["length"] = self.test.geometry_units
         return units or None
 
-    def _named(self, record: TimeRecord, file: Path) -> TimeRecord:
-        provenance = (
-            record.provenance
-            if record.provenance.inputs
-            else Provenance(((file.name, self.hashes([file])[0][1]),), record.provenance.calls)
-        )
-        return replace(record, name=record.name or file.name, provenance=provenance)
+    def label(self, file: Path) -> str:
+        """Name of a file in all outputs: relative to the test file where it lies below it."""
+        folder = None if self.test.path is None else self.test.path.parent
+        return file.relative_to(folder).as_posix() if folder is not None and file.is_relative_to(folder) else file.name
 
     def records(self, state: State, *, force: bool) -> list[TimeRecord]:
         """Records of a state with responses, and with a force if asked for.
@@ -95,7 +94,7 @@ class Inputs:
                         Finding(
                             "unused_record",
                             f"a record without a {lacks} is not used",
-                            file=file.name,
+                            file=self.label(file),
                             action="label its channels in [channels]",
                         ),
                     )
@@ -163,7 +162,7 @@ class Inputs:
         for file in test.files:
             content = self.content(file)
             used_for = [name for name, files in uses.items() if file in files] or ["geometry"]
-            row: dict[str, Any] = {"file": str(file), "sha256": self.hashes([file])[0][1], "used_for": ", ".join(used_for)}
+            row: dict[str, Any] = {"file": self.label(file), "sha256": self.hashes([file])[0][1], "used_for": ", ".join(used_for)}
             if content is None:
                 row |= {"format": None, "error": self.findings[file][0].message}
             else:
@@ -215,8 +214,8 @@ def inventory_row(content: Any) -> dict[str, Any]:
         }
     if content.frfs:
         row |= {
-            "frf_references": sorted({str(d) for h in content.frfs for d in h.references}),
-            "frf_responses": sorted({str(d) for h in content.frfs for d in h.responses}),
+            "frf_references": list(dict.fromkeys(str(d) for h in content.frfs for d in h.references)),
+            "frf_responses": list(dict.fromkeys(str(d) for h in content.frfs for d in h.responses)),
             "frf_band_hz": [float(min(h.frequencies_hz[0] for h in content.frfs)), float(max(h.frequencies_hz[-1] for h in content.frfs))],
             "frf_lines": max(len(h.axis) for h in content.frfs),
         }
@@ -232,13 +231,13 @@ def checked(record: TimeRecord) -> TimeRecord:
     return check_record(record)
 
 
-def unreadable(file: Path, error: OperandoError) -> Finding:
+def unreadable(name: str, error: OperandoError) -> Finding:
     """A file that cannot be read, as a finding."""
     return Finding(
         "unreadable",
         f"cannot be read: {error.message}",
         "error",
-        file=file.name,
+        file=name,
         consequence="the file is not used",
         action=error.hint or "export it again, or take it out of the test file",
     )

@@ -78,7 +78,8 @@ def used_settings(stage: str, results: Results) -> dict[str, Any]:
     model = {"ema": results.idle, "oma": results.operating}.get(stage)
     if model is not None:
         chosen = getattr(model.details, "settings", None) or {}
-        used: dict[str, Any] = jsonable({"band": model.band_hz, **chosen})
+        fitted = {} if getattr(model.details, "fit_band_hz", None) is None else {"fit_band_hz": model.details.fit_band_hz}
+        used: dict[str, Any] = jsonable({"band": model.band_hz, **fitted, **chosen})
         return used
     if stage == "ofrf" and results.hybrid is not None:
         return {"scaling": results.hybrid.method, "threshold": results.hybrid.threshold}

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import inspect as introspection
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from operando.config import Analysis, Test
-from operando.data import Finding, Frf
-from operando.errors import DataError, MissingError
+from operando.data import Finding, FrequencyAxis, Frf, TimeRecord
+from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
-from operando.results import Results
+from operando.results import CheckRun, Results
 
 
 @dataclass
@@ -65,19 +67,14 @@ class Stage:
     optional: bool = False
 
 
-def offered(function: Callable[..., Any], **keywords: Any) -> dict[str, Any]:
-    """The keywords that have a value and that the function knows.
-
-    Raises
-    ------
-    DataError
-        If a setting was given that the function cannot use.
-    """
+def offered(function: Callable[..., Any], findings: list[Finding], **keywords: Any) -> dict[str, Any]:
+    """The keywords that have a value and that the function knows; one it does not know becomes a finding."""
     known = introspection.signature(function).parameters
     given = {key: value for key, value in keywords.items() if value is not None and value != ()}
-    unknown = [key for key in given if key not in known]
-    if unknown:
-        raise DataError(f"setting {', '.join(unknown)} cannot be used by {function.__name__}", hint="take it out of [analysis]")
+    for key in given:
+        if key not in known:
+            message = f"setting {key} has no effect on {function.__name__}"
+            findings.append(Finding("setting_unused", message, "warning", consequence="this stage runs as if it were not set"))
     return {key: value for key, value in given.items() if key in known}
 
 
@@ -103,21 +100,23 @@ def idle_frf(work: Work) -> dict[str, Any]:
     from operando.frf import check_frf
 
     idle = work.test.idle
+    findings: list[Finding] = []
     if idle.frfs:
         frf = work.inputs.frf(idle)
         if work.analysis.references is not None:
             frf = frf.select(references=work.analysis.references)
     else:
-        frf = estimate(work.inputs.records(idle, force=True), work.analysis)
-    return {"idle_frf": check_frf(frf)}
+        frf = estimate(work.inputs.records(idle, force=True), work.analysis, findings)
+    return {"idle_frf": check_frf(frf), "findings": findings}
 
 
-def estimate(records: list[Any], analysis: Analysis) -> Any:
+def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding]) -> Frf:
     """``estimate_frf`` with the settings of the test."""
     from operando.frf import estimate_frf
 
     keywords = offered(
         estimate_frf,
+        findings,
         references=analysis.references,
         estimator=analysis.estimator,
         block_seconds=analysis.block_seconds,
@@ -134,8 +133,10 @@ def idle_modes(work: Work) -> dict[str, Any]:
 
     analysis = work.analysis
     records = work.inputs.records(work.test.idle, force=True) if work.test.idle.records else None
+    findings: list[Finding] = []
     keywords = offered(
         fit_ema,
+        findings,
         band=analysis.band,
         records=records,
         max_order=analysis.max_order,
@@ -144,7 +145,7 @@ def idle_modes(work: Work) -> dict[str, Any]:
         exclude_bands=analysis.exclude_bands,
         second_opinion=analysis.second_opinion or None,
     )
-    return {"idle": fit_ema(_needed(work.results.idle_frf, "idle FRFs"), **keywords)}
+    return {"idle": fit_ema(_needed(work.results.idle_frf, "idle FRFs"), **keywords), "findings": findings}
 
 
 def operational_modes(work: Work) -> dict[str, Any]:
@@ -153,8 +154,10 @@ def operational_modes(work: Work) -> dict[str, Any]:
 
     analysis = work.analysis
     records = work.inputs.records(work.test.operating, force=False)
+    findings: list[Finding] = []
     keywords = offered(
         fit_oma,
+        findings,
         band=analysis.band,
         max_order=analysis.oma_max_order,
         references=analysis.oma_references,
@@ -164,7 +167,7 @@ def operational_modes(work: Work) -> dict[str, Any]:
         exclude_bands=analysis.exclude_bands,
         second_opinion=analysis.second_opinion or None,
     )
-    return {"operating": fit_oma(records, **keywords)}
+    return {"operating": fit_oma(records, **keywords), "findings": findings}
 
 
 def hybrid(work: Work) -> dict[str, Any]:
@@ -187,16 +190,14 @@ def check_runs(work: Work) -> dict[str, Any]:
     from operando.pipeline.levels import check_frfs
 
     check = work.test.check
-    runs = (
-        []
-        if not check.records
-        else check_frfs(work.inputs.records(check, force=True), lambda records: estimate(records, _judging(work.analysis)))
-    )
+    findings: list[Finding] = []
+    runs: list[CheckRun] = []
+    if check.records:
+        records = work.inputs.records(check, force=True)
+        runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings))
     if check.frfs:
-        from operando.results import CheckRun
-
         runs.append(CheckRun(", ".join(p.name for p in check.frfs), "as given", work.inputs.frf(check)))
-    return {"check": [replace(run, frf=_of_check(check_frf(run.frf))) for run in runs]}
+    return {"check": [replace(run, frf=_of_check(check_frf(run.frf))) for run in runs], "findings": list(dict.fromkeys(findings))}
 
 
 def _of_check(frf: Frf) -> Frf:
@@ -232,8 +233,21 @@ def comparison(work: Work) -> dict[str, Any]:
     if not results.check:
         raise MissingError("no check FRF")
     band = work.analysis.band or (None if results.idle is None else results.idle.band_hz)
-    document = compare_all(models, results.check, **offered(compare_all, band_hz=band))
+    runs = [replace(run, frf=without_bands(run.frf, work.analysis.exclude_bands)) for run in results.check]
+    document = compare_all(models, runs, band_hz=band)
     return {"comparison": document | {"settings": results.settings}, "findings": findings}
+
+
+def without_bands(frf: Frf, bands: Sequence[tuple[float, float]]) -> Frf:
+    """The FRFs without the lines inside the bands."""
+    keep = np.ones(len(frf.axis), bool)
+    for low, high in bands:
+        keep[frf.axis.band(low, high)] = False
+    if keep.all():
+        return frf
+    part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
+    axis = FrequencyAxis(frf.frequencies_hz[keep])
+    return replace(frf, data=frf.data[:, :, keep], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
 
 
 def _needed(value: Any, what: str) -> Any:
@@ -293,7 +307,7 @@ STEPS: tuple[Stage, ...] = (
         no_check,
         ("ema", "ofrf", "check"),
         ("compare", "scaling", "pipeline/stages"),
-        ("band", "threshold"),
+        ("band", "threshold", "exclude_bands"),
         optional=True,
     ),
 )
