@@ -89,10 +89,16 @@ def estimate_modes(
     covariance = None
     if blocks and n:
         covariance = covariance_of_mean(normalised_changes(lam, shapes, Perturbations(d_lam, d_shapes), derivative), correlations.weights)
-    if np.any(derivative != derivative[0]):
-        shapes = shapes / lam[None, :] ** derivative[:, None]
     size = np.abs(lam)
-    return Estimate(size / 2 / np.pi, -lam.real / size, normalise_shapes(shapes), covariance, taken)
+    shapes = normalise_shapes(to_displacement(shapes, lam, derivative))
+    return Estimate(size / 2 / np.pi, -lam.real / size, shapes, covariance, taken)
+
+
+def to_displacement(shapes: NDArray[Any], lam: NDArray[np.complex128], derivative: NDArray[np.int_]) -> NDArray[Any]:
+    """Shapes in proportions of displacement where channels measure different quantities (each divided by its power of λ)."""
+    if np.all(derivative == derivative[0]):
+        return shapes
+    return np.asarray(shapes / lam[None, :] ** derivative[:, None])
 
 
 def normalise_shapes(shapes: NDArray[Any]) -> NDArray[np.complex128]:

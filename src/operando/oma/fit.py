@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from operando.data import Finding, ModalModel, TimeRecord
+from operando.dof import match_dofs, parse_dofs
 from operando.errors import ConfigError, IdentificationError
 from operando.oma.conditioning import Responses, gather_responses, resample
-from operando.oma.correlation import BlockCorrelations, correlate, pool
 from operando.oma.details import OmaDetails
-from operando.oma.estimate import Estimate, best_orders, estimate_modes
+from operando.oma.diagram import MIN_BLOCKS, CovDiagram, DatDiagram, Prepared, ssi_cov_diagram, ssi_dat_diagram
+from operando.oma.estimate import best_orders
 from operando.oma.harmonics import Harmonic, find_harmonics
+from operando.oma.pyoma import second_opinion as pyoma_opinion
 from operando.oma.spectra import output_spectra
-from operando.oma.subspace import Factors, factorise_weighted, poles_of_orders, realise
-from operando.stabilization import Stabilization, Tolerances, classify, demote, select_modes
+from operando.oma.verdicts import harmonic_finding, harmonic_poles, uncertain_modes
+from operando.stabilization import Tolerances, demote, select_modes
 
 METHODS = ("ssi-cov", "ssi-dat")
 WEIGHTINGS = ("cva", "none")
-MAX_ORDER = 120
-UNCERTAIN = 4.0
 
 
 def fit_oma(
@@ -40,58 +40,78 @@ def fit_oma(
     tolerances: Tolerances | None = None,
     weighting: str = "cva",
     uncertainty: bool = True,
+    second_opinion: bool = False,
 ) -> ModalModel:
     """Modes of a running structure from its responses alone.
+
+    Covariance-driven stochastic subspace identification (Van Overschee & De Moor 1996; Peeters & De Roeck 1999) with
+    canonical-variate weights on unwindowed FFT correlations. Sinusoids are found and taken out first; modes are chosen
+    automatically, and every candidate that is not taken keeps its reason; standard deviations come from the scatter between blocks
+    of the record (``operando.oma.uncertainty``).
 
     Parameters
     ----------
     record : TimeRecord or sequence of TimeRecord
-        One run or several (their correlations are averaged). Forces are ignored.
+        One run or several over the same sensors (their correlations are averaged). Only response channels with a DOF are used;
+        displacement, velocity and acceleration may be mixed.
     band : (low, high), optional
         Analysis band [Hz]; default from ten periods in a run to 0.4 of the sampling rate.
     max_order : int, optional
-        Largest model order (states).
+        Largest model order (states); default from the canonical correlations.
     references : DOF labels, optional
         Channels correlated with; default all.
     known_harmonics_hz : sequence of float
-        Rotor orders known to the user [Hz].
+        Rotor orders known to the user [Hz]: taken out whether or not they stand out.
     select_hz, reject_hz : sequences of float
-        Choice by hand.
+        Choice by hand [Hz]: taken beside the automatic choice, or left out (``operando.stabilization.select_modes``).
     method : {"ssi-cov", "ssi-dat"}
+        ``ssi-dat`` is run by pyOMA-2, on the longest run, without uncertainty.
     block_rows : int, optional
         Block rows (and columns) of the Hankel matrix.
+    tolerances : Tolerances, optional
+        Of the stabilisation diagram.
+    weighting : {"cva", "none"}
+        ``none`` is plain SSI-cov.
+    uncertainty : bool
+        False leaves the covariance out (faster).
+    second_opinion : bool
+        Also run pyOMA-2's SSI-cov and list where it disagrees (``details.second_opinion``).
 
     Returns
     -------
     ModalModel
-        Complex shapes of unit norm with the largest component real and positive, "unscaled"; ``details`` is an ``OmaDetails``.
+        "unscaled", complex shapes in proportions of displacement, each of unit norm with its largest component real and positive (also
+        in the covariance); ``details`` is an ``OmaDetails``.
 
     Raises
     ------
-    DataError, DofError, IdentificationError, ConfigError
+    DataError, DofError
+        If the record cannot be used (no response DOF, samples that are not finite, runs that do not fit together).
+    ConfigError
+        If an option is out of range.
+    IdentificationError
+        If the record is too short, no mode is found, or one chosen by hand is absent.
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}")
+    if weighting not in WEIGHTINGS:
+        raise ConfigError(f"weighting {weighting!r} is none of {', '.join(WEIGHTINGS)}")
     responses = gather_responses(record)
     band = _band(band, responses)
-    r = len(responses.dofs)
     refs = _reference_rows(references, responses)
-    rows = block_rows or int(np.clip(round(800 / r), 30, 120))
     with threadpool_limits(1, "blas"):
-        spectra = output_spectra(responses.runs, responses.sampling_hz, band)
         runs, rate = _at_suitable_rate(responses, band)
+        rows = block_rows or default_block_rows(len(responses.dofs), [run.shape[1] for run in runs])
         runs, harmonics = _without_harmonics(runs, rate, band, known_harmonics_hz)
-        correlations = _correlations(runs, refs, 2 * rows, uncertainty)
-        samples = sum(run.shape[1] for run in runs)
-        factors = factorise_weighted(correlations.mean, refs, rows, 2 * (max_order or MAX_ORDER), samples, weighting)
-        order = max_order or default_order(factors, samples, weighting)
-        order = min(order, factors.s.size - 1, (rows - 1) * r)
-        realisation = realise(factors, r)
-        orders = list(range(4, order + 1, 2))
-        poles = poles_of_orders(realisation, orders, rate)
-        table = classify(orders, [p.hz for p in poles], [p.zeta for p in poles], [p.shapes for p in poles], tolerances)
+        prepared = Prepared(runs, rate, rows, refs, responses.derivative)
+        diagram: CovDiagram | DatDiagram
+        if method == "ssi-cov":
+            diagram = ssi_cov_diagram(prepared, max_order, weighting, uncertainty, tolerances)
+        else:
+            diagram = ssi_dat_diagram(prepared, max_order, tolerances)
+        spectra = output_spectra(responses.runs, responses.sampling_hz, band)
         stabilization = select_modes(
-            table,
+            diagram.table,
             band=band,
             tolerances=tolerances,
             select_hz=select_hz,
@@ -100,45 +120,79 @@ def fit_oma(
             indicator=spectra.singular_values,
         )
         stabilization = demote(stabilization, harmonic_poles(stabilization, harmonics, select_hz))
-        for _ in range(2):
-            groups = best_orders(stabilization, orders)
-            estimate = estimate_modes(groups, poles, orders, correlations, factors, realisation, responses.derivative, rows, rate, table)
-            doubtful = uncertain_modes(estimate, samples / rate, select_hz)
-            if not doubtful:
-                break
-            stabilization = demote(stabilization, doubtful)
+        if stabilization.selected_hz.size == 0:
+            raise IdentificationError(
+                f"no mode found between {band[0]:g} and {band[1]:g} Hz in {diagram.orders[-1]} states",
+                hint="look at the spectra; widen the band, raise max_order, or choose poles by hand with select_hz",
+            )
+        estimate = diagram.estimate(best_orders(stabilization, diagram.orders))
+        doubtful = uncertain_modes(estimate, prepared.seconds, select_hz)
+        keep = [i for i in range(estimate.hz.size) if i not in doubtful]
+        stabilization = demote(stabilization, doubtful)
+        opinion = None
+        if second_opinion:
+            std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))[: estimate.hz.size][keep]
+            longest = max(runs, key=lambda run: run.shape[1])
+            opinion = pyoma_opinion(
+                estimate.hz[keep],
+                estimate.zeta[keep],
+                estimate.shapes[:, keep],
+                std,
+                longest,
+                rate,
+                band,
+                rows,
+                diagram.orders[-1],
+                refs,
+                tolerances,
+            )
     settings: dict[str, Any] = {
         "method": method,
-        "weighting": weighting,
+        "weighting": weighting if method == "ssi-cov" else "pyOMA-2",
         "band": list(band),
         "block_rows": rows,
-        "max_order": order,
+        "max_order": diagram.orders[-1],
         "sampling_hz": rate,
         "references": [str(responses.dofs[i]) for i in refs],
-        "blocks": int(correlations.weights.size),
+        "known_harmonics_hz": [float(f) for f in known_harmonics_hz],
+        "select_hz": [float(f) for f in select_hz],
+        "reject_hz": [float(f) for f in reject_hz],
+        "blocks": diagram.blocks,
+        "runs": len(runs),
     }
-    details = OmaDetails(stabilization, np.array([h.hz for h in harmonics]), spectra, model_orders=estimate.orders, settings=settings)
-    return ModalModel(
+    details = OmaDetails(stabilization, np.array([h.hz for h in harmonics]), spectra, opinion, estimate.orders[keep], settings)
+    call = ", ".join(f"{k}={v!r}" for k, v in settings.items())
+    model = ModalModel(
         estimate.hz,
         estimate.zeta,
         estimate.shapes,
         responses.dofs,
         "unscaled",
+        in_band=(estimate.hz >= band[0]) & (estimate.hz <= band[1]),
         covariance=estimate.covariance,
         band_hz=band,
-        findings=(*responses.findings, *[_finding(h) for h in harmonics]),
-        provenance=responses.provenance.then(f"fit_oma(method={method!r}, band={band}, block_rows={rows}, max_order={order})"),
+        findings=(*responses.findings, *[harmonic_finding(h) for h in harmonics], *_statistics_findings(diagram, method)),
+        provenance=responses.provenance.then(f"fit_oma({call})"),
         details=details,
     )
+    return model.select_modes(keep)
 
 
-def default_order(factors: Factors, samples: int, weighting: str) -> int:
-    """Largest model order worth looking at: a third beyond the canonical correlations that exceed what white noise gives."""
-    if weighting != "cva":
-        return min(80, factors.s.size)
-    level = np.sqrt(factors.left.shape[0] / samples) + np.sqrt(factors.right.shape[0] / samples)
-    signal = int(np.sum(factors.s > level))
-    return int(np.clip(2 * round(1.3 * signal / 2), 20, MAX_ORDER))
+def _statistics_findings(diagram: CovDiagram | DatDiagram, method: str) -> list[Finding]:
+    if method == "ssi-dat":
+        text = f"SSI-dat by pyOMA-2 on {diagram.samples} samples of one run gives no uncertainty"
+        return [Finding("no_uncertainty", text, "info", action="use method='ssi-cov' for standard deviations")]
+    if diagram.blocks < MIN_BLOCKS:
+        text = f"record too short for an uncertainty: {diagram.blocks} blocks"
+        return [Finding("no_uncertainty", text, "warning", action="measure longer")]
+    return []
+
+
+def default_block_rows(n_channels: int, samples: Sequence[int]) -> int:
+    """Block rows that make a Hankel matrix of about 800 rows, fewer in short records: a twelfth of the samples at most."""
+    rows = int(np.clip(round(800 / n_channels), 30, 120))
+    total = sum(samples)
+    return max(4, min(rows, max(total // (12 * n_channels), 15), total // 40, min(samples) // 12))
 
 
 def _without_harmonics(
@@ -157,51 +211,6 @@ def _without_harmonics(
         else:
             union.append(h)
     return out, union
-
-
-def harmonic_poles(stabilization: Stabilization, harmonics: list[Harmonic], keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
-    """Selected modes that are what is left of a sinusoid: at its frequency and hardly damped."""
-    out = {}
-    for i, (hz, zeta) in enumerate(zip(stabilization.selected_hz, stabilization.selected_damping, strict=True)):
-        for h in harmonics:
-            near = max(0.002 * hz, h.spread_hz)
-            if abs(hz - h.hz) < near and zeta < 0.001 and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
-                text = f"{hz:.5g} Hz with damping ratio {100 * zeta:.2g} % lies on the sinusoid of {h.hz:.5g} Hz"
-                out[i] = ("harmonic", f"{text} (envelope kurtosis {h.kurtosis:.2f})")
-    return out
-
-
-def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
-    """Modes far less certain than a resonance of that frequency and damping would be in so long a record.
-
-    A mode under white excitation has a relative standard deviation of damping of at least 1/√(2πζfT) (long-data
-    asymptotics at high signal-to-noise ratio, Au 2014). Poles that model noise or the flank of a filter are several times worse.
-    """
-    if estimate.covariance is None:
-        return {}
-    out = {}
-    n = estimate.hz.size
-    std = np.sqrt(np.diag(estimate.covariance))
-    for i in range(n):
-        hz, zeta = float(estimate.hz[i]), float(estimate.zeta[i])
-        bound = 1 / np.sqrt(2 * np.pi * abs(zeta) * hz * seconds)
-        relative = float(std[n + i] / abs(zeta))
-        if relative > max(0.5, UNCERTAIN * bound) and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
-            value = f"damping ratio {100 * zeta:.3g} % ± {100 * float(std[n + i]):.3g} %"
-            out[i] = ("uncertain", f"{value}: {relative / bound:.1f} times the scatter of a mode at {hz:.4g} Hz in {seconds:.4g} s")
-    return out
-
-
-def _finding(h: Harmonic) -> Finding:
-    kind = "steady" if h.spread_hz == 0 else f"drifting within {h.spread_hz:.2g} Hz"
-    return Finding(
-        "harmonic",
-        f"sinusoid at {h.hz:.5g} Hz, {kind}, up to {100 * h.energy_share:.2g} % of a channel's mean square",
-        "info",
-        band_hz=(h.hz - max(h.spread_hz, 1e-3 * h.hz) / 2, h.hz + max(h.spread_hz, 1e-3 * h.hz) / 2),
-        consequence="taken out of the operating records before identification, so that it is not taken for a mode",
-        action="name rotor orders as known_harmonics_hz to be sure of them",
-    )
 
 
 def _band(band: tuple[float, float] | None, responses: Responses) -> tuple[float, float]:
@@ -227,23 +236,6 @@ def _at_suitable_rate(responses: Responses, band: tuple[float, float]) -> tuple[
 
 
 def _reference_rows(references: object, responses: Responses) -> NDArray[np.int_]:
-    from operando.dof import match_dofs, parse_dofs
-
     if references is None:
         return np.arange(len(responses.dofs))
     return np.unique(match_dofs(parse_dofs(references), responses.dofs)[0])
-
-
-def _correlations(runs: list[NDArray[Any]], refs: NDArray[np.int_], n_lags: int, uncertainty: bool) -> BlockCorrelations:
-    """Pooled correlations in blocks of at least four times the lags, about a hundred at most: neighbours hardly depend on each other."""
-    samples = [run.shape[1] for run in runs]
-    if min(samples) < 5 * n_lags:
-        raise IdentificationError(
-            f"{min(samples)} samples are too few for {n_lags} correlation lags", hint="take longer runs, or fewer block_rows (keyword)"
-        )
-    length = max(4 * n_lags, sum(samples) // 100)
-    parts = []
-    for run, n in zip(runs, samples, strict=True):
-        centred = run - run.mean(axis=1, keepdims=True)
-        parts.append(correlate(centred, refs, n_lags, max(1, (n - n_lags) // length) if uncertainty else 1, uncertainty))
-    return pool(parts, samples)

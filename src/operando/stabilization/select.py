@@ -243,7 +243,8 @@ def _verdict(
     for k in chosen:
         fk, zk, vk = centres[k]
         likeness = abs(np.vdot(vector, vk)) ** 2
-        if abs(f - fk) < 0.5 * (z * f + zk * fk) and likeness > 0.9 and n < 0.8 * chains[k].size:
+        widths = abs(f - fk) / (z * f + zk * fk)
+        if likeness > 0.9 and (widths < 0.1 or (widths < 0.5 and n < 0.8 * chains[k].size)):
             apart = f"MAC {likeness:.3f}, {abs(f - fk):.2g} Hz apart, in {n} orders against {chains[k].size}"
             return "duplicate", f"splits off the mode at {fk:.5g} Hz: {apart}"
     return None

@@ -1,0 +1,61 @@
+"""Selected poles that are no modes after all: remains of sinusoids, and poles too uncertain to be a resonance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from operando.data import Finding
+from operando.oma.estimate import Estimate
+from operando.oma.harmonics import Harmonic
+from operando.stabilization import Stabilization
+
+UNCERTAIN = 4.0
+"""A pole is doubtful when its damping is this many times less certain than that of a resonance seen at its best."""
+
+
+def harmonic_poles(stabilization: Stabilization, harmonics: list[Harmonic], keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
+    """Selected modes that are what is left of a sinusoid: at its frequency and hardly damped."""
+    out = {}
+    for i, (hz, zeta) in enumerate(zip(stabilization.selected_hz, stabilization.selected_damping, strict=True)):
+        for h in harmonics:
+            near = max(0.002 * hz, h.spread_hz)
+            if abs(hz - h.hz) < near and zeta < 0.001 and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
+                text = f"{hz:.5g} Hz with damping ratio {100 * zeta:.2g} % lies on the sinusoid of {h.hz:.5g} Hz"
+                out[i] = ("harmonic", f"{text} (envelope kurtosis {h.kurtosis:.2f})")
+    return out
+
+
+def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
+    """Modes far less certain than a resonance of that frequency and damping would be in so long a record.
+
+    A mode under white excitation has a relative standard deviation of damping of at least 1/√(2πζfT) (long-data
+    asymptotics at high signal-to-noise ratio, Au 2014). Poles that model noise or the flank of a filter are several times worse.
+    """
+    if estimate.covariance is None:
+        return {}
+    out = {}
+    n = estimate.hz.size
+    std = np.sqrt(np.diag(estimate.covariance))
+    for i in range(n):
+        hz, zeta = float(estimate.hz[i]), float(estimate.zeta[i])
+        bound = 1 / np.sqrt(2 * np.pi * abs(zeta) * hz * seconds)
+        relative = float(std[n + i] / abs(zeta))
+        if relative > max(0.5, UNCERTAIN * bound) and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
+            value = f"damping ratio {100 * zeta:.3g} % ± {100 * float(std[n + i]):.3g} %"
+            out[i] = ("uncertain", f"{value}: {relative / bound:.1f} times the scatter of a mode at {hz:.4g} Hz in {seconds:.4g} s")
+    return out
+
+
+def harmonic_finding(h: Harmonic) -> Finding:
+    """Annotation of one sinusoid."""
+    kind = "steady" if h.spread_hz == 0 else f"drifting within {h.spread_hz:.2g} Hz"
+    return Finding(
+        "harmonic",
+        f"sinusoid at {h.hz:.5g} Hz, {kind}, up to {100 * h.energy_share:.2g} % of a channel's mean square",
+        "info",
+        band_hz=(h.hz - max(h.spread_hz, 1e-3 * h.hz) / 2, h.hz + max(h.spread_hz, 1e-3 * h.hz) / 2),
+        consequence="taken out of the operating records before identification, so that it is not taken for a mode",
+        action="name rotor orders as known_harmonics_hz to be sure of them",
+    )
