@@ -126,7 +126,9 @@ def candidate_poles(
         gp = None if given is None else given[:, :, part]
         for weight, constraint in _weightings(fp, hp, gp):
             try:
-                orders = plscf(fp, hp, max_order=order, min_order=2, weights=weight, constraint=constraint, max_damping=max_damping)
+                orders = plscf(
+                    fp, hp, max_order=order, weights=weight, constraint=constraint, max_damping=max_damping, step=1 + order // 24
+                )
             except IdentificationError:
                 continue
             chains += _chains(orders, len(bands), max_damping)
@@ -203,22 +205,21 @@ def _merge(chains: Sequence[_Chain], bands: Sequence[tuple[float, float]]) -> li
     """Chains of different fits that mean the same pole, joined from the strongest on; each fit counts once."""
     ranked = sorted(chains, key=lambda c: -c.share)
     groups: list[list[_Chain]] = []
+    centres = np.zeros(len(ranked))
     for c in ranked:
         best, distance = None, 1.0
-        for g in groups:
-            head = g[0]
-            if any(m.fit == c.fit for m in g):
-                continue
-            centre = float(np.median([m.hz for m in g]))
-            width = max(0.0015 * centre, 0.35 * min(head.zeta, c.zeta) * centre)
-            alike = abs(np.vdot(head.vector, c.vector)) ** 2
-            d = abs(c.hz - centre) / width
-            if d < distance and alike > 0.7:
-                best, distance = g, d
+        for k in np.flatnonzero(np.abs(centres[: len(groups)] - c.hz) < 0.1 * c.hz):
+            g = groups[k]
+            width = max(0.0015, 0.35 * min(g[0].zeta, c.zeta)) * centres[k]
+            d = abs(c.hz - centres[k]) / width
+            if d < distance and all(m.fit != c.fit for m in g) and abs(np.vdot(g[0].vector, c.vector)) ** 2 > 0.7:
+                best, distance = k, d
         if best is None:
+            centres[len(groups)] = c.hz
             groups.append([c])
         else:
-            best.append(c)
+            groups[best].append(c)
+            centres[best] = float(np.median([m.hz for m in groups[best]]))
     out = []
     for g in groups:
         hz = np.array([c.hz for c in g])
