@@ -139,10 +139,11 @@ def _table(text: str, where: str) -> tuple[list[str], list[str], list[str], NDAr
         position += length
         break
     rest = text[position:]
-    first_row = next((row.strip() for row in rest.split("\n", 20)[:20] if row.strip()), "")
+    rows = [row.strip() for row in rest.split("\n", 50)[:50] if row.strip()]
+    first_row = rows[0] if rows else ""
     if head is None or not first_row:
         raise FormatError("no header line and data below it", where=where, hint="the first line names the columns: name [unit]")
-    delimiter, decimal = _delimiter(head, first_row)
+    delimiter, decimal = _delimiter(head, rows)
     names = [part.strip().strip("\"'").strip() for part in (head.split(delimiter) if delimiter else head.split())]
     if all(_is_number(part.replace(",", ".")) for part in names if part):
         raise FormatError(
@@ -178,13 +179,14 @@ def _split_name(head: str) -> tuple[str, str]:
     return match[1].strip().strip("\"'"), match[2].strip()
 
 
-def _delimiter(head: str, row: str) -> tuple[str | None, str]:
-    """Delimiter (None: blanks) and decimal mark."""
+def _delimiter(head: str, rows: list[str]) -> tuple[str | None, str]:
+    """Delimiter (None: blanks) and decimal mark, from the head and some rows."""
+    sample = "\n".join(rows)
     for delimiter in (";", "\t"):
-        if delimiter in row or (delimiter in head and delimiter in row):
-            return delimiter, "," if "," in row and "." not in row else "."
-    if "," in row:
-        if "," not in head and " " in row.strip():
+        if delimiter in rows[0]:
+            return delimiter, "," if "," in sample and "." not in sample else "."
+    if "," in rows[0]:
+        if "," not in head and " " in rows[0]:
             return None, ","
         return ",", "."
     return None, "."

@@ -1,4 +1,4 @@
-"""MATLAB files: version 5 through scipy, version 7.3 through h5py; data found by their shape and the names beside them."""
+"""MATLAB files: versions 5 to 7, and 7.3 through h5py; data found by their shape and the names beside them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from operando.errors import ConfigError, DataError, DofError, FormatError, UnitE
 from operando.io.atomic import replacing
 from operando.io.content import Content, SetInfo
 from operando.io.csv import stated_rate
+from operando.io.mat5 import read_mat5
 from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
@@ -136,10 +137,10 @@ def _variables(path: Path) -> list[_Variable]:
 
             with h5py.File(path, "r") as file:
                 return list(_walk_hdf5(file, "", file))
-        from scipy.io import loadmat
-
-        loaded = loadmat(path, simplify_cells=True)
-    except Exception as error:  # scipy and h5py raise errors of many kinds on damaged files
+        loaded = read_mat5(path.read_bytes())
+    except FormatError as error:
+        raise FormatError(error.message, where=str(path)) from error
+    except Exception as error:  # h5py raises errors of many kinds on damaged files
         raise FormatError(f"the MATLAB file cannot be read: {error}", where=str(path)) from error
     return [v for name, value in loaded.items() if not name.startswith("__") for v in _walk(value, name)]
 
@@ -151,7 +152,7 @@ def _walk(value: Any, path: str) -> Iterator[_Variable]:
     elif isinstance(value, str):
         yield _Variable(path, [value])
     elif (isinstance(value, np.ndarray) and value.dtype.kind in "OU") or isinstance(value, list):
-        items = np.ravel(np.asarray(value, dtype=object)).tolist()
+        items = value if isinstance(value, list) else np.ravel(value).tolist()
         if items and all(isinstance(item, str) for item in items):
             yield _Variable(path, [str(item) for item in items])
         else:
