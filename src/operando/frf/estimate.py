@@ -94,6 +94,13 @@ def estimate_frf(
     quantities = {r.quantity for r in runs}
     if len(quantities) > 1:
         raise DataError(f"the runs measure different quantities: {', '.join(sorted(quantities))}", hint="estimate them apart")
+    if wanted is not None:
+        excited = [d for r in runs for d in r.references]
+        missing = [str(d) for d in wanted if not any(d.same_axis(e) for e in excited)]
+        if missing:
+            raise DataError(
+                f"no run excites reference {', '.join(missing)}", hint="excited: " + ", ".join(dict.fromkeys(map(str, excited)))
+            )
     automatic = estimator in (None, "auto")
     with threadpool_limits(1, "blas"):
         impacts: list[ImpactBlocks | None] = [None] * len(runs)

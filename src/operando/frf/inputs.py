@@ -65,7 +65,8 @@ class RunInput:
     @property
     def level(self) -> float:
         """Rms of the forces [N], offsets removed."""
-        return float(np.sqrt(np.mean([np.nanvar(self.record.data[i], dtype=float) for i in self.forces])))
+        rows = [self.record.data[i] for i in self.forces]
+        return float(np.sqrt(np.mean([np.var(r if np.isfinite(r.sum()) else r[np.isfinite(r)], dtype=float) for r in rows])))
 
     def finite(self, rows: Sequence[int]) -> list[int]:
         """Those of the rows whose samples are all finite."""

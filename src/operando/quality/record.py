@@ -35,7 +35,7 @@ def check_record(record: TimeRecord) -> TimeRecord:
 
 def check_channels(record: TimeRecord) -> list[Finding]:
     """Findings about the samples of each channel."""
-    spread = np.array([float(np.nanstd(row, dtype=float)) if np.isfinite(row).any() else 0.0 for row in record.data])
+    spread = np.array([_spread(row) for row in record.data])
     impact = {i for i in record.force_indices if is_impact(_finite(record.data[i]))}
     out: list[Finding] = []
     for i, channel in enumerate(record.channels):
@@ -49,6 +49,12 @@ def check_channels(record: TimeRecord) -> list[Finding]:
             continue
         out += _check_samples(record, i, i in impact)
     return out
+
+
+def _spread(row: np.ndarray) -> float:
+    """Standard deviation of the finite samples."""
+    row = row if np.isfinite(row.sum()) else row[np.isfinite(row)]
+    return float(np.std(row, dtype=float)) if row.size else 0.0
 
 
 def _finite(row: np.ndarray) -> np.ndarray:

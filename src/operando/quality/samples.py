@@ -79,10 +79,12 @@ def overload(x: Array, runs: list[Span] | None = None) -> list[Span]:
         sides = [abs(float(x[k]) - float(x[run.first])) for k in (run.first - 1, run.last + 1) if 0 <= k < x.size]
         return max(sides, default=0.0)
 
-    middle = float(np.median(x[:: max(1, x.size // 10001)]))
-    spread = max(top - middle, middle - bottom)
+    part = x[:: max(1, x.size // 20001)].astype(float)
+    middle = float(np.median(part))
+    spread = float(1.4826 * np.median(np.abs(part - middle)))
+    limit = max(spread, 0.02 * max(top - middle, middle - bottom))
     # A long rest value that happens to be the least or largest sample (a hammer at rest) is near the median, not at full scale.
-    return [r for r in candidates if jump(r) > 20 * step and abs(float(x[r.first]) - middle) > 0.2 * spread]
+    return [r for r in candidates if jump(r) > 20 * step and abs(float(x[r.first]) - middle) > limit]
 
 
 def dropouts(x: Array, runs: list[Span] | None = None) -> list[Span]:
@@ -116,22 +118,34 @@ def soft_clipping(x: Array) -> Saturation | None:
     """Evidence that large values are compressed, None where there is none or it cannot be told.
 
     In a random signal slope and level are independent; a compressing characteristic y = g(x) leaves the slope at the top small,
-    and the crest factor low. A signal of few zero crossings or one dominated by a single frequency is not judged: a sine looks the same.
+    and the crest factor low. Not judged are signals of few zero crossings, those of few tones and sweeps (a sine looks the
+    same), and white noise up to the Nyquist frequency, where neighbouring samples say nothing about the slope.
     """
     x = x - float(np.mean(x, dtype=float))
     rms = float(np.sqrt(np.mean(np.square(x, dtype=float))))
     if rms == 0:
         return None
     crest = float(np.abs(x).max()) / rms
-    if crest > 2.6 or np.count_nonzero(np.signbit(x[1:]) != np.signbit(x[:-1])) < 500:
-        return None
-    part = x[: min(x.size, 1 << 16)]
-    power = np.abs(fft.rfft(part * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(part.size) / part.size)))) ** 2
-    k = int(np.argmax(power))
-    if power[max(0, k - 3) : k + 4].sum() > 0.3 * power.sum():
+    if crest > 2.6 or np.count_nonzero(np.signbit(x[1:]) != np.signbit(x[:-1])) < 500 or _few_tones(x):
         return None
     size = np.abs(x[1:-1])
     slope = np.square(x[2:] - x[:-2], dtype=float)
     high, middle = slope[size > np.quantile(size, 0.95)], slope[size < np.quantile(size, 0.5)]
     ratio = float(high.mean() / max(float(middle.mean()), 1e-300))
     return Saturation(crest, ratio) if ratio < 0.35 else None
+
+
+def _few_tones(x: Array) -> bool:
+    """Whether 80 % of the energy is in fewer than 1 % of the lines of a long spectrum, or most short pieces hold a single line."""
+    part = x[: min(x.size, 1 << 16)].astype(float)
+    hann = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(part.size) / part.size)
+    power = np.sort(np.abs(fft.rfft(part * hann)) ** 2)[::-1]
+    if np.searchsorted(np.cumsum(power), 0.8 * power.sum()) < 0.01 * power.size:
+        return True
+    length = 128
+    pieces = part[: part.size // length * length].reshape(-1, length)
+    pieces = pieces * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length))
+    short = np.abs(fft.rfft(pieces, axis=1)) ** 2
+    top = np.clip(short.argmax(axis=1), 2, short.shape[1] - 3)
+    around = np.take_along_axis(short, top[:, None] + np.arange(-2, 3), axis=1).sum(axis=1)
+    return bool(np.median(around / np.maximum(short.sum(axis=1), 1e-300)) > 0.9)
