@@ -52,7 +52,7 @@ def contained_pyoma() -> Iterator[Any]:
                 logger.removeHandler(handler)
         logger.setLevel(level)
         plots.setLevel(plot_level)
-        np.seterr(**state)  # type: ignore[arg-type]
+        np.seterr(**state)
 
 
 def pyoma_poles(
