@@ -9,7 +9,7 @@ import numpy as np
 from structures import Chain
 
 FS = 256.0
-SECONDS = 48.0
+SECONDS = 24.0
 
 
 def idle_chain():
@@ -64,7 +64,7 @@ def write_test(folder, *, check=True, operating=True, idle=True, extra=""):
         text += ["[idle]", 'records = ["idle/*.uff"]']
     if operating:
         (folder / "operating").mkdir(parents=True)
-        operating_record = record(running_chain(), range(4), 5.0, 3, "run", force_known=False, seconds=3 * SECONDS)
+        operating_record = record(running_chain(), range(4), 5.0, 3, "run", force_known=False, seconds=6 * SECONDS)
         write_uff(folder / "operating/run1.uff", operating_record)
         text += ["[operating]", 'records = ["operating/*.uff"]']
     if check:
