@@ -323,7 +323,7 @@ def _model(
     from_records: bool,
 ) -> ModalModel:
     theta = final.parameters
-    m_dofs, n = theta.shapes.shape
+    n = theta.hz.size
     p = outside.hz.size
     sign = np.sign(theta.shapes[np.argmax(np.abs(theta.shapes), axis=0), np.arange(n)])
     sign[sign == 0] = 1
@@ -428,7 +428,7 @@ def _findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, floa
                 "misfit",
                 f"the idle model misses held-out lines by {misfit:.3g} times their variance",
                 "warning",
-                consequence="noise is not what limits this model: real modes, linearity or stationarity fail somewhere; intervals are widened",
+                consequence="noise does not limit this model: real modes, linearity or stationarity fail; intervals are widened",
                 action="look at the misfit by DOF, at complex shapes, and at the level dependence of the FRFs",
             )
         )

@@ -163,6 +163,11 @@ def search_order(
             continue
         log.rounds.append(f"round {number}: misfit {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
         fit = trial
+    out = _weak_modes(thinned, fit, keep_hz, log)
+    if out.size and out.size < fit.parameters.hz.size:
+        keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
+        fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
+        log.rounds.append(f"last look: {out.size} modes taken out, {keep.size} left")
     return fit, log
 
 
@@ -231,11 +236,11 @@ def _missing_modes(runs: Sequence[RunSpectra], fit: Polished, tried: Sequence[fl
     found.sort(reverse=True)
     price = _price(runs) * max(1.0, misfit) * 2
     out: list[tuple[float, float]] = []
-    for gain, h, z in found:
-        if gain < price or len(out) == 3:
+    for rise, h, z in found:
+        if rise < price or len(out) == 3:
             break
         near = [abs(h - t) < max(3 * z * h, 0.004 * h) for t in [*tried, *(o for o, _ in out)]]
-        if not any(near) and (not out or gain > 0.1 * found[0][0]):
+        if not any(near) and (not out or rise > 0.1 * found[0][0]):
             out.append((h, z))
     return out
 

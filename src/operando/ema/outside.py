@@ -79,7 +79,7 @@ def outside_modes(
     for row in np.setdiff1d(np.arange(m_dofs), core):
         shapes[row], variance[row] = _linear_row(target[:, row], known[:, row], psi_core[[at[r] for r in refs]], g, weight, std)
     covariance = np.zeros((hz.size, m_dofs, hz.size, m_dofs))
-    covariance[np.ix_(range(hz.size), core, range(hz.size), core)] = cov_core.transpose(1, 0, 3, 2)
+    covariance[np.ix_(np.arange(hz.size), core, np.arange(hz.size), core)] = cov_core.transpose(1, 0, 3, 2)
     rest = np.setdiff1d(np.arange(m_dofs), core)
     for p in range(hz.size):
         covariance[p, rest, p, rest] = variance[rest, p]
@@ -113,7 +113,7 @@ def _most_telling(target: Real, known: NDArray[np.bool_], count: int) -> list[in
 def _nonlinear(
     target: Real, known: NDArray[np.bool_], refs: NDArray[np.int_], g: Real, weight: Real, std: Real, iterations: int = 150
 ) -> tuple[Real, Real]:
-    """Levenberg–Marquardt for ψ with Σ_p ψ_jp ψ_kp G_p = target_kj and ψ_p ~ N(0, std_p²). Returns ψ (m, p) and its covariance (m, p, m, p)."""
+    """Levenberg–Marquardt for ψ with Σ_p ψ_jp ψ_kp G_p = target_kj and ψ_p ~ N(0, std_p²). Returns ψ (m, p), covariance."""
     m, n_p = target.shape[1], g.shape[0]
     rng = np.random.default_rng(0)
     psi = 0.3 * std * rng.standard_normal((m, n_p))
@@ -167,7 +167,7 @@ def _nonlinear(
         if fall < 1e-4 * cost:
             break
     covariance = np.linalg.inv(normal(psi, r)[0])
-    return psi, covariance.reshape(m, n_p, m, n_p)
+    return psi, np.asarray(covariance.reshape(m, n_p, m, n_p), float)
 
 
 def _linear_row(target: Real, known: NDArray[np.bool_], psi_refs: Real, g: Real, weight: Real, std: Real) -> tuple[Real, Real]:

@@ -8,6 +8,7 @@ modal parameters). The Jacobian uses the force as cleaned by the model, which ma
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -128,7 +129,7 @@ def _band_grams(stack: Complex, variance: Real) -> NDArray[np.float64]:
     pieces = np.concatenate([[0], change, [n_lines]])
     if pieces.size - 1 <= _BAND_GRAMS * 4:
         out = np.zeros((m, stack.shape[0], stack.shape[0]))
-        for start, stop in zip(pieces[:-1], pieces[1:], strict=True):
+        for start, stop in itertools.pairwise(pieces):
             part = np.concatenate([stack[:, start:stop].real, stack[:, start:stop].imag], axis=1)
             out += (part @ part.T)[None] / variance[:, start, None, None]
         return out

@@ -68,7 +68,7 @@ def kernels(f: Real, hz: Real, zeta: Real) -> tuple[Complex, Complex, Complex]:
     denominator = w0**2 - w**2 + damping
     g = -(w**2) / denominator
     ratio = g / denominator
-    return g, -ratio * (2 * w0**2 + damping), -ratio * damping
+    return np.asarray(g), np.asarray(-ratio * (2 * w0**2 + damping)), np.asarray(-ratio * damping)
 
 
 def decays(f: Real, hz: Real, zeta: Real, step: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
