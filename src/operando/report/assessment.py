@@ -22,6 +22,7 @@ from operando.report.derive import (
 )
 from operando.report.text import band_text, count, decibel, finite, fixed, listing, number
 from operando.results import Results
+from operando.scaling.methods import IN_WORDS
 
 MODEL_NAMES = {
     "ofrf": "operating FRFs (this method)",
@@ -30,6 +31,9 @@ MODEL_NAMES = {
     "idle_shapes": "idle shapes with operating poles",
     "idle": "idle model",
 }
+
+
+RECIPROCITY = "Reciprocity in operation"
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,8 @@ class Headline:
 
 def headline(results: Results) -> Headline:
     """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers."""
-    limits = [f"{a.name}: {a.text}" for a in assumptions(results) if a.state == "fails"]
+    states = assumptions(results)
+    limits = [f"{a.name}: {a.text}" for a in states if a.state == "fails"]
     if results.hybrid is None:
         return Headline("No operating FRFs", "none", _without_hybrid(results), tuple(limits))
     sentences = [_what_they_are(results)]
@@ -68,8 +73,11 @@ def headline(results: Results) -> Headline:
             f"How far they are from the truth is not known: {reason}. "
             "The 95 % bands below hold what the identification is unsure of, no more."
         )
-        grade = "poor" if any(a.state == "fails" for a in assumptions(results)) else "fair"
-        return Headline("Operating FRFs made, not checked", grade, tuple(sentences), tuple(limits))
+        if any(a.state == "fails" and a.name == RECIPROCITY for a in states):
+            verdict = "Operating FRFs made, not checked; a symmetric model cannot hold this machine"
+        else:
+            verdict = "Operating FRFs made, not checked"
+        return Headline(verdict, "poor" if limits else "fair", tuple(sentences), tuple(limits))
     error = float(ofrf["error_db"])
     others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
     sentences.append(_agreement(ofrf, others, judge_run(results)))
@@ -121,7 +129,8 @@ def _what_they_are(results: Results) -> str:
         )
     kappa = scaling.get("kappa")
     if scaling.get("method"):
-        text += f" The scale was carried over by “{scaling['method']}”" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
+        words = IN_WORDS.get(scaling["method"], f"method {scaling['method']}")
+        text += f" How the scale was carried over: {words}" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
     return text
 
 
@@ -249,15 +258,25 @@ def _same_mass(results: Results) -> Assumption:
             return Assumption(
                 name, "fails", "The diagnosis found a change of mass (see Diagnosis): modes scaled by the idle mass are off by it."
             )
-    heights = [
-        abs(float(r["height_error_db"])) for r in (models.get("ofrf") or {}).get("by_mode") or [] if finite(r.get("height_error_db"))
-    ]
+    named = [f for f in all_findings(results) if f.kind == "mass_changed" and f.severity != "info"]
+    if named:
+        text = named[0].message[:1].upper() + named[0].message[1:].rstrip(".")
+        return Assumption(name, "fails", f"{text}; {named[0].consequence.rstrip('.')}.")
+    text, state = "", "untested"
+    evidence = scaling_of(results).get("evidence") or {}
+    by_mass, by_stiffness, noise = (evidence.get(k) for k in ("off_diagonal_mass", "off_diagonal_stiffness", "shape_noise"))
+    if finite(by_mass) and finite(by_stiffness):
+        text = f"In the idle modes the operating shapes are off orthogonality by {number(by_mass, 2)} in mass and "
+        text += f"{number(by_stiffness, 2)} in stiffness (shape noise {number(noise, 2)}): nothing speaks for a changed mass. "
+        state = "holds"
+    by_mode = (models.get("ofrf") or {}).get("by_mode") or []
+    heights = [abs(float(r["height_error_db"])) for r in by_mode if finite(r.get("height_error_db"))]
     if heights:
         typical = float(np.median(heights))
-        text = f"No direct test without the diagnosis; peak heights of the operating FRFs are off by {decibel(typical)} in the median "
-        text += "against the check, where a change of mass would show."
-        return Assumption(name, "holds" if typical < 0.5 else "doubtful", text)
-    return Assumption(name, "untested", "Responses alone cannot show a change of mass; a check measurement with force would.")
+        text += f"Peak heights of the operating FRFs are off by {decibel(typical)} in the median against the check, where a change of mass "
+        text += "would show."
+        state = "doubtful" if typical >= 0.5 else state
+    return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a check measurement with force would.")
 
 
 def _ema_better(results: Results) -> Assumption:
@@ -281,7 +300,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 
 
 def _reciprocal(results: Results, found: list[Finding]) -> Assumption:
-    name = "Reciprocity in operation"
+    name = RECIPROCITY
     consequence = (
         "A sum over real shapes is symmetric by construction, so the operating FRFs cannot hold a gyroscopic or circulatory effect; "
     )

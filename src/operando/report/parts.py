@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from operando.report.text import esc
 from operando.results import Results
@@ -18,10 +20,17 @@ class Section:
 
 
 class Numbering:
-    """Numbers figures through the whole report."""
+    """Numbers figures through the whole report, and keeps what several sections need and is dear to compute."""
 
     def __init__(self) -> None:
         self.n = 0
+        self._kept: dict[str, Any] = {}
+
+    def once(self, key: str, make: Callable[[], Any]) -> Any:
+        """The value under a key, made the first time."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
 
     def figure(self, svg: str, caption: str) -> str:
         """Figure element with a numbered caption."""

@@ -11,7 +11,7 @@ from operando.report import derive, figures_compare, figures_frf, tables
 from operando.report.assessment import MODEL_NAMES, assumptions, frequency_shifts, headline
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import decibel, esc, finite, fixed, number, short_names
-from operando.results import Results
+from operando.results import CheckRun, Results
 
 
 def answer(results: Results, numbering: Numbering) -> str:
@@ -32,13 +32,10 @@ def answer(results: Results, numbering: Numbering) -> str:
         caption = "Level error of each model against the check measurement. The dashed line is what measurement noise and the model's own "
         caption += "uncertainty explain."
         out.append(numbering.figure(svg, caption))
-    run = derive.judge_run(results)
-    hybrid_frf = derive.model_frf(results.hybrid, run.frf) if run is not None else None
+    run, hybrid_frf, rest = _judged(results, numbering)
     if run is not None and hybrid_frf is not None:
         pairs = derive.choose_pairs(run.frf, _pair_error(hybrid_frf, run.frf, results), 1, 0)[:1]
-        svg = figures_frf.ofrf_pairs(
-            run.frf, hybrid_frf, derive.model_frf(derive.scaled_idle(results), run.frf), pairs, derive.analysis_band(results)
-        )
+        svg = figures_frf.ofrf_pairs(run.frf, hybrid_frf, rest, pairs, derive.analysis_band(results))
         caption = (
             "One operating FRF with its 95 % band, the check measurement it is judged by, and the idle model (more pairs: see section 7)."
         )
@@ -49,6 +46,19 @@ def answer(results: Results, numbering: Numbering) -> str:
         out.append(missing("No modes were identified."))
     out.append(tables.assumption_table(assumptions(results)))
     return "".join(out)
+
+
+def _judged(results: Results, numbering: Numbering) -> tuple[CheckRun | None, Frf | None, Frf | None]:
+    """The check that judges, the operating FRFs and the idle model on its lines and pairs."""
+
+    def make() -> tuple[CheckRun | None, Frf | None, Frf | None]:
+        run = derive.judge_run(results)
+        if run is None:
+            return None, None, None
+        return run, derive.model_frf(results.hybrid, run.frf), derive.model_frf(derive.scaled_idle(results), run.frf)
+
+    kept: tuple[CheckRun | None, Frf | None, Frf | None] = numbering.once("judged", make)
+    return kept
 
 
 def _pair_error(model: Frf, measured_frf: Frf, results: Results) -> Any:
@@ -89,7 +99,8 @@ def ofrf(results: Results, numbering: Numbering) -> str:
     """Operating FRFs with band, check and idle model; errors by DOF, band, mode and run."""
     if results.hybrid is None:
         return missing(left_out(results, "ofrf", "There are no operating FRFs"))
-    band, models, run = derive.analysis_band(results), derive.comparison_models(results), derive.judge_run(results)
+    band, models = derive.analysis_band(results), derive.comparison_models(results)
+    run, model, rest = _judged(results, numbering)
     out = []
     if run is None:
         out.append(
@@ -97,7 +108,6 @@ def ofrf(results: Results, numbering: Numbering) -> str:
         )
         out.append(_unchecked(results, numbering))
         return "".join(out)
-    model, rest = derive.model_frf(results.hybrid, run.frf), derive.model_frf(derive.scaled_idle(results), run.frf)
     out.append(tables.comparison_table(models) if models else missing(left_out(results, "compare", "The comparison was not made")))
     by_run = (results.comparison or {}).get("by_run") or []
     if len(by_run) > 1:

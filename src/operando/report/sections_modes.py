@@ -13,6 +13,7 @@ from operando.report import derive, figures_compare, figures_modes, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import count, esc, finite, fixed, listing, number
 from operando.results import Results
+from operando.scaling.methods import IN_WORDS
 
 MOST_SHAPES = 24
 SMALL_KAPPA = 10.0
@@ -143,7 +144,7 @@ def scaling(results: Results, numbering: Numbering) -> str:
     info = derive.scaling_of(results)
     out = []
     method = info.get("method")
-    text = f"Method: {method}." if method else "The method was not stated."
+    text = f"Method “{method}”{_in_words(method)}." if method else "The method was not stated."
     if info.get("reason"):
         text += f" Reason: {str(info['reason']).rstrip('.')}."
     if finite(info.get("threshold")):
@@ -160,8 +161,16 @@ def scaling(results: Results, numbering: Numbering) -> str:
     out.append("<h3>Condition of the idle shapes</h3>" + _condition(results, info, numbering))
     alternatives = info.get("alternatives") or {}
     out.append("<h3>Other methods</h3>")
-    out.append(tables.alternatives_table(alternatives) if alternatives else missing("No other scaling method was tried."))
+    out.append(
+        tables.alternatives_table(alternatives, (info.get("evidence") or {}).get("refused") or {}, method)
+        if alternatives
+        else missing("No other scaling method was tried.")
+    )
     return "".join(out)
+
+
+def _in_words(method: Any) -> str:
+    return f": {IN_WORDS[method]}" if method in IN_WORDS else ""
 
 
 def _changes(results: Results, numbering: Numbering) -> str:

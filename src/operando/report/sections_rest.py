@@ -140,8 +140,12 @@ def provenance(results: Results, numbering: Numbering) -> str:
     out.append(paragraph("Versions: " + ", ".join(f"{n} {v}" for n, v in names) + "."))
     parts = [results.idle_frf, results.idle, results.operating, *(run.frf for run in results.check), results.geometry]
     merged = Provenance.merge(*(p.provenance for p in parts if p is not None))
-    if merged.inputs:
-        rows = [[f'<span class="mono">{esc(path)}</span>', f'<span class="mono">{esc(digest)}</span>'] for path, digest in merged.inputs]
+    inputs = dict.fromkeys((short_names(path), digest) for path, digest in merged.inputs)
+    known = {digest for _, digest in inputs}
+    files = [(short_names(str(row.get("file"))), str(row["sha256"])) for row in results.inventory if row.get("sha256")]
+    inputs |= dict.fromkeys(item for item in files if item[1] not in known)
+    if inputs:
+        rows = [[f'<span class="mono">{esc(path)}</span>', f'<span class="mono">{esc(digest)}</span>'] for path, digest in inputs]
         out.append(tables.table(["Input", "SHA-256"], rows, caption="<b>Inputs.</b>"))
     else:
         out.append(missing("No input hashes were kept."))

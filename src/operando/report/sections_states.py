@@ -37,9 +37,8 @@ def idle(results: Results, numbering: Numbering) -> str:
         if synthesised is not None:
             error = _misfit_by_pair(synthesised, frf, results)
         pairs = derive.choose_pairs(frf, error)
-        caption = (
-            "Idle FRFs at drive points and where the model fits worst: magnitude, phase and coherence; outside the analysis band shaded."
-        )
+        where = "at drive points" if error is None else "at drive points and where the model fits worst"
+        caption = f"Idle FRFs {where}: magnitude, phase and coherence; outside the analysis band shaded."
         out.append(numbering.figure(figures_frf.frf_pairs(frf, synthesised, pairs, band), caption))
         out.append(_reciprocity_text(frf, results))
     out.append("<h3>Stabilisation diagram</h3>" + _stabilization(model, numbering, results, "idle"))

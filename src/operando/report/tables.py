@@ -14,6 +14,7 @@ from operando.report.assessment import MODEL_NAMES, Assumption
 from operando.report.derive import pairing_of, proper_modes
 from operando.report.text import DASH, decibel, esc, finite, fixed, listing, number, plain, plus_minus, short_names, size_text
 from operando.results import Results
+from operando.scaling.methods import IN_WORDS
 
 CLASS_WORDS = {
     "unchanged": ("unchanged", "good"),
@@ -268,7 +269,11 @@ def by_run_table(by_run: Sequence[Mapping[str, Any]]) -> str:
         name = row.get("run") or row.get("name") or n
         level = row.get("level")
         rows.append(
-            [esc(name), esc(DASH if level is None else level), *(fixed(_models_of(row).get(k, {}).get("error_db"), 2) for k in keys)]
+            [
+                esc(short_names(str(name))),
+                esc(DASH if level is None else level),
+                *(fixed(_models_of(row).get(k, {}).get("error_db"), 2) for k in keys),
+            ]
         )
     head = ["Run", "Level", *(f"{esc(MODEL_NAMES[k])}<br>[dB]" for k in keys)]
     return table(head, rows, numeric=range(2, 2 + len(keys)), caption="<b>Level error by check run.</b>")
@@ -474,12 +479,15 @@ def _flatten(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, s
     return rows
 
 
-def alternatives_table(alternatives: Mapping[str, Any]) -> str:
-    """What the other named methods give, as the greatest difference from the one taken."""
+def alternatives_table(alternatives: Mapping[str, Any], refused: Mapping[str, Any], taken: str | None) -> str:
+    """What the other named methods give, as the greatest difference from the one taken; why one was refused."""
     rows = []
     for name, value in sorted(alternatives.items(), key=lambda item: float(item[1]) if finite(item[1]) else np.inf):
+        if name == taken:
+            continue
+        reason = f"not possible: {refused[name]}" if name in refused else "not possible" if value is None else value
         rows.append(
-            [f'<span class="mono">{esc(name)}</span>', decibel(value) if finite(value) else esc("refused" if value is None else value)]
+            [f'<span class="mono">{esc(name)}</span>', esc(IN_WORDS.get(name, "")), decibel(value) if finite(value) else esc(reason)]
         )
     caption = "<b>Other ways to scale</b>: greatest difference of the FRFs from those of the method taken, over all lines and pairs."
-    return table(["Method", "Greatest difference"], rows, numeric=(1,), caption=caption)
+    return table(["Method", "What it does", "Greatest difference"], rows, caption=caption)
