@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -166,8 +168,9 @@ def test_matlab_reader_against_scipy(tmp_path, compressed):
     rng = np.random.default_rng(0)
     variables = {
         "a": rng.normal(size=(3, 4, 2)), "b": rng.normal(size=(2, 2)) + 1j, "c": np.arange(5, dtype=np.int16), "d": np.float32(2.5),
-        "e": 3.0,        "s": {"x": np.eye(2), "y": {"z": "text ü", "w": np.array(["one", "three"], dtype=object)}}, "t": "abc", "u": np.zeros((0, 3)),
-        "list": np.array([{"k": 1.0}, {"k": 2.0}]), "bool": np.array([True, False]), "single": np.ones(3, np.complex64),
+        "e": 3.0, "s": {"x": np.eye(2), "y": {"z": "text ü", "w": np.array(["one", "three"], dtype=object)}}, "t": "abc",
+        "u": np.zeros((0, 3)), "list": np.array([{"k": 1.0}, {"k": 2.0}]), "bool": np.array([True, False]),
+        "single": np.ones(3, np.complex64),
     }  # fmt: skip
     savemat(tmp_path / "a.mat", variables, do_compression=compressed)
     theirs = loadmat(tmp_path / "a.mat")
@@ -332,3 +335,8 @@ def test_inspect(tmp_path):
     assert out["missing"] == ["no geometry: shapes are not drawn on the structure"]
     assert out["dofs"] == ["12+Z"]
     assert inspect_files([tmp_path / "operating.uff"], units={"acceleration": "g"})["files"][0]["findings"] == []
+
+
+def test_importing_the_room_loads_nothing_heavy():
+    code = "import sys, operando.io; print([m for m in ('h5py', 'pyuff', 'scipy', 'matplotlib', 'pandas') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

@@ -542,6 +542,30 @@ def test_geometry_in_its_unit(tmp_path):
     assert load(tmp_path, nodes, units={"length": "mm"}).geometry.coordinates[0, 0] == pytest.approx(0.1)
 
 
+def test_nodes_in_local_systems(tmp_path):
+    systems = text_set(
+        18, "         1         0         0         8         1", "TURNED", "  1.0 2.0 3.0  1.0 3.0 3.0", "  1.0 2.0 4.0",
+        "         2         1         0         8         1", "ROUND", "  0.0 0.0 1.0  1.0 0.0 1.0", "  0.0 0.0 2.0",
+        "         3         2         0         8         1", "BALL", "  0.0 0.0 0.0  1.0 0.0 0.0", "  0.0 0.0 1.0",
+    )  # fmt: skip
+    rows = [
+        (1, 0, 1, 5.0, 6.0, 7.0),
+        (2, 1, 1, 1.0, 0.0, 0.0),
+        (3, 1, 0, 0.0, 1.0, 2.0),
+        (4, 2, 0, 2.0, 90.0, 0.5),
+        (5, 3, 0, 1.0, 1.0, 1.0),
+    ]
+    nodes = text_set(15, *[f"{n:10d}{d:10d}{e:10d}{7:10d}{x:13.5E}{y:13.5E}{z:13.5E}" for n, d, e, x, y, z in rows])
+    content = load(tmp_path, systems, nodes)
+    # System 1 has its x axis along global y and its z axis along global z, so its y axis along -x.
+    expected = [[5, 6, 7], [1, 3, 3], [0, 2, 5], [0, 2, 1.5], [1, 1, 1]]
+    np.testing.assert_allclose(content.geometry.coordinates, expected, atol=1e-12)
+    assert {f.kind for f in content.findings} == {"local_directions", "local_coordinates", "missing_unit"}
+    assert content.sets[0].status == "used"
+    flat = text_set(18, "         1         0         0         8         1", "X", "  1.0 2.0 3.0  1.0 3.0 3.0", "  1.0 4.0 3.0")
+    assert load(tmp_path, flat, nodes).sets[0].status == "not understood"
+
+
 def test_nodes_with_d_exponents_and_elements(tmp_path):
     nodes = text_set(
         2411, *[line for n in range(1, 10) for line in (f"{n:10d}{1:10d}{1:10d}{11:10d}", f"   {n}.0D+00   0.0D+00   -1.5D-01")]

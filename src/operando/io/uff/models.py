@@ -14,6 +14,7 @@ from operando.io.quantities import resolve
 from operando.io.uff.inventory import Inventory, title_of
 from operando.io.uff.small import ModeSet, NodeSet, read_elements, read_mode, read_nodes, read_traces
 from operando.io.uff.split import RawSet
+from operando.io.uff.systems import System, read_systems, to_global
 
 UNIT_MODAL_MASS = "scaling: unit modal mass, kg^-0.5"
 UNSCALED = "scaling: unscaled"
@@ -89,11 +90,12 @@ def assemble_geometry(sets: list[RawSet], inventory: Inventory) -> Geometry | No
     lines: list[tuple[int, ...]] = []
     faces: list[tuple[int, ...]] = []
     unit_known = True
+    systems = _read_systems(sets, inventory)
     for raw in sets:
         if raw.number in (15, 2411):
             nodes = _attempt(raw, inventory, lambda raw=raw: read_nodes(raw.number, raw.raw(inventory.buffer)))  # type: ignore[misc]
             if nodes is not None:
-                unit_known &= _add_nodes(raw, nodes, positions, inventory)
+                unit_known &= _add_nodes(raw, nodes, systems, positions, inventory)
         elif raw.number == 82:
             traces = _attempt(raw, inventory, lambda raw=raw: read_traces(raw.raw(inventory.buffer)))  # type: ignore[misc]
             if traces is not None:
@@ -107,7 +109,6 @@ def assemble_geometry(sets: list[RawSet], inventory: Inventory) -> Geometry | No
                 inventory.use(raw, f"{len(elements[0])} line elements, {len(elements[1])} faces")
     if not positions:
         return None
-    _note_local_systems(sets, inventory)
     known = [line for line in lines if all(n in positions for n in line)]
     known_faces = [face for face in faces if all(n in positions for n in face)]
     lost = len(lines) + len(faces) - len(known) - len(known_faces)
@@ -119,7 +120,7 @@ def assemble_geometry(sets: list[RawSet], inventory: Inventory) -> Geometry | No
     )  # fmt: skip
 
 
-def _add_nodes(raw: RawSet, nodes: NodeSet, positions: dict[int, np.ndarray], inventory: Inventory) -> bool:
+def _add_nodes(raw: RawSet, nodes: NodeSet, systems: dict[int, System], positions: dict[int, np.ndarray], inventory: Inventory) -> bool:
     """Add nodes in metres; false where the unit of length is not known."""
     system = inventory.system_at(raw.index)
     units = inventory.units
@@ -132,7 +133,7 @@ def _add_nodes(raw: RawSet, nodes: NodeSet, positions: dict[int, np.ndarray], in
             action='give it in the test file: [geometry] units = "m"',
         )  # fmt: skip
     clashes = 0
-    for number, position in zip(nodes.numbers, nodes.coordinates * scale.factor, strict=True):
+    for number, position in zip(nodes.numbers, _in_global(raw, nodes, systems, inventory) * scale.factor, strict=True):
         if number in positions and not np.allclose(positions[number], position, rtol=1e-6):
             clashes += 1
         positions.setdefault(number, position)
@@ -142,12 +143,35 @@ def _add_nodes(raw: RawSet, nodes: NodeSet, positions: dict[int, np.ndarray], in
     return scale.known
 
 
-def _note_local_systems(sets: list[RawSet], inventory: Inventory) -> None:
-    local = [raw.index for raw in inventory.sets if raw.number in (18, 2420)]
-    if local:
+def _read_systems(sets: list[RawSet], inventory: Inventory) -> dict[int, System]:
+    systems: dict[int, System] = {}
+    for raw in sets:
+        if raw.number == 18:
+            found = _attempt(raw, inventory, lambda raw=raw: read_systems(raw.raw(inventory.buffer)))  # type: ignore[misc]
+            if found is not None:
+                systems |= found
+                inventory.use(raw, f"{len(found)} coordinate systems")
+    return systems
+
+
+def _in_global(raw: RawSet, nodes: NodeSet, systems: dict[int, System], inventory: Inventory) -> np.ndarray:
+    """Coordinates of a set in the global system, and findings about what is local.
+
+    Set 2411 gives coordinates in the global system of the part whatever its system numbers say.
+    """
+    turned = sorted({n for n in nodes.displacement if n in systems and not systems[n].has_global_axes})
+    if turned:
+        count = sum(n in turned for n in nodes.displacement)
         inventory.note(
-            "local_coordinates", f"the file defines coordinate systems (set {local[0]}); node coordinates are taken as global",
-            severity="info",
-            consequence="nodes given in a local system are drawn in the wrong place",
-            action="export the geometry in global coordinates",
+            "local_directions", f"{count} nodes of set {raw.index} have directions of their own (coordinate systems of set 18)", raw,
+            severity="info", consequence="X, Y, Z of their DOFs are local: shapes are drawn along the global axes",
         )  # fmt: skip
+    if raw.number != 15 or not any(nodes.definition):
+        return nodes.coordinates
+    coordinates, left = to_global(nodes.coordinates, nodes.definition, systems)
+    if left and systems:
+        inventory.note(
+            "local_coordinates", f"nodes of set {raw.index} are given in coordinate systems {left[:8]} that cannot be applied", raw,
+            consequence="they are taken as global and drawn in the wrong place", action="export the geometry in global coordinates",
+        )  # fmt: skip
+    return coordinates

@@ -26,11 +26,12 @@ _RODS = {11, 21, 22, 23, 24}
 
 @dataclass(frozen=True)
 class NodeSet:
-    """Nodes of UFF 15 or 2411, in the units of the file."""
+    """Nodes of UFF 15 or 2411, in the units of the file, with the numbers of the systems of their coordinates and directions."""
 
     numbers: tuple[int, ...]
     coordinates: NDArray[np.float64]
-    definition_systems: frozenset[int]
+    definition: tuple[int, ...]
+    displacement: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,11 @@ def read_nodes(number: int, raw: bytes) -> NodeSet:
     numbers = np.asarray(d["node_nums"], float)
     if not np.all(np.isfinite(coordinates)) or not np.all(np.isfinite(numbers)) or np.any(np.abs(numbers) > 2**53):
         raise FormatError(f"set {number} holds coordinates that are no finite numbers")
-    return NodeSet(tuple(int(n) for n in numbers), coordinates, frozenset(int(c) for c in d["def_cs"]))
+    systems = [np.asarray(d[key], float) for key in ("def_cs", "disp_cs")]
+    if any(not np.all(np.abs(s) < 2**53) for s in systems):
+        raise FormatError(f"set {number} holds coordinate systems that are no numbers")
+    definition, displacement = (tuple(int(n) for n in s) for s in systems)
+    return NodeSet(tuple(int(n) for n in numbers), coordinates, definition, displacement)
 
 
 def read_traces(raw: bytes) -> list[tuple[int, ...]]:
@@ -221,7 +226,7 @@ def read_mode(raw: bytes) -> ModeSet:
     try:
         _, kind, _, code, data_type, per_node = (int(t) for t in lines[5].split()[:6])
         record7 = [int(t) for t in lines[6].split()]
-        record8 = _floats(lines[7])
+        record8 = floats_of(lines[7])
         if kind not in (2, 3, 7):
             raise FormatError(f"set 55 of analysis type {kind} is no mode shape")
         if data_type not in (2, 5) or not 1 <= per_node <= 6:
@@ -246,7 +251,14 @@ def read_mode(raw: bytes) -> ModeSet:
     return ModeSet(kind, nodes, table, float(frequency), float(damping), record7[3], code, ids, extra)
 
 
-def _floats(line: str) -> list[float]:
+def floats_of(line: str) -> list[float]:
+    """Numbers of a line: Fortran exponents, numbers without a blank before their sign.
+
+    Raises
+    ------
+    ValueError
+        If a word is no number.
+    """
     return [parse_float(t) for t in _GLUED.sub(" ", _D_EXPONENT.sub("E", line)).split()]
 
 
@@ -262,7 +274,7 @@ def _node_values(lines: list[str], per_node: int) -> tuple[tuple[int, ...], NDAr
         i += 1
         row: list[float] = []
         while len(row) < per_node:
-            row += _floats(lines[i])
+            row += floats_of(lines[i])
             i += 1
         if len(row) != per_node:
             raise FormatError(f"node {nodes[-1]} has {len(row)} values instead of {per_node}")
