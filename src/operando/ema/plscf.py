@@ -208,7 +208,8 @@ def _normal_matrix(
     same = w is None or bool(np.all(w == w[:1]))
     w2 = np.ones((1, n_lines)) if w is None else (w[:1] ** 2 if same else w**2)
     w2 = w2 / np.mean(w2)
-    waves = np.exp(1j * np.outer(theta, np.arange(q)))
+    angles = np.outer(theta, np.arange(q))
+    waves = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
     powers, numerator = np.arange(p), np.arange(q) - extra
 
     def toeplitz(g: NDArray[Any], rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[Any]:
@@ -223,21 +224,36 @@ def _normal_matrix(
     # rows: powers of the numerator; columns: (power, input) of the denominator
     cross = toeplitz(weighted, numerator, powers)
     if same:
-        cross = cross.transpose(2, 0, 3, 1).reshape(q, -1)
-        rows = linalg.solve_triangular(_cholesky(gram[0]), cross, lower=True, check_finite=False).reshape(q * n_out, p * n_in)
+        rows = (_inverse_factor(gram[0]) @ cross.transpose(2, 0, 3, 1).reshape(q, -1)).reshape(q * n_out, p * n_in)
     else:
-        cross = cross.transpose(0, 2, 3, 1).reshape(n_out, q, p * n_in)
-        each = [linalg.solve_triangular(_cholesky(gram[o]), cross[o], lower=True, check_finite=False) for o in range(n_out)]
-        rows = np.concatenate(each)
-    return np.asarray(total - rows.conj().T @ rows)
+        inverse = np.array([_inverse_factor(g) for g in gram])
+        rows = (inverse @ cross.transpose(0, 2, 3, 1).reshape(n_out, q, p * n_in)).reshape(n_out * q, p * n_in)
+    return np.asarray(total - _product(rows))
 
 
-def _lag_sums(g: NDArray[Any], waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Σ_k g_k e^{iθ_k d} for d = −n … n, from e^{iθ_k d} of the non-negative d: (…, 2n + 1)."""
+def _lag_sums(g: NDArray[Any], waves: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Σ_k g_k e^{iθ_k d} for d = −n … n, from cos and sin of θ_k d, d ≥ 0, side by side in ``waves``: (…, 2n + 1).
+
+    One real matrix product serves both signs of d: a quarter of the work of complex ones.
+    """
+    n = waves.shape[1] // 2
     flat = g.reshape(-1, g.shape[-1])
-    right = flat @ waves
-    left = right.conj() if not np.iscomplexobj(flat) else (flat.conj() @ waves).conj()
-    return np.concatenate([left[:, :0:-1], right], axis=1).reshape(*g.shape[:-1], -1)
+    real = np.ascontiguousarray(flat.real) @ waves
+    imag = np.ascontiguousarray(flat.imag) @ waves if np.iscomplexobj(flat) else np.zeros_like(real)
+    ac, as_, bc, bs = real[:, :n], real[:, n:], imag[:, :n], imag[:, n:]
+    out = np.empty((flat.shape[0], 2 * n - 1), complex)
+    out.real[:, n - 1 :], out.imag[:, n - 1 :] = ac - bs, as_ + bc
+    out.real[:, n - 1 :: -1], out.imag[:, n - 1 :: -1] = ac + bs, bc - as_
+    return out.reshape(*g.shape[:-1], -1)
+
+
+def _product(rows: NDArray[Any]) -> NDArray[Any]:
+    """rowsᴴ·rows, half of it computed."""
+    if not np.iscomplexobj(rows):
+        return np.asarray(rows.T @ rows)
+    upper = linalg.blas.zherk(1.0, rows.T)
+    full = np.conj(upper)
+    return np.asarray(full + np.triu(full, 1).conj().T)
 
 
 def _cholesky(matrix: NDArray[Any]) -> NDArray[Any]:
@@ -251,6 +267,12 @@ def _cholesky(matrix: NDArray[Any]) -> NDArray[Any]:
         except linalg.LinAlgError:
             continue
     raise IdentificationError("the normal matrix is singular", hint="lower max_order or check for lines or channels without content")
+
+
+def _inverse_factor(gram: NDArray[Any]) -> NDArray[Any]:
+    """L⁻¹ of R = LLᴴ: small, and a product with it needs no copy of the large right-hand side."""
+    factor = _cholesky(gram)
+    return np.asarray(linalg.solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False))
 
 
 def _denominators(
