@@ -32,7 +32,7 @@ class BlockCorrelations:
 
 
 def correlate(
-    data: NDArray[Any], references: NDArray[np.int_], n_lags: int, n_blocks: int = 1, keep_blocks: bool = True, chunk: int = 1 << 15
+    data: NDArray[Any], references: NDArray[np.int_], n_lags: int, n_blocks: int = 1, keep_blocks: bool = True, chunk: int | None = None
 ) -> BlockCorrelations:
     """Correlations of all channels with the reference channels.
 
@@ -50,8 +50,8 @@ def correlate(
         Equal consecutive blocks.
     keep_blocks : bool
         False keeps only the mean (less memory, fewer inverse FFTs).
-    chunk : int
-        Samples transformed at a time where blocks are longer.
+    chunk : int, optional
+        Samples of one transform where blocks are longer; default eight times the lags, small enough that spectra stay in the cache.
 
     Raises
     ------
@@ -69,16 +69,25 @@ def correlate(
     q = len(references)
     total = np.zeros((n_lags + 1, r, q))
     blocks = np.empty((n_blocks, n_lags + 1, r, q), np.float32) if keep_blocks else None
-    pieces = max(1, round(length / max(chunk, 4 * n_lags)))
+    pieces = max(1, round(length / (chunk or max(1024, 8 * n_lags))))
     edges = np.linspace(0, length, pieces + 1).astype(int)
     size = fft.next_fast_len(int(np.diff(edges).max()) + n_lags, real=True)
+    group = max(1, int(2e6 / (r * size)))
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
+    ahead = np.zeros((min(group, pieces), r, size))
+    now = np.zeros((min(group, pieces), q, size))
     for b in range(n_blocks):
-        for start, stop in zip(edges[:-1] + b * length, edges[1:] + b * length, strict=True):
-            part = np.asarray(data[:, start : stop + n_lags], float)
-            ahead = fft.rfft(part, size, axis=1)
-            now = fft.rfft(part[references, : stop - start], size, axis=1)
-            spectrum += ahead.T[:, :, None] * now.conj().T[:, None, :]
+        for first in range(0, pieces, group):
+            count = min(group, pieces - first)
+            for k in range(count):
+                start, stop = b * length + edges[first + k], b * length + edges[first + k + 1]
+                ahead[k, :, : stop - start + n_lags] = data[:, start : stop + n_lags]
+                ahead[k, :, stop - start + n_lags :] = 0
+                now[k, :, : stop - start] = ahead[k][references, : stop - start]
+                now[k, :, stop - start :] = 0
+            x = fft.rfft(ahead[:count], axis=2).transpose(2, 1, 0)
+            y = fft.rfft(now[:count], axis=2).transpose(2, 0, 1)
+            spectrum += np.ascontiguousarray(x) @ np.ascontiguousarray(y.conj())
         if blocks is not None:
             block = fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / length
             blocks[b] = block
