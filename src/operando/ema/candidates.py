@@ -221,7 +221,7 @@ def _merge(chains: Sequence[_Chain], bands: Sequence[tuple[float, float]]) -> li
             groups[best].append(c)
             centres[best] = float(np.median([m.hz for m in groups[best]]))
     out = []
-    for g in groups:
+    for g in _joined(groups):
         hz = np.array([c.hz for c in g])
         zeta = np.array([c.zeta for c in g])
         share = np.array([c.share for c in g])
@@ -235,9 +235,31 @@ def _merge(chains: Sequence[_Chain], bands: Sequence[tuple[float, float]]) -> li
         zeta_spread = float(np.median(np.abs(zeta - damping)) / damping)
         stability = float(np.mean(share))
         support = len(g) / possible * stability
-        prominent = len(g) >= 3 and support > 0.2 and spread < max(1e-3, 0.2 * damping)
+        prominent = len(g) >= 3 and support > 0.25 and spread < max(1e-3, 0.2 * damping)
         out.append(Candidate(centre, damping, g[0].vector, len(g), possible, stability, spread, zeta_spread, bool(prominent)))
     return sorted(out, key=lambda c: c.frequency_hz)
+
+
+def _joined(groups: list[list[_Chain]]) -> list[list[_Chain]]:
+    """Groups closer than 0.7 half bandwidths that hardly ever occur in the same fit are one mode that some fits put a little elsewhere.
+
+    Two true modes, however close, are seen side by side by the same fits.
+    """
+    kept: list[list[_Chain]] = []
+    for g in sorted(groups, key=lambda g: -sum(c.share for c in g)):
+        hz, zeta = float(np.median([c.hz for c in g])), float(np.median([c.zeta for c in g]))
+        fits = {c.fit for c in g}
+        for k in kept:
+            other_hz, other_zeta = float(np.median([c.hz for c in k])), float(np.median([c.zeta for c in k]))
+            if abs(hz - other_hz) > 0.7 * min(zeta, other_zeta) * hz or abs(np.vdot(g[0].vector, k[0].vector)) ** 2 < 0.7:
+                continue
+            both = fits & {c.fit for c in k}
+            if len(both) <= 0.25 * len(fits):
+                k += [c for c in g if c.fit not in both]
+                break
+        else:
+            kept.append(g)
+    return kept
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

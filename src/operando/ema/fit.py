@@ -13,7 +13,8 @@ from operando.data import Finding, Frf, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.ema.candidates import candidate_poles, stabilization_diagram
 from operando.ema.heldout import heldout_misfit
-from operando.ema.order import OrderLog, refine, search_order, thin_lines
+from operando.ema.model_error import relative_model_error, with_model_error
+from operando.ema.order import OrderLog, refine, search_order, thin_lines, weak_modes
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Real
@@ -155,9 +156,10 @@ def _fit(
     core_runs = runs if core is None else [_reduced(run, core) for run in runs]
     n_dofs = len(dofs) if core is None else len(core)
     hz, zeta = np.array([s[0] for s in start]), np.array([s[1] for s in start])
-    lower = _needs_lower(core_runs, n_dofs, hz, zeta)
-    fit, log = search_order(core_runs, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, progress=progress)
-    final = _final(core_runs, n_dofs, fit, lower, progress)
+    lower, share = _needs_lower(core_runs, n_dofs, hz, zeta)
+    weighted = with_model_error(core_runs, share)
+    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, progress=progress)
+    final = _final(weighted, n_dofs, fit, lower, select_hz, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
     outside = outside_modes(core_runs, final.parameters, band, lower)
     if core is not None:
@@ -230,33 +232,57 @@ def _distinct(poles: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return out
 
 
-def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> bool:
-    """Whether kernels below the band lower the cost by more than their number earns (Bayesian information criterion)."""
+def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float]:
+    """Whether kernels below the band lower the cost by more than their number earns, and the relative error that remains.
+
+    The second figure is 0 where the candidates already describe the data to within a few times their noise.
+    """
     thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
     without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
     theta = without.parameters
     with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, max_iterations=6)
     unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
     price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
-    return without.cost - with_lower.cost > price
+    lower = without.cost - with_lower.cost > price
+    best = with_lower if lower else without
+    return lower, relative_model_error(thinned, best.parameters)
 
 
-def _final(runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, lower: bool, progress: Callable[[str], None] | None) -> Polished:
-    rank = np.argsort(fit.parameters.hz)
+def _final(
+    runs: Sequence[RunSpectra],
+    n_dofs: int,
+    fit: Polished,
+    lower: bool,
+    keep_hz: Sequence[float],
+    log: OrderLog,
+    progress: Callable[[str], None] | None,
+) -> Polished:
+    """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out."""
     theta = fit.parameters
-    start = start_parameters(runs, theta.hz[rank], theta.zeta[rank], theta.shapes[:, rank], theta.outside_hz)
-    return refine(
-        runs,
-        n_dofs,
-        theta.hz[rank],
-        theta.zeta[rank],
-        lower=lower,
-        start=start,
-        max_iterations=25,
-        tolerance=0.05,
-        want_covariance=True,
-        progress=progress,
-    )
+    for _ in range(4):
+        rank = np.argsort(theta.hz)
+        start = start_parameters(runs, theta.hz[rank], theta.zeta[rank], theta.shapes[:, rank], theta.outside_hz)
+        final = refine(
+            runs,
+            n_dofs,
+            theta.hz[rank],
+            theta.zeta[rank],
+            lower=lower,
+            start=start,
+            max_iterations=25,
+            tolerance=0.05,
+            want_covariance=True,
+            progress=progress,
+        )
+        out = weak_modes(runs, final, keep_hz, log)
+        if not out.size or out.size == final.parameters.hz.size:
+            break
+        log.rounds.append(f"final fit: {out.size} modes taken out")
+        keep = np.setdiff1d(np.arange(final.parameters.hz.size), out)
+        theta = replace(
+            final.parameters, hz=final.parameters.hz[keep], zeta=final.parameters.zeta[keep], shapes=final.parameters.shapes[:, keep]
+        )
+    return final
 
 
 def _reduced(run: RunSpectra, core: NDArray[np.int_]) -> RunSpectra:
