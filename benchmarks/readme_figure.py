@@ -17,12 +17,14 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 
 from operando.store import load_results
 
 ROOT = Path(__file__).resolve().parents[1]
 RESPONSE, REFERENCE = "13+Z", "12+Z"
 COLOURS = {"measured": "#222222", "ofrf": "#d55e00", "idle": "#0072b2", "idle_shapes": "#8aa9c4", "msf_all": "#b9a58c"}
+OWN = "operando: model at rest + accelerations of the running machine"
 NAMES = {"idle": "model at rest", "idle_shapes": "idle shapes,\noperational poles", "msf_all": "all shapes\nby MSF", "ofrf": "operando"}
 
 
@@ -59,11 +61,21 @@ def main(folder: Path) -> None:
         size = np.abs(running.data[0, 0])
         bounds = magnitude(np.maximum(size - spread, 0.05 * size)), magnitude(size + spread)
         left.fill_between(frequencies, *bounds, color=COLOURS["ofrf"], alpha=0.25, lw=0)
-    left.plot(frequencies, magnitude(running.data[0, 0]), color=COLOURS["ofrf"], lw=1.3, label="operando, from output-only data")
+    left.plot(
+        frequencies,
+        magnitude(running.data[0, 0]),
+        color=COLOURS["ofrf"],
+        lw=1.3,
+        label="operando: model at rest + accelerations of the running machine",
+    )
     left.set(xlim=(low, high), xlabel="Frequency [Hz]", ylabel="Accelerance [dB re 1 (m/s²)/N]")
     left.set_title(f"The running machine, response {RESPONSE}, force {REFERENCE}", loc="left", fontsize=11)
+    left.set_ylim(left.get_ylim()[0] - 24, None)
+    left.set_xscale("log")
+    left.set_xticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
+    left.xaxis.set_minor_formatter(NullFormatter())
     left.grid(alpha=0.25, lw=0.5)
-    left.legend(frameon=False, loc="lower right", fontsize=9)
+    left.legend(frameon=False, loc="lower left", fontsize=9)
 
     models = [name for name in ("idle", "idle_shapes", "msf_all", "ofrf") if name in comparison["models"]]
     errors = [comparison["models"][name]["error_db"] for name in models]
