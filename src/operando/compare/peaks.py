@@ -20,6 +20,9 @@ LARGEST_SHIFT = 0.15
 SPLIT_GAIN = 0.3
 """A second pole under one peak must bring the squared residual below this part."""
 
+SPLIT_TRIED = 0.02
+"""Relative residual of a single mode above which two are tried."""
+
 LEAST_MAC = 0.3
 """Residue patterns less alike are not the same mode."""
 
@@ -139,7 +142,8 @@ def _project(poles: NDArray[np.complex128], f: NDArray[np.float64], y: NDArray[A
 def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128], w: NDArray[np.float64]) -> list[Peak]:
     """Peaks of one window; one peak may turn out to be two close modes."""
     poles, cost = _fit_poles(y, f, start)
-    if start.size == 1 and f.size >= 12 and y.shape[0] > 1:
+    # One mode and a smooth rest fit to within noise; a poor fit may be two modes.
+    if start.size == 1 and f.size >= 12 and y.shape[0] > 1 and cost > SPLIT_TRIED**2 * float(np.sum(np.abs(y) ** 2)):
         apart = 0.5j * abs(poles[0].real)
         pair, pair_cost = _fit_poles(y, f, np.array([poles[0] - apart, poles[0] + apart]))
         inside = np.all((pair.imag > 2 * np.pi * f[0]) & (pair.imag < 2 * np.pi * f[-1])) and np.all(-pair.real < 0.5 * pair.imag)
@@ -158,7 +162,7 @@ def _fit_poles(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.comple
     poles = lambda t: t[:n] + 1j * t[n:]  # noqa: E731
     rest = _project(poles(theta), f, columns)[0]
     cost, damping = float(np.sum(np.abs(rest) ** 2)), 1e-3
-    for _ in range(40):
+    for _ in range(25):
         jacobian = np.empty((2 * rest.size, 2 * n))
         for k in range(2 * n):
             moved = theta.copy()

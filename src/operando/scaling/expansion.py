@@ -23,7 +23,7 @@ DEFAULT_NOISE = 0.02
 NOISE_FLOOR = 0.003
 """Least relative noise: idle shapes are not better than this."""
 
-WIDTHS = (0.3, 1.0, 3.0, 10.0)
+WIDTHS = (0.3, 1.0, 3.0, 10.0, 30.0)
 """Trial widths of the prior; the evidence of each shape chooses."""
 
 REMAINDERS = (0.0, 1.0, 3.0, 10.0, 30.0)
@@ -41,14 +41,21 @@ class Prior:
     participation : (n_idle, n_operating) array
         Of q, for operational shapes of unit length.
     remainder : (n_operating,) array
-        Of the part of a shape, at each DOF, that no idle mode explains.
+        Of the part of a shape, at each DOF, that lies outside the span of the idle modes.
     noise : (m, n_operating) array
         Of the shape values.
+    outside : (m, m) array
+        Projector on what lies outside the span of the idle modes; zero with at least as many modes as DOFs.
     """
 
     participation: NDArray[np.float64]
     remainder: NDArray[np.float64]
     noise: NDArray[np.float64]
+    outside: NDArray[np.float64]
+
+    def covariance(self, r: int) -> NDArray[np.float64]:
+        """Covariance of all in shape r that is not Φq: noise and remainder."""
+        return np.diag(self.noise[:, r] ** 2) + self.remainder[r] ** 2 * self.outside
 
 
 def make_prior(
@@ -79,6 +86,7 @@ def make_prior(
     width = np.zeros((idle.shape[1], n))
     remainder = np.zeros(n)
     size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
+    outside = np.eye(m) - idle @ np.linalg.pinv(idle) if idle.shape[1] < m else np.zeros((m, m))
     for r in range(n):
         # Damping keeps the weight finite where frequencies meet: what lies within a bandwidth may mix freely.
         reach = 1 / np.hypot(1 - (idle_hz / operating_hz[r]) ** 2, 2 * damping[r] + 1e-4)
@@ -89,14 +97,14 @@ def make_prior(
             std = np.minimum(t * relative, 3 / size)
             std[j] = 3 / size[j]
             spread = (idle * std**2) @ idle.T
-            for rest in REMAINDERS:
+            for rest in REMAINDERS if idle.shape[1] < m else REMAINDERS[:1]:
                 tau = rest * float(np.sqrt(np.mean(sd[:, r] ** 2)))
-                factor = np.linalg.cholesky(spread + np.diag(sd[:, r] ** 2 + tau**2))
+                factor = np.linalg.cholesky(spread + np.diag(sd[:, r] ** 2) + tau**2 * outside)
                 white = np.linalg.solve(factor, unit_shapes[:, r])
                 evidence = -0.5 * float(white @ white) - float(np.sum(np.log(np.diag(factor))))
                 if evidence > best + 1e-9:
                     best, width[:, r], remainder[r] = evidence, std, tau
-    return Prior(width, remainder, sd)
+    return Prior(width, remainder, sd, outside)
 
 
 def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array, Array]:
@@ -122,11 +130,11 @@ def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array,
     shape, rest = np.zeros((*lead, m, n)), np.zeros((*lead, n))
     for r in range(n):
         weighted = idle * prior.participation[:, r] ** 2
-        total = weighted @ np.swapaxes(idle, -1, -2) + np.diag(prior.noise[:, r] ** 2 + prior.remainder[r] ** 2)
+        total = weighted @ np.swapaxes(idle, -1, -2) + prior.covariance(r)
         column = np.broadcast_to(unit_shapes[..., :, r], (*lead, m))[..., None]
         white = np.linalg.solve(np.broadcast_to(total, (*lead, m, m)), column)[..., 0]
         q[..., :, r] = np.einsum("...mk,...m->...k", weighted, white)
-        extra = prior.remainder[r] ** 2 * white
+        extra = prior.remainder[r] ** 2 * white @ prior.outside
         shape[..., :, r] = np.einsum("...mk,...k->...m", idle, q[..., :, r]) + extra
         rest[..., r] = np.sum(extra**2, axis=-1)
     return q, shape, rest
@@ -159,3 +167,43 @@ def orthogonality(q: NDArray[np.float64], idle_hz: NDArray[np.float64]) -> tuple
         unit = weighted / np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
         out.append(float(np.sqrt(np.mean((unit.T @ unit)[upper] ** 2))))
     return out[0], out[1]
+
+
+def prior_spread(
+    idle: NDArray[np.float64], unit_shapes: NDArray[np.float64], size_factor: NDArray[np.float64], prior: Prior
+) -> list[NDArray[np.float64]]:
+    """What the prior leaves open: deviations of each scaled shape that the smoothing may have taken away.
+
+    For q ~ N(0, P) and gain K the error of the posterior mean that is not noise is (KΦ − 1)q + Kρ; with the noise part
+    (from the covariance of the shapes) it makes up the posterior covariance.
+
+    Parameters
+    ----------
+    idle : (m, n_idle) array
+    unit_shapes : (m, n_operating) array
+    size_factor : (n_idle, n_operating) array
+        Weight of q² in the squared size (1 for mass, (ω_k/ω_o)² for stiffness).
+    prior : Prior
+
+    Returns
+    -------
+    list of (m, k) array
+        One an operational mode; its outer product is the covariance to add.
+    """
+    m, n = unit_shapes.shape
+    q, shape, _ = expand(idle, unit_shapes, prior)
+    out = []
+    for r in range(n):
+        std = prior.participation[:, r]
+        weighted = idle * std**2
+        total = weighted @ idle.T + prior.covariance(r)
+        gain = np.linalg.solve(total, weighted).T
+        rest = prior.remainder[r] * prior.outside
+        tail = prior.remainder[r] * rest @ np.linalg.inv(total)
+        # Columns: one a unit deviation of each q, then of the remainder at each DOF.
+        dq = np.concatenate([(gain @ idle - np.eye(std.size)) * std, gain @ rest], axis=1)
+        dshape = idle @ dq + np.concatenate([tail @ idle * std, (tail - np.eye(m)) @ rest], axis=1)
+        size = float(np.sqrt(np.sum(size_factor[:, r] * q[:, r] ** 2)))
+        along = (size_factor[:, r] * q[:, r]) @ dq / size**2
+        out.append((dshape - np.outer(shape[:, r], along)) / size)
+    return out

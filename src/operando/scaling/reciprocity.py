@@ -12,14 +12,14 @@ from operando.data import Finding
 from operando.scaling.expansion import DEFAULT_NOISE
 from operando.scaling.methods import real_shapes
 
-LEAST_SHARE = 0.08
+LEAST_SHARE = 0.06
 """Imaginary share below which a shape counts as real whatever its stated uncertainty (phase errors of real channels)."""
 
-NOISE_FACTOR = 4.0
+NOISE_FACTOR = 3.5
 """Standard deviations of the imaginary share that are put down to noise."""
 
-DAMPING_FACTOR = 2.0
-"""Margin on the share that symmetric damping could explain."""
+DAMPING_FACTOR = 1.5
+"""Margin on the share that symmetric damping could explain (a first-order bound)."""
 
 LEAST_MODES = 2
 """A gyroscopic coupling turns at least two shapes."""
@@ -77,7 +77,7 @@ def complexity(
         most = 2 * hz[r] * np.sqrt(damping * hz * damping[r] * hz[r]) / np.maximum(gap, 1e-12)
         parts = np.minimum(most, 1) * np.linalg.norm(scaled, axis=0) / max(np.linalg.norm(scaled[:, r]), 1e-300)
         by_damping[r] = np.sqrt(np.sum(parts**2))
-    limit = DAMPING_FACTOR * by_damping + NOISE_FACTOR * sd
+    limit = np.hypot(DAMPING_FACTOR * by_damping, NOISE_FACTOR * sd)
     return Complexity(share, by_damping, sd, share > np.maximum(limit, LEAST_SHARE))
 
 

@@ -3,6 +3,7 @@
 The map from (idle shapes, operational shapes, frequencies) to scaled shapes is linearised along the principal directions of
 each covariance: two calls a direction, all directions at once, the step a fixed small part of the shapes. So every method is
 covered by the same code, and the number of directions is the rank of the covariance. Pairs, classes and prior are held fixed.
+The expansion adds what its prior leaves open.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.scaling.methods import Task, scaled_shapes
+from operando.scaling.expansion import prior_spread
+from operando.scaling.methods import Task, real_shapes, scaled_shapes
 
 STEP = 1e-4
 """Largest change of a shape value in one step, over the rms of its shape."""
@@ -123,6 +125,10 @@ def scaled_covariance(
         change[shape_at[:n].ravel()] = moved.transpose(2, 1, 0).reshape(n * m, -1)
         change[shape_at[n:].ravel()] = direct[:, :, carried].transpose(2, 1, 0).reshape(k * m, direct.shape[0])
         out += change @ change.T
+    if method.startswith("expansion"):
+        ratio = (task.idle_hz[:, None] / task.operating_hz[None, :]) ** 2 if method == "expansion_stiffness" else np.ones((e.shape[1], n))
+        for r, spread in enumerate(prior_spread(e, real_shapes(o)[0], ratio, task.prior)):
+            out[np.ix_(shape_at[r], shape_at[r])] += spread @ spread.T
     return (out + out.T) / 2
 
 
