@@ -2,8 +2,8 @@
 
     python benchmarks/estimate_frf.py [--samples 1000000] [--others]
 
-Each contestant runs in a process of its own on one BLAS thread; the input is a single-precision file that operando maps into memory and the
-others read. Peak memory is the resident size of the whole process, the mapped input included, and, apart, the part that is not the mapped file.
+Each contestant runs in a process of its own on one BLAS thread; the input is a single-precision file that operando maps into
+memory and the others read. Peak memory is the resident size of the whole process, interpreter and input included.
 """
 
 from __future__ import annotations
