@@ -542,6 +542,12 @@ def test_geometry_in_its_unit(tmp_path):
     assert load(tmp_path, nodes, units={"length": "mm"}).geometry.coordinates[0, 0] == pytest.approx(0.1)
 
 
+def test_nodes_without_indentation(tmp_path):
+    geometry = load(tmp_path, text_set(15, "1 0 0 7 1.5 -2.5 3.5", "12 0 0 7 4.5 5.5-6.5")).geometry
+    assert geometry.nodes == (1, 12)
+    assert geometry.coordinates.tolist() == [[1.5, -2.5, 3.5], [4.5, 5.5, -6.5]]
+
+
 def test_nodes_in_local_systems(tmp_path):
     systems = text_set(
         18, "         1         0         0         8         1", "TURNED", "  1.0 2.0 3.0  1.0 3.0 3.0", "  1.0 2.0 4.0",

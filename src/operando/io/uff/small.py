@@ -84,6 +84,8 @@ def read_with_pyuff(number: int, raw: bytes) -> dict[str, Any]:
     clean = [line if i in words else _GLUED.sub(" ", _D_EXPONENT.sub("E", line)) for i, line in enumerate(lines)]
     if number in (15, 2411):
         _check_table(" ".join(clean).split(), 7)
+        # pyuff joins the lines of a set 15 without a blank between them.
+        clean = [" " + line.strip() for line in clean]
     if number == 151:
         clean += [""] * (7 - len(clean))
     text = "\n".join(["    -1", f"{number:6d}", *clean, "    -1", ""])
@@ -116,6 +118,8 @@ def read_nodes(number: int, raw: bytes) -> NodeSet:
         If the set cannot be read.
     """
     d = read_with_pyuff(number, raw)
+    if len({len(d[key]) for key in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")}) != 1:
+        raise FormatError(f"the columns of set {number} have different lengths")
     coordinates = np.column_stack([np.asarray(d[k], float) for k in ("x", "y", "z")])
     numbers = np.asarray(d["node_nums"], float)
     if not np.all(np.isfinite(coordinates)) or not np.all(np.isfinite(numbers)) or np.any(np.abs(numbers) > 2**53):
