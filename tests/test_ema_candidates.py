@@ -17,6 +17,7 @@ from operando.errors import DataError, IdentificationError
 from structures import Chain
 
 CASES = Path(__file__).resolve().parents[1].parent / "shared" / "cases"
+DATA = CASES.parent / "data"
 
 
 def noisy(H, sigma, seed=0):
@@ -102,6 +103,24 @@ def test_every_mode_of_the_cases_is_a_prominent_candidate(name):
     assert sum(c.prominent for c in candidates if c.frequency_hz < high) <= inside.sum() + 1
     assert np.max(np.abs([c.frequency_hz / h - 1 for c, h in zip(found, hz[inside], strict=True)])) < 5e-4
     assert np.max(np.abs([c.damping_ratio / z - 1 for c, z in zip(found, zeta[inside], strict=True)])) < 0.03
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the measured data are not beside the project")
+def test_bridge_has_its_six_published_modes_and_no_other():
+    from operando.io import read
+
+    frfs = read(DATA / "bridge" / "dam0.unv").frfs
+    H = np.concatenate([np.asarray(x.data) for x in frfs])
+    found = [c.frequency_hz for c in candidate_poles(frfs[0].frequencies_hz, H, band=(1.5, 6)) if c.prominent]
+    # published: 2.48, 2.96, 3.50, 4.08, 4.17, 4.63 Hz
+    np.testing.assert_allclose(found, [2.482, 2.958, 3.498, 4.08, 4.17, 4.632], rtol=0.006)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the measured data are not beside the project")
+def test_bookcase_has_its_three_modes():
+    H = np.load(DATA / "bookcase" / "frf.npz")["data"].T[:, None, :]
+    found = [c.frequency_hz for c in candidate_poles(np.arange(1601) / 16, H, band=(15, 80)) if c.prominent]
+    np.testing.assert_allclose(found, [21.4, 50.0, 68.3], rtol=0.005)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.07])

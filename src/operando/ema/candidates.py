@@ -246,19 +246,20 @@ def _joined(groups: list[list[_Chain]]) -> list[list[_Chain]]:
     Two true modes, however close, are seen side by side by the same fits.
     """
     kept: list[list[_Chain]] = []
+    centres: list[tuple[float, float]] = []
     for g in sorted(groups, key=lambda g: -sum(c.share for c in g)):
         hz, zeta = float(np.median([c.hz for c in g])), float(np.median([c.zeta for c in g]))
         fits = {c.fit for c in g}
-        for k in kept:
-            other_hz, other_zeta = float(np.median([c.hz for c in k])), float(np.median([c.zeta for c in k]))
+        for k, (other_hz, other_zeta) in zip(kept, centres, strict=True):
             if abs(hz - other_hz) > 0.7 * min(zeta, other_zeta) * hz or abs(np.vdot(g[0].vector, k[0].vector)) ** 2 < 0.7:
                 continue
             both = fits & {c.fit for c in k}
-            if len(both) <= 0.25 * len(fits):
+            if len(both) <= 0.5 * len(fits):
                 k += [c for c in g if c.fit not in both]
                 break
         else:
             kept.append(g)
+            centres.append((hz, zeta))
     return kept
 
 
