@@ -26,6 +26,9 @@ from operando.stabilization import RejectedPole, Stabilization
 WIDER = 1.33
 """The fit reaches this far above the analysis band where the force does."""
 
+MIN_SUPPORT = 0.4
+"""Share of linear fits (times their orders) that a starting mode needs; weaker ones are left to the search by residuals."""
+
 FREQUENCY_FLOOR = 1.5e-6
 DAMPING_FLOOR = 2e-4
 SHAPE_FLOOR = 2e-4
@@ -139,7 +142,7 @@ def _fit(
     weights = None if frf.variance is None else _weights(frf)
     data = np.nan_to_num(frf.data)
     candidates = candidate_poles(frf.frequencies_hz, data, weights, fit_band)
-    start = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent]
+    start = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > MIN_SUPPORT]
     for wanted in select_hz:
         near = min(candidates, key=lambda c: abs(c.frequency_hz - wanted), default=None)
         if near is not None and abs(near.frequency_hz - wanted) < 0.01 * wanted:
