@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, model_share, noise_floor_db, relative_error
 from operando.compare.peaks import by_mode, fit_peaks
@@ -84,6 +85,11 @@ def compare(
         If model and measurement share no pair or no line.
     """
     runs = [measured] if isinstance(measured, Frf) else list(measured)
+    with threadpool_limits(1, "blas"):
+        return _compare(model, runs, band_hz, variance_of)
+
+
+def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float] | None, variance_of: FrfModel | None) -> Comparison:
     labels: list[Dof] = []
     notes: list[str] = []
     pairs = [common_frfs(model, run, band_hz, notes) for run in runs]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
 from operando.data import Finding, Frf, ModalModel
 from operando.scaling.condensed import CondensedBasis
@@ -84,7 +85,8 @@ class HybridModel:
             Default: all common DOFs.
         quantity : {"accelerance", "mobility", "receptance"}
         """
-        return self.modal.frf(frequencies, responses, references, quantity)
+        with threadpool_limits(1, "blas"):
+            return self.modal.frf(frequencies, responses, references, quantity)
 
     def to_dict(self) -> dict[str, Any]:
         """``{"pairing": […], "scaling": {…}}`` of ``summary.json``."""
