@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
@@ -9,10 +11,15 @@ from scipy.signal import cont2discrete
 from operando.data import Channel, TimeRecord
 from operando.dof import Dof
 from operando.errors import DataError
-from operando.frf import cross_spectra, effective_averages, estimate_frf, local_rational
+from operando.frf import cross_spectra, effective_averages, estimate_frf, local_rational, merge_runs, reciprocity_error
 from operando.frf.estimators import estimate
+from operando.frf.inputs import run_input
 from operando.frf.rational import spectrum_lines
+from operando.frf.wholerecord import rational_run
+from operando.io import read
 from structures import Chain
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 
 def sampled_accelerance(chain, f, fs, resp, ref):
@@ -329,3 +336,19 @@ def test_local_rational_is_exact_without_noise_and_between_dft_lines():
     result = local_rational(spectrum_lines(f, [0], lines, n), spectrum_lines(x, [0, 1], lines, n), lines, centres)
     exact = sampled_accelerance(chain, centres * FS / n, FS, range(2), [0])
     assert relative(result.data, exact) < 2e-5
+
+
+@pytest.mark.skipif(not (SHARED / "cases").is_dir(), reason="the practice cases are not beside the repository")
+@pytest.mark.parametrize("case", ["p1", "p4"])
+def test_practice_case_against_its_exact_frf(case):
+    # Check runs at two levels, merged, on every second frequency of the exact answer: within 1 %, and within the stated variance.
+    runs = [run_input(r) for path in sorted((SHARED / "cases" / case / "check").glob("*.uff")) for r in read(path).records]
+    answer = np.load(SHARED / "cases" / "answers" / f"{case}.npz")
+    f = answer["f"][2:-2:2]
+    frf = merge_runs([rational_run(run, f) for run in runs])
+    nodes = list(answer["nodes"])
+    rows, columns = [nodes.index(d.node) for d in frf.responses], [nodes.index(d.node) for d in frf.references]
+    exact = answer["H"][np.ix_(rows, columns)][:, :, 2:-2:2]
+    assert relative(frf.data, exact) < 0.01
+    assert 0.8 < np.mean(np.abs(frf.data - exact) ** 2 / frf.variance) < 1.25
+    assert reciprocity_error(frf) < 0.01

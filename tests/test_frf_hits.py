@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from operando.frf import check_drive_points, check_frf, estimate_frf, find_hits,
 from operando.frf.impact import impact_blocks
 from structures import Chain
 from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 
 def hammer(n, times, levels, rng, noise=0.02, width=3.0):
@@ -229,3 +233,36 @@ def test_low_coherence_is_reported():
     x[2] += 5 * x[2].std() * rng.standard_normal(x.shape[1])
     frf = check_frf(estimate_frf(make_record(f, x, FS, [1]), estimator="h1", block_seconds=1.0, band=(10, 200)))
     assert [(item.kind, item.dof) for item in frf.findings] == [("low_coherence", "3+Z")]
+
+
+def free_body(spread=0.0):
+    """Accelerance of a free bar of four points: translation, rotation of a given share, one bending mode at 40 Hz."""
+    f = np.arange(1.0, 80.0, 0.25)
+    w, bend = 2 * np.pi * f, 2 * np.pi * 40
+    where = np.linspace(-1, 1, 5)
+    shape = np.cos(np.pi * where)
+    rigid = np.full((5, 5), 0.04) + spread * np.outer(where, where)
+    h = rigid[:, :1, None] + np.multiply.outer(np.outer(shape, shape[:1]), 0.02 * -(w**2) / (bend**2 - w**2 + 0.02j * bend * w))
+    return h, f
+
+
+def test_an_inverted_response_of_a_free_body_is_seen_in_its_rigid_motion():
+    h, f = free_body()
+    dofs = [f"{n}-Y" for n in range(5)]
+    assert check_frf(Frf(h, f, dofs, ["0-Y"])).findings == ()
+    h[3] *= -1
+    found = check_frf(Frf(h, f, dofs, ["0-Y"])).findings
+    assert [(x.kind, x.dof) for x in found] == [("inverted", "3-Y")]
+    right = [*dofs[:3], "3+Y", dofs[4]]
+    assert check_frf(Frf(h, f, right, ["0-Y"])).findings == ()
+    rotating, f = free_body(0.03)
+    rotating[4] *= -1
+    assert check_frf(Frf(rotating, f, dofs, ["0-Y"])).findings == ()  # sizes differ: no evidence
+    assert check_frf(chain_frf(factors={(3, 0): -1, (3, 1): -1})).findings == ()  # on ground: no evidence
+
+
+@pytest.mark.skipif(not (SHARED / "data" / "bookcase").is_dir(), reason="the measured bookcase is not beside the repository")
+def test_bookcase_column_zero_is_inverted():
+    h = np.load(SHARED / "data" / "bookcase" / "frf.npz")["data"]
+    frf = Frf(h.T[:, None, :], np.arange(h.shape[0]) / 16, [f"{n}-Y" for n in range(9)], ["8-Y"])
+    assert [(x.kind, x.dof) for x in check_frf(frf).findings] == [("inverted", "0-Y")]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import QUANTITIES, Finding, Frf
+from operando.frf.leakage import resonance_peaks
 
 Array = NDArray[Any]
 
@@ -92,6 +93,61 @@ def check_drive_points(frf: Frf) -> list[Finding]:
     return out
 
 
+def check_rigid_body_signs(frf: Frf) -> list[Finding]:
+    """Responses of the wrong sense, seen where a freely suspended structure moves as a rigid body.
+
+    Below a quarter of the first flexible resonance all parallel responses of a translating body are equal. Flagged is a response that is
+    opposite and of the same size (within a third) as at least three others, which form the majority and move with the force
+    (accelerance Re > 0). Nothing is said where sizes differ (rotation, structures on ground).
+    """
+    accelerance = frf.to_quantity("accelerance").data
+    peaks = resonance_peaks(frf.frequencies_hz, np.nan_to_num(accelerance), frf.variance)
+    out: dict[int, Finding] = {}
+    # The lowest peak may be the body on its suspension: every peak is tried as the first flexible one.
+    for peak in peaks:
+        lines = frf.axis.band(0.08 * peak.frequency_hz, 0.25 * peak.frequency_hz)
+        for j, reference in enumerate(frf.references):
+            rows = [i for i, d in enumerate(frf.responses) if d.axis == reference.axis and d.axis in ("X", "Y", "Z")]
+            if len(rows) < 4 or lines.stop - lines.start < 3:
+                continue
+            sign = np.array([frf.responses[i].sign for i in rows]) * reference.sign
+            opposite = _opposite_in_translation(accelerance[rows, j, lines] * sign[:, None])
+            for i in (rows[k] for k in opposite):
+                low, high = float(frf.frequencies_hz[lines][0]), float(frf.frequencies_hz[lines][-1])
+                out.setdefault(
+                    i,
+                    Finding(
+                        "inverted",
+                        f"{frf.responses[i]} moves against {len(rows) - len(opposite)} parallel responses of the same size "
+                        f"at {low:.3g} to {high:.3g} Hz, where the body is rigid",
+                        "warning",
+                        file=frf.name or None,
+                        dof=str(frf.responses[i]),
+                        band_hz=(low, high),
+                        consequence="the channel or its label has the wrong sign: wrong mode shapes",
+                        action="write the DOF in its other sense in [channels]",
+                    ),
+                )
+    return list(out.values())
+
+
+def _opposite_in_translation(h: Array) -> list[int]:
+    """Rows opposite to the majority, where all rows (n_rows, n_lines) are of the same size and the majority moves with the force."""
+    if not np.isfinite(h).all():
+        return []
+    typical = np.median(h.real, axis=0)
+    size = float(np.sum(typical**2))
+    if size == 0 or np.mean(typical) <= 0:
+        return []
+    # Along the typical motion: 1 for a response that moves with it, −1 for an inverted one; the rest must be small.
+    along = h.real @ typical / size
+    across = np.sqrt(np.sum(np.abs(h - along[:, None] * typical) ** 2, axis=1) / size)
+    if np.any(across > 0.5) or np.any(np.abs(along) > 4 / 3) or np.any(np.abs(along) < 3 / 4):
+        return []
+    opposite = [int(k) for k in np.flatnonzero(along < 0)]
+    return opposite if len(along) - len(opposite) >= max(3, 2 * len(opposite)) else []
+
+
 def missing_drive_point(reference: str, file: str | None, others: bool) -> Finding:
     """The finding for a reference that no response sits on."""
     return Finding(
@@ -143,7 +199,7 @@ def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
 
 def check_frf(frf: Frf) -> Frf:
     """The FRF with the findings of all checks: drive points, reciprocity, coherence."""
-    findings = check_drive_points(frf)
+    findings = [*check_drive_points(frf), *check_rigid_body_signs(frf)]
     for (first, second), error in reciprocity_pairs(frf).items():
         if error > NOT_RECIPROCAL:
             findings.append(
