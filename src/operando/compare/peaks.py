@@ -23,6 +23,9 @@ SPLIT_GAIN = 0.3
 SPLIT_TRIED = 0.02
 """Relative residual of a single mode above which two are tried."""
 
+LARGEST_REST = 0.6
+"""A pole must bring the squared residual of its window below this part of that without it."""
+
 LEAST_MAC = 0.3
 """Residue patterns less alike are not the same mode."""
 
@@ -150,7 +153,21 @@ def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.compl
         # Two poles of a very different width are one mode and a slope.
         if pair_cost < SPLIT_GAIN * cost and inside and max(pair.real / pair.real[::-1]) < 3:
             poles = pair
-    return _peaks_of(y, f, poles, w)
+    return _peaks_of(y, f, _earned(y, f, poles), w)
+
+
+def _earned(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Drop poles that explain little: what noise makes of a peak."""
+    while poles.size:
+        cost = float(np.sum(np.abs(_project(poles, f, y.T)[0]) ** 2))
+        without = [float(np.sum(np.abs(_project(np.delete(poles, k), f, y.T)[0]) ** 2)) for k in range(poles.size)]
+        weakest = int(np.argmin(without))
+        if cost <= LARGEST_REST * without[weakest]:
+            break
+        poles = np.delete(poles, weakest)
+        if poles.size:
+            poles = _fit_poles(y, f, poles)[0]
+    return poles
 
 
 def _fit_poles(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], float]:

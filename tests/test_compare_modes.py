@@ -1,0 +1,161 @@
+"""Errors by mode: peaks refitted in measurement and model; variances; levels."""
+
+import json
+
+import numpy as np
+import pytest
+
+from operando.compare import compare, compare_all
+from operando.compare.comparison import lowest_level
+from operando.compare.peaks import find_peaks, fit_peaks
+from operando.data import Frf, ModalModel
+from operando.results import CheckRun
+from structures import Chain, modified
+
+LABELS = tuple(f"{i}+Z" for i in range(1, 6))
+F = np.linspace(10, 150, 1500)
+
+
+def truth(chain, noise=0.0, seed=0):
+    data = chain.accelerance(F)
+    if not noise:
+        return Frf(data, F, LABELS, LABELS)
+    rng = np.random.default_rng(seed)
+    sd = noise * np.sqrt(np.mean(np.abs(data) ** 2))
+    return Frf(
+        data + sd / np.sqrt(2) * (rng.normal(size=data.shape) + 1j * rng.normal(size=data.shape)), F, LABELS, LABELS,
+        variance=np.full(data.shape, sd**2),
+    )  # fmt: skip
+
+
+def model(hz, zeta, phi, covariance=None):
+    return ModalModel(hz, zeta, phi, LABELS, "unit_modal_mass", covariance=covariance)
+
+
+def test_peaks_of_exact_frfs_are_the_modes():
+    chain = Chain(5)
+    peaks = fit_peaks(chain.accelerance(F).reshape(25, -1), F)
+    assert len(peaks) == 5
+    assert [p.frequency_hz for p in peaks] == pytest.approx(chain.hz, rel=1e-4)
+    assert [p.damping_ratio for p in peaks] == pytest.approx(chain.zeta, rel=0.01)
+
+
+def test_two_close_modes_under_one_peak_are_told_apart():
+    chain = Chain(5)
+    chain.hz[2] = chain.hz[1] * 1.01
+    peaks = fit_peaks(chain.accelerance(F).reshape(25, -1), F)
+    assert [p.frequency_hz for p in peaks[:3]] == pytest.approx(chain.hz[:3], rel=5e-4)
+
+
+def test_errors_by_mode_are_those_put_in():
+    chain = Chain(5)
+    hz, zeta, phi = chain.hz.copy(), chain.zeta.copy(), chain.phi.copy()
+    hz[1] *= 1.02
+    zeta[2] *= 1.5
+    phi[:, 3] *= np.sqrt(2)
+    rows = compare(model(hz, zeta, phi), truth(chain)).by_mode
+    assert [r["frequency_hz"] for r in rows] == pytest.approx(chain.hz, rel=1e-3)
+    assert [r["frequency_error_percent"] for r in rows] == pytest.approx([0, 2, 0, 0, 0], abs=0.05)
+    assert rows[2]["damping_error_percent"] == pytest.approx(50, abs=2)
+    assert rows[2]["height_error_db"] == pytest.approx(-20 * np.log10(1.5), abs=0.2)
+    assert rows[3]["height_error_db"] == pytest.approx(20 * np.log10(2), abs=0.2)
+    assert rows[0]["height_error_db"] == pytest.approx(0, abs=0.1)
+
+
+def test_a_mode_the_model_lacks_has_no_errors():
+    chain = Chain(5)
+    keep = [0, 1, 3, 4]
+    out = compare(model(chain.hz[keep], chain.zeta[keep], chain.phi[:, keep]), truth(chain)).to_dict()
+    assert out["by_mode"][2]["frequency_error_percent"] is None
+    assert out["by_mode"][2]["height_error_db"] is None
+    assert out["by_mode"][1]["frequency_error_percent"] is not None
+    json.dumps(out, allow_nan=False)
+
+
+def test_noise_makes_no_peaks_and_moves_them_little():
+    chain = Chain(5)
+    rows = compare(model(chain.hz, chain.zeta, chain.phi), truth(chain, 0.02)).by_mode
+    assert [r["frequency_hz"] for r in rows] == pytest.approx(chain.hz, rel=1e-3)
+    assert np.max(np.abs([r["damping_error_percent"] for r in rows])) < 10
+
+
+def test_prominence():
+    level = np.array([0.0, 10, 8, 9, 0, 4, 0])
+    assert find_peaks(level, 3) == [1, 5]
+    assert find_peaks(level, 0.5) == [1, 3, 5]
+
+
+def test_only_lines_above_the_noise_count_in_db():
+    chain = Chain(5)
+    data = chain.accelerance(F)
+    variance = np.where(np.abs(data) > np.median(np.abs(data)), 1e-12, 1e6)
+    wrong = Frf(data * np.where(variance > 1, 100, 1), F, LABELS, LABELS, variance=variance)
+    c = compare(model(chain.hz, chain.zeta, chain.phi), wrong)
+    assert c.error_db == pytest.approx(0, abs=1e-9)
+    assert c.relative_error > 0.5
+    noisy = Frf(data, F, LABELS, LABELS, variance=np.full(data.shape, 1e6))
+    assert compare(model(chain.hz, chain.zeta, chain.phi), noisy).error_db is None
+
+
+def test_noise_floor_is_the_error_of_the_truth():
+    chain = Chain(5)
+    c = compare(model(chain.hz, chain.zeta, chain.phi), truth(chain, 0.01))
+    assert c.noise_floor_db == pytest.approx(c.error_db, rel=0.05)
+
+
+def test_model_variance_counts_and_is_the_idle_models_for_all():
+    chain = Chain(5)
+    sd = np.concatenate([1e-4 * chain.hz, 0.01 * chain.zeta, 0.01 * np.abs(chain.phi).T.ravel() + 1e-3])
+    rng = np.random.default_rng(3)
+    misfits, shares = [], []
+    for seed in range(12):
+        d = rng.normal(size=sd.size) * sd
+        drawn = model(chain.hz + d[:5], chain.zeta + d[5:10], chain.phi + d[10:].reshape(5, 5).T, np.diag(sd**2))
+        c = compare(drawn, truth(chain, 0.01, seed))
+        misfits.append(c.misfit)
+        shares.append(c.model_share)
+    assert np.median(misfits) == pytest.approx(1, abs=0.35)
+    assert 0.05 < np.median(shares) < 0.95
+    exact = model(chain.hz, chain.zeta, chain.phi)
+    own = model(chain.hz, chain.zeta, chain.phi, np.diag(sd**2))
+    out = compare_all({"idle": own, "ofrf": exact}, [CheckRun("a", "1 N rms", truth(chain, 0.01))])
+    assert out["models"]["idle"]["misfit"] == pytest.approx(out["models"]["ofrf"]["misfit"])
+    assert out["models"]["ofrf"]["model_share"] > 0
+
+
+def test_several_runs_of_the_lowest_level_are_pooled():
+    chain = Chain(5)
+    full = truth(chain)
+    runs = [
+        CheckRun("1a", "10 N rms", full),
+        CheckRun("1b", "2.5 N rms", full.select(None, "1+Z")),
+        CheckRun("2b", "2.5 N rms", full.select(None, "3+Z")),
+    ]
+    wrong = modified(chain, mass=(2, 0.1))
+    m = model(wrong.hz, wrong.zeta, wrong.phi)
+    out = compare_all({"idle": m}, runs)
+    together = compare(m, full.select(None, "1+Z,3+Z"))
+    assert out["judge_level"] == "2.5 N rms"
+    assert out["models"]["idle"]["error_db"] == pytest.approx(together.error_db)
+    assert out["models"]["idle"]["relative_error"] == pytest.approx(together.relative_error)
+    assert [r["frequency_hz"] for r in out["models"]["idle"]["by_mode"]] == pytest.approx([r["frequency_hz"] for r in together.by_mode])
+    assert [r["name"] for r in out["by_run"]] == ["1a", "1b", "2b"]
+
+
+@pytest.mark.parametrize(
+    ("levels", "lowest"),
+    [(["10 N rms", "2.5 N rms"], "2.5 N rms"), (["full", "low"], "low"), (["a", "b"], "b"), (["1e-1 N", "3 N, all agree"], "1e-1 N")],
+)
+def test_level_texts(levels, lowest):
+    frf = truth(Chain(5))
+    assert lowest_level([CheckRun(str(i), level, frf) for i, level in enumerate(levels)]) == lowest
+
+
+def test_frf_against_frf_on_common_lines():
+    chain = Chain(5)
+    measured = truth(chain)
+    made = Frf(measured.data[:, :, 100:1200:2], F[100:1200:2], LABELS, LABELS)
+    c = compare(made.to_quantity("receptance"), measured)
+    assert c.n_lines == 25 * 550
+    assert c.relative_error < 1e-9
+    assert any("not in the model FRFs" in n for n in c.notes)
