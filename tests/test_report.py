@@ -219,9 +219,9 @@ def test_findings_gravest_first(html):
 def test_figures_are_quick_and_load_no_pyplot(whole, tmp_path):
     import sys
 
-    start = time.perf_counter()
+    start = time.process_time()  # of this process: other work on the machine does not count
     write_report(whole, tmp_path / "report.html")
-    assert time.perf_counter() - start < 12
+    assert time.process_time() - start < 12
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert "matplotlib.pyplot" not in sys.modules
 

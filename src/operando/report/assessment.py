@@ -94,7 +94,9 @@ def headline(results: Results) -> Headline:
         against = f", the idle model by {decibel(idle)}" if idle is not None else ""
         verdict, grade = f"The operating FRFs are off by {decibel(error)}{against}", "fair"
     best = min(others, key=lambda item: item[1], default=None)
-    if best is not None and best[1] < 0.98 * error and best[0] != "idle":
+    if best is not None and 0.98 * error <= best[1] <= 1.02 * error:
+        limits.append(f"A simpler model is as close here: {MODEL_NAMES.get(best[0], best[0])} is at {decibel(best[1])}.")
+    elif best is not None and best[1] < error:
         limits.append(
             f"A simpler model is closer here: {MODEL_NAMES.get(best[0], best[0])} is at {decibel(best[1])}, "
             f"the operating FRFs at {decibel(error)}."
@@ -267,7 +269,7 @@ def _same_mass(results: Results) -> Assumption:
     by_mass, by_stiffness, noise = (evidence.get(k) for k in ("off_diagonal_mass", "off_diagonal_stiffness", "shape_noise"))
     if finite(by_mass) and finite(by_stiffness):
         text = f"In the idle modes the operating shapes are off orthogonality by {number(by_mass, 2)} in mass and "
-        text += f"{number(by_stiffness, 2)} in stiffness (shape noise {number(noise, 2)}): nothing speaks for a changed mass. "
+        text += f"{number(by_stiffness, 2)} in stiffness (shape noise {number(noise, 2)}): no change of mass is seen in them. "
         state = "holds"
     by_mode = (models.get("ofrf") or {}).get("by_mode") or []
     heights = [abs(float(r["height_error_db"])) for r in by_mode if finite(r.get("height_error_db"))]

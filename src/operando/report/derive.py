@@ -14,6 +14,7 @@ from operando.compare.comparison import lowest_level
 from operando.data import Finding, Frf, ModalModel
 from operando.dof import Dof
 from operando.errors import OperandoError
+from operando.report.text import number
 from operando.results import CheckRun, Results
 
 SNR_POWER = 100.0
@@ -92,6 +93,12 @@ def beside(runs: Sequence[CheckRun]) -> CheckRun | None:
         findings=tuple(dict.fromkeys(f for run in runs for f in run.frf.findings)),
     )
     return CheckRun(", ".join(run.name for run in runs), runs[0].level, frf)
+
+
+def range_text(frequencies_hz: NDArray[np.float64]) -> str:
+    """One frequency, or the least and the greatest of several."""
+    low, high = float(np.min(frequencies_hz)), float(np.max(frequencies_hz))
+    return f"{number(low, 4)} Hz" if high - low < 1e-6 * high else f"{number(low, 4)} to {number(high, 4)} Hz"
 
 
 def model_frf(model: Any, frf: Frf) -> Frf | None:

@@ -16,6 +16,7 @@ from operando.results import Results
 from operando.scaling.methods import IN_WORDS
 
 MOST_SHAPES = 24
+LONG_TEXT = 140
 SMALL_KAPPA = 10.0
 """Below, the doubling of shape errors in the condensed mass is no worse than some ten times."""
 
@@ -149,8 +150,13 @@ def scaling(results: Results, numbering: Numbering) -> str:
         text += f" Reason: {str(info['reason']).rstrip('.')}."
     if finite(info.get("threshold")):
         text += f" A mode counts as unchanged from MAC {number(info['threshold'], 2)} on."
-    if info.get("residuals"):
-        text += f" Residuals: {str(info['residuals']).rstrip('.')}."
+    residuals = str(info.get("residuals") or "").rstrip(".")
+    modal = getattr(results.hybrid, "modal", None)
+    if 0 < len(residuals) <= LONG_TEXT:
+        text += f" Residuals: {residuals}."
+    elif modal is not None and np.any(modal.residual):
+        where = derive.range_text(modal.frequencies_hz[np.asarray(modal.residual)])
+        text += f" Residuals: {count(int(np.sum(modal.residual)), 'mode')} of the idle model beyond the operating ones ({where})."
     out.append(paragraph(text))
     out.append(tables.pairing_table(results))
     notes = [f"Operating mode {p['operating']}: {str(p['note']).rstrip('.')}." for p in derive.pairing_of(results) if p.get("note")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import Any
 
 from operando.data import Frf
@@ -140,12 +141,10 @@ def provenance(results: Results, numbering: Numbering) -> str:
     out.append(paragraph("Versions: " + ", ".join(f"{n} {v}" for n, v in names) + "."))
     parts = [results.idle_frf, results.idle, results.operating, *(run.frf for run in results.check), results.geometry]
     merged = Provenance.merge(*(p.provenance for p in parts if p is not None))
-    inputs = dict.fromkeys((short_names(path), digest) for path, digest in merged.inputs)
-    known = {digest for _, digest in inputs}
-    files = [(short_names(str(row.get("file"))), str(row["sha256"])) for row in results.inventory if row.get("sha256")]
-    inputs |= dict.fromkeys(item for item in files if item[1] not in known)
+    inputs = {str(row["sha256"]): "/".join(PurePath(str(row.get("file"))).parts[-2:]) for row in results.inventory if row.get("sha256")}
+    inputs |= {digest: short_names(path) for path, digest in merged.inputs if digest not in inputs}
     if inputs:
-        rows = [[f'<span class="mono">{esc(path)}</span>', f'<span class="mono">{esc(digest)}</span>'] for path, digest in inputs]
+        rows = [[f'<span class="mono">{esc(path)}</span>', f'<span class="mono">{esc(digest)}</span>'] for digest, path in inputs.items()]
         out.append(tables.table(["Input", "SHA-256"], rows, caption="<b>Inputs.</b>"))
     else:
         out.append(missing("No input hashes were kept."))

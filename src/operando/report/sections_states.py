@@ -49,7 +49,7 @@ def idle(results: Results, numbering: Numbering) -> str:
             else "<b>Idle modes.</b> Shapes are not scaled."
         )
         out.append(tables.modal_table(model, caption))
-        out.append(_second_opinion(model))
+        out.append(_second_opinion(model, results))
     return "".join(out)
 
 
@@ -80,8 +80,8 @@ def _idle_text(results: Results) -> str:
     inside = int(np.sum(np.asarray(model.in_band)))
     text = f"The idle model has {count(derive.proper_modes(model).size, 'mode')}, {inside} of them in the band {_band(model, results)}"
     if residual:
-        where = ", ".join(f"{number(f, 4)} Hz" for f in model.frequencies_hz[np.asarray(model.residual)])
-        text += f", and {count(residual, 'residual mode')} (at {where}) that stand for what lies below and above; "
+        where = derive.range_text(model.frequencies_hz[np.asarray(model.residual)])
+        text += f", and {count(residual, 'residual mode')} ({where}) that stand for what lies below and above; "
         text += "they take part in every synthesis and are never listed as modes"
     text += ". "
     if finite(model.misfit):
@@ -129,10 +129,10 @@ def _harmonics(results: Results) -> list[float]:
     return [] if values is None else [float(v) for v in values]
 
 
-def _second_opinion(model: ModalModel) -> str:
+def _second_opinion(model: ModalModel, results: Results) -> str:
     """Where an independent program finds something else."""
     opinion = getattr(model.details, "second_opinion", None)
-    if opinion is None:
+    if opinion is None or (not opinion and not results.settings.get("second_opinion")):
         return missing("No second opinion from another program was asked for.")
     out = "<h3>Second opinion</h3>"
     if isinstance(opinion, str):
@@ -174,7 +174,7 @@ def operating(results: Results, numbering: Numbering) -> str:
         out.append(numbering.figure(svg, "Singular values of the operating spectra with the modes taken (numbered) and harmonics."))
     out.append("<h3>Stabilisation diagram</h3>" + _stabilization(model, numbering, results, "operating"))
     out.append(tables.modal_table(model, "<b>Operating modes.</b> Shapes are complex and of arbitrary scale."))
-    out.append(_second_opinion(model))
+    out.append(_second_opinion(model, results))
     return "".join(out)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from operando.data import Finding, ModalModel, phase_collinearity
 from operando.report.assessment import MODEL_NAMES, Assumption
 from operando.report.derive import pairing_of, proper_modes
-from operando.report.text import DASH, decibel, esc, finite, fixed, listing, number, plain, plus_minus, short_names, size_text
+from operando.report.text import DASH, band_text, decibel, esc, finite, fixed, listing, number, plain, plus_minus, short_names, size_text
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
 
@@ -134,25 +134,26 @@ def _mode_cells(model: ModalModel | None, i: int) -> list[str]:
 
 def modal_table(model: ModalModel, caption: str) -> str:
     """Every mode of one model: frequency, damping, collinearity, greatest shape entry."""
-    rows = []
-    std = model.shape_std
-    for k, i in enumerate(proper_modes(model)):
-        shape = np.asarray(model.shapes[:, i])
-        top = int(np.argmax(np.abs(shape)))
-        relative = None if std is None or not np.any(shape) else float(np.linalg.norm(std[:, i]) / np.linalg.norm(shape))
-        cells = [str(k), *_mode_cells(model, int(i)), fixed(phase_collinearity(shape), 4), esc(model.dofs[top])]
-        cells.append(number(np.abs(shape[top]), 4) if model.scaling == "unit_modal_mass" else DASH)
-        cells += [DASH if relative is None else number(100 * relative, 2), "yes" if bool(np.asarray(model.in_band)[i]) else "no"]
-        rows.append(cells)
+    scaled, std = model.scaling == "unit_modal_mass", model.shape_std
     head = [
         "No.",
         "Frequency<br>[Hz]",
         "Damping<br>[%]",
         "Phase<br>collinearity",
+        "Shape std<br>[% of rms]",
+        "In band",
         "Greatest<br>at DOF",
-        "Shape value there<br>[kg<sup>−1/2</sup>]",
     ]
-    return table([*head, "Shape std<br>[% of rms]", "In band"], rows, numeric=(0, 1, 2, 3, 5, 6), caption=caption)
+    head += ["Shape value there<br>[kg<sup>−1/2</sup>]"] if scaled else []
+    rows = []
+    for k, i in enumerate(proper_modes(model)):
+        shape = np.asarray(model.shapes[:, i])
+        top = int(np.argmax(np.abs(shape)))
+        relative = None if std is None or not np.any(shape) else float(np.linalg.norm(std[:, i]) / np.linalg.norm(shape))
+        cells = [str(k), *_mode_cells(model, int(i)), fixed(phase_collinearity(shape), 4), percent(relative)]
+        cells += ["yes" if bool(np.asarray(model.in_band)[i]) else "no", esc(model.dofs[top])]
+        rows.append(cells + ([number(shape[top], 4)] if scaled else []))
+    return table(head, rows, numeric=(0, 1, 2, 3, 4, 7), caption=caption)
 
 
 def assumption_table(items: Sequence[Assumption]) -> str:
@@ -182,9 +183,9 @@ def findings_table(findings: Sequence[Finding]) -> str:
 def _where(f: Finding) -> str:
     parts = [PurePath(f.file).name if f.file else "", f"set {f.set}" if f.set is not None else "", f.dof or ""]
     if f.time_s is not None:
-        parts.append(f"{number(f.time_s[0], 4)}–{number(f.time_s[1], 4)} s")
+        parts.append(f"{plain(f.time_s[0])}–{plain(f.time_s[1])} s")
     if f.band_hz is not None:
-        parts.append(f"{number(f.band_hz[0], 4)}–{number(f.band_hz[1], 4)} Hz")
+        parts.append(band_text(f.band_hz))
     return ", ".join(p for p in parts if p)
 
 
@@ -398,6 +399,8 @@ def _sets_cell(row: Mapping[str, Any]) -> str:
     parts = [f"{row[k]} {k.replace('_', ' ')}" for k in ("used", "ignored", "not_understood") if isinstance(row.get(k), int) and row[k]]
     if not isinstance(total, int):
         return _cell("", total)
+    if row.get("used") == total:
+        return f"{total}, all used"
     return esc(f"{total}: {', '.join(parts)}" if parts else str(total))
 
 
@@ -471,6 +474,8 @@ def _flatten(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, s
         name = f"{prefix}{key}"
         if isinstance(value, Mapping) and value:
             rows += _flatten(value, f"{name}.")
+        elif value is None or value in ([], {}, ()):
+            rows.append((name, "not set"))
         else:
             try:
                 rows.append((name, json.dumps(value, ensure_ascii=False, default=str)))
