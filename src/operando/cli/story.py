@@ -100,11 +100,13 @@ def headline(results: Results) -> str:
         count, method = len(results.hybrid.modal.dofs), results.hybrid.method
         return f"{results.name}: operational FRFs of {count} DOFs by method {method}; no check measurement judged them."
     if results.operating is not None and results.idle is not None:
-        return f"{results.name}: {_count(results.idle)} idle and {_count(results.operating)} operational modes; no operational FRFs."
+        return (
+            f"{results.name}: {_count(results.idle)} idle and {_count(results.operating)} operational modes in band; no operational FRFs."
+        )
     if results.idle is not None:
-        return f"{results.name}: {_count(results.idle)} idle modes."
+        return f"{results.name}: {_count(results.idle)} idle modes in band."
     if results.operating is not None:
-        return f"{results.name}: {_count(results.operating)} operational modes."
+        return f"{results.name}: {_count(results.operating)} operational modes in band."
     if results.idle_frf is not None:
         f = results.idle_frf
         band = f"{f.frequencies_hz[0]:.4g} … {f.frequencies_hz[-1]:.4g} Hz"
@@ -165,7 +167,7 @@ def findings_text(results: Results, most: int = 12) -> str:
 
 
 def _count(model: Any) -> int:
-    return int((~model.residual).sum())
+    return int((~model.residual & model.in_band).sum())
 
 
 def _scaling(model: Any) -> str:

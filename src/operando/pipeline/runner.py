@@ -16,7 +16,7 @@ from operando.jsonable import jsonable
 from operando.pipeline.cache import FOLDER, StageCache, code_hash, key_of, whole, write_json
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.outputs import OUTPUTS, write_output
-from operando.pipeline.stages import STEPS, Stage, Work
+from operando.pipeline.stages import STEPS, Lacking, Stage, Work
 from operando.pipeline.summary import summary
 from operando.results import Results
 
@@ -97,6 +97,7 @@ class _Run:
         self.done: set[str] = set()
         self.fresh: set[str] = set()
         self.own_findings: list[Finding] = []
+        (out / "errors.log").unlink(missing_ok=True)
 
     @property
     def results(self) -> Results:
@@ -163,8 +164,15 @@ class _Run:
             return
         else:
             self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
+            self.work.say = lambda message: self.progress(stage.part_of, message)
             try:
                 found = stage.does(self.work)
+            except Lacking as error:
+                reason = error.message + (f" ({error.hint})" if error.hint else "")
+                self.results.left_out[stage.part_of] = reason
+                self.progress(stage.part_of, f"left out: {reason}")
+                self._forget(stage)
+                return
             except OperandoError as error:
                 self._failed(stage, error)
                 return

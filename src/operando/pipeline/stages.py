@@ -16,13 +16,18 @@ from operando.pipeline.inputs import Inputs
 from operando.results import CheckRun, Results
 
 
+class Lacking(MissingError):
+    """What a stage needs is not in the data: it is left out and said, which is no failure."""
+
+
 @dataclass
 class Work:
-    """One run of the pipeline: the test, its files, what is known so far."""
+    """One run of the pipeline: the test, its files, what is known so far, and who is told of progress inside a stage."""
 
     test: Test
     inputs: Inputs
     results: Results
+    say: Callable[[str], None] | None = None
 
     @property
     def analysis(self) -> Analysis:
@@ -144,6 +149,7 @@ def idle_modes(work: Work) -> dict[str, Any]:
         reject_hz=analysis.reject_hz,
         exclude_bands=analysis.exclude_bands,
         second_opinion=analysis.second_opinion or None,
+        progress=work.say,
     )
     return {"idle": fit_ema(_needed(work.results.idle_frf, "idle FRFs"), **keywords), "findings": findings}
 
@@ -177,7 +183,7 @@ def hybrid(work: Work) -> dict[str, Any]:
     idle = _needed(work.results.idle, "idle modes")
     operating = _needed(work.results.operating, "operational modes")
     if idle.scaling != "unit_modal_mass" or not idle.si:
-        raise MissingError(
+        raise Lacking(
             "the idle modes are not scaled to unit modal mass, so there is no scale to carry over",
             hint="give the units the files do not state in [units], for example acceleration and force",
         )
@@ -229,7 +235,7 @@ def comparison(work: Work) -> dict[str, Any]:
                 )
         models["ofrf"] = results.hybrid
     if not models:
-        raise MissingError("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
+        raise Lacking("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
     if not results.check:
         raise MissingError("no check FRF")
     band = work.analysis.band or (None if results.idle is None else results.idle.band_hz)
