@@ -406,3 +406,25 @@ def test_second_opinion_names_the_modes_it_disagrees_on(whole):
     text = render_report(replace_results(whole, idle=idle, operating=None, hybrid=None, check=[], comparison=None))
     assert "agrees on 1 of 2 modes; it disagrees at 34.05 Hz" in text
     assert "damping &amp; &lt;scale&gt;" in text
+
+
+def test_thinned_curve_steps_over_gaps():
+    x = np.linspace(0, 1, 9_000)
+    y = np.sin(40 * x)
+    y[1_000:3_000] = np.nan
+    keep = thin(x, y, 200)
+    inner = keep[(keep > 0) & (keep < x.size - 1)]
+    assert np.all(np.isfinite(y[inner]))
+    assert np.nanmax(y[keep]) == np.nanmax(y)
+    assert np.nanmin(y[keep]) == np.nanmin(y)
+
+
+def test_variance_is_filled_for_the_pairs_drawn_only(whole):
+    run = derive.judge_run(whole)
+    bare = derive.model_frf(whole.hybrid, run.frf)
+    assert bare.variance is None
+    some = derive.with_variance(whole.hybrid, bare, [(3, 1, "worst pair")])
+    full = whole.hybrid.frf(run.frf.frequencies_hz, run.frf.responses, run.frf.references)
+    np.testing.assert_allclose(some.data, full.data, rtol=1e-12)
+    np.testing.assert_allclose(some.variance[3, 1], full.variance[3, 1], rtol=1e-9)
+    assert np.isnan(some.variance[0, 0]).all()

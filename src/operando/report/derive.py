@@ -102,14 +102,26 @@ def range_text(frequencies_hz: NDArray[np.float64]) -> str:
 
 
 def model_frf(model: Any, frf: Frf) -> Frf | None:
-    """FRF of a model on the lines and pairs of a measured one; None where the model has no such DOFs or no scale."""
-    if model is None:
+    """FRF of a model on the lines and pairs of a measured one, without its variance; None where it has no such DOFs or no scale."""
+    modal = getattr(model, "modal", model)
+    if not isinstance(modal, ModalModel):
         return None
     try:
-        out = model.frf(frf.frequencies_hz, responses=frf.responses, references=frf.references, quantity=frf.quantity)
+        bare = replace(modal, covariance=None)  # the variance of every pair costs more than all figures together
+        return bare.frf(frf.frequencies_hz, frf.responses, frf.references, frf.quantity)
     except OperandoError:
         return None
-    return out if isinstance(out, Frf) else None
+
+
+def with_variance(model: Any, frf: Frf, pairs: Sequence[tuple[int, int, str]]) -> Frf:
+    """An FRF of a model with the model's variance at some pairs (NaN at the others); as it is where the model has none."""
+    variance = np.full(frf.data.shape, np.nan)
+    for i, j, _ in pairs:
+        part = model.frf(frf.frequencies_hz, (frf.responses[i],), (frf.references[j],), frf.quantity)
+        if part.variance is None:
+            return frf
+        variance[i, j] = part.variance[0, 0]
+    return replace(frf, variance=variance)
 
 
 def scaled_idle(results: Results) -> ModalModel | None:

@@ -53,22 +53,28 @@ def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequen
     figure = new_figure(width, height)
     step = width / columns
     mesh = None if geometry is None else _mesh(geometry, dofs)
+    axes = figure.add_axes((0, 0, 1, 1))  # one for all, in inches: axes of their own would cost seconds
+    axes.set_xlim(0, width)
+    axes.set_ylim(0, height)
+    axes.axis("off")
+    half = (step - 0.1) / 2
     for k, pair in enumerate(pairs):
         x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
-        figure.text((x0 + 0.06) / width, (y0 + cell + 0.13) / height, pair.label, fontsize=9, fontweight="bold", va="bottom")
+        axes.text(x0 + 0.06, y0 + cell + 0.13, pair.label, fontsize=9, fontweight="bold", va="bottom")
         for side, (shape, text, color) in enumerate(((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))):
-            half = (step - 0.1) / 2
             left = x0 + 0.04 + side * half
-            figure.text((left + half / 2) / width, (y0 + cell - 0.02) / height, text, fontsize=7.5, color=color, ha="center", va="center")
+            axes.text(left + half / 2, y0 + cell - 0.02, text, fontsize=7.5, color=color, ha="center", va="center")
+            box = (left + 0.05, y0, half - 0.1, cell - 0.14)
             if shape is None:
-                figure.text((left + half / 2) / width, (y0 + cell / 2) / height, "none", fontsize=7.5, color=GREY, ha="center")
-                continue
-            axes = figure.add_axes((left / width, y0 / height, half / width, (cell - 0.12) / height))
-            if mesh is None:
-                _bars(axes, dofs, shape, color)
+                axes.text(left + half / 2, y0 + cell / 2, "none", fontsize=7.5, color=GREY, ha="center")
+            elif mesh is None:
+                _bars(axes, dofs, shape, color, box)
             else:
-                _deformed(axes, mesh, dofs, shape)
+                _deformed(axes, mesh, dofs, shape, box)
     return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
+
+
+Box = tuple[float, float, float, float]
 
 
 class _Mesh:
@@ -153,7 +159,7 @@ def _displacements(mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> N
     return out
 
 
-def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> None:
+def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any], box: Box) -> None:
     import matplotlib
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -166,6 +172,12 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
     signed = move @ direction * (1 if direction[np.argmax(np.abs(direction))] >= 0 else -1) / peak
     rest, _ = _project(mesh.xyz)
     flat, depth = _project(moved)
+    shown = mesh.measured
+    both = np.vstack([rest, flat[shown]])
+    low, size = both.min(axis=0), np.maximum(np.ptp(both, axis=0), 1e-9 * span)
+    scale = min(box[2] / size[0], box[3] / size[1])
+    shift = np.array([box[0] + box[2] / 2, box[1] + box[3] / 2]) - scale * (low + size / 2)
+    rest, flat = scale * rest + shift, scale * flat + shift
     axes.add_collection(LineCollection([rest[list(e)] for e in mesh.outline], colors="#c3cbd3", linewidths=0.6, zorder=1))
     colors = matplotlib.colormaps["PuOr"]
     if mesh.faces:
@@ -175,7 +187,6 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
     if mesh.edges:
         color, thick = ("#46525d", 0.7) if mesh.faces else (MODEL, 1.2)
         axes.add_collection(LineCollection([flat[list(e)] for e in mesh.edges], colors=color, linewidths=thick, zorder=2.5))
-    shown = mesh.measured
     if not mesh.faces and not mesh.edges:
         axes.add_collection(
             LineCollection([np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], colors=MODEL, linewidths=1.0)
@@ -189,13 +200,6 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
         linewidths=0.35,
         zorder=3,
     )
-    both = np.vstack([rest, flat[shown]])
-    low, high = both.min(axis=0), both.max(axis=0)
-    margin = 0.04 * float(np.max(high - low) or 1.0)
-    axes.set_xlim(low[0] - margin, high[0] + margin)
-    axes.set_ylim(low[1] - margin, high[1] + margin)
-    axes.set_aspect("equal")
-    axes.axis("off")
 
 
 def _patches(
@@ -218,18 +222,25 @@ def _patches(
     return points[order], height[order]
 
 
-def _bars(axes: Axes, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str) -> None:
+def _bars(axes: Axes, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str, box: Box) -> None:
+    """Shape as bars by DOF where there is no geometry."""
+    from matplotlib.collections import PolyCollection
+
     values = np.asarray(shape, float)
-    peak = float(np.max(np.abs(values))) or 1.0
-    axes.bar(np.arange(values.size), values / peak, color=color, width=0.7)
-    axes.axhline(0, color=INK, lw=0.6)
-    axes.set_ylim(-1.15, 1.15)
-    axes.set_yticks([])
-    every = max(1, values.size // 8)
-    axes.set_xticks(np.arange(0, values.size, every), [str(dofs[i]) for i in range(0, values.size, every)], rotation=90, fontsize=5.5)
-    axes.spines["left"].set_visible(False)
-    axes.spines["bottom"].set_visible(False)
-    axes.tick_params(length=0)
+    values = values / (float(np.max(np.abs(values))) or 1.0)
+    left, bottom, width, height = box
+    foot = 0.3
+    middle, size = bottom + foot + (height - foot) / 2, (height - foot) / 2
+    step = width / max(values.size, 1)
+    x = left + step * (np.arange(values.size) + 0.15)
+    corners = [
+        [(a, middle), (a + 0.7 * step, middle), (a + 0.7 * step, middle + size * v), (a, middle + size * v)]
+        for a, v in zip(x, values, strict=True)
+    ]
+    axes.add_collection(PolyCollection(corners, facecolors=color, linewidths=0))
+    axes.plot([left, left + width], [middle, middle], color=INK, lw=0.6)
+    for i in range(0, values.size, max(1, values.size // 8)):
+        axes.text(x[i] + 0.35 * step, bottom + foot - 0.03, str(dofs[i]), rotation=90, fontsize=5.5, ha="center", va="top")
 
 
 def mac_matrices(

@@ -35,7 +35,9 @@ def answer(results: Results, numbering: Numbering) -> str:
     run, hybrid_frf, rest = _judged(results, numbering)
     if run is not None and hybrid_frf is not None:
         pairs = derive.choose_pairs(run.frf, _pair_error(hybrid_frf, run.frf, results), 1, 0)[:1]
-        svg = figures_frf.ofrf_pairs(run.frf, hybrid_frf, rest, pairs, derive.analysis_band(results))
+        svg = figures_frf.ofrf_pairs(
+            run.frf, derive.with_variance(results.hybrid, hybrid_frf, pairs), rest, pairs, derive.analysis_band(results)
+        )
         caption = (
             "One operating FRF with its 95 % band, the check measurement it is judged by, and the idle model (more pairs: see section 7)."
         )
@@ -121,7 +123,9 @@ def ofrf(results: Results, numbering: Numbering) -> str:
         f"Operating FRFs at drive points and at the worst pairs, against check run {esc(short_names(run.name))}{level} and the idle model. "
     )
     caption += "The band is 95 % from the covariances of EMA and OMA."
-    out.append(numbering.figure(figures_frf.ofrf_pairs(run.frf, model, rest, pairs, band), caption))
+    out.append(
+        numbering.figure(figures_frf.ofrf_pairs(run.frf, derive.with_variance(results.hybrid, model, pairs), rest, pairs, band), caption)
+    )
     if band is not None:
         edges = derive.band_edges(band)
         maps = [("Operating FRFs", derive.error_by_dof_band(model, run.frf, edges))]
@@ -146,4 +150,4 @@ def _unchecked(results: Results, numbering: Numbering) -> str:
     change = derive.rms_over(derive.level_error_db(model, rest), derive.clear_lines(rest, band), axis=2)
     pairs = [(i, j, why.replace("worst pair", "most changed")) for i, j, why in derive.choose_pairs(frf, change)]
     caption = "Operating FRFs with their 95 % band beside the idle model, at drive points and where they differ most."
-    return numbering.figure(figures_frf.ofrf_pairs(blank, model, rest, pairs, band), caption)
+    return numbering.figure(figures_frf.ofrf_pairs(blank, derive.with_variance(results.hybrid, model, pairs), rest, pairs, band), caption)

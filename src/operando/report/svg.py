@@ -154,14 +154,15 @@ def thin(x: ArrayLike, y: ArrayLike, count: int = 700) -> NDArray[np.intp]:
     if xs.size <= 2 * count:
         return np.arange(xs.size)
     bins = np.minimum(((xs - xs[0]) / (xs[-1] - xs[0]) * count).astype(int), count - 1)
-    edges = np.flatnonzero(np.diff(bins)) + 1
-    keep = [0, xs.size - 1]
-    for start, stop in zip(np.r_[0, edges], np.r_[edges, xs.size], strict=True):
-        part = ys[start:stop]
-        if np.all(np.isnan(part)):
-            continue
-        keep += [start + int(np.nanargmin(part)), start + int(np.nanargmax(part))]
-    return np.unique(np.asarray(keep, dtype=np.intp))
+    starts = np.r_[0, np.flatnonzero(np.diff(bins)) + 1]
+    part = np.cumsum(np.r_[False, np.diff(bins) > 0])
+    keep = [np.array([0, xs.size - 1])]
+    for extreme, missing in ((np.minimum, np.inf), (np.maximum, -np.inf)):
+        filled = np.where(np.isnan(ys), missing, ys)
+        best = extreme.reduceat(filled, starts)
+        hits = np.flatnonzero((filled == best[part]) & ~np.isnan(ys))
+        keep.append(hits[np.unique(part[hits], return_index=True)[1]])
+    return np.unique(np.concatenate(keep)).astype(np.intp)
 
 
 def dots(axes: Axes, x: ArrayLike, y: ArrayLike, color: str, size: float, label: str | None = None) -> None:
