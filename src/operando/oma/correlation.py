@@ -32,7 +32,13 @@ class BlockCorrelations:
 
 
 def correlate(
-    data: NDArray[Any], references: NDArray[np.int_], n_lags: int, n_blocks: int = 1, keep_blocks: bool = True, chunk: int | None = None
+    data: NDArray[Any],
+    references: NDArray[np.int_],
+    n_lags: int,
+    n_blocks: int = 1,
+    keep_blocks: bool = True,
+    chunk: int | None = None,
+    centre: bool = False,
 ) -> BlockCorrelations:
     """Correlations of all channels with the reference channels.
 
@@ -52,6 +58,9 @@ def correlate(
         False keeps only the mean (less memory, fewer inverse FFTs).
     chunk : int, optional
         Samples of one transform where blocks are longer; default eight times the lags, small enough that spectra stay in the cache.
+
+    centre : bool
+        Take each channel's mean off first (without a copy of the record).
 
     Raises
     ------
@@ -76,12 +85,13 @@ def correlate(
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
     ahead = np.zeros((min(group, pieces), r, size))
     now = np.zeros((min(group, pieces), q, size))
+    offset = data.mean(axis=1, dtype=float)[:, None] if centre else 0.0
     for b in range(n_blocks):
         for first in range(0, pieces, group):
             count = min(group, pieces - first)
             for k in range(count):
                 start, stop = b * length + edges[first + k], b * length + edges[first + k + 1]
-                ahead[k, :, : stop - start + n_lags] = data[:, start : stop + n_lags]
+                ahead[k, :, : stop - start + n_lags] = data[:, start : stop + n_lags] - offset
                 ahead[k, :, stop - start + n_lags :] = 0
                 now[k, :, : stop - start] = ahead[k][references, : stop - start]
                 now[k, :, stop - start :] = 0

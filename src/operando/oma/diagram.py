@@ -146,6 +146,5 @@ def correlate_runs(runs: list[NDArray[Any]], references: NDArray[np.int_], n_lag
     keep = uncertainty and sum(counts) >= MIN_BLOCKS
     parts = []
     for run, n in zip(runs, counts, strict=True):
-        centred = run - run.mean(axis=1, keepdims=True)
-        parts.append(correlate(centred, references, n_lags, n if keep else 1, keep))
+        parts.append(correlate(run, references, n_lags, n if keep else 1, keep, centre=True))
     return pool(parts, samples)

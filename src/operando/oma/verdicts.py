@@ -28,10 +28,11 @@ def harmonic_poles(stabilization: Stabilization, harmonics: list[Harmonic], keep
 
 
 def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
-    """Modes far less certain than a resonance of that frequency and damping would be in so long a record.
+    """Modes far less certain, in frequency and in damping, than a resonance would be in so long a record.
 
-    A mode under white excitation has a relative standard deviation of damping of at least 1/√(2πζfT) (long-data
-    asymptotics at high signal-to-noise ratio, Au 2014). Poles that model noise or the flank of a filter are several times worse.
+    Under white excitation and at high signal-to-noise ratio, the relative standard deviations are at least √(ζ/(2πfT)) for the frequency
+    and 1/√(2πζfT) for the damping ratio (long-data asymptotics, Au 2014). Poles that model noise or the flank of a filter are many
+    times worse.
     """
     if estimate.covariance is None:
         return {}
@@ -39,12 +40,14 @@ def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]
     n = estimate.hz.size
     std = np.sqrt(np.diag(estimate.covariance))
     for i in range(n):
-        hz, zeta = float(estimate.hz[i]), float(estimate.zeta[i])
-        bound = 1 / np.sqrt(2 * np.pi * abs(zeta) * hz * seconds)
-        relative = float(std[n + i] / abs(zeta))
-        if relative > max(0.5, UNCERTAIN * bound) and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
-            value = f"damping ratio {100 * zeta:.3g} % ± {100 * float(std[n + i]):.3g} %"
-            out[i] = ("uncertain", f"{value}: {relative / bound:.1f} times the scatter of a mode at {hz:.4g} Hz in {seconds:.4g} s")
+        hz, zeta = float(estimate.hz[i]), float(abs(estimate.zeta[i]))
+        cycles = 2 * np.pi * hz * seconds
+        excess_f = float(std[i]) / hz / np.sqrt(zeta / cycles)
+        excess_z = float(std[n + i]) / zeta * np.sqrt(zeta * cycles)
+        doubtful = excess_f > UNCERTAIN and excess_z > UNCERTAIN and std[n + i] > 0.5 * zeta
+        if doubtful and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
+            value = f"{hz:.4g} ± {float(std[i]):.2g} Hz, damping ratio {100 * zeta:.3g} ± {100 * float(std[n + i]):.3g} %"
+            out[i] = ("uncertain", f"{value}: {excess_f:.1f} and {excess_z:.1f} times the scatter of a resonance there in {seconds:.4g} s")
     return out
 
 
