@@ -31,6 +31,25 @@ class Comparison:
     """One M of ``comparison.json``.
 
     Values are None where the data do not allow them (no variance, no line above the noise).
+
+    Parameters
+    ----------
+    error_db : float or None
+        Rms of the ratio of magnitudes in dB, on lines above the noise.
+    relative_error : float or None
+        Norm of the complex error over the norm of the measurement, all lines.
+    misfit : float or None
+        Mean squared error over the variance of measurement and idle model; 1 is as good as the data allow.
+    noise_floor_db : float or None
+        What ``error_db`` would be for a perfect model.
+    model_share : float or None
+        Share of the model's own variance in the total.
+    by_dof, by_band, by_mode : tuple of dict
+        The same by response DOF, in eight bands, and by mode of the measurement.
+    n_lines : int
+        Complex lines compared, all pairs together.
+    notes : tuple of str
+        What could not be judged, and why.
     """
 
     error_db: float | None

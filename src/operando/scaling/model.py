@@ -48,6 +48,8 @@ class HybridModel:
         Method → ModalModel of that method (same residuals).
     residuals : str
         Which idle modes are carried over, in words.
+    evidence : dict
+        Figures the choice of the method rests on.
     findings : tuple of Finding
     """
 
