@@ -133,6 +133,9 @@ def test_a_partial_failure_keeps_the_answer_and_exits_1():
     )
     assert done.return_value == 1
     assert done.stdout == "half done\n"
+    command = command_that(lambda: Answer({"schema": "x"}, "half done", DataError("the rest failed")))
+    document = json.loads(CliRunner().invoke(command, ["--json"], standalone_mode=False).stdout)
+    assert (document["schema"], document["error"], document["partial"]) == ("operando/error/1", "the rest failed", {"schema": "x"})
     assert "the rest failed" in done.stderr
 
 

@@ -65,7 +65,9 @@ def answers(function: Callable[..., Answer]) -> Callable[..., int]:
         except Exception as error:  # a fault of the program: explained, with the traceback in a file
             return _fail(_unexpected(error), as_json)
         if as_json:
-            print_json(answer.document)
+            # the error of a part that failed comes first; what the rest found stands under "partial"
+            failed = None if answer.failure is None else answer.failure.to_dict() | {"partial": answer.document}
+            print_json(answer.document if failed is None else failed)
         elif answer.text:
             click.echo(answer.text)
         if answer.failure is not None:

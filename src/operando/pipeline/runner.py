@@ -74,7 +74,8 @@ def used_settings(stage: str, results: Results) -> dict[str, Any]:
     """What a stage chose where the test file leaves it to the data."""
     if stage == "frf" and results.idle_frf is not None:
         frf = results.idle_frf
-        return {"call": frf.provenance.calls[-1] if frf.provenance.calls else None, "averages": frf.averages, "lines": len(frf.axis)}
+        calls = [call for call in frf.provenance.calls if not call.startswith("read ")]
+        return {"calls": calls, "averages": frf.averages, "lines": len(frf.axis)}
     model = {"ema": results.idle, "oma": results.operating}.get(stage)
     if model is not None:
         chosen = getattr(model.details, "settings", None) or {}

@@ -1,0 +1,115 @@
+"""``operando run, frf, ema, oma, demo`` from the shell's side."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from click.testing import CliRunner
+
+import measurements
+from operando.cli import main
+from operando.cli.demo import example_folder
+from operando.config import load_test
+
+
+def call(*args):
+    return CliRunner().invoke(main, [str(a) for a in args])
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return measurements.write_test(tmp_path_factory.mktemp("t"), check=False)
+
+
+def test_stage_command_json_and_text(path, tmp_path):
+    done = call("frf", path, "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["schema"] == "operando/summary/1"
+    assert document["idle"]["frf"]["references"] == ["1+Z", "3+Z"]
+    assert document["settings"]["used"]["frf"]["lines"] > 100
+    assert (tmp_path / "out/idle_frf.uff").exists()
+    assert "frf      done in" in done.stderr
+    done = call("frf", path, "-o", tmp_path / "out")
+    assert done.stdout.startswith("chain: FRFs of 4 responses to 2 references")
+    assert "unchanged" in done.stderr
+
+
+def test_default_folder_and_test_given_as_folder(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = call("run", path.parent, "--until", "inspect")
+    assert done.exit_code == 0
+    assert (tmp_path / "results/chain/summary.json").exists()
+
+
+def test_unknown_stage_is_wrong_usage(path):
+    done = call("run", path, "--until", "everything")
+    assert done.exit_code == 2
+    assert "stages: inspect, frf" in done.stderr
+
+
+def test_a_failed_stage_exits_1_and_keeps_the_rest(path, tmp_path, monkeypatch):
+    def fail(*args, **kwargs):
+        from operando.errors import IdentificationError
+
+        raise IdentificationError("no mode in the band", hint="widen the band")
+
+    monkeypatch.setattr("operando.ema.fit_ema", fail)
+    monkeypatch.setattr("operando.report.write_report", lambda results, path: path.write_text("x"))
+    done = call("run", path, "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 1
+    error = json.loads(done.stdout)
+    assert error["schema"] == "operando/error/1"
+    assert "no mode in the band" in error["error"]
+    assert error["hint"] == "widen the band"
+    document = error["partial"]
+    assert document["operating"]["modes"]
+    assert document["left_out"]["ema"] == "failed: no mode in the band"
+    assert "widen the band" in done.stderr
+    assert (tmp_path / "out/operating_modes.uff").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX signals")
+def test_ctrl_c_keeps_finished_stages(path, tmp_path):
+    out = tmp_path / "out"
+    start = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from operando.cli import main; main(sys.argv[1:])"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", start, "run", str(path), "-o", str(out), "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    patience = time.monotonic() + 60
+    while not (out / "idle_frf.uff").exists() and process.poll() is None and time.monotonic() < patience:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert json.loads(stdout)["error"] == "interrupted"
+    assert "Traceback" not in stderr
+    assert not [p for p in out.rglob("*") if ".part" in p.name]
+    done = call("frf", path, "-o", out)
+    assert "frf      unchanged" in done.stderr
+
+
+def test_example_is_there():
+    folder = example_folder()
+    test = load_test(folder)
+    assert test.idle.records
+    assert test.operating.records
+    assert test.check.records
+    assert sum(p.stat().st_size for p in test.files) < 15e6
+
+
+@pytest.mark.slow
+def test_demo(tmp_path):
+    done = call("demo", "-o", tmp_path / "demo", "--json")
+    assert done.exit_code == 0, done.stderr
+    models = json.loads(done.stdout)["comparison"]["models"]
+    assert models["ofrf"]["error_db"] < models["idle"]["error_db"]
+    assert (tmp_path / "demo/report.html").stat().st_size > 100_000
