@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding
 from operando.scaling.condensed import CondensedBasis
-from operando.scaling.expansion import expand, orthogonality
+from operando.scaling.expansion import expand, orthogonality, participation_spread
 from operando.scaling.methods import IN_WORDS, Task, real_shapes
 
 ORTHOGONALITY_RATIO = 1.5
@@ -61,9 +61,10 @@ def choose_method(
     available : set of str
         Methods that can be applied.
     """
-    q = expand(idle, real_shapes(operating)[0], task.prior)[0]
-    by_mass, by_stiffness = orthogonality(q, task.idle_hz)
-    noise = float(np.median(np.linalg.norm(task.prior.noise, axis=0)))
+    turned = real_shapes(operating)[0]
+    q = expand(idle, turned, task.prior)[0]
+    by_mass, by_stiffness = orthogonality(q, task.idle_hz, participation_spread(idle, turned, task.prior))
+    noise = float(np.median(np.sqrt(np.trace(task.prior.noise, axis1=1, axis2=2))))
     changed = int(np.sum(~task.keep_msf))
     evidence: dict[str, Any] = {
         "kappa": None if basis is None or not np.isfinite(basis.kappa) else basis.kappa,

@@ -11,11 +11,13 @@ orthogonality of the operational modes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from operando.errors import IdentificationError
 
 DEFAULT_NOISE = 0.02
 """Relative noise of an operational shape where no covariance is given."""
@@ -25,6 +27,15 @@ NOISE_FLOOR = 0.003
 
 WIDTHS = (0.3, 1.0, 3.0, 10.0, 30.0)
 """Trial widths of the prior; the evidence of each shape chooses."""
+
+NOT_ORTHOGONAL = 0.02
+"""Non-orthogonality of close modes that is put down to the change, not to noise."""
+
+CLOSE = 0.02
+"""Relative distance of frequencies up to which modes are close; further apart, modes unknown beyond the band matter more than noise."""
+
+ORTHOGONALITY_NOISE = 0.01
+"""Standard deviation of an off-diagonal below which all pairs of modes count alike."""
 
 REMAINDERS = (0.0, 1.0, 3.0, 10.0, 30.0)
 """Trial sizes of what no idle mode explains, in units of the noise."""
@@ -42,8 +53,11 @@ class Prior:
         Of q, for operational shapes of unit length.
     remainder : (n_operating,) array
         Of the part of a shape, at each DOF, that lies outside the span of the idle modes.
-    noise : (m, n_operating) array
-        Of the shape values.
+    noise : (n_operating, m, m) array
+        Covariance of the shape values.
+    mixing : (n_operating, n_operating) array
+        Part of the non-orthogonality of modes s and r that is taken out of r, between 0 and 1: large where little is known
+        about how much of s there is in r, as for close modes.
     outside : (m, m) array
         Projector on what lies outside the span of the idle modes; zero with at least as many modes as DOFs.
     """
@@ -51,11 +65,12 @@ class Prior:
     participation: NDArray[np.float64]
     remainder: NDArray[np.float64]
     noise: NDArray[np.float64]
+    mixing: NDArray[np.float64]
     outside: NDArray[np.float64]
 
     def covariance(self, r: int) -> NDArray[np.float64]:
         """Covariance of all in shape r that is not Φq: noise and remainder."""
-        return np.diag(self.noise[:, r] ** 2) + self.remainder[r] ** 2 * self.outside
+        return np.asarray(self.noise[r] + self.remainder[r] ** 2 * self.outside)
 
 
 def make_prior(
@@ -77,12 +92,12 @@ def make_prior(
     operating_hz, damping : (n_operating,) arrays
     partners : (n_operating,) int array
         Idle partner or −1.
-    noise : (m, n_operating) array, optional
-        Standard deviation of ``unit_shapes``.
+    noise : (n_operating, m, m) array, optional
+        Covariance of each column of ``unit_shapes``.
     """
     m, n = unit_shapes.shape
-    default = np.full((m, n), DEFAULT_NOISE / np.sqrt(m))
-    sd = default if noise is None else np.sqrt(noise**2 + NOISE_FLOOR**2 / m)
+    each = np.eye(m) / m
+    cov = np.repeat(DEFAULT_NOISE**2 * each[None], n, axis=0) if noise is None else noise + NOISE_FLOOR**2 * each
     width = np.zeros((idle.shape[1], n))
     remainder = np.zeros(n)
     size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
@@ -98,13 +113,40 @@ def make_prior(
             std[j] = 3 / size[j]
             spread = (idle * std**2) @ idle.T
             for rest in REMAINDERS if idle.shape[1] < m else REMAINDERS[:1]:
-                tau = rest * float(np.sqrt(np.mean(sd[:, r] ** 2)))
-                factor = np.linalg.cholesky(spread + np.diag(sd[:, r] ** 2) + tau**2 * outside)
+                tau = rest * float(np.sqrt(np.trace(cov[r]) / m))
+                factor = np.linalg.cholesky(spread + cov[r] + tau**2 * outside)
                 white = np.linalg.solve(factor, unit_shapes[:, r])
                 evidence = -0.5 * float(white @ white) - float(np.sum(np.log(np.diag(factor))))
                 if evidence > best + 1e-9:
                     best, width[:, r], remainder[r] = evidence, std, tau
-    return Prior(width, remainder, sd, outside)
+    found = Prior(width, remainder, cov, np.zeros((n, n)), outside)
+    return replace(found, mixing=_mixing(idle, unit_shapes, found, operating_hz))
+
+
+def _mixing(idle: NDArray[np.float64], unit_shapes: NDArray[np.float64], prior: Prior, hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share A_sr = v_sr/(v_rs + v_sr + τ²), v_sr the posterior variance of the part of mode s in mode r; τ grows with their distance."""
+    spread = participation_spread(idle, unit_shapes, prior)
+    gap = np.abs(hz[:, None] - hz[None, :]) / np.minimum(hz[:, None], hz[None, :])
+    own = NOT_ORTHOGONAL * (1 + (gap / CLOSE) ** 2)
+    out: NDArray[np.float64] = spread / (spread + spread.T + own**2)
+    np.fill_diagonal(out, 0)
+    return out
+
+
+def participation_spread(idle: NDArray[np.float64], unit_shapes: NDArray[np.float64], prior: Prior) -> NDArray[np.float64]:
+    """Posterior variance v[s, r] of the part of operational mode s in mode r, both of unit modal mass."""
+    q = expand(idle, unit_shapes, prior)[0]
+    size = np.linalg.norm(q, axis=0)
+    unit = q / np.maximum(size, 1e-300)
+    out = np.zeros((q.shape[1], q.shape[1]))
+    for r in range(q.shape[1]):
+        std = prior.participation[:, r]
+        weighted = idle * std**2
+        total = weighted @ idle.T + prior.covariance(r)
+        left = np.sum((unit * std[:, None]) ** 2, axis=0)
+        known = weighted @ unit
+        out[:, r] = np.maximum(left - np.sum(known * np.linalg.solve(total, known), axis=0), 0) / max(size[r], 1e-300) ** 2
+    return out
 
 
 def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array, Array]:
@@ -140,32 +182,72 @@ def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array,
     return q, shape, rest
 
 
-def modal_mass(idle: Array, q: Array, rest: Array, in_sight: NDArray[np.int_]) -> Array:
-    """qᵀq of each column; what no idle mode explains counts with the typical size of a mode at the sensors."""
+def orthogonalised(q: Array, shape: Array, mixing: NDArray[np.float64], weight: Array) -> tuple[Array, Array]:
+    """Take noise out that shows as non-orthogonality: q_r − Σ_s A_sr·(q_sᵀWq_r)·q_s, and the shapes alike.
+
+    Parameters
+    ----------
+    q : (..., n_idle, n_operating) array
+        Columns of unit modal mass (or stiffness).
+    shape : (..., m, n_operating) array
+    mixing : (n_operating, n_operating) array
+    weight : (..., n_idle, n_operating) array
+        W as a factor on each column: 1 for mass; ω_k²/(ω_s·ω_r) needs ω_k/ω_r on each.
+    """
+    weighted = q * weight
+    gram = np.swapaxes(weighted, -1, -2) @ weighted
+    change = np.eye(q.shape[-1]) - mixing * gram
+    return q @ change, shape @ change
+
+
+def unit_size(idle: Array, q: Array, shape: Array, rest: Array, weight: Array, mixing: NDArray[np.float64], in_sight: Array) -> Array:
+    """Shapes of unit modal mass: scaled, freed of non-orthogonality, scaled again.
+
+    What no idle mode explains counts in the size with the typical size of a mode at the sensors.
+
+    Parameters
+    ----------
+    idle, q, shape, rest : arrays
+        As from :func:`expand`.
+    weight : (..., n_idle, n_operating) array
+        1 where mass is as at rest, ω_k/ω_o where stiffness is.
+    mixing : (n_operating, n_operating) array
+    in_sight : int array
+        Idle modes whose size at the sensors is typical.
+    """
     typical = np.median(np.sum(idle[..., :, in_sight] ** 2, axis=-2), axis=-1)
-    return np.sum(q**2, axis=-2) + rest / typical[..., None]
+    extra = rest / typical[..., None]
+    size = np.sqrt(np.sum((q * weight) ** 2, axis=-2) + extra)
+    if np.any(size <= 1e-9 * np.max(size)):
+        raise IdentificationError(
+            "an operational shape has no part in the idle shapes: its modal mass cannot be told", hint="use idle_shapes"
+        )
+    q, shape = orthogonalised(q / size[..., None, :], shape / size[..., None, :], mixing, weight)
+    again = np.sqrt(np.sum((q * weight) ** 2, axis=-2) + extra / size**2)
+    return np.asarray(shape / again[..., None, :])
 
 
-def modal_stiffness(idle: Array, idle_hz: Array, operating_hz: Array, q: Array, rest: Array, in_sight: NDArray[np.int_]) -> Array:
-    """qᵀΩ²q/ω_o² of each column (1 for unit modal mass if stiffness is the same)."""
-    typical = np.median(np.sum(idle[..., :, in_sight] ** 2, axis=-2), axis=-1)
-    ratio = (idle_hz[..., :, None] / operating_hz[..., None, :]) ** 2
-    return np.sum(q**2 * ratio, axis=-2) + rest / typical[..., None]
-
-
-def orthogonality(q: NDArray[np.float64], idle_hz: NDArray[np.float64]) -> tuple[float, float]:
+def orthogonality(q: NDArray[np.float64], idle_hz: NDArray[np.float64], spread: NDArray[np.float64] | None = None) -> tuple[float, float]:
     """Rms off-diagonal of the operational modes' normalised mass and stiffness matrices, both in the idle structure.
 
     Zero for the first if mass did not change, for the second if stiffness did not.
+
+    Parameters
+    ----------
+    q : (n_idle, n_operating) array
+    idle_hz : (n_idle,) array
+    spread : (n_operating, n_operating) array, optional
+        Posterior variance of the part of mode s in mode r; pairs of which little is known count little.
     """
     n = q.shape[1]
     if n < 2:
         return 0.0, 0.0
     upper = np.triu_indices(n, 1)
+    trust = np.ones(upper[0].size) if spread is None else 1 / ((spread + spread.T)[upper] + ORTHOGONALITY_NOISE**2)
     out = []
     for weighted in (q, q * idle_hz[:, None]):
         unit = weighted / np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
-        out.append(float(np.sqrt(np.mean((unit.T @ unit)[upper] ** 2))))
+        out.append(float(np.sqrt(np.average((unit.T @ unit)[upper] ** 2, weights=trust))))
     return out[0], out[1]
 
 

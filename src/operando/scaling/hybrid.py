@@ -76,7 +76,7 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     findings += [_conflict(text) for text in pairing.conflicts]
     basis = _basis(e[:, real_idle], idle.frequencies_hz[real_idle], in_band, dofs, findings)
     turned, factor = real_shapes(o)
-    noise = _noise(proper, rows, factor)
+    noise = _noise(proper, rows, signs, factor)
     partners = np.where(pairing.partners >= 0, real_idle[pairing.partners], -1)
     task = Task(
         partners,
@@ -146,22 +146,27 @@ def _all_methods(
 
 
 def _noise(
-    operating: ModalModel, rows: list[int], factor: NDArray[np.complex128]
+    operating: ModalModel, rows: list[int], signs: NDArray[np.float64], factor: NDArray[np.complex128]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Standard deviations (m, n) of the real and of the imaginary part of shapes turned and brought to unit length."""
+    """Covariance (n, m, m) of the real part, and standard deviation (m, n) of the imaginary part, of shapes turned and of unit length."""
     covariance = covariance_of(operating)
     if covariance is None:
         return None
     blocks = shape_block(operating, rows)
-    variance = np.diag(covariance)
-    re = variance[blocks[0]].T
-    if len(blocks) == 1:
-        return np.abs(factor) * np.sqrt(re), np.zeros_like(re)
-    im, both = variance[blocks[1]].T, covariance[blocks[0], blocks[1]].T
-    a, b = factor.real, factor.imag
-    real = a**2 * re + b**2 * im - 2 * a * b * both
-    imag = b**2 * re + a**2 * im + 2 * a * b * both
-    return np.sqrt(np.maximum(real, 0)), np.sqrt(np.maximum(imag, 0))
+    n, m = blocks[0].shape
+    real, imag = np.zeros((n, m, m)), np.zeros((m, n))
+    turn = np.outer(signs, signs)
+    for r in range(n):
+        a, b = factor[r].real, factor[r].imag
+        re = covariance[np.ix_(blocks[0][r], blocks[0][r])] * turn
+        if len(blocks) == 1:
+            real[r] = abs(factor[r]) ** 2 * re
+            continue
+        im = covariance[np.ix_(blocks[1][r], blocks[1][r])] * turn
+        both = covariance[np.ix_(blocks[0][r], blocks[1][r])] * turn
+        real[r] = a * a * re + b * b * im - a * b * (both + both.T)
+        imag[:, r] = np.sqrt(np.maximum(np.diag(b * b * re + a * a * im + a * b * (both + both.T)), 0))
+    return real, imag
 
 
 def _scale_std(modal: ModalModel, n: int) -> NDArray[np.float64] | None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.errors import ConfigError, IdentificationError
-from operando.scaling.expansion import Prior, expand, modal_mass, modal_stiffness
+from operando.scaling.expansion import Prior, expand, unit_size
 
 METHODS = ("msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "idle_shapes", "expansion", "expansion_stiffness")
 """Named methods, besides ``auto``."""
@@ -174,11 +174,8 @@ def scale_expansion(idle: Array, operating: Array, task: Task, keep: str) -> Arr
     q, shape, rest = expand(idle, real_shapes(operating)[0], task.prior)
     paired = task.partners[task.partners >= 0]
     in_sight = paired if paired.size else np.arange(idle.shape[-1])
-    if keep == "mass":
-        size = modal_mass(idle, q, rest, in_sight)
-    else:
-        size = modal_stiffness(idle, task.idle_hz, task.operating_hz, q, rest, in_sight)
-    return shape / _modal_size(np.sqrt(size))[..., None, :]
+    weight = task.idle_hz[..., :, None] / task.operating_hz[..., None, :] if keep == "stiffness" else np.ones(q.shape[-2:])
+    return unit_size(idle, q, shape, rest, weight, task.prior.mixing, in_sight)
 
 
 def scaled_shapes(method: str, idle: Array, operating: Array, task: Task) -> Array:
