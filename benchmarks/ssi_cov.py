@@ -74,9 +74,8 @@ def main(large=False):
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         seconds, _ = cpu(own, data, 30, 120)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        print(
-            f"64 channels x 1 000 000 samples, 30 block rows, order 120: {seconds:.2f} s CPU, {(peak - before) / 1e6:.2f} GB beside the record"
-        )
+        what = "64 channels x 1 000 000 samples, 30 block rows, order 120"
+        print(f"{what}: {seconds:.2f} s CPU, {(peak - before) / 1e6:.2f} GB beside the record")
     print(f"block rows {rows}, orders 4 to {order} step 2; CPU seconds on one BLAS thread")
     print("channels  samples     own  pyOMA-2   ratio   |Δf|/σ max   |Δζ|/σ max   (poles with ζ < 5 %)")
     for channels, samples in ((6, 60_000), (12, 60_000), (19, 60_000), (19, 150_000), (19, 300_000)):
