@@ -428,3 +428,17 @@ def test_variance_is_filled_for_the_pairs_drawn_only(whole):
     np.testing.assert_allclose(some.data, full.data, rtol=1e-12)
     np.testing.assert_allclose(some.variance[3, 1], full.variance[3, 1], rtol=1e-9)
     assert np.isnan(some.variance[0, 0]).all()
+
+
+def test_scale_of_modes_leaves_damping_errors_out(whole):
+    models = whole.comparison["models"]
+    damped = [{"frequency_hz": 20.0, "height_error_db": -20 * np.log10(1.2), "damping_error_percent": 20.0, "frequency_error_percent": 0.0}]
+    heavier = [{"frequency_hz": 20.0, "height_error_db": 1.5, "damping_error_percent": 0.0, "frequency_error_percent": 0.0}]
+
+    def mass(by_mode):
+        comparison = whole.comparison | {"models": models | {"ofrf": models["ofrf"] | {"by_mode": by_mode}}}
+        found = assumptions(replace_results(whole, comparison=comparison))
+        return next(a for a in found if a.name.startswith("Same mass"))
+
+    assert "0.00 dB" in mass(damped).text
+    assert mass(heavier).state == "doubtful"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operando.data import Finding
 from operando.indicators import phase_collinearity
@@ -34,6 +35,9 @@ MODEL_NAMES = {
 
 
 RECIPROCITY = "Reciprocity in operation"
+
+SCALE_DOUBT_DB = 0.5
+"""Median error of the modal scale against the check from which an unchanged mass is doubted."""
 
 
 @dataclass(frozen=True)
@@ -272,13 +276,20 @@ def _same_mass(results: Results) -> Assumption:
         text += f"{number(by_stiffness, 2)} in stiffness (shape noise {number(noise, 2)}): no change of mass is seen in them. "
         state = "holds"
     by_mode = (models.get("ofrf") or {}).get("by_mode") or []
-    heights = [abs(float(r["height_error_db"])) for r in by_mode if finite(r.get("height_error_db"))]
-    if heights:
-        typical = float(np.median(heights))
-        text += f"Peak heights of the operating FRFs are off by {decibel(typical)} in the median against the check, where a change of mass "
-        text += "would show."
-        state = "doubtful" if typical >= 0.5 else state
+    scales = _scale_errors_db(by_mode)
+    if scales.size:
+        typical = float(np.median(np.abs(scales)))
+        text += f"Against the check the scale of the modes (peak height times damping) is off by {decibel(typical)} in the median, "
+        text += "where a change of mass would show."
+        state = "doubtful" if typical >= SCALE_DOUBT_DB else state
     return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a check measurement with force would.")
+
+
+def _scale_errors_db(by_mode: list[dict[str, Any]]) -> NDArray[np.float64]:
+    """Error of each mode's residue [dB]: a peak is residue over damping, so the damping error is taken out of the height error."""
+    pairs = [(r.get("height_error_db"), r.get("damping_error_percent")) for r in by_mode]
+    good = [(float(h), float(z)) for h, z in pairs if finite(h) and finite(z) and float(z or 0) > -100]  # type: ignore[arg-type]
+    return np.array([h + 20 * np.log10(1 + z / 100) for h, z in good])
 
 
 def _ema_better(results: Results) -> Assumption:

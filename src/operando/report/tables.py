@@ -468,6 +468,13 @@ def settings_table(settings: Mapping[str, Any]) -> str:
     return table(["Setting", "Value"], rows, caption="<b>Settings used</b>, defaults included.")
 
 
+def _tidy(value: Any) -> Any:
+    """Floats to ten digits, so that 180.614 is not shown as 180.61400000000003."""
+    if isinstance(value, float):
+        return float(f"{value:.10g}")
+    return [_tidy(v) for v in value] if isinstance(value, list | tuple) else value
+
+
 def _flatten(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for key, value in settings.items():
@@ -478,7 +485,7 @@ def _flatten(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, s
             rows.append((name, "not set"))
         else:
             try:
-                rows.append((name, json.dumps(value, ensure_ascii=False, default=str)))
+                rows.append((name, json.dumps(_tidy(value), ensure_ascii=False, default=str)))
             except (TypeError, ValueError):
                 rows.append((name, str(value)))
     return rows
