@@ -78,13 +78,10 @@ class Plate:
             for s in (sx, sy)
             for k in (0, 2)
         ]
-        scale = 0.3 * np.trace(self.bending) / np.trace(self.bending)
-        e4 = self.bending.max()
-        del e4
         for i in range(x.size):
             for j in range(x.size):
                 lap = np.kron(dd[1][i], dd[2][j]) * (2 / self.a) ** 2 + np.kron(dd[0][i], dd[3][j]) * (2 / self.b) ** 2
-                out += w[i] * w[j] * np.outer(lap, lap) * scale
+                out += w[i] * w[j] * np.outer(lap, lap)
         modal = self.modes.T @ out @ self.modes
         whole = self.modes.T @ self.bending @ self.modes
         return modal * np.median(np.diag(whole)[3:15]) / np.median(np.diag(modal)[3:15]) * 0.3
@@ -178,7 +175,8 @@ def make_trial(seed: int, kind: str, m: int = 12, n: int = 12, shape_noise: floa
     nn = idle_hz.size
     var_e = np.concatenate([(1e-5 * idle_hz) ** 2, (5e-4 * idle_z) ** 2, np.repeat(np.concatenate([sd_idle**2, np.zeros(4)]), m)])
     idle = ModalModel(
-        idle_hz, idle_z, np.concatenate([real, rest], axis=1), dofs, "unit_modal_mass", residual=np.arange(nn) >= n, in_band=np.arange(nn) < n,
+        idle_hz, idle_z, np.concatenate([real, rest], axis=1), dofs, "unit_modal_mass",
+        residual=np.arange(nn) >= n, in_band=np.arange(nn) < n,
         covariance=np.diag(var_e) if idle_noise else None, band_hz=(low, high),
     )  # fmt: skip
     return idle, operating, f, exact

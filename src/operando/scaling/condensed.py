@@ -29,8 +29,10 @@ class CondensedBasis:
     kappa : float
         2-norm condition number of the shapes used (Shen & Lu 2024, Eq 16–19: the relative change of the condensed mass
         is at most 2κ times that of the shapes).
+    weak_modes : tuple of int
+        Idle modes the sensors tell apart worst (they dominate the right singular vector of the smallest singular value).
     weak_dofs : tuple of int
-        DOFs whose removal hurts or helps most are read from this: DOFs that dominate the weakest direction, largest first.
+        DOFs that make κ large: they dominate the left singular vector of the smallest singular value, largest first.
     best_dofs : tuple of int
         The best-conditioned choice of k DOFs (pivoted QR).
     best_kappa : float

@@ -306,6 +306,7 @@ def _assemble(
         residual=np.concatenate([np.zeros(n, bool), np.ones(k, bool)]),
         in_band=np.concatenate([np.asarray(operating.in_band), np.zeros(k, bool)]),
         band_hz=operating.band_hz or idle.band_hz,
+        si=idle.si,
         provenance=Provenance.merge(idle.provenance, operating.provenance).then("scale_operational"),
     )
 
