@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.config import Analysis, Test
+from operando.config import Analysis, State, Test
 from operando.data import Finding, FrequencyAxis, Frf, TimeRecord
 from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
@@ -137,7 +137,8 @@ def idle_modes(work: Work) -> dict[str, Any]:
     from operando.ema import fit_ema
 
     analysis = work.analysis
-    records = work.inputs.records(work.test.idle, force=True) if work.test.idle.records else None
+    frf = _needed(work.results.idle_frf, "idle FRFs")
+    records = runs_behind(frf, work.inputs.records(work.test.idle, force=True)) if work.test.idle.records else None
     findings: list[Finding] = []
     keywords = offered(
         fit_ema,
@@ -151,7 +152,13 @@ def idle_modes(work: Work) -> dict[str, Any]:
         second_opinion=analysis.second_opinion or None,
         progress=work.say,
     )
-    return {"idle": fit_ema(_needed(work.results.idle_frf, "idle FRFs"), **keywords), "findings": findings}
+    return {"idle": fit_ema(frf, **keywords), "findings": findings}
+
+
+def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
+    """The runs the FRFs were made of: one that the homogeneity test set aside must not come back through the raw spectra."""
+    used = {path for path, _ in frf.provenance.inputs}
+    return [r for r in records if any(path in used for path, _ in r.provenance.inputs)] or records
 
 
 def operational_modes(work: Work) -> dict[str, Any]:
@@ -201,8 +208,8 @@ def check_runs(work: Work) -> dict[str, Any]:
     if check.records:
         records = work.inputs.records(check, force=True)
         runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings))
-    if check.frfs:
-        runs.append(CheckRun(", ".join(p.name for p in check.frfs), "as given", work.inputs.frf(check)))
+    for file in check.frfs:
+        runs.append(CheckRun(work.inputs.label(file), "as given", work.inputs.frf(State(frfs=(file,)))))
     return {"check": [replace(run, frf=_of_check(check_frf(run.frf))) for run in runs], "findings": list(dict.fromkeys(findings))}
 
 

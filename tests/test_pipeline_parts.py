@@ -1,0 +1,144 @@
+"""Parts of the pipeline: levels of check runs, FRFs of several files, excluded bands, atomic files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import models
+from measurements import record, running_chain
+from operando.config import State, Test
+from operando.data import Finding, Frf, Provenance
+from operando.errors import DataError
+from operando.pipeline.cache import StageCache, key_of, whole, write_json
+from operando.pipeline.inputs import Inputs, merge_frfs
+from operando.pipeline.levels import check_frfs, force_rms, level_groups
+from operando.pipeline.stages import offered, runs_behind, without_bands
+
+
+def runs(*levels_and_masses):
+    return [record(running_chain(), [m], level, i, f"run{i}", seconds=2.0) for i, (level, m) in enumerate(levels_and_masses)]
+
+
+def test_levels_of_each_reference_are_ranked_and_joined():
+    records = runs((8.0, 0), (2.0, 0), (3.0, 2), (12.0, 2), (2.1, 0))
+    groups = level_groups(records)
+    assert [[r.name for r in g] for g in groups] == [["run1", "run4", "run2"], ["run0", "run3"]]
+    assert force_rms(records[0]) == pytest.approx(4 * force_rms(records[1]), rel=0.2)
+
+
+def test_one_check_where_levels_agree_else_one_a_level_lowest_first():
+    records = runs((8.0, 0), (2.0, 0), (8.0, 2), (2.0, 2))
+    frf = models.measured(running_chain())
+    finding = Finding("nonlinear", "levels differ")
+
+    def linear(part):
+        return replace(frf, name=str(len(part)))
+
+    def nonlinear(part):
+        return replace(linear(part), findings=(finding,) if len(part) == 4 else ())
+
+    together = check_frfs(records, linear)
+    assert [(run.frf.name, "all levels agree" in run.level) for run in together] == [("4", True)]
+    apart = check_frfs(records, nonlinear)
+    assert [run.frf.name for run in apart] == ["2", "2"]
+    assert [run.name for run in apart] == ["run1, run3", "run0, run2"]
+    levels = [float(run.level.split()[0]) for run in apart]
+    assert levels[0] < levels[1]
+    assert apart[0].frf.findings == (finding,)
+    # the lowest level judges
+    from operando.compare import compare_all
+
+    assert compare_all({"idle": models.idle_model()}, apart)["judge_level"] == apart[0].level
+
+
+def test_frfs_of_several_files_become_one_matrix():
+    first, second = models.measured(running_chain(), references=(0,)), models.measured(running_chain(), references=(2,))
+    turned = replace(second, data=-second.data[:3], responses=tuple(d.opposite for d in second.responses[:3]), variance=second.variance[:3])
+    made = merge_frfs([first, turned.to_quantity("mobility")])
+    assert [str(d) for d in made.references] == ["1+Z", "3+Z"]
+    assert made.quantity == "accelerance"
+    np.testing.assert_allclose(made.data[:3, 1], second.data[:3, 0], rtol=1e-12)
+    assert np.isnan(made.data[3, 1]).all()
+    assert not made.findings
+    twice = merge_frfs([first, replace(first, data=2 * first.data)])
+    np.testing.assert_array_equal(twice.data, first.data)
+    assert [f.kind for f in twice.findings] == ["duplicate_pair"]
+    with pytest.raises(DataError, match="different lines"):
+        merge_frfs([first, models.measured(running_chain(), step=0.5)])
+
+
+def test_excluded_bands_are_cut_out():
+    frf = models.measured(running_chain())
+    cut = without_bands(frf, [(20.0, 30.0), (50.0, 50.2)])
+    lines = cut.frequencies_hz
+    assert not np.any((lines >= 20) & (lines <= 30))
+    assert 50.0 not in lines
+    assert cut.variance.shape == cut.data.shape
+    np.testing.assert_array_equal(cut.data[:, :, -1], frf.data[:, :, -1])
+    assert without_bands(frf, []) is frf
+
+
+def test_runs_set_aside_do_not_come_back():
+    records = [replace(r, provenance=Provenance(((r.name, "hash"),))) for r in runs((8.0, 0), (2.0, 0))]
+    frf = replace(models.measured(running_chain()), provenance=Provenance((("run1", "hash"),)))
+    assert runs_behind(frf, records) == [records[1]]
+    assert runs_behind(replace(frf, provenance=Provenance()), records) == records
+
+
+def test_settings_without_effect_are_said():
+    findings = []
+    assert offered(lambda a, b: None, findings, a=1, b=None, c=2) == {"a": 1}
+    assert [(f.kind, "setting c" in f.message) for f in findings] == [("setting_unused", True)]
+
+
+def test_records_beyond_the_memory_limit_are_read_again(tmp_path, monkeypatch):
+    from operando.io import write_uff
+
+    for name, item in zip("ab", runs((8.0, 0), (2.0, 0)), strict=True):
+        write_uff(tmp_path / f"{name}.uff", item)
+    monkeypatch.setattr("operando.pipeline.inputs.KEEP_BYTES", 0)
+    inputs = Inputs(Test("t", idle=State(records=(tmp_path / "a.uff", tmp_path / "b.uff"))))
+    first = inputs.records(inputs.test.idle, force=True)
+    again = inputs.records(inputs.test.idle, force=True)
+    assert [r.name for r in first] == ["a.uff", "b.uff"]
+    assert again[0] is not first[0]
+    np.testing.assert_array_equal(again[0].data, first[0].data)
+
+
+def test_cache_gives_back_only_what_belongs_to_the_key(tmp_path):
+    cache = StageCache(tmp_path)
+    frf: Frf = models.measured(running_chain())
+    cache.save("frf", "key", {"idle_frf": frf, "findings": [Finding("x", "y")]})
+    found = cache.load("frf", "key")
+    np.testing.assert_array_equal(found["idle_frf"].data, frf.data)
+    assert found["findings"] == [Finding("x", "y")]
+    assert cache.load("frf", "other") is None
+    assert cache.load("ema", "key") is None
+    file = tmp_path / ".stages/frf.h5"
+    file.write_bytes(file.read_bytes()[:5000])  # cut off
+    assert cache.load("frf", "key") is None
+
+
+def test_keys_depend_on_order_and_content():
+    assert key_of("a", {"x": 1, "y": 2}) == key_of("a", {"y": 2, "x": 1})
+    assert len({key_of("a", 1), key_of("a", 2), key_of("b", 1), key_of("a", [1]), key_of("a", None)}) == 5
+
+
+def test_files_appear_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"x": float("nan"), "y": np.array([1.0, np.inf]), "z": 1 + 2j, "n": np.int64(3), "b": np.bool_(True)})
+    assert json.loads(path.read_text()) == {"x": None, "y": [1.0, None], "z": [1.0, 2.0], "n": 3, "b": True}
+
+    def broken():
+        with whole(path) as beside:
+            beside.write_text("half")
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        broken()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+    assert json.loads(path.read_text())["n"] == 3
