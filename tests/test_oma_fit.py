@@ -169,3 +169,22 @@ def test_wrong_input_is_refused(clean):
         fit_oma(r, method="fdd")
     with pytest.raises(IdentificationError, match="too few"):
         fit_oma(record(clean[:, :300]), band=BAND, block_rows=60)
+
+
+def test_changing_operation_is_noted(clean):
+    louder = clean * np.where(np.arange(clean.shape[1]) > clean.shape[1] // 2, 3.0, 1.0)
+    found = fit_oma(record(louder), band=BAND)
+    assert [f.kind for f in found.findings] == ["nonstationary"]
+    assert "times as strongly" in found.findings[0].message
+
+
+def test_details_survive_the_native_format(model, tmp_path):
+    from operando.io.hdf5 import read_hdf5, write_hdf5
+
+    write_hdf5(tmp_path / "m.h5", {"model": model})
+    back = read_hdf5(tmp_path / "m.h5")["model"]
+    f, values = back.details.spectra
+    np.testing.assert_array_equal(f, model.details.spectra.frequencies_hz)
+    np.testing.assert_array_equal(values, model.details.spectra.singular_values)
+    assert back.details.rejected == model.details.rejected
+    assert back.details.settings == model.details.settings

@@ -19,7 +19,7 @@ from operando.oma.estimate import best_orders
 from operando.oma.harmonics import Harmonic, find_harmonics
 from operando.oma.pyoma import second_opinion as pyoma_opinion
 from operando.oma.spectra import output_spectra
-from operando.oma.verdicts import harmonic_finding, harmonic_poles, uncertain_modes
+from operando.oma.verdicts import harmonic_finding, harmonic_poles, stationarity_findings, uncertain_modes
 from operando.stabilization import Tolerances, demote, select_modes
 
 METHODS = ("ssi-cov", "ssi-dat")
@@ -171,7 +171,12 @@ def fit_oma(
         in_band=(estimate.hz >= band[0]) & (estimate.hz <= band[1]),
         covariance=estimate.covariance,
         band_hz=band,
-        findings=(*responses.findings, *[harmonic_finding(h) for h in harmonics], *_statistics_findings(diagram, method)),
+        findings=(
+            *responses.findings,
+            *stationarity_findings(runs, rate),
+            *[harmonic_finding(h) for h in harmonics],
+            *_statistics_findings(diagram, method),
+        ),
         provenance=responses.provenance.then(f"fit_oma({call})"),
         details=details,
     )

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 
-class Spectra(NamedTuple):
-    """Singular values of the one-sided PSD matrix: frequencies [Hz] (k,), singular_values (n_curves, k), unit²/Hz."""
+@dataclass(frozen=True)
+class Spectra:
+    """Singular values of the one-sided PSD matrix: frequencies [Hz] (k,), singular_values (n_curves, k), unit²/Hz; unpacks into the two."""
 
     frequencies_hz: NDArray[np.float64]
     singular_values: NDArray[np.float64]
+
+    def __iter__(self) -> Iterator[NDArray[np.float64]]:
+        return iter((self.frequencies_hz, self.singular_values))
 
 
 def output_spectra(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operando.data import Finding
 from operando.oma.estimate import Estimate
@@ -13,6 +15,8 @@ from operando.stabilization import Stabilization
 
 UNCERTAIN = 4.0
 """A pole is doubtful when its damping is this many times less certain than that of a resonance seen at its best."""
+CHANGE = 4.0
+"""Ratio of power between the halves of a run from which it counts as not stationary."""
 
 
 def harmonic_poles(stabilization: Stabilization, harmonics: list[Harmonic], keep_hz: Sequence[float]) -> dict[int, tuple[str, str]]:
@@ -62,3 +66,23 @@ def harmonic_finding(h: Harmonic) -> Finding:
         consequence="taken out of the operating records before identification, so that it is not taken for a mode",
         action="name rotor orders as known_harmonics_hz to be sure of them",
     )
+
+
+def stationarity_findings(runs: Sequence[NDArray[Any]], rate: float) -> list[Finding]:
+    """Runs whose vibration is more than four times as strong (in power) in one half as in the other."""
+    out = []
+    for k, run in enumerate(runs):
+        half = run.shape[1] // 2
+        first, second = (np.var(part, axis=1, dtype=float) for part in (run[:, :half], run[:, half:]))
+        ratio = float(np.median(second / np.maximum(first, 1e-300)))
+        if not 1 / CHANGE < ratio < CHANGE:
+            out.append(
+                Finding(
+                    "nonstationary",
+                    f"run {k}: the second half vibrates {ratio:.2g} times as strongly (power) as the first",
+                    time_s=(0.0, run.shape[1] / rate),
+                    consequence="operational modal analysis averages both; standard deviations are rough",
+                    action="analyse stretches of constant operation apart",
+                )
+            )
+    return out
