@@ -34,6 +34,11 @@ class Details:
     harmonics_hz: np.ndarray = field(default_factory=lambda: np.zeros(0))
     spectra: object = None
     second_opinion: object = None
+    fit_band_hz: tuple = (7.0, 150.0)
+    fit_misfit: float = 1.01
+    converged: bool = False
+    misfit_by_dof: np.ndarray = field(default_factory=lambda: np.linspace(0.9, 1.3, N))
+    rounds: tuple = ("12 modes, misfit 1.0 <ok>",)
 
 
 def dofs():
@@ -442,3 +447,10 @@ def test_scale_of_modes_leaves_damping_errors_out(whole):
 
     assert "0.00 dB" in mass(damped).text
     assert mass(heavier).state == "doubtful"
+
+
+def test_what_the_fit_did_is_told(html):
+    body = html[html.index("3. At rest: FRFs and idle model</h2>") : html.index("4. Running: operational modes</h2>")]
+    assert "It did not converge" in body
+    assert "1.30 at worst, at 111+Z" in body
+    assert "misfit 1.0 &lt;ok&gt;" in body

@@ -9,7 +9,7 @@ import numpy as np
 from operando.data import Frf, ModalModel
 from operando.report import derive, figures_frf, figures_stabilization, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
-from operando.report.text import band_text, count, finite, listing, number
+from operando.report.text import band_text, count, esc, finite, listing, number
 from operando.results import Results
 
 
@@ -21,6 +21,7 @@ def idle(results: Results, numbering: Numbering) -> str:
         out.append(missing(left_out(results, "ema", "There is no idle model")))
     else:
         out.append(paragraph(_idle_text(results)))
+        out.append(_fit_text(model))
         if model.scaling != "unit_modal_mass":
             text = "The shapes have no mass scaling, since units of force or acceleration are not known; give them under [units]."
             out.append(missing(text))
@@ -91,6 +92,30 @@ def _idle_text(results: Results) -> str:
     return text
 
 
+def _fit_text(model: ModalModel) -> str:
+    """How the fit went: lines used, convergence, the worst DOF, the rounds of the search."""
+    details, parts = model.details, []
+    fit_band, fit_misfit = getattr(details, "fit_band_hz", None), getattr(details, "fit_misfit", None)
+    if fit_band is not None:
+        text = f"The fit used lines in {band_text(fit_band)}"
+        parts.append(text + (f" and left a misfit of {number(fit_misfit, 3)} on them." if finite(fit_misfit) else "."))
+    if getattr(details, "converged", True) is False:
+        parts.append("It did not converge: stated deviations may be too small.")
+    by_dof = np.asarray(getattr(details, "misfit_by_dof", ()), float)
+    if by_dof.shape == (len(model.dofs),) and np.any(np.isfinite(by_dof)):
+        worst = int(np.nanargmax(by_dof))
+        parts.append(
+            f"On unused lines the misfit by sensor is {number(np.nanmedian(by_dof), 3)} in the median and "
+            f"{number(by_dof[worst], 3)} at worst, at {model.dofs[worst]}."
+        )
+    out = paragraph(" ".join(parts)) if parts else ""
+    rounds = tuple(getattr(details, "rounds", ()) or ())
+    if rounds:
+        lines = "".join(f"<li>{esc(r)}</li>" for r in rounds)
+        out += f"<details><summary>Search for the number of modes ({count(len(rounds), 'step')})</summary><ul>{lines}</ul></details>"
+    return out
+
+
 def _band(model: ModalModel, results: Results) -> str:
     return band_text(model.band_hz or derive.analysis_band(results))
 
@@ -107,9 +132,12 @@ def _reciprocity_text(frf: Frf, results: Results) -> str:
 
 
 def _stabilization(model: ModalModel | None, numbering: Numbering, results: Results, which: str) -> str:
-    stabilization = getattr(getattr(model, "details", None), "stabilization", None)
+    details = getattr(model, "details", None)
+    stabilization = getattr(details, "stabilization", None)
+    rejected = getattr(details, "rejected", None) or getattr(stabilization, "rejected", ())
+    told = tables.rejected_table(rejected) if rejected else missing("No candidate was rejected.") if details is not None else ""
     if model is None or stabilization is None:
-        return missing("No stabilisation diagram was kept.")
+        return missing("No stabilisation diagram was kept.") + told
     harmonics = _harmonics(results) if which == "operating" else []
     name = "First singular values of the spectra" if which == "operating" else "Mode indicator (CMIF)"
     svg = figures_stabilization.stabilization_diagram(
@@ -119,9 +147,7 @@ def _stabilization(model: ModalModel | None, numbering: Numbering, results: Resu
         f"Stabilisation diagram of the {which} state: poles of each model order, coloured by what has settled against the order below; "
         "lines are the modes taken, with their numbers; crosses are rejected candidates."
     )
-    out = numbering.figure(svg, caption)
-    rejected = getattr(model.details, "rejected", None) or stabilization.rejected
-    return out + (tables.rejected_table(rejected) if rejected else missing("No candidate was rejected."))
+    return numbering.figure(svg, caption) + told
 
 
 def _harmonics(results: Results) -> list[float]:
