@@ -211,6 +211,21 @@ def test_a_stage_without_data_is_left_out_and_said(again, sections, left_out, fi
     assert strict(out / "summary.json")["left_out"] == results.left_out
 
 
+def test_without_a_band_both_states_use_that_of_the_idle_modes(again, monkeypatch):
+    path, out = again
+    seen = []
+
+    def see(records, *, band=None):
+        seen.append(band)
+        raise IdentificationError("enough seen")
+
+    monkeypatch.setattr("operando.oma.fit_oma", see)
+    path.write_text(path.read_text().replace("band = [10.0, 90.0]", ""))
+    results = run(path, out, until="oma")
+    assert seen == [results.idle.band_hz]
+    assert results.settings["used"]["ema"]["band"] == list(results.idle.band_hz)
+
+
 def test_comparison_of_an_earlier_run_does_not_survive_its_check(again):
     path, out = again
     text = path.read_text()

@@ -142,7 +142,10 @@ class _Run:
             state = (() if test.geometry_file is None else (test.geometry_file,)) if name == "geometry" else getattr(test, name).files
             files.append((name, self.work.inputs.hashes(state)))
         reading = (test.units, test.channels, test.geometry_units) if stage.states else ()
-        return key_of(stage.name, code_hash(stage.rooms), files, reading, settings, [self.keys[name] for name in stage.upstream])
+        upstream = [self.keys[name] for name in stage.upstream]
+        if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
+            upstream.append(self.keys["ema"])  # its band is that of the idle modes
+        return key_of(stage.name, code_hash(stage.rooms), files, reading, settings, upstream)
 
     def _step(self, stage: Stage, asked: bool) -> None:
         lacks = stage.lacks(self.test) or self._upstream_missing(stage)

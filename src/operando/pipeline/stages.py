@@ -171,7 +171,7 @@ def operational_modes(work: Work) -> dict[str, Any]:
     keywords = offered(
         fit_oma,
         findings,
-        band=analysis.band,
+        band=analysis_band(work),
         max_order=analysis.oma_max_order,
         references=analysis.oma_references,
         known_harmonics_hz=analysis.known_harmonics_hz,
@@ -181,6 +181,11 @@ def operational_modes(work: Work) -> dict[str, Any]:
         second_opinion=analysis.second_opinion or None,
     )
     return {"operating": fit_oma(records, **keywords), "findings": findings}
+
+
+def analysis_band(work: Work) -> tuple[float, float] | None:
+    """The band of the test, else the one the idle modes were fitted in, so that both states have the same."""
+    return work.analysis.band or (None if work.results.idle is None else work.results.idle.band_hz)
 
 
 def hybrid(work: Work) -> dict[str, Any]:
@@ -245,7 +250,7 @@ def comparison(work: Work) -> dict[str, Any]:
         raise Lacking("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
     if not results.check:
         raise MissingError("no check FRF")
-    band = work.analysis.band or (None if results.idle is None else results.idle.band_hz)
+    band = analysis_band(work)
     runs = [replace(run, frf=without_bands(run.frf, work.analysis.exclude_bands)) for run in results.check]
     document = compare_all(models, runs, band_hz=band)
     return {"comparison": document | {"settings": results.settings}, "findings": findings}
