@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -222,3 +223,37 @@ def test_ci_calls_make_test_and_passes_its_exit_code_on(tmp_path):
     done = subprocess.run(["bash", str(script)], capture_output=True, text=True, env=environment)
     assert done.stdout.strip() == "asked for: test"
     assert done.returncode == 3
+
+
+def readme_blocks(language: str) -> list[str]:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return [block.split("\n", 1)[1] for block in text.split("```")[1::2] if block.split("\n", 1)[0].strip() == language]
+
+
+def test_readme_names_commands_and_files_that_exist():
+    from operando.cli import COMMANDS
+
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    called = {line.split()[1] for block in readme_blocks("") for line in block.splitlines() if line.startswith("operando ")}
+    assert called >= {"init", "inspect", "run", "ofrf", "compare"}
+    assert called <= set(COMMANDS)
+    for target in re.findall(r"\]\(([^)#]+)\)", text):
+        assert target.startswith("http") or (ROOT / target).exists(), f"README points to {target}, which is not there"
+
+
+def test_readme_test_file_is_understood(tmp_path):
+    import shutil
+
+    (block,) = readme_blocks("toml")
+    shutil.copytree(EXAMPLE, tmp_path / "frame")
+    (tmp_path / "frame" / "test.toml").write_text(block, encoding="utf-8")
+    test = operando.load_test(tmp_path / "frame" / "test.toml")
+    assert len(test.files) == 9
+
+
+@pytest.mark.slow
+def test_readme_python_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    (block,) = readme_blocks("python")
+    exec(compile(block, "README.md", "exec"), {})
+    assert "(1, 1, 1400)" in capsys.readouterr().out
