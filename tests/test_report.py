@@ -454,3 +454,20 @@ def test_what_the_fit_did_is_told(html):
     assert "It did not converge" in body
     assert "1.30 at worst, at 111+Z" in body
     assert "misfit 1.0 &lt;ok&gt;" in body
+
+
+def test_level_dependence_is_told_and_excuses_reciprocity(whole):
+    finding = Finding("nonlinear", "runs differ by 39 % of |H|", "warning")
+    runs = [r for r in whole.check if r.level == "b"]
+    check = [runs[0], replace_check(runs[1], 1.4)]
+    told = Finding("not_reciprocal", "H and its reverse differ by 30 %", "warning")
+    check[0] = CheckRun(check[0].name, "b", replace(check[0].frf, findings=(told,)))
+    rows = [
+        {"name": "x", "level": lv, "models": {"ofrf": {"error_db": a}, "idle": {"error_db": b}}}
+        for lv, a, b in (("b", 5.4, 0.9), ("a", 1.5, 4.3))
+    ]
+    results = replace_results(whole, findings=[finding], check=check, comparison=whole.comparison | {"by_run": rows})
+    states = {a.name: a.state for a in assumptions(results)}
+    assert states["Linear behaviour"] == "fails"
+    assert states["Reciprocity in operation"] == "doubtful"
+    assert "at b the operating FRFs are off by 5.40 dB and the idle model by 0.90 dB" in " ".join(headline(results).sentences)

@@ -84,14 +84,19 @@ def headline(results: Results) -> Headline:
         return Headline(verdict, "poor" if limits else "fair", tuple(sentences), tuple(limits))
     error = float(ofrf["error_db"])
     others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
-    sentences.append(_agreement(ofrf, others, judge_run(results)))
+    sentences.append(_agreement(ofrf, others))
+    by_level = _levels_text(results)
+    if by_level:
+        sentences.append(by_level)
     idle = next((e for name, e in others if name == "idle"), None)
     misfit = float(ofrf["misfit"]) if finite(ofrf.get("misfit")) else None
     floor = float(ofrf["noise_floor_db"]) if finite(ofrf.get("noise_floor_db")) else None
     if (misfit is not None and misfit < 1.5) or (floor is not None and error <= 1.2 * floor):
         verdict, grade = "The operating FRFs agree with the check as well as the data allow", "good"
     elif idle is not None and error > 0.95 * idle:
-        verdict, grade = "The operating FRFs are no better than the idle model", "poor"
+        judged = judge_run(results)
+        where = f" at {judged.level}" if judged is not None and _levels_text(results) else ""
+        verdict, grade = f"The operating FRFs are no better than the idle model{where}", "poor"
     elif error < 1.0:
         verdict, grade = "The operating FRFs agree with the check to within 1 dB", "good"
     else:
@@ -149,7 +154,20 @@ def _class_words(classes: list[str]) -> list[tuple[int, str]]:
     return [(classes.count(k), w) for k, w in words.items() if k in classes]
 
 
-def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]], run: Any) -> str:
+def _levels_text(results: Results) -> str:
+    """Errors at each level where they differ: an operating FRF stands for the level of operation."""
+    rows = []
+    for run in (results.comparison or {}).get("by_run") or []:
+        errors = [((run.get("models") or {}).get(k) or {}).get("error_db") for k in ("ofrf", "idle")]
+        if all(finite(e) for e in errors):
+            rows.append((str(run.get("level") or run.get("name")), *(float(e or 0) for e in errors)))
+    if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
+        return ""
+    parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
+    return f"The level matters: {listing(parts)}. The lowest level judges; operating FRFs stand for the level of operation."
+
+
+def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
     text = f"Measured with a known force while running, they are off by {decibel(ofrf['error_db'])} rms"
     if others:
         text += " (" + ", ".join(f"{MODEL_NAMES.get(name, name)}: {decibel(e)}" for name, e in others) + ")"
@@ -203,13 +221,14 @@ def frequency_shifts(results: Results) -> list[dict[str, float]]:
 def assumptions(results: Results) -> list[Assumption]:
     """Each assumption of the method (Shen & Lu 2024, Section 2) with what the data say about it."""
     found = all_findings(results)
+    linear = _linear(results, found)
     return [
         _light_and_real(results),
         _dominant_modes(results),
-        _same_mass(results),
+        _same_mass(results, nonlinear=linear.state == "fails"),
         _ema_better(results),
-        _reciprocal(results, found),
-        _linear(results, found),
+        _reciprocal(results, found, nonlinear=linear.state == "fails"),
+        linear,
     ]
 
 
@@ -255,7 +274,7 @@ def _dominant_modes(results: Results) -> Assumption:
     return Assumption(name, state, text)
 
 
-def _same_mass(results: Results) -> Assumption:
+def _same_mass(results: Results, nonlinear: bool) -> Assumption:
     name = "Same mass at rest and running"
     models = comparison_models(results)
     if results.diagnosis:
@@ -276,7 +295,7 @@ def _same_mass(results: Results) -> Assumption:
         text += f"{number(by_stiffness, 2)} in stiffness (shape noise {number(noise, 2)}): no change of mass is seen in them. "
         state = "holds"
     by_mode = (models.get("ofrf") or {}).get("by_mode") or []
-    scales = _scale_errors_db(by_mode)
+    scales = _scale_errors_db([] if nonlinear else by_mode)  # modes that move with the level have no one scale
     if scales.size:
         typical = float(np.median(np.abs(scales)))
         text += f"Against the check the scale of the modes (peak height times damping) is off by {decibel(typical)} in the median, "
@@ -312,7 +331,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
     return results.idle_frf is not None and finding in results.idle_frf.findings
 
 
-def _reciprocal(results: Results, found: list[Finding]) -> Assumption:
+def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
     consequence = (
         "A sum over real shapes is symmetric by construction, so the operating FRFs cannot hold a gyroscopic or circulatory effect; "
@@ -328,6 +347,9 @@ def _reciprocal(results: Results, found: list[Finding]) -> Assumption:
         text += f", {number(worst['ratio'], 3)} times the noise variance" if worst["ratio"] is not None else ""
         measured = not ((worst["ratio"] if worst["ratio"] is not None else np.inf) > 3 and worst["relative"] > 0.1)
     named = [f for f in _of_kind(found, "not_reciprocal") if not _at_rest(results, f)]
+    by_shapes = [f for f in named if not any(f in run.frf.findings for run in results.check)]
+    if measured is False and nonlinear and not by_shapes:
+        return Assumption(name, "doubtful", f"{text}; a response that depends on the level does this by itself.")
     if measured is False or (named and measured is None):
         first = text if measured is False else named[0].message.rstrip(".")
         return Assumption(name, "fails", f"{first}. {consequence}")
