@@ -160,7 +160,7 @@ def _levels_text(results: Results) -> str:
     for run in (results.comparison or {}).get("by_run") or []:
         errors = [((run.get("models") or {}).get(k) or {}).get("error_db") for k in ("ofrf", "idle")]
         if all(finite(e) for e in errors):
-            rows.append((str(run.get("level") or run.get("name")), *(float(e or 0) for e in errors)))
+            rows.append((str(run.get("level") or run.get("name")), float(errors[0] or 0), float(errors[1] or 0)))
     if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
         return ""
     parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
