@@ -272,15 +272,13 @@ def compare_all(
     base = models.get("idle")
     own = None if base is None or isinstance(base, Frf) else _Once(base)
     judged = [r.frf for r in runs if r.level == judge]
-    return {
-        "schema": "operando/comparison/1",
-        "judge_level": judge,
-        "models": {name: compare(m, judged, band_hz, own).to_dict() for name, m in models.items()},
-        "by_run": [
-            {"name": r.name, "level": r.level, "models": {name: compare(m, r.frf, band_hz, own).to_dict() for name, m in models.items()}}
-            for r in runs
-        ],
-    }
+    overall = {name: compare(m, judged, band_hz, own).to_dict() for name, m in models.items()}
+    by_run = []
+    for r in runs:
+        alone = len(judged) == 1 and r.level == judge  # this run is all that judged: its errors are known
+        errors = overall if alone else {name: compare(m, r.frf, band_hz, own).to_dict() for name, m in models.items()}
+        by_run.append({"name": r.name, "level": r.level, "models": errors})
+    return {"schema": "operando/comparison/1", "judge_level": judge, "models": overall, "by_run": by_run}
 
 
 class _Once:

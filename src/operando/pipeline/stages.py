@@ -231,21 +231,20 @@ def _judging(analysis: Analysis) -> Analysis:
 def comparison(work: Work) -> dict[str, Any]:
     """Idle model, baselines and operational FRFs against the check."""
     from operando.compare import compare_all
-    from operando.scaling import scale_operational
 
     results, findings = work.results, []
     models: dict[str, Any] = {}
     if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
         models["idle"] = results.idle
     if results.hybrid is not None:
-        for name in ("idle_shapes", "msf_all"):
-            try:
-                models[name] = scale_operational(results.hybrid.idle, results.hybrid.operating, work.analysis.threshold, name)
-            except Exception as error:  # a baseline that cannot be made takes nothing from the rest
-                findings.append(
-                    Finding("baseline_failed", f"baseline {name} cannot be made: {error}", "warning", consequence="it is not compared")
-                )
-        models["ofrf"] = results.hybrid
+        named = {name: results.hybrid.alternative_models.get(name) for name in ("idle_shapes", "msf_all")} | {"ofrf": results.hybrid.modal}
+        for name, model in named.items():
+            if model is not None:
+                # the idle model's variance judges all models alike (contract), so that of the others is not worth its cost
+                models[name] = replace(model, covariance=None, std=None) if "idle" in models else model
+            else:
+                message = f"baseline {name} cannot be made from these modes"
+                findings.append(Finding("baseline_failed", message, "warning", consequence="it is not compared"))
     if not models:
         raise Lacking("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
     if not results.check:
