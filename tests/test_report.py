@@ -13,7 +13,7 @@ import pytest
 from operando.compare import compare_all
 from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
-from operando.report import assumptions, derive, headline, render_report, tables, write_report
+from operando.report import assumptions, derive, headline, render_report, tables, tables_files, write_report
 from operando.report.figures_modes import ShapePair, mode_shapes
 from operando.report.svg import thin
 from operando.report.text import count, fixed, listing, number, plus_minus
@@ -388,7 +388,7 @@ def test_shapes_are_drawn_without_lines_in_the_geometry(layout):
 
 
 def test_inventory_and_findings_cells_are_escaped():
-    text = tables.inventory_table([{"file": "a<b>.uff", "channels": 3, "note": "x & y", "nothing": None}])
+    text = tables_files.inventory_table([{"file": "a<b>.uff", "channels": 3, "note": "x & y", "nothing": None}])
     assert "a&lt;b&gt;.uff" in text
     assert "x &amp; y" in text
     assert "nothing" not in text

@@ -6,7 +6,7 @@ from pathlib import PurePath
 from typing import Any
 
 from operando.data import Frf
-from operando.report import derive, figures_frf, tables
+from operando.report import derive, figures_frf, tables, tables_files
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import band_text, count, esc, finite, fixed, listing, number, plain, short_names
 from operando.results import CheckRun, Results
@@ -15,7 +15,7 @@ from operando.results import CheckRun, Results
 def measured(results: Results, numbering: Numbering) -> str:
     """Inventory of files and findings about the data."""
     out = [_frf_inventory(results)]
-    out.append(tables.inventory_table(results.inventory) if results.inventory else missing("No inventory of files was kept."))
+    out.append(tables_files.inventory_table(results.inventory) if results.inventory else missing("No inventory of files was kept."))
     found = derive.all_findings(results)
     out.append("<h3>What is wrong with the data</h3>")
     if found:
@@ -124,7 +124,7 @@ def provenance(results: Results, numbering: Numbering) -> str:
     from operando import __version__
     from operando.data import Provenance
 
-    out = [tables.settings_table(results.settings) if results.settings else missing("No settings were kept.")]
+    out = [tables_files.settings_table(results.settings) if results.settings else missing("No settings were kept.")]
     if results.left_out:
         rows = [[esc(stage), esc(reason)] for stage, reason in results.left_out.items()]
         out.append(tables.table(["Stage", "Why"], rows, caption="<b>Stages left out.</b>"))
