@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -99,6 +100,8 @@ def draw(seed: int) -> dict[str, np.ndarray]:
 def study(draws: int, processes: int) -> dict[str, np.ndarray]:
     """All draws, in parallel processes: arrays (draws, modes); interrupted, those that are done."""
     started, results = time.time(), []
+    for number in (signal.SIGINT, signal.SIGTERM):  # also in the background, where shells have SIGINT ignored
+        signal.signal(number, signal.default_int_handler)
     with ProcessPoolExecutor(processes) as pool:
         try:
             for result in pool.map(draw, range(draws)):
