@@ -78,12 +78,12 @@ def test_intervals_cover():
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
     from coverage_oma import coverage, study
 
-    result = study(60, seed=5)
+    result = study(200)
     cover_f, cover_z = coverage(result)
-    assert 0.90 <= np.mean([cover_f, cover_z]) <= 0.985
-    assert min(cover_f.min(), cover_z.min()) > 0.85
-    assert np.isfinite(result["error_f"]).all()
+    assert 0.90 <= np.mean([cover_f, cover_z]) <= 0.98
+    assert min(cover_f.min(), cover_z.min()) >= 0.85
+    assert np.isnan(result["error_f"]).sum() <= 2  # modes missed, of 1800
     assert result["extra"].sum() <= 2
     for name in "fz":
-        ratio = np.median(result[f"std_{name}"], axis=0) / result[f"error_{name}"].std(axis=0)
-        assert np.all(ratio < 1.5)
+        ratio = np.nanmedian(result[f"std_{name}"], axis=0) / np.nanstd(result[f"error_{name}"], axis=0)
+        assert np.all((ratio < 1.5) & (ratio > 1 / 1.5))
