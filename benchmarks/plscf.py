@@ -26,7 +26,6 @@ import numpy as np  # noqa: E402
 
 from operando.ema.lsfd import lsfd  # noqa: E402
 from operando.ema.plscf import plscf  # noqa: E402
-from operando.ema.start_shapes import real_shapes_start  # noqa: E402
 
 
 def plate(n_resp: int, n_ref: int, n_modes: int, n_lines: int, noise: float, seed: int = 0):
@@ -128,14 +127,11 @@ def main() -> None:
 
     fits = {}
     for n_resp, n_ref, n_lines, n_modes in [(12, 3, 4000, 20), (100, 4, 4000, 60)][: 1 if options.quick else 2]:
-        f, H, hz, zeta, sigma = plate(n_resp, n_ref, n_modes, n_lines, 0.01)
+        f, H, hz, zeta, _ = plate(n_resp, n_ref, n_modes, n_lines, 0.01)
         lam = 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        names = [f"{k + 1}+Z" for k in range(n_resp)]
         label = f"{n_resp} x {n_ref}, {n_lines} lines, {n_modes} modes"
-        variance = np.full(H.shape, sigma**2)
         fits[label] = {
             "free residues": cpu(lambda: lsfd(f, H, lam), 3)[0],  # noqa: B023
-            "real shapes": cpu(lambda: real_shapes_start(f, H, names, names[:n_ref], hz, zeta, variance=variance), 3)[0],  # noqa: B023
         }
     out["residues cpu_s"] = fits
     json.dump(out, sys.stdout, indent=None if options.json else 2)

@@ -20,6 +20,7 @@ from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Real
 from operando.ema.remaining import choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
+from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
 
@@ -139,7 +140,7 @@ def _fit(
     dofs = model_dofs(frf)
     band = _analysis_band(frf, band)
     runs, fit_band = _runs(frf, dofs, band, records)
-    weights = None if frf.variance is None else _weights(frf)
+    weights = _weights(frf)
     data = np.nan_to_num(frf.data)
     candidates = candidate_poles(frf.frequencies_hz, data, weights, fit_band)
     start = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > MIN_SUPPORT]
@@ -159,18 +160,23 @@ def _fit(
     core_runs = runs if core is None else [_reduced(run, core) for run in runs]
     n_dofs = len(dofs) if core is None else len(core)
     hz, zeta = np.array([s[0] for s in start]), np.array([s[1] for s in start])
+    core_runs, turned = _turned(core_runs, hz, zeta)
     lower, share = _needs_lower(core_runs, n_dofs, hz, zeta)
     weighted = with_model_error(core_runs, share)
     fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, progress=progress)
-    final = _final(weighted, n_dofs, fit, lower, select_hz, log, progress)
+    final = _final(weighted, n_dofs, fit, lower, select_hz, reject_hz, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
-    outside = outside_modes(core_runs, final.parameters, band, lower)
+    outside = outside_modes(core_runs, final, band, lower)
     if core is not None:
+        runs = _turn(runs, turned)
         final, outside = remaining_rows(runs, core, len(dofs), final, outside)
         by_row = _spread(by_row, core, len(dofs))
     used = records is not None
     stabilization = _diagram(frf, data, weights, fit_band, max_order, final, select_hz, reject_hz)
     model = _model(frf, dofs, final, outside, band, fit_band, misfit, log, used)
+    if turned:
+        names = dict.fromkeys(str(dofs[int(runs[i].force_rows[k])]) for i, k in turned)
+        model = replace(model, findings=(*model.findings, *(_turned_finding(name) for name in names)))
     opinion: tuple[dict[str, Any], ...] = ()
     if second_opinion:
         opinion = _opinion(frf, model)
@@ -219,11 +225,14 @@ def _runs(
     return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
 
 
-def _weights(frf: Frf) -> Real:
-    assert frf.variance is not None
+def _weights(frf: Frf) -> Real | None:
+    """1/standard deviation of each line for the linear fits, 0 where a pair was not measured; None where there is nothing to weigh."""
+    missing = ~np.isfinite(frf.data)
+    if frf.variance is None:
+        return np.where(missing, 0.0, 1.0) if missing.any() else None
     std = np.sqrt(np.where(np.isfinite(frf.variance) & (frf.variance > 0), frf.variance, np.inf))
-    floor = 1e-4 * np.sqrt(np.nanmean(np.abs(np.nan_to_num(frf.data)) ** 2))
-    return np.asarray(1 / np.maximum(std, max(floor, 1e-300)))
+    floor = 1e-4 * np.sqrt(np.mean(np.abs(frf.data[~missing]) ** 2))
+    return np.where(missing, 0.0, 1 / np.maximum(std, max(float(floor), 1e-300)))
 
 
 def _distinct(poles: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -233,6 +242,34 @@ def _distinct(poles: list[tuple[float, float]]) -> list[tuple[float, float]]:
             continue
         out.append((h, z))
     return out
+
+
+def _turned(runs: Sequence[RunSpectra], hz: Real, zeta: Real) -> tuple[list[RunSpectra], list[tuple[int, int]]]:
+    """The runs with forces of the wrong sense turned, and which they were."""
+    thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
+    residues = linear_residues(thinned, hz, np.clip(zeta, 2e-4, 0.1), outside_kernels(thinned, hz, False))
+    turned = inverted_forces(runs, residues)
+    return _turn(runs, turned), turned
+
+
+def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list[RunSpectra]:
+    out = list(runs)
+    for i, k in turned:
+        sign = np.ones((out[i].forces.shape[0], 1))
+        sign[k] = -1
+        out[i] = replace(out[i], forces=out[i].forces * sign)
+    return out
+
+
+def _turned_finding(dof: str) -> Finding:
+    return Finding(
+        "drive_point_sign",
+        f"the drive-point residues at {dof} are negative: force and accelerometer there have opposite senses",
+        "error",
+        dof=dof,
+        consequence="the fit used the force with the opposite sense; FRFs of this reference in idle_frf.uff keep the measured one",
+        action="check the direction of the force sensor and of the accelerometer at this DOF, and correct the label or the polarity",
+    )
 
 
 def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float]:
@@ -248,7 +285,7 @@ def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) 
     price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
     lower = without.cost - with_lower.cost > price
     best = with_lower if lower else without
-    return lower, relative_model_error(thinned, best.parameters)
+    return bool(lower), relative_model_error(thinned, best.parameters)
 
 
 def _final(
@@ -257,6 +294,7 @@ def _final(
     fit: Polished,
     lower: bool,
     keep_hz: Sequence[float],
+    reject_hz: Sequence[float],
     log: OrderLog,
     progress: Callable[[str], None] | None,
 ) -> Polished:
@@ -277,7 +315,7 @@ def _final(
             want_covariance=True,
             progress=progress,
         )
-        out = weak_modes(runs, final, keep_hz, log)
+        out = weak_modes(runs, final, keep_hz, log, reject_hz)
         if not out.size or out.size == final.parameters.hz.size:
             break
         log.rounds.append(f"final fit: {out.size} modes taken out")

@@ -136,7 +136,7 @@ def search_order(
     tried: list[float] = list(reject_hz)
     for number in range(max_rounds):
         misfit = fit.cost / fit.n_data
-        out = weak_modes(thinned, fit, keep_hz, log)
+        out = weak_modes(thinned, fit, keep_hz, log, reject_hz)
         if out.size:
             tried += [float(fit.parameters.hz[i]) for i in out]
             keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
@@ -163,7 +163,7 @@ def search_order(
             continue
         log.rounds.append(f"round {number}: misfit {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
         fit = trial
-    out = weak_modes(thinned, fit, keep_hz, log)
+    out = weak_modes(thinned, fit, keep_hz, log, reject_hz)
     if out.size and out.size < fit.parameters.hz.size:
         keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
         fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
@@ -177,8 +177,10 @@ def _price(runs: Sequence[RunSpectra]) -> float:
     return (responses + 2) * float(np.log(sum(run.responses.size for run in runs))) * 0.5 * 1.5
 
 
-def weak_modes(runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[float], log: OrderLog) -> NDArray[np.int_]:
-    """Modes that do not earn their place: no share in the data, damping beyond any structure, or twins of a neighbour."""
+def weak_modes(
+    runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[float], log: OrderLog, reject_hz: Sequence[float] = ()
+) -> NDArray[np.int_]:
+    """Modes to take out: refused by hand, no share in the data, damping beyond any structure, or twins of a neighbour."""
     theta = fit.parameters
     n = theta.hz.size
     strength = mode_strength(runs, theta)
@@ -190,7 +192,9 @@ def weak_modes(runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[floa
     for i in range(n):
         h, z = float(theta.hz[i]), float(theta.zeta[i])
         code = reason = ""
-        if strength[i] < price:
+        if any(abs(h - r) < 0.01 * r for r in reject_hz):
+            code, reason = "by_hand", "refused in reject_hz"
+        elif strength[i] < price:
             code, reason = "no_evidence", f"its share in the data is {strength[i]:.3g} noise units, {price:.3g} are needed"
         elif z > MAX_DAMPING:
             code, reason = "too_damped", f"damping {100 * z:.3g} % is a curved background, not a mode"

@@ -14,14 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.ema.polish import Polished
 from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters, Real, kernels
 from operando.ema.spectra import RunSpectra
+from operando.synthesis import synthesise
 
 UPPER = (1.05, 1.12, 1.2, 1.3, 1.45, 1.7, 2.1, 2.8, 4.0, 8.0)
 LOWER = (0.02, 0.02, 0.02, 0.6)
 LOCAL = 2.0
 N_LINES = 40
 TOLERANCE = 0.003
+"""Accuracy asked of the pseudo-modes, in units of the out-of-band part itself."""
+
+NEGLIGIBLE = 1e-4
+"""The same in units of the in-band part: less than this is nothing."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +40,14 @@ class OutsideModes:
     covariance: Real
 
 
-def outside_modes(
-    runs: Sequence[RunSpectra], theta: Parameters, band: tuple[float, float], lower: bool, max_dofs: int = 60
-) -> OutsideModes:
+def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, float], lower: bool, max_dofs: int = 60) -> OutsideModes:
     """Residual modes of all DOFs from the out-of-band part of the driven columns.
 
     Parameters
     ----------
     runs : sequence of RunSpectra
-    theta : Parameters
-        Result of the fit: its local coefficients hold the driven part.
+    fit : Polished
+        Its local coefficients hold the driven part.
     band : (float, float)
         Hz, where the residual modes must hold.
     lower : bool
@@ -51,6 +55,7 @@ def outside_modes(
     max_dofs : int
         DOFs in the nonlinear part of the fit; further ones follow by linear least squares.
     """
+    theta = fit.parameters
     top = max([run.top_hz for run in runs] + [float(h) for h in theta.hz])
     bottom = min(float(run.frequencies_hz[0]) for run in runs)
     f = np.geomspace(max(band[0], 1e-3 * band[1]), max(run.top_hz for run in runs), N_LINES)
@@ -66,7 +71,12 @@ def outside_modes(
         std = np.concatenate([std, np.full(len(LOWER), 2 * rms)])
     g = kernels(f, hz, np.full(hz.size, OUTSIDE_DAMPING))[0].real
     scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
-    weight = 1 / (TOLERANCE * np.maximum(scale, 1e-3 * scale.max() + 1e-300))
+    # The driven columns tell how much there is outside at all (products of two shape values, hence the root).
+    expected = np.sqrt(np.sum((std[: len(UPPER), None] ** 2 * g[: len(UPPER)]) ** 2, axis=0))
+    std = std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
+    inside = synthesise(f, theta.hz, theta.zeta, theta.shapes, theta.shapes[refs])
+    floor = NEGLIGIBLE * np.sqrt(np.mean(np.abs(inside) ** 2, axis=(0, 1)))
+    weight = 1 / np.sqrt((TOLERANCE * scale) ** 2 + floor**2 + _noise(runs, fit, f))
     if not np.any(target[known]):
         return _empty(m_dofs)
     core = np.array(sorted(set(refs) | set(_most_telling(target, known, max_dofs))))
@@ -103,6 +113,22 @@ def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Rea
     known = count > 0
     total[known] /= count[known][:, None]
     return total, known, refs
+
+
+def _noise(runs: Sequence[RunSpectra], fit: Polished, f: Real) -> Real:
+    """Mean variance of the out-of-band part on lines ``f``, from the information of its coefficients."""
+    q = fit.parameters.outside_hz.size
+    g = kernels(f, fit.parameters.outside_hz, np.full(q, OUTSIDE_DAMPING))[0].real
+    parts = []
+    for run, (_, information) in zip(runs, fit.local_estimates, strict=True):
+        b = information.shape[0] // run.response_rows.size
+        d = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        inverse = np.linalg.inv(information / np.outer(d, d) + 1e-10 * np.eye(d.size)) / np.outer(d, d)
+        for j in range(run.response_rows.size):
+            for k in range(run.forces.shape[0]):
+                at = j * b + k * q + np.arange(q)
+                parts.append(np.einsum("ql,qp,pl->l", g, inverse[np.ix_(at, at)], g, optimize=True))
+    return np.maximum(np.mean(parts, axis=0), 0)
 
 
 def _most_telling(target: Real, known: NDArray[np.bool_], count: int) -> list[int]:

@@ -212,7 +212,7 @@ def local_variance(x: NDArray[np.complex128], half_width: int = 4) -> NDArray[np
 
 
 def noise_from_spectra(
-    f: NDArray[np.float64], x: NDArray[np.complex128], forces: NDArray[np.complex128], width: int = 28, degree: int = 3, n_bands: int = 8
+    f: NDArray[np.float64], x: NDArray[np.complex128], forces: NDArray[np.complex128], width: int = 40, degree: int = 7, n_bands: int = 8
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Response and force noise without a modal model, from local polynomial residuals.
 
@@ -258,7 +258,14 @@ def noise_from_spectra(
     h = coefficients[:, [i * (degree + 1) for i in range(k)], :]  # (blocks, k, m)
     covariance = np.einsum("bli,blj->bij", rest, rest.conj()) / freedom
     power = np.real(np.einsum("bii->bi", covariance))
-    return _fit_noise(power, covariance, h, f, width, n_blocks, n_bands, np.mean(np.abs(forces) ** 2, axis=1))
+    # Where two degrees less leave clearly more, the polynomials have not converged: a resonance narrower than the block.
+    fewer = [i for i in range(regressors) if i % (degree + 1) <= degree - 2]
+    q_low = np.linalg.qr(basis[:, :, fewer])[0]
+    rest_low = xb - q_low @ (q_low.conj().transpose(0, 2, 1) @ xb)
+    power_low = np.sum(np.abs(rest_low) ** 2, axis=1) / (width - len(fewer))
+    weight = np.sum(np.abs(h) ** 2, axis=1) + 1e-300
+    converged = np.sum(weight * power_low / power, axis=1) / weight.sum(axis=1) < 1.3
+    return _fit_noise(power, covariance, h, f, width, n_blocks, n_bands, np.mean(np.abs(forces) ** 2, axis=1), converged)
 
 
 def _fit_noise(
@@ -270,6 +277,7 @@ def _fit_noise(
     n_blocks: int,
     n_bands: int,
     force_power: NDArray[np.float64],
+    converged: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     n_lines, m = f.size, power.shape[1]
     k = h.shape[1]
@@ -298,7 +306,9 @@ def _fit_noise(
             gain = np.sum(np.abs(hi) ** 2 / vx_block, axis=1) ** 2 - np.sum(np.abs(hi) ** 4 / vx_block**2, axis=1)
             estimate = cross / np.maximum(gain, 1e-300)
             strength = gain / np.maximum(np.sum(np.abs(hi) ** 2 / vx_block, axis=1), 1e-300) * force_power[i]
-            order = np.argsort(strength)[::-1][: max(8, n_blocks // 3)]
+            if converged.sum() >= 6:
+                strength = np.where(converged, strength, -1.0)
+            order = np.argsort(strength)[::-1][: min(max(8, n_blocks // 3), max(int(converged.sum()), 6))]
             new[i] = max(float(np.median(estimate[order])), 0.0) if m > 1 else 0.0
         if np.allclose(new, vf, rtol=1e-3, atol=0):
             vf = new

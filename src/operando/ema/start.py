@@ -56,6 +56,26 @@ def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside_hz
     return out
 
 
+def inverted_forces(runs: Sequence[RunSpectra], residues: Sequence[Real]) -> list[tuple[int, int]]:
+    """Runs and forces whose drive-point residues are mostly negative: modal masses would be, too.
+
+    Returns
+    -------
+    list of (run, force)
+        Where Σ R|R| over the modes is below −0.5 Σ R². The sense of the force or that of the accelerometer at its DOF is wrong; one
+        reference alone cannot say which, and turning the force makes all columns consistent in both cases.
+    """
+    out = []
+    for i, (run, residue) in enumerate(zip(runs, residues, strict=True)):
+        for k, row in enumerate(run.force_rows):
+            at = np.flatnonzero(run.response_rows == row)
+            if at.size:
+                values = residue[k, at[0]]
+                if np.sum(values * np.abs(values)) < -0.5 * np.sum(values**2):
+                    out.append((i, k))
+    return out
+
+
 def _ridge(design: Real, target: Real) -> Real:
     scale = np.linalg.norm(design, axis=1)
     scale[scale == 0] = 1

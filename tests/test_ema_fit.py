@@ -1,0 +1,217 @@
+"""The maximum-likelihood fit against analytic chains: accuracy, honesty of the intervals, faults of the input."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando.data import Frf, TimeRecord
+from operando.data.time import Channel
+from operando.dof import Dof
+from operando.ema import fit_ema
+from operando.ema.polish import normal_equations, residual, start_parameters
+from operando.ema.spectra import excited_limit, noise_from_spectra, record_spectra
+from operando.errors import DataError, IdentificationError
+from structures import Chain
+
+FS = 512.0
+HZ = np.array([22.0, 41.0, 63.0, 64.5, 90.0, 118.0])
+DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, 7))
+
+
+def plate_like():
+    """Chain shapes with chosen frequencies: two of them 1.5 Hz apart."""
+    chain = Chain(6, zeta=np.array([0.006, 0.004, 0.01, 0.008, 0.007, 0.009]), spread=0.4, seed=3)
+    chain.hz = HZ.copy()
+    return chain
+
+
+def steady_record(chain, ref, rng, seconds=16.0, x_noise=0.01, f_noise=0.002, force=20.0):
+    """A piece of a periodic steady state, four times as long: exact, non-periodic in the record, moving at its first sample."""
+    n = int(seconds * FS)
+    f = np.fft.rfftfreq(4 * n, 1 / FS)
+    spectrum = rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)
+    spectrum[(f < 2) | (f > 215)] = 0
+    h = chain.accelerance(np.maximum(f, 1e-9), ref=[ref])[:, 0]
+    p = np.fft.irfft(spectrum)
+    scale = force / p.std()
+    p, x = p[n : 2 * n] * scale, np.fft.irfft(h * spectrum, axis=1)[:, n : 2 * n] * scale
+    p = p + f_noise * p.std() * rng.standard_normal(n)
+    x = x + x_noise * x.std(axis=1, keepdims=True) * rng.standard_normal(x.shape)
+    channels = [Channel(DOFS[ref], "force", "N")] + [Channel(d, "acceleration", "m/s2") for d in DOFS]
+    return TimeRecord(np.vstack([p[None], x]), FS, tuple(channels), name=f"run{ref}")
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    from operando.frf import estimate_frf
+
+    chain = plate_like()
+    rng = np.random.default_rng(5)
+    records = [steady_record(chain, 0, rng), steady_record(chain, 3, rng)]
+    frf = estimate_frf(records)
+    return chain, records, frf, fit_ema(frf, band=(10, 140), records=records)
+
+
+def proper(model):
+    return model.select_modes(np.asarray(model.in_band))
+
+
+def test_modes_and_intervals(fitted):
+    chain, _, _, model = fitted
+    modes = proper(model)
+    assert modes.n_modes == 6
+    assert np.max(np.abs(modes.frequencies_hz / chain.hz - 1)) < 5e-5
+    assert np.max(np.abs(modes.damping_ratios / chain.zeta - 1)) < 0.01
+    z = np.concatenate(
+        [(modes.frequencies_hz - chain.hz) / modes.frequency_std_hz, (modes.damping_ratios - chain.zeta) / modes.damping_ratio_std]
+    )
+    assert np.sqrt(np.mean(z**2)) < 1.7
+    assert 0.8 < model.misfit < 1.25
+    assert model.scaling == "unit_modal_mass"
+
+
+def test_modal_masses_and_undriven_columns(fitted):
+    chain, _, _, model = fitted
+    modes = proper(model)
+    scale = np.sum(modes.shapes * chain.phi, axis=0) / np.sum(chain.phi**2, axis=0)
+    assert np.max(np.abs(np.abs(scale) ** -2 - 1)) < 0.01
+    f = np.linspace(15, 130, 300)
+    h, exact = model.frf(f).data, chain.accelerance(f)
+    error = np.linalg.norm(h - exact, axis=(0, 2)) / np.linalg.norm(exact, axis=(0, 2))
+    assert error.max() < 0.03
+
+
+def test_close_modes_are_separated(fitted):
+    modes = proper(fitted[3])
+    assert np.min(np.diff(modes.frequencies_hz)) == pytest.approx(1.5, abs=0.01)
+
+
+def test_frfs_alone_give_the_same_modes(fitted):
+    chain, _, frf, _ = fitted
+    modes = proper(fit_ema(frf, band=(10, 140)))
+    assert modes.n_modes == 6
+    assert np.max(np.abs(modes.frequencies_hz / chain.hz - 1)) < 1e-3
+    assert np.max(np.abs(modes.damping_ratios / chain.zeta - 1)) < 0.1
+
+
+def test_selection_by_hand(fitted):
+    _, records, frf, _ = fitted
+    model = fit_ema(frf, band=(10, 100), records=records, reject_hz=[41.0])
+    assert not np.any(np.abs(proper(model).frequencies_hz - 41) < 0.5)
+
+
+def test_exponential_window_is_taken_off():
+    chain = plate_like()
+    f = np.arange(5, 140, 0.05)
+    rate = 1.2
+    damped = plate_like()
+    damped.zeta = chain.zeta + rate / (2 * np.pi * chain.hz)
+    h = damped.accelerance(f, ref=[0, 3])
+    rng = np.random.default_rng(0)
+    h = h + 1e-3 * np.abs(h).mean() * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    frf = Frf(h, f, DOFS, (DOFS[0], DOFS[3]), exponential_window_rate=rate)
+    modes = proper(fit_ema(frf, band=(10, 135)))
+    assert modes.n_modes == 6
+    assert np.max(np.abs(modes.damping_ratios / chain.zeta - 1)) < 0.05
+
+
+def test_inverted_force_is_turned_and_said(fitted):
+    chain, records, frf, _ = fitted
+    flipped = [replace(records[0], data=np.vstack([-records[0].data[:1], records[0].data[1:]])), records[1]]
+    data = frf.data.copy()
+    data[:, 0] *= -1
+    model = fit_ema(replace(frf, data=data), band=(10, 140), records=flipped)
+    found = [f for f in model.findings if f.kind == "drive_point_sign"]
+    assert [f.dof for f in found] == ["1+Z"]
+    modes = proper(model)
+    scale = np.sum(modes.shapes * chain.phi, axis=0) / np.sum(chain.phi**2, axis=0)
+    assert np.max(np.abs(np.abs(scale) ** -2 - 1)) < 0.01
+
+
+def test_without_units_or_drive_point_nothing_is_scaled(fitted):
+    _, _, frf, _ = fitted
+    no_units = fit_ema(replace(frf, si=False), band=(10, 140))
+    assert no_units.scaling == "unscaled"
+    assert any(f.kind == "missing_unit" for f in no_units.findings)
+    no_drive = fit_ema(frf.select(responses=["2+Z", "3+Z", "5+Z", "6+Z"]), band=(10, 140))
+    assert no_drive.scaling == "unscaled"
+    assert any(f.kind == "missing_drive_point" for f in no_drive.findings)
+    with pytest.raises(DataError, match="arbitrary scale"):
+        no_drive.frf([20.0])
+
+
+def test_roving_hammer(fitted):
+    chain, _, frf, _ = fitted
+    full = Frf(chain.accelerance(frf.frequencies_hz), frf.axis, DOFS, DOFS)
+    rng = np.random.default_rng(1)
+    noise = 2e-3 * np.abs(full.data).mean() * (rng.standard_normal(full.data.shape) + 1j * rng.standard_normal(full.data.shape))
+    row = replace(full, data=full.data + noise).select(responses=["1+Z", "4+Z"])
+    modes = proper(fit_ema(row, band=(10, 140)))
+    assert modes.n_modes == 6
+    order = [modes.dofs.index(d) for d in DOFS]
+    scale = np.sum(modes.shapes[order] * chain.phi, axis=0)
+    assert np.max(np.abs(np.abs(scale) / np.sum(chain.phi**2, axis=0) - 1)) < 0.02
+
+
+def test_input_errors(fitted):
+    _, records, frf, _ = fitted
+    with pytest.raises(DataError, match="empty"):
+        fit_ema(frf, band=(50, 20))
+    with pytest.raises(IdentificationError):
+        fit_ema(frf.band(200, 200.5), band=(200, 200.5))
+    silent = replace(records[0], channels=tuple(replace(c, quantity="acceleration") for c in records[0].channels))
+    with pytest.raises(DataError, match="no force channel"):
+        fit_ema(frf, band=(10, 140), records=[silent])
+
+
+def test_noise_estimate_without_a_model(fitted):
+    _, records, _, _ = fitted
+    ratios = []
+    for record in [*records, *(steady_record(plate_like(), 0, np.random.default_rng(seed), seconds=32.0) for seed in range(4))]:
+        run = record_spectra(record, DOFS, (10, 140))
+        n = record.n_samples
+        # The noise put in, from the clean rms (noise adds 1e-4 of power).
+        expected_x = n * (0.01 * record.data[1:].std(axis=1)) ** 2
+        expected_f = n * (0.002 * record.data[0].std()) ** 2
+        assert np.median(run.response_variance / expected_x[:, None]) == pytest.approx(1, abs=0.15)
+        ratios.append(run.force_variance[0, 0] / expected_f)
+    assert np.median(ratios) == pytest.approx(1, abs=0.3)
+    assert excited_limit(record, (10, 140)) == pytest.approx(215, abs=6)
+    few = noise_from_spectra(run.frequencies_hz[:20], run.responses[:, :20], run.forces[:, :20])
+    assert np.all(few[0] > 0)
+
+
+def test_gradient_is_that_of_the_cost(fitted):
+    """Re(JᴴC⁻¹e) with the cleaned force is minus half the gradient of the cost at fixed weights' force direction."""
+    chain, records, _, _ = fitted
+    run = record_spectra(records[0], DOFS, (15, 130))
+    run = replace(run, force_variance=np.zeros_like(run.force_variance))
+    rng = np.random.default_rng(2)
+    theta = start_parameters(
+        [run], chain.hz * 1.0005, chain.zeta * 1.05, chain.phi * (1 + 0.01 * rng.standard_normal((6, 6))), np.array([150.0, 300.0])
+    )
+    gradient = normal_equations(run, theta, 0)[1]
+    n, m = 6, 6
+    base = residual(run, theta, 0).cost
+    for index in [1, n + 2, 2 * n + 3 * m + 4, 2 * n + 1 * m + 0]:
+        eps = 1e-6
+        hz, zeta, shapes = theta.hz.copy(), theta.zeta.copy(), theta.shapes.copy()
+        if index < n:
+            hz[index] *= np.exp(eps)
+        elif index < 2 * n:
+            zeta[index - n] *= np.exp(eps)
+        else:
+            mode, row = divmod(index - 2 * n, m)
+            shapes[row, mode] += eps
+        up = residual(run, replace(theta, hz=hz, zeta=zeta, shapes=shapes), 0).cost
+        assert (up - base) / eps == pytest.approx(-2 * gradient[index], rel=2e-3, abs=1e-4 * abs(base))
+
+
+def test_second_opinion_beside_it(fitted):
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    _, _, frf, _ = fitted
+    model = fit_ema(frf.band(5, 150), band=(10, 140), second_opinion=True)
+    assert len(model.details.second_opinion) == 2 * 6 or len(model.details.second_opinion) > 0
+    assert any(o["agrees"] for o in model.details.second_opinion)
