@@ -5,6 +5,7 @@ from operando.ema.fit import EmaDetails, fit_ema
 from operando.ema.indicator_functions import cmif
 from operando.ema.lsfd import lsfd
 from operando.ema.plscf import OrderPoles, plscf
+from operando.ema.rigid_body import RigidBodyMass, rigid_body_mass
 from operando.ema.second_opinion import second_opinion
 from operando.indicators import mac, mean_phase_deviation, phase_collinearity
 
@@ -12,6 +13,7 @@ __all__ = [
     "Candidate",
     "EmaDetails",
     "OrderPoles",
+    "RigidBodyMass",
     "candidate_poles",
     "cmif",
     "fit_ema",
@@ -20,6 +22,7 @@ __all__ = [
     "mean_phase_deviation",
     "phase_collinearity",
     "plscf",
+    "rigid_body_mass",
     "second_opinion",
     "stabilization_diagram",
 ]
