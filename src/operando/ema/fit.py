@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, Provenance, TimeRecord
+from operando.data import Frf, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.ema.candidates import candidate_poles, stabilization_diagram
+from operando.ema.findings import fit_findings, turned_finding
 from operando.ema.heldout import heldout_misfit
 from operando.ema.model_error import relative_model_error, with_model_error
 from operando.ema.order import OrderLog, refine, search_order, thin_lines, weak_modes
@@ -176,7 +177,7 @@ def _fit(
     model = _model(frf, dofs, final, outside, band, fit_band, misfit, log, used)
     if turned:
         names = dict.fromkeys(str(dofs[int(runs[i].force_rows[k])]) for i, k in turned)
-        model = replace(model, findings=(*model.findings, *(_turned_finding(name) for name in names)))
+        model = replace(model, findings=(*model.findings, *(turned_finding(name) for name in names)))
     opinion: tuple[dict[str, Any], ...] = ()
     if second_opinion:
         opinion = _opinion(frf, model)
@@ -259,17 +260,6 @@ def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list
         sign[k] = -1
         out[i] = replace(out[i], forces=out[i].forces * sign)
     return out
-
-
-def _turned_finding(dof: str) -> Finding:
-    return Finding(
-        "drive_point_sign",
-        f"the drive-point residues at {dof} are negative: force and accelerometer there have opposite senses",
-        "error",
-        dof=dof,
-        consequence="the fit used the force with the opposite sense; FRFs of this reference in idle_frf.uff keep the measured one",
-        action="check the direction of the force sensor and of the accelerometer at this DOF, and correct the label or the polarity",
-    )
 
 
 def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float]:
@@ -401,7 +391,7 @@ def _model(
     covariance = _model_covariance(final, sign, outside, zeta, max(1.0, misfit if np.isfinite(misfit) else 1.0))
     residual = np.concatenate([(hz > fit_band[1]) | (hz < 0.8 * fit_band[0]), np.ones(p, bool)])
     in_band = np.concatenate([(hz >= band[0]) & (hz <= band[1]), np.zeros(p, bool)]) & ~residual
-    findings = list(frf.findings) + _findings(frf, dofs, theta.hz, band, log, misfit)
+    findings = list(frf.findings) + fit_findings(frf, dofs, theta.hz, band, log, misfit)
     drive = any(r.same_axis(d) for r in frf.references for d in frf.responses)
     scaled = frf.si and drive and len(log.unseen_hz) < n
     provenance = Provenance.merge(frf.provenance).then(f"fit_ema(band={band}, records={from_records})")
@@ -439,66 +429,6 @@ def _model_covariance(final: Polished, sign: Real, outside: OutsideModes, zeta: 
     out[np.ix_(index, index)] = block
     rest = 2 * total + n * m_dofs + np.arange(p * m_dofs)
     out[np.ix_(rest, rest)] = outside.covariance
-    return out
-
-
-def _findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, float], log: OrderLog, misfit: float) -> list[Finding]:
-    out = []
-    drive = [r for r in frf.references if any(r.same_axis(d) for d in frf.responses)]
-    if not drive:
-        out.append(
-            Finding(
-                "missing_drive_point",
-                "no reference has a response on its own DOF",
-                "error",
-                consequence="the shapes keep an arbitrary scale: no unit modal mass, no FRF of undriven pairs, no operational FRF",
-                action="measure the response at one of the references",
-            )
-        )
-    if not frf.si:
-        out.append(
-            Finding(
-                "missing_unit",
-                "the units of force or response are not known",
-                "warning",
-                consequence="frequencies and damping are right, the scaling to unit modal mass is left out",
-                action="give acceleration and force in [units] of the test file",
-            )
-        )
-    for h in log.unseen_hz:
-        if drive and band[0] <= h <= band[1]:
-            out.append(
-                Finding(
-                    "drive_point_sign",
-                    f"no drive point gives the mode at {h:.4g} Hz a positive modal mass",
-                    "warning",
-                    band_hz=(0.98 * h, 1.02 * h),
-                    consequence="its scale rests on the maximum-likelihood fit alone and is uncertain",
-                    action="check the sense of force and response at the drive points, or add a reference that sees this mode",
-                )
-            )
-    for h, value in log.wrong_sign:
-        if h not in log.unseen_hz and band[0] <= h <= band[1]:
-            out.append(
-                Finding(
-                    "drive_point_sign",
-                    f"a drive-point residue of the mode at {h:.4g} Hz has the wrong sign ({value:.3g} 1/kg): negative modal mass",
-                    "warning",
-                    band_hz=(0.98 * h, 1.02 * h),
-                    consequence="that drive point contradicts the others",
-                    action="check the sense of the force sensor and the accelerometer there",
-                )
-            )
-    if np.isfinite(misfit) and misfit > 3:
-        out.append(
-            Finding(
-                "misfit",
-                f"the idle model misses held-out lines by {misfit:.3g} times their variance",
-                "warning",
-                consequence="noise does not limit this model: real modes, linearity or stationarity fail; intervals are widened",
-                action="look at the misfit by DOF, at complex shapes, and at the level dependence of the FRFs",
-            )
-        )
     return out
 
 
