@@ -1,0 +1,61 @@
+"""Reading an effect from one line of text, as the command line writes it."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from operando.dof import parse_dofs
+from operando.effects.effect import Effect
+from operando.effects.registry import kind_of
+from operando.errors import ConfigError
+
+_HOW = "write KIND[@PLACE][=name:value,…], as in point_mass@272+Z=mass:0.2; PLACE is DOF, DOF,DOF or x,y,z:+Z"
+
+
+def parse_effect(text: str, band_hz: tuple[float, float] | None = None, fixed: bool = False) -> Effect:
+    """Read ``KIND[@PLACE][=name:value,…]``.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``point_mass@272+Z=mass:0.2``, ``gyroscopic@3+Z,7+Z``, ``ground_spring@0.3,0.1,0:+Z``, ``global_stiffness``.
+    band_hz : (float, float), optional
+        Analysis band [Hz], for values that start at its centre.
+    fixed : bool
+        Hold the given values in a fit.
+
+    Raises
+    ------
+    ConfigError
+        If the text cannot be read, or the kind, place or a name is unknown.
+    DofError
+        If a DOF label cannot be read.
+    """
+    head, equals, tail = text.strip().partition("=")
+    kind, at, place = (part.strip() for part in head.partition("@"))
+    if not kind or (at and not place) or (equals and not tail.strip()):
+        raise ConfigError(f"{text!r} is no effect", hint=_HOW)
+    definition = kind_of(kind)
+    values: dict[str, Any] = {}
+    for item in filter(None, (part.strip() for part in tail.split(","))):
+        name, colon, number = (part.strip() for part in item.partition(":"))
+        if not colon:
+            raise ConfigError(f"{item!r} in {text!r} is no name:value", hint=_HOW)
+        definition.parameter(name)
+        try:
+            numbers = tuple(float(v) for v in number.split(";"))
+        except ValueError:
+            raise ConfigError(f"{number!r} in {text!r} is no number", hint=_HOW) from None
+        values[name] = numbers if definition.acts == "excitation" else numbers[0]
+        if len(numbers) > 1 and definition.acts != "excitation":
+            raise ConfigError(f"{name} of {kind} takes one value, got {len(numbers)}")
+    held = tuple(n for n in values if n in definition.names) if fixed else ()
+    spot = re.fullmatch(r"([^:]+):\s*([+-]?R?[XYZ])", place, re.IGNORECASE)
+    if spot is None:
+        return Effect(kind, parse_dofs(place), values, fixed=held, band_hz=band_hz)
+    try:
+        x, y, z = (float(v) for v in spot.group(1).split(","))
+    except ValueError:
+        raise ConfigError(f"{place!r} is no position", hint="write x,y,z:+Z in metres, as in 0.3,0.1,0:+Z") from None
+    return Effect(kind, (), values, position=(x, y, z), direction=spot.group(2), fixed=held, band_hz=band_hz)

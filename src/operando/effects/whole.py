@@ -1,0 +1,129 @@
+"""Effects without a place: all stiffness, all damping, a mode the idle model lacks, and excitation that is no structure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from operando.data import ModalModel
+from operando.effects.base import Array, EffectKind, Parameter, Values
+
+
+def _scaled(covariance: Array | None, factors: Array) -> Array | None:
+    return None if covariance is None else covariance * factors[:, None] * factors
+
+
+class GlobalStiffness(EffectKind):
+    """K times (1 + change); the viscous damping matrix stays, so that ζ falls as 1/√(1 + change)."""
+
+    kind = "global_stiffness"
+    plain = "all stiffness changed"
+    acts = "modal_change"
+    places = 0
+    parameters = (Parameter("change", "", -0.9, 5.0, "linear", 0.0, "relative change of all stiffness"),)
+    moves = "frequencies"
+
+    def modal_change(self, idle: ModalModel, values: Values) -> ModalModel:
+        root = float(np.sqrt(1 + values["change"]))
+        n = idle.n_modes
+        factors = np.r_[np.full(n, root), np.full(n, 1 / root), np.ones(idle.n_parameters - 2 * n)]
+        return replace(
+            idle,
+            frequencies_hz=idle.frequencies_hz * root,
+            damping_ratios=idle.damping_ratios / root,
+            covariance=_scaled(idle.covariance, factors),
+        )
+
+    def explain(self, place: str, size: str, removed: bool = False) -> str:
+        return f"the whole structure is stiffer or softer than at rest ({size}), as by temperature or preload"
+
+    def confirm(self, place: str, values: Values) -> str:
+        return "measure at rest again while it is still at working temperature and load: all frequencies must lie as in operation"
+
+
+class GlobalDamping(EffectKind):
+    """C times (1 + change)."""
+
+    kind = "global_damping"
+    plain = "all damping changed"
+    acts = "modal_change"
+    places = 0
+    parameters = (Parameter("change", "", -0.95, 20.0, "linear", 0.0, "relative change of all damping"),)
+    moves = "damping"
+
+    def modal_change(self, idle: ModalModel, values: Values) -> ModalModel:
+        n = idle.n_modes
+        factors = np.r_[np.ones(n), np.full(n, 1 + values["change"]), np.ones(idle.n_parameters - 2 * n)]
+        return replace(idle, damping_ratios=idle.damping_ratios * (1 + values["change"]), covariance=_scaled(idle.covariance, factors))
+
+    def explain(self, place: str, size: str, removed: bool = False) -> str:
+        return f"the whole structure is damped more or less than at rest ({size})"
+
+    def confirm(self, place: str, values: Values) -> str:
+        return "measure at rest again at working temperature, and at half the level: a change that depends on level is friction in joints"
+
+
+class MissingMode(EffectKind):
+    """A mode that the idle model lacks, appended with the shape the effect carries."""
+
+    kind = "missing_mode"
+    plain = "a mode that the idle model lacks"
+    group = "idle"
+    acts = "added_mode"
+    places = 0
+    parameters = (
+        Parameter("frequency", "Hz", None, None, "log", None, "natural frequency"),
+        Parameter("damping_ratio", "", 1e-5, 0.3, "log", 0.01, "damping ratio"),
+    )
+
+    def added_mode(self, idle: ModalModel, values: Values, shape: Array) -> ModalModel:
+        n, m = idle.n_modes, len(idle.dofs)
+        covariance = idle.covariance
+        if covariance is not None:
+            # The new mode's own uncertainty comes with the effect's values, not with the idle model.
+            where = np.r_[np.arange(n), np.arange(n) + n + 1, np.arange(n * m) + 2 * (n + 1)]
+            grown = np.zeros(((n + 1) * (2 + m),) * 2)
+            grown[np.ix_(where, where)] = covariance
+            covariance = grown
+        assert idle.residual is not None
+        assert idle.in_band is not None
+        return replace(
+            idle,
+            frequencies_hz=np.r_[idle.frequencies_hz, float(values["frequency"])],
+            damping_ratios=np.r_[idle.damping_ratios, float(values["damping_ratio"])],
+            shapes=np.c_[idle.shapes, np.asarray(shape, float)],
+            residual=np.r_[idle.residual, False],
+            in_band=np.r_[idle.in_band, True],
+            covariance=covariance,
+            std=None,
+        )
+
+    def explain(self, place: str, size: str, removed: bool = False) -> str:
+        return f"the idle model lacks a mode ({size})"
+
+    def confirm(self, place: str, values: Values) -> str:
+        near = f"{float(values['frequency']):.4g} Hz"
+        return f"excite at rest at another point, where the mode near {near} can be driven, and identify the idle model again"
+
+
+class HarmonicExcitation(EffectKind):
+    """Narrow lines of the excitation; the structure is not touched."""
+
+    kind = "harmonic_excitation"
+    plain = "harmonics of the running machine"
+    group = "excitation"
+    acts = "excitation"
+    places = 0
+    parameters = ()
+    constants = (Parameter("frequencies", "Hz", 0.0, 1e6, "linear", 0.0, "lines of the excitation"),)
+    moves = "nothing"
+
+    def explain(self, place: str, size: str, removed: bool = False) -> str:
+        return f"the machine itself excites at {size}: excitation, not structure"
+
+    def confirm(self, place: str, values: Values) -> str:
+        return "change the speed: these lines move with it, natural frequencies do not"
+
+
+KINDS = (GlobalStiffness, GlobalDamping, MissingMode, HarmonicExcitation)
