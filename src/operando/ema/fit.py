@@ -15,7 +15,7 @@ from operando.ema.candidates import candidate_poles, stabilization_diagram
 from operando.ema.findings import fit_findings, turned_finding
 from operando.ema.heldout import heldout_misfit
 from operando.ema.model_error import relative_model_error, with_model_error
-from operando.ema.order import OrderLog, refine, search_order, thin_lines, weak_modes
+from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, weak_modes
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Real
@@ -162,9 +162,11 @@ def _fit(
     n_dofs = len(dofs) if core is None else len(core)
     hz, zeta = np.array([s[0] for s in start]), np.array([s[1] for s in start])
     core_runs, turned = _turned(core_runs, hz, zeta)
+    log = OrderLog()
+    hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
     lower, share = _needs_lower(core_runs, n_dofs, hz, zeta)
     weighted = with_model_error(core_runs, share)
-    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, progress=progress)
+    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, log=log, progress=progress)
     final = _final(weighted, n_dofs, fit, lower, select_hz, reject_hz, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
     outside = outside_modes(core_runs, final, band, lower)

@@ -62,6 +62,7 @@ def refine(
     want_covariance: bool = False,
     log: OrderLog | None = None,
     progress: Callable[[str], None] | None = None,
+    hold_poles: bool = False,
 ) -> Polished:
     """Linear start (unless ``start`` is given) and maximum-likelihood fit of the given modes."""
     if start is None:
@@ -80,7 +81,14 @@ def refine(
     rms = np.sqrt(np.mean(start.shapes**2, axis=0, keepdims=True))
     std = np.broadcast_to(FREE_PRIOR * np.maximum(rms, np.median(rms)), start.shapes.shape) if hz.size else None
     return polish(
-        runs, start, shape_std=std, max_iterations=max_iterations, tolerance=tolerance, want_covariance=want_covariance, progress=progress
+        runs,
+        start,
+        shape_std=std,
+        hold_poles=hold_poles,
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+        want_covariance=want_covariance,
+        progress=progress,
     )
 
 
@@ -95,6 +103,35 @@ def mode_strength(runs: Sequence[RunSpectra], theta: Parameters) -> Real:
     return out
 
 
+def complete_start(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, log: OrderLog) -> tuple[Real, Real]:
+    """Starting poles, with modes added first where the free fit would bend others to explain them.
+
+    A mode missing from the start makes a neighbour broad and moves it away before the residuals can show where it is. So where a
+    free fit moves a pole out of its resonance or makes it several times broader, the poles are held and what is missing is added.
+    """
+    order = np.argsort(hz)
+    hz, zeta = np.asarray(hz, float)[order], np.clip(np.asarray(zeta, float)[order], 2e-4, 0.1)
+    thinned = thin_lines(runs, hz, zeta)
+    theta = refine(thinned, n_dofs, hz, zeta, lower=False, max_iterations=8).parameters
+    bent = (np.abs(theta.hz - hz) > 1.5 * zeta * hz) | (theta.zeta > 2.5 * zeta)
+    if not bent.any():
+        return hz, zeta
+    for _ in range(3):
+        held = refine(thinned, n_dofs, hz, zeta, lower=False, hold_poles=True, max_iterations=4)
+        near = [h + k * z * h for h, z in zip(hz, zeta, strict=True) for k in (-3, 0, 3)]
+        new = _missing_modes(thinned, held, near, held.cost / held.n_data)[:1]
+        if not new:
+            break
+        log.rounds.append(f"start: {bent.sum()} poles would bend; a mode near {new[0][0]:.4g} Hz added first")
+        rank = np.argsort(np.append(hz, new[0][0]))
+        hz, zeta = np.append(hz, new[0][0])[rank], np.append(zeta, new[0][1])[rank]
+        grown = refine(thinned, n_dofs, hz, zeta, lower=False, max_iterations=8).parameters
+        bent = (np.abs(grown.hz - hz) > 1.5 * zeta * hz) | (grown.zeta > 2.5 * zeta)
+        if not bent.any():
+            break
+    return hz, zeta
+
+
 def search_order(
     runs: Sequence[RunSpectra],
     n_dofs: int,
@@ -106,6 +143,7 @@ def search_order(
     reject_hz: Sequence[float] = (),
     max_rounds: int = 10,
     max_modes: int = 200,
+    log: OrderLog | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Polished, OrderLog]:
     """Refine the candidate poles and settle the number of modes.
@@ -128,7 +166,7 @@ def search_order(
         On thinned lines, without covariance: a start for the final fit.
     OrderLog
     """
-    log = OrderLog()
+    log = OrderLog() if log is None else log
     order = np.argsort(hz)
     hz, zeta = np.asarray(hz, float)[order], np.clip(np.asarray(zeta, float)[order], 2e-4, 0.1)
     thinned = thin_lines(runs, hz, zeta)

@@ -31,6 +31,8 @@ from operando.ema.spectra import RunSpectra
 from operando.errors import IdentificationError
 
 _BAND_GRAMS = 12
+MAX_STEP_WIDTHS = 2.0
+"""Largest move of a pole in one step, in units of its half bandwidth ζ·f."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,7 @@ def polish(
     start: Parameters,
     *,
     shape_std: Real | None = None,
+    hold_poles: bool = False,
     max_iterations: int = 30,
     tolerance: float = 0.05,
     progress: Callable[[str], None] | None = None,
@@ -217,6 +220,8 @@ def polish(
         Starting values.
     shape_std : (M, n) array, optional
         Standard deviation of a Gaussian prior of the shapes; wide, it only holds what the data do not see.
+    hold_poles : bool
+        Keep the poles as they are and fit shapes, transients and local terms only.
     max_iterations : int
     tolerance : float
         Stop when the fall of the cost is below this. The cost has unit variance per datum: 0.05 moves every estimate
@@ -236,6 +241,8 @@ def polish(
     precision = np.zeros(n_global)
     if shape_std is not None:
         precision[2 * n :] = (0.5 / shape_std**2).T.ravel()
+    if hold_poles:
+        precision[: 2 * n] = 1e30
     damping = 1e-4
     cost = total_cost(runs, theta, shape_std)
     converged = False
@@ -344,7 +351,8 @@ def _solve(
 def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequence[RunSpectra]) -> Parameters | None:
     """Parameters after a step, or None where a pole would leave the physical range."""
     m_dofs, n = theta.shapes.shape
-    if np.any(np.abs(step[:n]) > 0.5) or np.any(np.abs(step[n : 2 * n]) > 5):
+    # A pole that leaves its own resonance in one step no longer explains the peak it was started for.
+    if np.any(np.abs(step[:n]) > MAX_STEP_WIDTHS * np.maximum(theta.zeta, 1e-3)) or np.any(np.abs(step[n : 2 * n]) > 1.5):
         return None
     hz = theta.hz * np.exp(step[:n])
     zeta = theta.zeta * np.exp(step[n : 2 * n])
