@@ -209,6 +209,13 @@ def test_drive_points():
     assert check_drive_points(chain_frf().select(references="1-Z,3+Z")) == []
 
 
+def test_drive_point_with_an_offset_near_zero():
+    frf = chain_frf()
+    data, f = np.array(frf.data), np.linspace(0.25, 150, 600)
+    data[0, 0, 0] = -5j * np.abs(data[0, 0]).max()
+    assert check_drive_points(Frf(data, f, frf.responses, frf.references)) == []
+
+
 def test_reciprocity():
     assert reciprocity_error(chain_frf()) < 1e-12
     assert reciprocity_error(chain_frf(factors={(2, 0): 1.2})) == pytest.approx(0.2 / np.sqrt(1.22), rel=1e-6)

@@ -31,18 +31,19 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
     """Share of a drive point's dissipated power that has the right sign, from 0 (all wrong) to 1 (all right); NaN without lines.
 
     The real part of a drive-point mobility is the power that a unit force puts in: never negative for a passive structure
-    (accelerance: Im > 0, receptance: Im < 0). Weighted by |Re Y|, so that resonances count and noise at other lines does not.
+    (accelerance: Im > 0, receptance: Im < 0). It is counted times the frequency, as the imaginary accelerance, so that resonances rule
+    and what remains of an offset of the sensors near 0 Hz does not, which a division by the frequency would blow up.
     """
     f = frf.frequencies_hz
     good = _significant(frf, response, reference) & (f > 0)
     if not good.any():
         return float("nan")
     sign = frf.responses[response].sign * frf.references[reference].sign
-    power = 1 - QUANTITIES.index(frf.quantity)
-    mobility = sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power
-    real = np.real(mobility)
-    total = float(np.abs(real).sum())
-    return float(np.maximum(real, 0).sum() / total) if total > 0 else float("nan")
+    power = QUANTITIES.index("accelerance") - QUANTITIES.index(frf.quantity)
+    accelerance = sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power
+    dissipated = np.imag(accelerance)
+    total = float(np.abs(dissipated).sum())
+    return float(np.maximum(dissipated, 0).sum() / total) if total > 0 else float("nan")
 
 
 def check_drive_points(frf: Frf) -> list[Finding]:
