@@ -1,0 +1,322 @@
+"""Find the missing physics from check FRFs: the search, its ladder, and the document ``diagnosis.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from operando.compare import compare
+from operando.compare.measures import Lines, error_db, noise_floor_db
+from operando.data import Geometry, ModalModel
+from operando.diagnose.localise import localise
+from operando.diagnose.measurement import propose
+from operando.diagnose.places import candidates as all_candidates
+from operando.diagnose.problem import EARNED, Problem, Tried, choose, step
+from operando.diagnose.refit import Fit, predicted
+from operando.diagnose.scan import Candidate
+from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines, split_lines
+from operando.diagnose.verdict import ambiguous_with, separates, verdict_of
+from operando.effects import Effect
+from operando.errors import DataError, MissingError
+from operando.results import CheckRun
+
+Array = NDArray[Any]
+
+MAX_EFFECTS = 3
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing in the idle model, with evidence.
+
+    Parameters
+    ----------
+    verdict : {"no_misfit", "explained", "partial", "unexplained", "ambiguous"}
+    effects : tuple of Effect
+        Accepted, in order, refitted together.
+    ambiguous_with : tuple of Effect
+        Effects the data cannot tell from the accepted ones.
+    proposed_measurement : str or None
+        What would decide.
+    ladder : tuple of dict
+        One row a step: error and misfit, on all lines and on the judge set.
+    candidates : tuple of dict
+        Ranked, with their evidence.
+    where : dict
+        ``by_dof``, ``by_band``, ``by_mode``: where the idle model fails.
+    noise_floor_db : float or None
+    data : tuple of str
+        What was used.
+    picture : dict
+        Dynamic stiffness δz(ω) at the place found, and the kind-free ranking of places.
+    notes : tuple of str
+    idle : ModalModel
+    """
+
+    verdict: str
+    effects: tuple[Effect, ...]
+    ambiguous_with: tuple[Effect, ...]
+    proposed_measurement: str | None
+    ladder: tuple[dict[str, Any], ...]
+    candidates: tuple[dict[str, Any], ...]
+    where: dict[str, Any]
+    noise_floor_db: float | None
+    data: tuple[str, ...] = ("check_frf",)
+    picture: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    idle: ModalModel | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """``diagnosis.json``."""
+        return {
+            "schema": "operando/diagnosis/1",
+            "data": list(self.data),
+            "verdict": self.verdict,
+            "effects": [e.to_dict() for e in self.effects],
+            "ambiguous_with": [e.to_dict() for e in self.ambiguous_with],
+            "proposed_measurement": self.proposed_measurement,
+            "ladder": [dict(row) for row in self.ladder],
+            "candidates": [dict(c) for c in self.candidates],
+            "where": self.where,
+            "noise_floor_db": self.noise_floor_db,
+            "picture": self.picture,
+            "notes": list(self.notes),
+        }
+
+
+def diagnose(
+    idle: ModalModel,
+    *,
+    check: Sequence[CheckRun] = (),
+    operating: ModalModel | None = None,
+    geometry: Geometry | None = None,
+    hybrid: Any = None,
+    kinds: Sequence[str] | None = None,
+    places: Sequence[Any] | None = None,
+    band: tuple[float, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Name the physical effect that the idle model lacks, where it acts and how large it is.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass, with residual modes and covariance.
+    check : sequence of CheckRun
+        FRFs of the running structure.
+    operating : ModalModel, optional
+        Operational modes, used where there is no check.
+    geometry : Geometry, optional
+        Sensor positions, for what counts as a neighbour.
+    hybrid : HybridModel, optional
+        Not used from check FRFs.
+    kinds, places : sequences, optional
+        Look only for these.
+    band : (float, float), optional
+        Lines used [Hz]; default the idle model's band.
+    progress : callable, optional
+        Told what is being done.
+
+    Raises
+    ------
+    DataError
+        If the idle model is not scaled to unit modal mass.
+    MissingError
+        If there is neither a check nor operational modes.
+    """
+    if idle.scaling != "unit_modal_mass" or not idle.si:
+        raise DataError("the idle model has no scale, so it predicts no FRF to fail", hint="give the units of force and acceleration")
+    if not check:
+        if operating is None:
+            raise MissingError("neither check FRFs nor operational modes to diagnose from")
+        from operando.diagnose.output_only import diagnose_output_only  # type: ignore[import-not-found,unused-ignore]
+
+        return diagnose_output_only(  # type: ignore[no-any-return,unused-ignore]
+            idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress
+        )
+    with threadpool_limits(1, "blas"):
+        problem = make_problem(idle, check, kinds, places, band or idle.band_hz, progress)
+        return _search(problem, check, geometry, band or idle.band_hz)
+
+
+def make_problem(
+    idle: ModalModel,
+    check: Sequence[CheckRun],
+    kinds: Sequence[str] | None = None,
+    places: Sequence[Any] | None = None,
+    band: tuple[float, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Problem:
+    """Lines, sets, variances and candidates, before anything is fitted."""
+    from operando.compare.comparison import lowest_level
+    from operando.dof import parse_dofs
+
+    judge = lowest_level(check)
+    ordered = sorted(check, key=lambda run: run.level != judge)
+    lines = split_lines(ordered, idle, band)
+    own = idle_variance(idle, lines)
+    responses = [idle.dofs[i] for i in lines.responses]
+    references = [idle.dofs[i] for i in lines.references]
+    if band is None:
+        band = (float(lines.hz.min()), float(lines.hz.max()))
+    templates = all_candidates(idle, responses, references, band, kinds, None if places is None else parse_dofs(places))
+    return Problem(idle, lines, own, templates, progress)
+
+
+def idle_variance(idle: ModalModel, lines: CheckLines) -> Array:
+    """The idle model's own variance of each line (receptance)."""
+    if idle.covariance is None:
+        return np.zeros(lines.data.shape)
+    hz, back = np.unique(lines.hz, return_inverse=True)
+    made = idle.frf(hz, [idle.dofs[i] for i in lines.responses], [idle.dofs[i] for i in lines.references], "receptance")
+    assert made.variance is not None
+    return np.moveaxis(made.variance, 2, 0)[back]
+
+
+def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | None, band: tuple[float, float] | None) -> Diagnosis:
+    fit = problem.empty()
+    selection = [problem.misfit(SELECT, fit)]
+    fits: list[Fit] = [fit]
+    history: list[tuple[Tried, list[Tried]]] = []
+    scans: list[list[Candidate]] = []
+    last: list[Tried] = []
+    while len(fit.terms) < MAX_EFFECTS:
+        tried, found = step(problem, fit)
+        scans.append(found)
+        last = tried
+        if not tried:
+            break
+        best = choose(tried)
+        if best.selection > (1 - EARNED) * selection[-1] or not earns(problem, fit, best):
+            break
+        history.append((best, tried))
+        fit = best.fit
+        fits.append(fit)
+        selection.append(best.selection)
+        if best.selection < 1.2:
+            break
+    final = [problem.joint(f.terms, f.q, (FIT, SELECT), f) if f.terms else f for f in fits]
+    effects = tuple(effects_of(final[-1]))
+    rows = ladder(problem, final)
+    alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
+    further = last[0].selection / selection[-1] if last and (not history or last is not history[-1][1]) else 1.0
+    verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
+    judged = problem.sets[JUDGE]
+    notes = list(problem.lines.notes)
+    if problem.lines.disagreement > 2 and verdict in ("explained", "ambiguous"):
+        verdict = "partial"
+        notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
+    ranked = tuple(candidate_row(t, selection) for t in (history[0][1] if history else last))
+    proposal = propose(problem, final[-1], [t for t in alternatives], verdict)
+    where = where_it_fails(problem.idle, check, band)
+    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
+    picture = localise(problem, effects, final[-1])
+    return Diagnosis(
+        verdict,
+        effects,
+        tuple(effects_of(t.fit)[-1] for t in alternatives),
+        proposal,
+        tuple(rows),
+        ranked,
+        where,
+        floor,
+        ("check_frf",),
+        picture,
+        tuple(notes),
+        problem.idle,
+    )
+
+
+def earns(problem: Problem, fit: Fit, best: Tried) -> bool:
+    """Whether the effect itself lowers the misfit, and not the shape values that were freed with it."""
+    if best.selection < 0.5 * problem.misfit(SELECT, fit):
+        return True
+    from operando.diagnose.refit import effect_dofs, refit, shape_prior
+
+    prior = shape_prior(problem.idle, effect_dofs(best.fit.terms))
+    freed = refit(problem.arrays, problem.sets[FIT], problem.owns[FIT], fit.terms, fit.q, prior)
+    return separates(best.selection, problem.misfit(SELECT, freed), EARNED)
+
+
+def effects_of(fit: Fit) -> list[Effect]:
+    """The fitted terms as effects with values and standard deviations."""
+    out = []
+    for term, q, spread in zip(fit.terms, fit.q, fit.std, strict=True):
+        values = term.values(q)
+        values.pop("shape", None)
+        std = {
+            name: float(abs(term.kind.parameter(name).slope(float(values[name])) * s)) for name, s in zip(term.moving, spread, strict=False)
+        }
+        out.append(
+            Effect(
+                term.kind.kind,
+                term.dofs,
+                values,
+                std,
+                term.position,
+                term.direction or "",
+                term.sign < 0,
+                fixed=tuple(term.fixed),
+                band_hz=term.band_hz,
+            )
+        )
+    return out
+
+
+def flat(lines: CheckLines, own: Array, data: Array) -> Lines:
+    """Lines for the error measures of the comparison."""
+    good = np.isfinite(lines.variance)
+    response = np.broadcast_to(lines.responses[None, :, None], lines.data.shape)
+    hz = np.broadcast_to(lines.hz[:, None, None], lines.data.shape)
+    return Lines(data[good], lines.data[good], lines.variance[good], own[good], response[good], hz[good])
+
+
+def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
+    """Error and misfit of each step, on all lines and on the judge set."""
+    from operando.diagnose.refit import mean_misfit
+
+    rows = []
+    judge = problem.lines.group == JUDGE
+    for number, fit in enumerate(fits):
+        data, extra = predicted(problem.arrays, problem.lines, fit, True)
+        own = problem.own if extra is None else problem.own + extra
+        everything = flat(problem.lines, own, data)
+        held = flat(problem.lines.where(judge), own[judge], data[judge])
+        rows.append(
+            {
+                "step": number,
+                "added": effects_of(fit)[-1].to_dict() if number else None,
+                "error_db": error_db(everything),
+                "heldout_error_db": error_db(held),
+                "misfit": mean_misfit(problem.lines, own, data),
+                "heldout_misfit": mean_misfit(problem.lines.where(judge), own[judge], data[judge]),
+            }
+        )
+    return rows
+
+
+def candidate_row(tried: Tried, selection: Sequence[float]) -> dict[str, Any]:
+    """One entry of ``candidates``."""
+    effect = effects_of(tried.fit)[-1]
+    fall = 1 - tried.selection / selection[0]
+    return effect.to_dict() | {
+        "selection_misfit": tried.selection,
+        "evidence": f"misfit on lines the fit has not seen {selection[0]:.4g} → {tried.selection:.4g} ({100 * fall:.1f} % lower)",
+    }
+
+
+def where_it_fails(idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None) -> dict[str, Any]:
+    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level."""
+    from operando.compare.comparison import lowest_level
+
+    judge = lowest_level(check)
+    made = compare(idle, [run.frf for run in check if run.level == judge], band).to_dict()
+    return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
+
+
+

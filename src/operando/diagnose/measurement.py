@@ -1,0 +1,41 @@
+"""Which measurement would decide between candidates that the data cannot tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from operando.diagnose.refit import Fit
+
+if TYPE_CHECKING:
+    from operando.diagnose.problem import Problem, Tried
+
+
+def propose(problem: Problem, fit: Fit, alternatives: Sequence[Tried], verdict: str) -> str | None:
+    """The force position and frequency where the models differ most, or the accepted effect's confirming test."""
+    from operando.diagnose.diagnosis import effects_of
+    from operando.diagnose.problem import full_receptance
+
+    if not alternatives:
+        if verdict in ("partial", "unexplained"):
+            return "measure the running structure at another level, with the force at another point: it shows whether the rest depends on level"
+        return None
+    lines = problem.lines
+    one = full_receptance(problem.arrays, lines, fit)[0]
+    size = np.abs(one)
+    texts = []
+    for t in alternatives[:2]:
+        two = full_receptance(problem.arrays, lines, t.fit)[0]
+        loud = size > np.median(size, axis=0, keepdims=True)
+        gap = np.where(loud, np.abs(two - one) / np.maximum(size, 1e-300), 0)
+        j = int(np.argmax(np.median(gap, axis=(0, 1))))
+        line = int(np.argmax(np.median(gap[:, :, j], axis=1)))
+        decibel = float(np.max(20 * np.abs(np.log10(np.abs(two[line, :, j]) / np.maximum(size[line, :, j], 1e-300)))))
+        other = effects_of(t.fit)[-1]
+        texts.append(
+            f"to tell it from {other.kind} at {other.place or 'no place'}: excite {problem.idle.dofs[j]} while it runs; near {lines.hz[line]:.4g} Hz "
+            f"the two predictions differ by up to {decibel:.2g} dB"
+        )
+    return "; ".join(texts)

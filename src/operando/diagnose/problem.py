@@ -1,0 +1,200 @@
+"""What a diagnosis from check FRFs works on: lines in three sets, the idle model as arrays, candidates; and one step of the search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import ModalModel
+from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
+from operando.diagnose.refit import Fit, effect_dofs, mean_misfit, predicted, refit, shape_prior, weights
+from operando.diagnose.scan import Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
+from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines
+
+Array = NDArray[Any]
+
+SHORT_LIST = 14
+"""Candidates of the scan that are refitted."""
+
+EARNED = 0.10
+"""An effect must lower the selection misfit by more than this part (contract, "Verdicts")."""
+
+PARSIMONY = 0.02
+"""Within this part of the best selection misfit the fewest parameters win."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate after its refit with all accepted effects.
+
+    Parameters
+    ----------
+    term : Term
+    fit : Fit
+        All effects together, the candidate last.
+    selection : float
+        Misfit on the select set.
+    blocks : (n_blocks,) array
+        The same block by block.
+    """
+
+    term: Term
+    fit: Fit
+    selection: float
+    blocks: Array
+
+
+@dataclass
+class Problem:
+    """Check lines and idle model.
+
+    Parameters
+    ----------
+    idle : ModalModel
+    lines : CheckLines
+    own : array like ``lines.data``
+        The idle model's own variance (receptance).
+    templates : list of Term
+        Candidates before anything is fitted.
+    say : callable, optional
+        Told of progress.
+    """
+
+    idle: ModalModel
+    lines: CheckLines
+    own: Array
+    templates: list[Term]
+    say: Callable[[str], None] | None = None
+    arrays: IdleArrays = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.arrays = IdleArrays.of(self.idle)
+        self.sets = {g: self.lines.where(self.lines.group == g) for g in (FIT, SELECT, JUDGE)}
+        self.owns = {g: self.own[self.lines.group == g] for g in (FIT, SELECT, JUDGE)}
+
+    def empty(self) -> Fit:
+        """The idle model alone."""
+        return Fit((), (), self.arrays.phi, shape_prior(self.idle, np.zeros(0, int)), cost=np.inf)
+
+    def misfit(self, group: int, fit: Fit, spread: bool = False) -> float:
+        """Misfit on one set; with what the fit left undetermined in the variance, if wanted."""
+        data, extra = predicted(self.arrays, self.sets[group], fit, spread)
+        return mean_misfit(self.sets[group], self.owns[group], data, extra)
+
+    def by_block(self, fit: Fit) -> Array:
+        """Misfit on each block of the select set."""
+        lines, own = self.sets[SELECT], self.owns[SELECT]
+        data, _ = predicted(self.arrays, lines, fit)
+        w = weights(lines, own)
+        value, count = np.sum(w * np.abs(lines.data - data) ** 2, axis=(1, 2)), np.sum(w > 0, axis=(1, 2))
+        return np.array([np.sum(value[lines.block == b]) / max(np.sum(count[lines.block == b]), 1) for b in np.unique(lines.block)])
+
+    def joint(self, terms: Sequence[Term], q: Sequence[Array], groups: Sequence[int] = (FIT,), start: Fit | None = None) -> Fit:
+        """All effects together with the shape values at their DOFs."""
+        prior = shape_prior(self.idle, effect_dofs(terms))
+        mask = np.isin(self.lines.group, groups)
+        z = start.z if start is not None and np.array_equal(start.prior.dofs, prior.dofs) else None
+        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z)
+
+    def tried(self, fit: Fit) -> Tried:
+        """A fit with its figures on the select set."""
+        return Tried(fit.terms[-1], fit, self.misfit(SELECT, fit), self.by_block(fit))
+
+
+def full_receptance(arrays: IdleArrays, lines: CheckLines, fit: Fit) -> tuple[Array, Array, Array]:
+    """Of the structure with the accepted effects: between all DOFs; at the measured pairs as the channels see it; data put right."""
+    here = arrays.with_phi(fit.phi)
+    m = arrays.phi.shape[0]
+    every = replace(
+        lines, responses=np.arange(m), references=np.arange(m), data=np.zeros((lines.hz.size, m, m)), variance=np.ones((lines.hz.size, m, m))
+    )
+    structural = [(t, v) for t, v in zip(fit.terms, fit.q, strict=True) if t.kind.acts != "sensor_map"]
+    full = predict(here, every, [t for t, _ in structural], [v for _, v in structural]).data
+    seen = predict(here, lines, fit.terms, fit.q).data
+    factor, order = channel_maps(lines, fit.terms, [t.values(v) for t, v in zip(fit.terms, fit.q, strict=True)])
+    data = lines.data if factor is None else lines.data / factor
+    right = np.empty_like(data)
+    right[:, order] = data
+    return full, seen, right
+
+
+def scan(problem: Problem, fit: Fit) -> list[Candidate]:
+    """All kinds at all places beside the accepted effects, ranked by their error on the fit lines, model error allowed for."""
+    lines, own = problem.sets[FIT], problem.owns[FIT]
+    full, seen, data = full_receptance(problem.arrays, lines, fit)
+    right = replace(lines, data=data)
+    model = full[np.ix_(np.arange(lines.hz.size), lines.responses, lines.references)]
+    weight = scan_weights(right, model, own)
+    have = {t.key for t in fit.terms}
+    fresh = [t for t in problem.templates if t.key not in have]
+    reduced: dict[bytes, Reduced] = {}
+    out: list[Candidate] = []
+    for t in fresh:
+        if t.kind.acts != "dynamic_stiffness":
+            continue
+        key = t.rows.tobytes()
+        if key not in reduced:
+            reduced[key] = reduce_place(full, t.rows, right, data, weight)
+        found = fit_place(t, reduced[key], right)
+        if found is not None:
+            out.append(found)
+    out += channel_candidates([t for t in fresh if t.kind.acts == "sensor_map"], right, model, data, weight)
+    out += [c for t in fresh if t.kind.acts == "modal_change" for c in [global_candidate(problem, t, fit, lines, weight)] if c]
+    return sorted(out, key=lambda c: c.cost)
+
+
+def global_candidate(problem: Problem, term: Term, fit: Fit, lines: CheckLines, weight: Array) -> Candidate | None:
+    """A change of the whole structure: coarse search over its one number, then finer ones round the best."""
+    if term.size != 1:
+        return None
+    low, high = (float(v[0]) for v in term.bounds())
+    here = problem.arrays.with_phi(fit.phi)
+
+    def cost(v: float) -> float:
+        data = predict(here, lines, [*fit.terms, term], [*fit.q, np.array([v])]).data
+        return float(np.sum(weight * np.abs(lines.data - data) ** 2) / max(int(np.sum(weight > 0)), 1))
+
+    grid = np.unique(np.r_[-np.geomspace(1e-3, -low, 14), np.geomspace(1e-3, high, 18)]) if low < 0 else np.linspace(low, high, 30)
+    best = float(grid[int(np.argmin([cost(float(v)) for v in grid]))])
+    width = 0.3 * abs(best) + 1e-4
+    for _ in range(14):
+        trio = [float(np.clip(v, low, high)) for v in (best - width, best, best + width)]
+        j = int(np.argmin([cost(v) for v in trio]))
+        best = trio[j]
+        if j == 1:
+            width /= 2
+    return Candidate(term, np.array([best]), cost(best))
+
+
+def shortlist(found: Sequence[Candidate], count: int = SHORT_LIST) -> list[Candidate]:
+    """The best of the scan, and the best of each kind that is not far off."""
+    if not found:
+        return []
+    out = list(found[:count])
+    kinds = {c.term.kind.kind for c in out}
+    for c in found[count:]:
+        if c.term.kind.kind not in kinds and c.cost < 30 * found[0].cost + 1:
+            kinds.add(c.term.kind.kind)
+            out.append(c)
+    return [c for c in out if c.cost < 100 * found[0].cost + 10]
+
+
+def step(problem: Problem, fit: Fit) -> tuple[list[Tried], list[Candidate]]:
+    """One more effect: scan, refit the short list with all accepted ones, rank by the select set."""
+    found = scan(problem, fit)
+    tried = []
+    for c in shortlist(found):
+        if problem.say:
+            problem.say(f"refit {c.term.kind.kind} at {', '.join(map(str, c.term.dofs)) or 'no place'}")
+        tried.append(problem.tried(problem.joint([*fit.terms, c.term], [*fit.q, c.q])))
+    return sorted(tried, key=lambda t: t.selection), found
+
+
+def choose(tried: Sequence[Tried]) -> Tried:
+    """Parsimony: within 2 % of the best the fewest parameters, then a fault of the measurement before physics."""
+    near = [t for t in tried if t.selection <= (1 + PARSIMONY) * tried[0].selection]
+    return min(near, key=lambda t: (t.term.size, t.term.kind.group == "structure", t.selection))

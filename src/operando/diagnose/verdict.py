@@ -1,0 +1,114 @@
+"""Verdicts, and what the data cannot tell apart (contract, "Verdicts")."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from operando.data import Geometry
+from operando.diagnose.predict import Term
+
+if TYPE_CHECKING:
+    from operando.diagnose.problem import Problem, Tried
+
+GOOD = 1.5
+"""Judge misfit below which the data allow no better."""
+
+ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
+"""Alike: selection misfit within 2 %, or paired-block z below 2 and within 15 %."""
+
+
+def separates(new: float, old: float, part: float) -> bool:
+    """Whether ``new`` lies below ``old`` by more than ``part`` of it."""
+    return new < (1 - part) * old
+
+
+def verdict_of(judge: Sequence[float], accepted: bool, ambiguous: bool, further: float) -> str:
+    """Verdict of the contract.
+
+    Parameters
+    ----------
+    judge : sequence of float
+        Misfit on the judge set at each step, that of the idle model first.
+    accepted : bool
+        Whether an effect was accepted.
+    ambiguous : bool
+        Whether another kind or a far place does as well.
+    further : float
+        Selection misfit with the best further candidate over that without it.
+    """
+    if not accepted:
+        return "no_misfit" if judge[0] < GOOD else "unexplained"
+    now, fall = judge[-1], 1 - judge[-1] / judge[0]
+    done = now < GOOD or (fall > 0.99 and further > 0.8)
+    if done:
+        return "ambiguous" if ambiguous else "explained"
+    if fall > 0.8:
+        return "ambiguous" if ambiguous else "partial"
+    return "unexplained"
+
+
+def paired_z(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean difference of two sets of block misfits over its standard error."""
+    d = other - one
+    error = float(np.std(d, ddof=1) / np.sqrt(d.size)) if d.size > 1 else np.inf
+    return float(np.mean(d) / error) if error > 0 else (0.0 if np.allclose(d, 0) else np.inf)
+
+
+def alike(best: Tried, other: Tried) -> bool:
+    """Whether the select set cannot tell two candidates apart."""
+    ratio = other.selection / best.selection - 1
+    return ratio < ALIKE or (ratio < ALIKE_AT_MOST and paired_z(best.blocks, other.blocks) < ALIKE_Z)
+
+
+def same_place(a: Term, b: Term) -> bool:
+    """Whether two terms act at the same DOFs."""
+    return {(d.node, d.axis) for d in a.dofs} == {(d.node, d.axis) for d in b.dofs}
+
+
+def nested(a: Term, b: Term) -> bool:
+    """Whether one kind contains the other at the same place: then it fits as well without saying anything else."""
+    return same_place(a, b) and (a.kind.kind in b.kind.contains or b.kind.kind in a.kind.contains)
+
+
+def spacing(geometry: Geometry | None) -> float:
+    """Median distance from a sensor to its nearest neighbour [m]; 0 without geometry."""
+    if geometry is None or len(geometry.nodes) < 2:
+        return 0.0
+    x = geometry.coordinates
+    d = np.linalg.norm(x[:, None] - x[None], axis=2)
+    np.fill_diagonal(d, np.inf)
+    near = d.min(axis=1)
+    return float(np.median(near[near > 0])) if np.any(near > 0) else 0.0
+
+
+def distance(a: Term, b: Term, geometry: Geometry | None) -> float:
+    """Largest way between the places of two terms of one kind, paired as is nearest [m]; infinite where it is not known."""
+    if same_place(a, b):
+        return 0.0
+    if geometry is None or len(a.dofs) != len(b.dofs):
+        return np.inf
+    one = [geometry.position(d.node) for d in a.dofs]
+    two = [geometry.position(d.node) for d in b.dofs]
+    if any(p is None for p in (*one, *two)):
+        return np.inf
+    ways = [max(float(np.linalg.norm(p - q)) for p, q in zip(one, order, strict=True)) for order in permutations(two)]  # type: ignore[operator]
+    return min(ways, default=0.0)
+
+
+def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]], geometry: Geometry | None) -> tuple[list[Tried], bool]:
+    """Candidates as good as an accepted one, and whether one of them is another kind or more than a sensor spacing away."""
+    out, other = [], False
+    limit = spacing(geometry) * 1.05
+    accepted = [best.term.key for best, _ in history]
+    for best, tried in history:
+        for t in tried:
+            if t.term.key in accepted or not alike(best, t) or nested(best.term, t.term):
+                continue
+            out.append(t)
+            if t.term.kind.kind != best.term.kind.kind or distance(best.term, t.term, geometry) > limit:
+                other = True
+    return out, other
