@@ -1,0 +1,171 @@
+"""Raw records of a state: exact steady sections of a longer period, with noise, as binary 58b sets. Shares no code with operando.
+
+Every force is limited to the band of the data logger's filter (flat to 170 Hz, nothing above 250 Hz) and periodic over more than the
+record; the response is H·F on each line of that period, and the record is a section of it. A random record begins and ends while the
+structure moves; a hammer record begins at rest, for the rest of its period is silence.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from families import Structure
+from hidden import Hidden, System
+from scipy import fft
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "example_data"))
+from uff import Trace, time_record
+
+RATE = 512.0
+RESPONSE_NOISE, FORCE_NOISE = 0.01, 0.002
+GRAVITY, POUND = 9.80665, 4.4482216152605
+FILTER_END = 250.0
+DATE = "21-NOV-26 08:00:00"
+
+
+def anti_alias(hz: np.ndarray) -> np.ndarray:
+    """Gain of the filter: 1 to 170 Hz, a raised cosine to 0 at 250 Hz."""
+    return 0.5 * (1 + np.cos(np.pi * np.clip((hz - 170) / 80, 0, 1)))
+
+
+def lines(period: int) -> np.ndarray:
+    return fft.rfftfreq(period, 1 / RATE)
+
+
+def random_force(rng: np.random.Generator, period: int, rms: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Spectra (forces, lines) of stationary random forces of given rms [N] between two frequencies, with soft edges."""
+    hz = lines(period)
+    shape = anti_alias(hz) / (1 + (low / np.maximum(hz, 1e-6)) ** 8) / (1 + (hz / high) ** 8)
+    spectra = (rng.standard_normal((len(rms), hz.size)) + 1j * rng.standard_normal((len(rms), hz.size))) * shape
+    spectra[:, 0] = spectra[:, -1] = 0
+    return spectra * (rms * period / np.sqrt(2 * np.sum(np.abs(spectra) ** 2, axis=1)))[:, None]
+
+
+def hammer_force(rng: np.random.Generator, period: int, seconds: float, level: float) -> np.ndarray:
+    """Spectrum (1, lines) of half-sine hits of 3 to 5 ms every 7.5 to 9 s, of varying peak."""
+    hz = lines(period)
+    spectrum = np.zeros(hz.size, complex)
+    start = 1.5
+    while start < seconds - 6:
+        peak, width = level * rng.uniform(0.5, 1.5), rng.uniform(0.003, 0.005)
+        x = 2 * hz * width
+        x = np.where(np.abs(x - 1) < 1e-9, 1 + 1e-9, x)
+        pulse = 2 * peak * width / np.pi * np.cos(np.pi * x / 2) / (1 - x**2)
+        spectrum += pulse * np.exp(-2j * np.pi * hz * (start + width / 2))
+        start += rng.uniform(7.5, 9.0)
+    return (spectrum * anti_alias(hz) * RATE)[None]
+
+
+def steady(system: System, rows: np.ndarray, columns: np.ndarray, forces: np.ndarray, period: int) -> np.ndarray:
+    """Acceleration spectra (rows, lines) over the period: H·F on every line, nothing above the filter's end."""
+    hz = lines(period)
+    wanted = hz < FILTER_END
+    spectra = np.zeros((len(rows), hz.size), complex)
+    spectra[:, wanted] = system.respond(hz[wanted], forces[:, wanted], rows, columns)
+    return spectra
+
+
+def faults(state: Hidden, spectra: np.ndarray, period: int) -> np.ndarray:
+    """What the channels of the running set-up make of the true accelerations."""
+    out = spectra.copy()
+    for i, gain in state.gain.items():
+        out[i] *= gain
+    for i, delay in state.delay.items():
+        out[i] *= np.exp(-2j * np.pi * lines(period) * delay)
+    if state.swap is not None:
+        out[list(state.swap)] = out[list(state.swap)[::-1]]
+    return out
+
+
+class Logger:
+    """Adds noise and writes runs in given units."""
+
+    def __init__(self, structure: Structure, rng: np.random.Generator, units: tuple[str, str]) -> None:
+        self.structure, self.rng, self.units = structure, rng, units
+
+    def run(self, acceleration: np.ndarray, force: np.ndarray | None, reference: int | None, name: str) -> bytes:
+        sensors, (a_unit, f_unit) = self.structure.sensors, self.units
+        traces = []
+        if force is not None and reference is not None:
+            s = sensors[reference]
+            noisy = force + FORCE_NOISE * force.std() * self.rng.standard_normal(force.shape)
+            scale = POUND if f_unit == "lbf" else 1.0
+            traces.append(Trace(f"force {s.name}", s.label, s.sense * (s.axis + 1), "force", f_unit, noisy / scale))
+        for s, row in zip(sensors, acceleration, strict=True):
+            noisy = row + RESPONSE_NOISE * row.std() * self.rng.standard_normal(row.shape)
+            scale = GRAVITY if a_unit == "g" else 1.0
+            traces.append(Trace(f"acceleration {s.name}", s.label, s.sense * (s.axis + 1), "acceleration", a_unit, noisy / scale))
+        return time_record(traces, RATE, name, DATE)
+
+
+def forced_run(
+    logger: Logger, state: Hidden, reference: int, excitation: str, seconds: float, level: float, name: str, *, check: bool = False
+) -> bytes:
+    """A run with one measured force at a sensor; in a check run the set-up's faults act."""
+    rng = logger.rng
+    samples = int(seconds * RATE)
+    period = fft.next_fast_len(samples + int((60 if excitation == "hammer" else 20) * RATE), real=True)
+    period += period % 2
+    if excitation == "hammer":
+        forces = hammer_force(rng, period, seconds, 15 * level)
+    else:
+        forces = random_force(rng, period, np.array([level]), 3.0, 190.0)
+    system = state.check_system if check and state.check_system is not None else state.system
+    spectra = steady(system, state.rows, state.rows[[reference]], forces, period)
+    measured = forces[0]
+    if check:
+        spectra = faults(state, spectra, period)
+        delay = state.force_delay.get(reference, 0.0)
+        measured = measured * state.force_gain.get(reference, 1.0) * np.exp(-2j * np.pi * lines(period) * delay)
+    acceleration = fft.irfft(spectra, period)[:, :samples]
+    return logger.run(acceleration, fft.irfft(measured, period)[:samples], reference, name)
+
+
+def operating_run(logger: Logger, state: Hidden, seconds: float, orders: tuple[tuple[float, float], ...]) -> bytes:
+    """White forces at 24 places of the mesh, unmeasured, and rotor orders (Hz, N) at one of them."""
+    rng = logger.rng
+    samples = int(seconds * RATE)
+    period = fft.next_fast_len(samples + int(20 * RATE), real=True)
+    period += period % 2
+    size = np.abs(state.shapes).max(axis=1)
+    places = rng.choice(np.flatnonzero(size > 0.05 * size.max()), 24, replace=False)
+    forces = random_force(rng, period, rng.uniform(0.6, 1.8, places.size), 3.0, 190.0)
+    acceleration = fft.irfft(faults(state, steady(state.system, state.rows, state.shapes[places], forces, period), period), period)[
+        :, :samples
+    ]
+    if orders:
+        hz = np.array([f for f, _ in orders])
+        gains = state.system.accelerance(hz, state.rows, state.shapes[places[:1]])[:, 0]
+        time = np.arange(samples) / RATE
+        for gain, (f, amplitude) in zip(gains.T, orders, strict=True):
+            wave = np.exp(2j * np.pi * (f * time + rng.uniform()))
+            for i, row in enumerate(_through_faults(state, gain, f)):
+                acceleration[i] += np.real(row * amplitude * wave)
+    return logger.run(acceleration, None, None, "running")
+
+
+def _through_faults(state: Hidden, gain: np.ndarray, hz: float) -> np.ndarray:
+    """The faults of the channels at one frequency."""
+    out = gain.astype(complex)
+    for i, factor in state.gain.items():
+        out[i] *= factor
+    for i, delay in state.delay.items():
+        out[i] *= np.exp(-2j * np.pi * hz * delay)
+    if state.swap is not None:
+        out[list(state.swap)] = out[list(state.swap)[::-1]]
+    return out
+
+
+def geometry(structure: Structure) -> bytes:
+    """Sensor nodes (set 15, metres) and the lines between them (set 82)."""
+    nodes = {s.label: structure.points[s.node] for s in structure.sensors}
+    text = [f"{-1:6d}", f"{15:6d}"]
+    text += [f"{n:10d}{0:10d}{0:10d}{7:10d}{x:13.5E}{y:13.5E}{z:13.5E}" for n, (x, y, z) in sorted(nodes.items())]
+    text.append(f"{-1:6d}")
+    for number, wire in enumerate(structure.wires, start=1):
+        text += [f"{-1:6d}", f"{82:6d}", f"{number:10d}{len(wire):10d}{7:10d}", "line"]
+        text += ["".join(f"{n:10d}" for n in wire[i : i + 8]) for i in range(0, len(wire), 8)]
+        text.append(f"{-1:6d}")
+    return ("\n".join(text) + "\n").encode("ascii")
