@@ -51,6 +51,8 @@ NUMERIC = (
     "oma",
     "scaling",
     "compare",
+    "effects",
+    "diagnose",
 )
 
 

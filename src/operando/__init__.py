@@ -32,6 +32,13 @@ _WHERE = {
     "HybridModel": "operando.scaling",
     "compare": "operando.compare",
     "Comparison": "operando.compare",
+    "Effect": "operando.effects",
+    "EffectKind": "operando.effects",
+    "Parameter": "operando.effects",
+    "catalogue": "operando.effects",
+    "parse_effect": "operando.effects",
+    "register": "operando.effects",
+    "Model": "operando.diagnose",
     "run": "operando.pipeline",
 }
 

@@ -5,7 +5,8 @@ from operando.effects.effect import Effect
 from operando.effects.parse import parse_effect
 from operando.effects.places import VirtualShape, participation, place_weights, spline_weights, virtual_shape
 from operando.effects.registry import catalogue, kind_of, register, unregister
-from operando.effects.update import woodbury, woodbury_core
+from operando.effects.running import running_modes
+from operando.effects.update import update_variance, woodbury, woodbury_core
 
 __all__ = [
     "Effect",
@@ -19,8 +20,10 @@ __all__ = [
     "participation",
     "place_weights",
     "register",
+    "running_modes",
     "spline_weights",
     "unregister",
+    "update_variance",
     "virtual_shape",
     "woodbury",
     "woodbury_core",

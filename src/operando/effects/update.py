@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import ModalModel
+from operando.synthesis import modal_kernel
+
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 
@@ -68,3 +71,64 @@ def woodbury(h: Complex, h_ib: Complex, h_bj: Complex, h_bb: Complex, z: Complex
             seen = seen + core[a, b] * h_bj[b]
         out = out - h_ib[:, a, None, :] * seen[None]
     return out
+
+
+def update_variance(
+    base: ModalModel,
+    frequencies_hz: NDArray[np.float64],
+    responses: tuple[list[int], list[int]],
+    references: tuple[list[int], list[int]],
+    weights: NDArray[np.float64],
+    left: Complex,
+    right: Complex,
+) -> NDArray[np.float64]:
+    """Variance E|ΔH|² [m²/N²] of updated receptances, to first order in the modal parameters.
+
+    With A = I − H0_·B T Bᵀ, T = (I + δZ H_BB)⁻¹ δZ, and A' its mirror image on the right, dH = A dH0 A' exactly.
+
+    Parameters
+    ----------
+    base : ModalModel
+        With a covariance.
+    frequencies_hz : (n_lines,) array
+    responses, references : (rows, signs) of the DOFs
+    weights : (k, n_dofs) array
+        The places' coordinates.
+    left : (n_responses, k, n_lines) array
+        H0_oB T.
+    right : (k, n_references, n_lines) array
+        T H0_Bj.
+
+    Returns
+    -------
+    (n_responses, n_references, n_lines) array
+    """
+    assert base.covariance is not None
+    n, m, phi = base.n_modes, len(base.dofs), np.asarray(base.shapes)
+    w = 2 * np.pi * np.asarray(frequencies_hz, float)[None, :]
+    wr, zeta = 2 * np.pi * base.frequencies_hz[:, None], base.damping_ratios[:, None]
+    kernel = modal_kernel(frequencies_hz, base.frequencies_hz, base.damping_ratios, "receptance")
+    by_hz = -(kernel**2) * (2 * wr + 2j * zeta * w) * 2 * np.pi
+    by_zeta = -(kernel**2) * 2j * wr * w
+    at = weights @ phi
+    touched = np.flatnonzero(np.any(weights != 0, axis=0))
+    mode = np.arange(n)
+    (out_rows, out_signs), (in_rows, in_signs) = responses, references
+    psi = [s * phi[i][:, None] - at.T @ left[o] for o, (i, s) in enumerate(zip(out_rows, out_signs, strict=True))]
+    chi = [s * phi[i][:, None] - at.T @ right[:, j] for j, (i, s) in enumerate(zip(in_rows, in_signs, strict=True))]
+    result = np.empty((len(out_rows), len(in_rows), w.shape[1]))
+    for o, i in enumerate(out_rows):
+        for j, k in enumerate(in_rows):
+            parts, index = [by_hz * psi[o] * chi[j], by_zeta * psi[o] * chi[j]], [mode, n + mode]
+            seen_o, seen_j = kernel * chi[j], kernel * psi[o]
+            for d in sorted({i, k, *touched.tolist()}):
+                a = (out_signs[o] if d == i else 0.0) - weights[:, d] @ left[o]
+                b = (in_signs[j] if d == k else 0.0) - weights[:, d] @ right[:, j]
+                parts.append(seen_o * a + seen_j * b)
+                index.append(2 * n + mode * m + d)
+            gradient, where = np.concatenate(parts), np.concatenate(index)
+            covariance = base.covariance[np.ix_(where, where)]
+            both = np.concatenate([gradient.real, gradient.imag], axis=1)
+            value = np.einsum("kl,kl->l", both, covariance @ both)
+            result[o, j] = np.maximum(value[: w.shape[1]] + value[w.shape[1] :], 0)
+    return result

@@ -1,0 +1,324 @@
+"""The idle model with effects added in order: its FRFs by the exact update, with variance, and its poles and shapes."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
+from operando.dof import Dof, match_dofs, parse_dofs
+from operando.effects import Effect, parse_effect, place_weights, running_modes
+from operando.effects.update import update_variance, woodbury_core
+from operando.errors import ConfigError, DataError
+from operando.synthesis import modal_kernel
+
+Array = NDArray[Any]
+_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+_KEEP = 4
+"""Sets of lines whose idle receptances are kept."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """The idle modal model plus effects in the order they were added.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Unit modal mass, residual modes included.
+    effects : tuple of Effect
+    geometry : Geometry, optional
+        Sensor positions, for effects at places without a sensor.
+    covariance : (p, p) array, optional
+        Of all values that a fit may move, effect by effect; default the squares of their standard deviations.
+    cache : dict, optional
+        Idle receptances on the last sets of lines; models made from one another share it.
+
+    Raises
+    ------
+    DataError
+        If the idle model is not of unit modal mass, or the covariance has another size.
+    DofError
+        If an effect stands at a DOF that the idle model does not have.
+    """
+
+    idle: ModalModel
+    effects: tuple[Effect, ...] = ()
+    geometry: Geometry | None = None
+    covariance: NDArray[np.float64] | None = None
+    cache: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(self.effects))
+        if self.idle.scaling != "unit_modal_mass":
+            raise DataError("effects need an idle model of unit modal mass", hint="give units to the EMA, so that shapes can be scaled")
+        size = sum(len(e.definition.parameters) for e in self.effects)
+        if self.covariance is not None and np.shape(self.covariance) != (size, size):
+            raise DataError(f"covariance of the effects has shape {np.shape(self.covariance)}, they have {size} values")
+        for e in self.effects:
+            if e.definition.places:
+                place_weights(e, self.idle, self.geometry)
+            if e.kind == "missing_mode" and e.shape is None:
+                raise ConfigError("a missing mode needs its shape", hint="let the diagnosis fit it: operando add DIR missing_mode")
+
+    # The list of effects.
+
+    def add(self, effect: Effect | str) -> Model:
+        """The model with one effect more (an Effect, or text as on the command line)."""
+        added = parse_effect(effect, self.idle.band_hz) if isinstance(effect, str) else effect
+        return replace(self, effects=(*self.effects, added), covariance=None)
+
+    def remove(self, step: int) -> Model:
+        """The model without the effect of a step; steps count from 1, step 0 is the idle model.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such step.
+        """
+        self._check(step)
+        return replace(self, effects=self.effects[: step - 1] + self.effects[step:], covariance=None)
+
+    def with_values(self, step: int, **values: float) -> Model:
+        """The model with other values of the effect of a step: a state that was not measured."""
+        self._check(step)
+        changed = self.effects[step - 1].with_values(**values)
+        return replace(self, effects=(*self.effects[: step - 1], changed, *self.effects[step:]), covariance=None)
+
+    def structure(self) -> Model:
+        """Only the effects on the running structure: faults of sensors and forces left out, as an OFRF wants it."""
+        kept = [i for i, e in enumerate(self.effects) if e.definition.group in ("structure", "idle")]
+        columns = np.concatenate([[], *(np.arange(a, b) for i, (a, b) in enumerate(self._spans()) if i in kept)]).astype(int)
+        covariance = None if self.covariance is None else np.asarray(self.covariance)[np.ix_(columns, columns)]
+        return replace(self, effects=tuple(self.effects[i] for i in kept), covariance=covariance)
+
+    def _check(self, step: int) -> None:
+        if not 1 <= step <= len(self.effects):
+            known = f"steps 1 to {len(self.effects)}" if self.effects else "no effect was added"
+            raise ConfigError(f"there is no added effect at step {step}", hint=f"{known}; step 0 is the idle model")
+
+    def _spans(self) -> list[tuple[int, int]]:
+        ends = np.cumsum([0] + [len(e.definition.parameters) for e in self.effects])
+        return [(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+    # What it predicts.
+
+    def frf(
+        self,
+        frequencies: ArrayLike,
+        responses: object = None,
+        references: object = None,
+        quantity: str = "accelerance",
+        variance: bool = True,
+    ) -> Frf:
+        """FRFs as they would be measured, faults of the channels included (leave them out by :meth:`structure`).
+
+        H = H0 − H0_B (I + δZ H0_BB)⁻¹ δZ H0_Bᵀ in receptance (Sherman–Morrison–Woodbury), exact also for skew δZ.
+
+        Parameters
+        ----------
+        frequencies : array
+            Lines [Hz].
+        responses, references : DOF labels, optional
+            Default: all DOFs of the idle model.
+        quantity : {"accelerance", "mobility", "receptance"}
+        variance : bool
+            Fill the variance of each line, to first order in the idle parameters and the effects' values, where their spread is known.
+
+        Raises
+        ------
+        DataError
+            If the quantity is unknown.
+        DofError
+            If a DOF is not in the idle model.
+        """
+        if quantity not in _POWER:
+            raise DataError(f"quantity {quantity!r} is none of {', '.join(_POWER)}")
+        resp = self.idle.dofs if responses is None else parse_dofs(responses)
+        refs = self.idle.dofs if references is None else parse_dofs(references)
+        axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
+        with threadpool_limits(1, "blas"):
+            data = self._receptance(axis.values, resp, refs)
+            own = self._variance(axis.values, resp, refs) if variance else None
+        power = _POWER[quantity]
+        if power:
+            factor = (2j * np.pi * axis.values) ** power
+            data *= factor
+            if own is not None:
+                own *= np.abs(factor) ** 2
+        return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, provenance=self.idle.provenance.then("Model.frf"))
+
+    def modes(self) -> ModalModel:
+        """Poles and complex shapes of the running structure: see :func:`operando.effects.running_modes`."""
+        base = self._base()
+        acting = self._acting()
+        with threadpool_limits(1, "blas"):
+            return running_modes(base, [(e, place_weights(e, base, self.geometry)) for e in acting])
+
+    # How.
+
+    def _base(self) -> ModalModel:
+        """The idle model under the kinds that change it as a whole."""
+        base = self.idle
+        for e in self.effects:
+            if e.definition.acts == "modal_change":
+                base = e.definition.modal_change(base, e.values)
+            elif e.definition.acts == "added_mode":
+                shape = dict(e.shape or {})
+                index, signs = match_dofs(parse_dofs(list(shape)), base.dofs)
+                vector = np.zeros(len(base.dofs))
+                vector[index] = np.array(list(shape.values())) * signs
+                base = e.definition.added_mode(base, e.values, vector)
+        return base
+
+    def _acting(self) -> list[Effect]:
+        return [e for e in self.effects if e.definition.acts == "dynamic_stiffness"]
+
+    def _lines(self, base: ModalModel, hz: Array) -> _Lines:
+        """Idle receptances on these lines, kept between calls and between models of the same idle one."""
+        if base is not self.idle:
+            return _Lines(base, hz)
+        key = (id(base), hz.tobytes())
+        found: _Lines | None = self.cache.get(key)
+        if found is None:
+            while len(self.cache) >= _KEEP:
+                self.cache.pop(next(iter(self.cache)))
+            found = self.cache[key] = _Lines(base, hz)
+        return found
+
+    def _channels(self, resp: tuple[Dof, ...], refs: tuple[Dof, ...], hz: Array) -> tuple[tuple[Dof, ...], Array | None]:
+        """DOF that each response channel truly carries, and the factor of measured over true (o, j, lines)."""
+        maps = [e for e in self.effects if e.definition.acts == "sensor_map"]
+        if not maps:
+            return resp, None
+        carried, rows, columns = [], np.ones((len(resp), hz.size), complex), np.ones((len(refs), hz.size), complex)
+        for o, asked in enumerate(resp):
+            now = asked
+            for e in reversed(maps):
+                if e.definition.group == "force":
+                    continue
+                at = [i for i, d in enumerate(e.location) if d.same_axis(now)]
+                if not at:
+                    continue
+                rows[o] *= e.definition.sensor_map(hz, e.values)
+                if len(e.location) == 2:
+                    other = e.location[1 - at[0]]
+                    now = other if now.sign == e.location[at[0]].sign else other.opposite
+            carried.append(now)
+        for j, asked in enumerate(refs):
+            for e in maps:
+                if e.definition.group == "force" and e.location[0].same_axis(asked):
+                    columns[j] /= e.definition.sensor_map(hz, e.values)
+        return tuple(carried), rows[:, None] * columns[None]
+
+    def _receptance(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array:
+        base = self._base()
+        lines = self._lines(base, hz)
+        carried, factor = self._channels(resp, refs, hz)
+        h = lines.idle(carried, refs)
+        acting = self._acting()
+        if acting:
+            weights, z = self._added(base, acting, hz)
+            core, from_o, to_j = self._update(lines, base, weights, z, carried, refs)
+            h = h.copy()
+            for a in range(core.shape[0]):
+                seen = np.einsum("bl,bjl->jl", core[a], to_j)
+                h -= from_o[:, a, None] * seen[None]
+        return np.array(h) if factor is None else h * factor
+
+    def _added(self, base: ModalModel, acting: list[Effect], hz: Array) -> tuple[Array, Array]:
+        """Places (k, n_dofs) and δZ (lines, k, k) of all acting effects."""
+        weights = [place_weights(e, base, self.geometry) for e in acting]
+        size = sum(w.shape[0] for w in weights)
+        z = np.zeros((hz.size, size, size), complex)
+        start = 0
+        for e, w in zip(acting, weights, strict=True):
+            stop = start + w.shape[0]
+            z[:, start:stop, start:stop] = e.sign * e.definition.matrix(2j * np.pi * hz, e.values, w.shape[0])
+            start = stop
+        return np.concatenate(weights), z
+
+    @staticmethod
+    def _update(
+        lines: _Lines, base: ModalModel, weights: Array, z: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]
+    ) -> tuple[Array, Array, Array]:
+        """(I + δZ H_BB)⁻¹ δZ, H0_oB and H0_Bj, lines last."""
+        at = weights @ base.shapes
+        k = at.shape[0]
+        both = lines.between(np.concatenate([base.rows(resp), base.rows(refs), at]), at)
+        return woodbury_core(z, both[-k:]), both[: len(resp)], both[len(resp) : -k].transpose(1, 0, 2)
+
+    def _variance(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array | None:
+        base = self._base()
+        spread = self._spread()
+        if base.covariance is None and spread is None:
+            return None
+        out = np.zeros((len(resp), len(refs), hz.size))
+        carried, factor = self._channels(resp, refs, hz)
+        if base.covariance is not None:
+            acting = self._acting()
+            shape = (len(resp), 0, hz.size)
+            weights, left, right = np.zeros((0, len(base.dofs))), np.zeros(shape, complex), np.zeros((0, len(refs), hz.size), complex)
+            if acting:
+                weights, z = self._added(base, acting, hz)
+                core, from_o, to_j = self._update(self._lines(base, hz), base, weights, z, carried, refs)
+                left, right = np.einsum("oal,abl->obl", from_o, core), np.einsum("abl,bjl->ajl", core, to_j)
+            out += update_variance(base, hz, match_dofs(carried, base.dofs), match_dofs(refs, base.dofs), weights, left, right)
+            if factor is not None:
+                out *= np.abs(factor) ** 2
+        if spread is not None:
+            gradient = self._by_values(hz, resp, refs, np.sqrt(np.diag(spread)))
+            out += np.einsum("aojl,ab,bojl->ojl", gradient.conj(), spread, gradient).real
+        return out
+
+    def _spread(self) -> Array | None:
+        """Covariance of all values, None where none is known."""
+        if self.covariance is not None:
+            return np.asarray(self.covariance)
+        std = np.array([e.std.get(p.name, 0.0) for e in self.effects for p in e.definition.parameters])
+        return np.diag(std**2) if np.any(std > 0) else None
+
+    def _by_values(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...], std: Array) -> Array:
+        """∂H/∂value by central differences over a hundredth of each standard deviation (0 where that is 0)."""
+        out = np.zeros((std.size, len(resp), len(refs), hz.size), complex)
+        for number, (start, _) in enumerate(self._spans()):
+            e = self.effects[number]
+            for i, p in enumerate(e.definition.parameters):
+                step = 0.01 * min(float(std[start + i]), abs(e.values[p.name]) if p.transform == "log" else np.inf)
+                if step > 0:
+                    ends = [
+                        self.with_values(number + 1, **{p.name: e.values[p.name] + sign * step})._receptance(hz, resp, refs)
+                        for sign in (1, -1)
+                    ]
+                    out[start + i] = (ends[0] - ends[1]) / (2 * step)
+        return out
+
+
+class _Lines:
+    """Receptances of a modal model on some lines."""
+
+    def __init__(self, model: ModalModel, hz: Array) -> None:
+        self.model = model
+        kernel = modal_kernel(hz, model.frequencies_hz, model.damping_ratios, "receptance")
+        self.stacked = np.concatenate([kernel.real, kernel.imag], axis=1)
+        self.kept: tuple[Any, Array] | None = None
+
+    def between(self, left: Array, right: Array) -> Array:
+        """Σ_r left_r right_r/(ω_r² − ω² + 2iζω_rω): (a, b, lines) of rows (a, n) and (b, n)."""
+        residues = (left[:, None, :] * right[None, :, :]).reshape(-1, left.shape[1])
+        both = residues @ self.stacked
+        half = both.shape[1] // 2
+        out = np.empty((both.shape[0], half), complex)
+        out.real, out.imag = both[:, :half], both[:, half:]
+        return out.reshape(left.shape[0], right.shape[0], half)
+
+    def idle(self, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array:
+        """H0 of these pairs; the last ones asked for are kept."""
+        if self.kept is None or self.kept[0] != (resp, refs):
+            self.kept = ((resp, refs), self.between(self.model.rows(resp), self.model.rows(refs)))
+        return self.kept[1]
