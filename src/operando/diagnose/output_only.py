@@ -1,0 +1,412 @@
+"""Diagnosis from output-only data: which effect turns the idle modes into the operating ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Geometry, ModalModel
+from operando.diagnose.output_only_fit import Fit, counts, fit, mean_square
+from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, action_of, solve
+from operando.diagnose.output_only_residuals import Target, compress, residuals, target_of, whiteners
+from operando.dof import Dof, parse_dofs
+from operando.effects import Effect, kind_of
+from operando.errors import ConfigError, DataError
+
+Real = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+EARN = 0.10
+"""Share of the selection misfit an effect must take away to be accepted."""
+
+NO_MISFIT = 1.5
+"""Judge misfit below which the idle model is as good as the data allow."""
+
+GRID = (0.003, 0.03, 0.2, 1.0)
+"""Sizes tried first, as the change of the most affected mode's modal mass, stiffness or damping over its own."""
+
+REFINED = 24
+"""Places refined with floating shapes, after the scan."""
+
+MOST_EFFECTS = 3
+"""Effects looked for one after the other."""
+
+
+@dataclass(frozen=True)
+class OutputOnlyDiagnosis:
+    """What turns the idle modes into the operating ones.
+
+    Parameters
+    ----------
+    verdict : str
+        As in the contract.
+    effects : tuple of Effect
+        Accepted, in order, with values and standard deviations from all the data.
+    candidates : tuple of dict
+        Ranked: effect, ``selection_misfit``, ``evidence`` (share of the selection misfit it takes away).
+    ambiguous_with : tuple of Effect
+        What the data cannot tell from the accepted effects.
+    ladder : tuple of dict
+        Misfits step by step; ``misfit`` on the rows that chose, ``heldout_misfit`` on those that judge.
+    proposed_measurement : str or None
+        What would decide between the accepted effects and the ambiguous ones.
+    by_mode : tuple of dict
+        Where it fails: frequency, mean squared residual at rest and with the effects.
+    """
+
+    verdict: str
+    effects: tuple[Effect, ...]
+    candidates: tuple[dict[str, Any], ...]
+    ambiguous_with: tuple[Effect, ...]
+    ladder: tuple[dict[str, Any], ...]
+    proposed_measurement: str | None
+    by_mode: tuple[dict[str, Any], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object ``operando/diagnosis/1``; dB fields are null."""
+        return {
+            "schema": "operando/diagnosis/1",
+            "data": ["operating_modes"],
+            "verdict": self.verdict,
+            "effects": [e.to_dict() for e in self.effects],
+            "ambiguous_with": [e.to_dict() for e in self.ambiguous_with],
+            "proposed_measurement": self.proposed_measurement,
+            "ladder": [dict(step) for step in self.ladder],
+            "candidates": [dict(c) for c in self.candidates],
+            "where": {"by_dof": [], "by_band": [], "by_mode": [dict(m) for m in self.by_mode]},
+            "noise_floor_db": None,
+        }
+
+
+def judge_rows(target: Target) -> NDArray[np.bool_]:
+    """Rows that judge: of each mode one of frequency, damping and shape, in turn; fixed by the order of the modes alone."""
+    out = np.zeros((target.n, target.per_mode), bool)
+    for k in range(target.n):
+        piece = k % 3
+        out[k, (slice(2, None), slice(0, 1), slice(1, 2))[piece]] = True
+    return out
+
+
+def candidate_effects(idle: ModalModel, kinds: object = None, places: object = None) -> list[Effect]:
+    """All kinds at all single DOFs and pairs.
+
+    Parameters
+    ----------
+    idle : ModalModel
+    kinds : iterable of str, optional
+        Default: ``LINEAR_KINDS``; other kinds of the catalogue are left out.
+    places : iterable of DOF labels, optional
+        DOFs looked at, alone and in pairs. Default: all of the idle model.
+
+    Raises
+    ------
+    ConfigError
+        If none of the kinds can be told from modes.
+    """
+    wanted: Sequence[str] = LINEAR_KINDS if kinds is None else [str(k) for k in kinds]  # type: ignore[attr-defined]
+    dofs = idle.dofs if places is None else parse_dofs(places)
+    out: list[Effect] = []
+    for kind in wanted:
+        definition = kind_of(kind)
+        if kind not in LINEAR_KINDS:
+            continue
+        if definition.places == 0:
+            out.append(Effect(kind))
+        elif definition.places == 1:
+            # A mass acts on all directions of its node: one DOF stands for them.
+            seen: set[int] = set()
+            for dof in dofs:
+                if definition.coordinates == "node":
+                    if dof.node in seen:
+                        continue
+                    seen.add(dof.node)
+                out.append(Effect(kind, (dof,)))
+        else:
+            out.extend(Effect(kind, pair) for pair in combinations(dofs, 2) if not pair[0].same_axis(pair[1]))
+    if not out:
+        raise ConfigError("none of the kinds asked for can be told from operating modes", hint="kinds: " + ", ".join(LINEAR_KINDS))
+    return out
+
+
+def unit_change(basis: Basis, action: Action, top: float) -> float:
+    """Largest relative change of a mode's own mass, stiffness or damping force (over its stiffness) by an effect of unit size."""
+    if action.kind in ("global_stiffness", "global_damping"):
+        return 1.0
+    low = basis.omega < 1.2 * top
+    b, w = action.rows @ basis.shapes[:, low], basis.omega[low]
+    z = np.abs(action.mass) * w[:, None, None] ** 2 + np.abs(action.damping) * w[:, None, None] + np.abs(action.stiffness)
+    own = np.einsum("ir,rij,jr->r", np.abs(b), z, np.abs(b)) / w**2
+    return float(own.max()) if own.size and own.max() > 0 else 1.0
+
+
+def start_sizes(basis: Basis, action: Action, top: float) -> list[float]:
+    """Sizes to try first, both senses where they make sense."""
+    if action.kind == "global_stiffness":
+        return [-0.2, -0.05, 0.05, 0.2]
+    if action.kind == "global_damping":
+        return [-0.5, 0.5, 2.0]
+    unit = unit_change(basis, action, top)
+    sizes = [g / unit for g in GRID]
+    definition = action.effect.definition
+    signed = definition.removable or not definition.symmetric
+    return sizes + ([-s for s in sizes[:3]] if definition.removable else [-s for s in sizes] if signed else [])
+
+
+def _allowed(action: Action, size: float) -> bool:
+    definition = action.effect.definition
+    if definition.removable or not definition.symmetric:
+        return size != 0
+    if definition.places == 0:
+        p = definition.parameters[0]
+        low, high = p.bounds()
+        return low <= size <= high
+    return size > 0
+
+
+def scan(
+    target: Target,
+    basis: Basis,
+    accepted: Sequence[Action],
+    sizes: Sequence[float],
+    actions: Sequence[Action],
+    use: NDArray[np.bool_],
+    progress: Progress | None = None,
+) -> list[tuple[float, Action, float]]:
+    """Best size of each candidate on a coarse grid, then refined with the idle shapes held: (misfit, action, size), best first."""
+    white = whiteners(target)
+    top = float(np.exp(target.log_hz.max())) * 2 * np.pi
+    rows = [a.rows for a in accepted]
+    coarse: list[tuple[float, Action, float]] = []
+    for count, action in enumerate(actions):
+        if progress is not None and count % 50 == 0:
+            progress(f"candidate {count + 1} of {len(actions)}")
+        near = basis.touched(np.vstack([*rows, action.rows]))
+        best = (np.inf, action, 0.0)
+        for size in start_sizes(basis, action, top):
+            modes = solve(near, [*accepted, action], [*sizes, size])
+            if modes is None:
+                continue
+            misfit = mean_square(compress(residuals(target, modes, white)[0]), use)
+            if misfit < best[0]:
+                best = (misfit, action, size)
+        if np.isfinite(best[0]):
+            coarse.append(best)
+    fine = []
+    for _, action, size in coarse:
+        near = basis.touched(np.vstack([*rows, action.rows]))
+        found = fit(target, near, [*accepted, action], [*sizes, size], use, floating=False, own_variance=False, iterations=6, folds=False)
+        if found is not None and _allowed(action, float(found.sizes[-1])):
+            fine.append((found.misfit, action, float(found.sizes[-1])))
+    return sorted(fine, key=lambda item: item[0])
+
+
+def _shortlist(scanned: list[tuple[float, Action, float]]) -> list[tuple[float, Action, float]]:
+    """The best of all, and the best two of each kind."""
+    short = scanned[:REFINED]
+    for kind in {a.kind for _, a, _ in scanned}:
+        short += [item for item in scanned if item[1].kind == kind and item not in short][:2]
+    return short
+
+
+def refine(
+    target: Target,
+    basis: Basis,
+    accepted: Sequence[Action],
+    sizes: Sequence[float],
+    short: list[tuple[float, Action, float]],
+    use: NDArray[np.bool_],
+) -> list[Fit]:
+    """Exact fits with floating shapes of all effects, ranked by selection misfit."""
+    out = []
+    for _, action, size in short:
+        rows = np.vstack([*(a.rows for a in accepted), action.rows])
+        found = fit(target, basis.touched(rows), [*accepted, action], [*sizes, size], use)
+        if found is not None and all(_allowed(a, float(s)) for a, s in zip(found.actions, found.sizes, strict=True)):
+            out.append(found)
+    return sorted(out, key=lambda f: f.selection)
+
+
+def indistinct(best: Fit, others: Sequence[Fit], use: NDArray[np.bool_]) -> list[Fit]:
+    """Fits the rows cannot tell from the best: within 2 %, or within 15 % and less than two paired standard errors over modes."""
+    out = []
+    n = len(best.by_mode)
+    for other in others:
+        difference = other.by_mode - best.by_mode
+        spread = float(np.std(difference, ddof=1) * np.sqrt(n)) if n > 1 else np.inf
+        z = float(difference.sum()) / spread if spread > 0 else np.inf
+        if other.selection < 1.02 * best.selection or (z < 2 and other.selection < 1.15 * best.selection):
+            out.append(other)
+    return out
+
+
+def _far(a: Effect, b: Effect, geometry: Geometry | None) -> bool:
+    """Whether another kind, or a place more than one sensor spacing away."""
+    if a.kind != b.kind:
+        return True
+    if {d.unsigned for d in a.location} == {d.unsigned for d in b.location}:
+        return False
+    if geometry is None:
+        return True
+    points = geometry.coordinates
+    gaps = np.linalg.norm(points[:, None] - points[None], axis=2) + np.diag(np.full(len(points), np.inf))
+    spacing = 1.05 * float(np.median(gaps.min(axis=1)))
+
+    def apart(p: Dof, q: Dof) -> float:
+        x, y = geometry.position(p.node), geometry.position(q.node)
+        return np.inf if x is None or y is None else float(np.linalg.norm(x - y))
+
+    orders = [b.location, b.location[::-1]] if len(b.location) == 2 else [b.location]
+    return min(max(apart(p, q) for p, q in zip(a.location, order, strict=True)) for order in orders) > spacing
+
+
+def _step(step: int, added: Effect | None, f: Fit, use: NDArray[np.bool_], judge: NDArray[np.bool_]) -> dict[str, Any]:
+    return {
+        "step": step,
+        "added": None if added is None else added.to_dict(),
+        "error_db": None,
+        "heldout_error_db": None,
+        "misfit": f.misfit,
+        "heldout_misfit": mean_square(f.residuals, judge),
+    }
+
+
+def _propose(best: Effect, others: Sequence[Effect]) -> str | None:
+    if not others:
+        return None
+    other = others[0]
+    return (
+        f"Operating modes alone do not tell {best.kind} at {best.place or 'the whole structure'} from {other.kind} at "
+        f"{other.place or 'the whole structure'}: measure FRFs in operation with a force at {best.place or other.place or 'two points'}. Or: {best.confirm}"
+    )
+
+
+def diagnose_output_only(
+    idle: ModalModel,
+    operating: ModalModel,
+    *,
+    kinds: Iterable[str] | None = None,
+    places: Iterable[Any] | None = None,
+    geometry: Geometry | None = None,
+    progress: Progress | None = None,
+) -> OutputOnlyDiagnosis:
+    """Name the effect that turns the idle modes into the operating ones.
+
+    Each kind at each DOF and pair is added to the idle model; poles and complex shapes of the exact state-space
+    eigenproblem (residual modes included) are matched to the operating ones, and the size is fitted to ln f, ln ζ and
+    shape, each over its standard deviation, while the idle shapes at the effect's DOFs float under their covariance.
+    One third of the rows judges and chooses nothing.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Unit modal mass, residual modes and covariance included.
+    operating : ModalModel
+        Complex shapes of arbitrary scale, with covariance.
+    kinds : iterable of str, optional
+        Kinds to look for.
+    places : iterable of DOF labels, optional
+        DOFs to look at.
+    geometry : Geometry, optional
+        Sensor positions, so that neighbouring places do not count as ambiguity.
+    progress : callable, optional
+        Takes a text.
+
+    Returns
+    -------
+    OutputOnlyDiagnosis
+
+    Raises
+    ------
+    DataError
+        If the idle model is not scaled, or nothing in common is measured.
+    ConfigError
+        If no kind asked for can be told from modes.
+    """
+    from threadpoolctl import threadpool_limits
+
+    if idle.scaling != "unit_modal_mass":
+        raise DataError("the idle shapes have no scale: no effect can be sized", hint="give units to the idle test")
+    with threadpool_limits(1, "blas"):
+        return _diagnose(idle, operating, kinds, places, geometry, progress)
+
+
+def _diagnose(
+    idle: ModalModel, operating: ModalModel, kinds: object, places: object, geometry: Geometry | None, progress: Progress | None
+) -> OutputOnlyDiagnosis:
+    target, basis = target_of(idle, operating), Basis.of(idle)
+    judge = judge_rows(target)
+    use = ~judge
+    everything = np.ones_like(use)
+    actions = [action_of(e, idle) for e in candidate_effects(idle, kinds, places)]
+    current = fit(target, basis, (), (), use)
+    if current is None:
+        raise DataError("the idle model has no poles")
+    first = current
+    ladder = [_step(0, None, current, use, judge)]
+    ranked: list[Fit] = []
+    rivals: list[Fit] = []
+    last_fall = 0.0
+    for step in range(1, MOST_EFFECTS + 1):
+        if progress is not None:
+            progress(f"looking for effect {step}")
+        taken = {(a.kind, a.effect.location) for a in current.actions}
+        open_actions = [a for a in actions if (a.kind, a.effect.location) not in taken]
+        scanned = scan(target, basis, current.actions, list(current.sizes), open_actions, use, progress)
+        fits = refine(target, basis, current.actions, list(current.sizes), _shortlist(scanned), use)
+        if step == 1:
+            ranked = fits
+        last_fall = 1 - fits[0].selection / current.selection if fits else 0.0
+        if last_fall <= EARN or (step > 1 and ladder[-1]["heldout_misfit"] < NO_MISFIT and current.selection < NO_MISFIT):
+            break
+        current = fits[0]
+        rivals = indistinct(current, fits[1:], use)
+        ladder.append(_step(step, current.actions[-1].sized(float(current.sizes[-1])), current, use, judge))
+        last_fall = 0.0
+    full = current
+    if current.actions:
+        rows = np.vstack([a.rows for a in current.actions])
+        full = fit(target, basis.touched(rows), current.actions, list(current.sizes), everything) or current
+    effects = tuple(_effect(a, s, d) for a, s, d in zip(full.actions, full.sizes, full.std, strict=True))
+    ambiguous = tuple(_effect(f.actions[-1], f.sizes[-1], f.std[-1]) for f in rivals)
+    verdict = _verdict(ladder, effects, ambiguous, last_fall, geometry)
+    candidates = tuple(
+        _effect(f.actions[-1], f.sizes[-1], f.std[-1]).to_dict()
+        | {"selection_misfit": f.selection, "evidence": 1 - f.selection / first.selection}
+        for f in ranked
+    )
+    by_mode = tuple(
+        {
+            "frequency_hz": float(np.exp(target.log_hz[k])),
+            "misfit": float(np.sum(full.residuals[k] ** 2) / counts(everything)[k]),
+            "idle_misfit": float(np.sum(first.residuals[k] ** 2) / counts(everything)[k]),
+        }
+        for k in range(target.n)
+    )
+    decide = _propose(effects[-1], ambiguous) if effects else None
+    return OutputOnlyDiagnosis(verdict, effects, candidates, ambiguous, tuple(ladder), decide, by_mode)
+
+
+def _effect(action: Action, size: float, std: float) -> Effect:
+    effect = action.sized(float(size))
+    return effect if not np.isfinite(std) else effect.with_std({action.name: float(std)})
+
+
+def _verdict(
+    ladder: Sequence[dict[str, Any]], effects: Sequence[Effect], ambiguous: Sequence[Effect], more: float, geometry: Geometry | None
+) -> str:
+    """Verdict of the contract; ``more`` is the share by which a further candidate would lower the selection misfit."""
+    idle_judge, judge = float(ladder[0]["heldout_misfit"]), float(ladder[-1]["heldout_misfit"])
+    if not effects:
+        return "no_misfit" if idle_judge < NO_MISFIT else "unexplained"
+    fallen = 1 - judge / idle_judge
+    if judge < NO_MISFIT or (fallen > 0.99 and more <= 0.2):
+        return "ambiguous" if any(_far(effects[-1], other, geometry) for other in ambiguous) else "explained"
+    return "partial" if fallen > 0.8 else "unexplained"
+
+
+__all__ = ["OutputOnlyDiagnosis", "candidate_effects", "diagnose_output_only", "judge_rows"]

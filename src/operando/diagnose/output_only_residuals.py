@@ -1,0 +1,226 @@
+"""Operating modes against predicted ones: matching, and standardised residuals of ln f, ln ζ and shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from operando.data import ModalModel
+from operando.diagnose.output_only_forward import Basis, Modes
+from operando.dof import match_dofs
+from operando.errors import DataError
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+KNEE = 8.0
+"""Residuals beyond this many standard deviations grow as their logarithm only, so that one wrong pair or pole does not decide."""
+
+SHAPE_FLOOR = 5e-4
+"""Smallest standard deviation of a shape value, over the largest of its mode: what any identification leaves."""
+
+ASSUMED = (5e-4, 0.08, 0.01)
+"""Relative standard deviations of f, ζ and shape where the operating modes bring none."""
+
+
+def compress(r: Real) -> Real:
+    """Residuals with large ones drawn in: c·asinh(r/c), equal to r where it is small."""
+    return np.asarray(KNEE * np.arcsinh(r / KNEE))
+
+
+def compress_slope(r: Real) -> Real:
+    """Derivative of :func:`compress`."""
+    return np.asarray(1 / np.sqrt(1 + (r / KNEE) ** 2))
+
+
+@dataclass(frozen=True)
+class Target:
+    """Operating modes to be predicted.
+
+    Parameters
+    ----------
+    log_hz, log_zeta : (n,) arrays
+    std_log_hz, std_log_zeta : (n,) arrays
+    shapes : (m, n) complex array
+    covariance : (n, 2m, 2m) array
+        Of the real, then the imaginary parts of each shape.
+    rows : (m,) int array
+        Rows of the idle model at which the shapes are measured.
+    signs : (m,) array
+    """
+
+    log_hz: Real
+    log_zeta: Real
+    std_log_hz: Real
+    std_log_zeta: Real
+    shapes: Complex
+    covariance: Real
+    rows: NDArray[np.int_]
+    signs: Real
+
+    @property
+    def n(self) -> int:
+        """Number of operating modes."""
+        return int(self.log_hz.size)
+
+    @property
+    def per_mode(self) -> int:
+        """Residuals a mode: f, ζ and the real and imaginary shape values."""
+        return 2 + 2 * len(self.rows)
+
+
+def target_of(idle: ModalModel, operating: ModalModel) -> Target:
+    """Operating modes with their standard deviations, on the DOFs both models have.
+
+    Parameters
+    ----------
+    idle, operating : ModalModel
+
+    Raises
+    ------
+    DataError
+        If the two share fewer than two DOFs or the operating model has no mode in the band.
+    """
+    known = {(d.node, d.axis) for d in idle.dofs}
+    common = tuple(d for d in operating.dofs if (d.node, d.axis) in known)
+    if len(common) < 2:
+        raise DataError("idle and operating modes share fewer than two DOFs", hint="measure at the same sensors in both states")
+    proper = idle.modes_proper()
+    top = 1.15 * float(proper.frequencies_hz.max()) if proper.n_modes else 0.0
+    inside = ~np.asarray(operating.residual) & np.asarray(operating.in_band) & (operating.frequencies_hz < top)
+    inside &= (operating.damping_ratios > 0) & (operating.frequencies_hz > 0)
+    kept = operating.select_modes(inside)
+    if kept.n_modes == 0:
+        raise DataError("no operating mode lies in the band of the idle model", hint="identify the operating record over the idle band")
+    rows, signs = match_dofs(common, idle.dofs)
+    own, _ = match_dofs(common, operating.dofs)
+    n, full, m = kept.n_modes, len(operating.dofs), len(common)
+    shapes = np.asarray(kept.shapes, complex)[own]
+    # Sign of the idle row times that of the operating row: match_dofs reports the first against ``common``.
+    covariance = np.empty((n, 2 * m, 2 * m))
+    f_std, z_std, s_std = kept.frequency_std_hz, kept.damping_ratio_std, kept.shape_std
+    for k in range(n):
+        floor = (SHAPE_FLOOR * np.abs(shapes[:, k]).max()) ** 2
+        if kept.covariance is not None and np.iscomplexobj(kept.shapes):
+            real = 2 * n + k * full + np.asarray(own)
+            index = np.r_[real, real + n * full]
+            block = np.asarray(kept.covariance)[np.ix_(index, index)]
+        elif s_std is not None:
+            block = np.diag(np.tile(np.asarray(s_std)[own, k] ** 2 / 2, 2))
+        else:
+            block = np.eye(2 * m) * (ASSUMED[2] * np.abs(shapes[:, k]).max()) ** 2
+        covariance[k] = block + np.eye(2 * m) * floor
+    relative_f = np.full(n, ASSUMED[0]) if f_std is None else np.maximum(f_std / kept.frequencies_hz, 2e-5)
+    relative_z = np.full(n, ASSUMED[1]) if z_std is None else np.maximum(z_std / kept.damping_ratios, 5e-3)
+    return Target(
+        np.log(kept.frequencies_hz),
+        np.log(kept.damping_ratios),
+        np.asarray(relative_f),
+        np.asarray(relative_z),
+        shapes,
+        covariance,
+        np.asarray(rows),
+        np.asarray(signs, float),
+    )
+
+
+def match(target: Target, modes: Modes) -> tuple[NDArray[np.int_], Complex]:
+    """Which pole belongs to each operating mode, by assignment on frequency and MAC.
+
+    Returns
+    -------
+    index : (n,) int array
+        Index of the pole, −1 where there is none left.
+    shapes : (m, n) complex array
+        Predicted shapes on the target's DOFs.
+    """
+    # A shape at complex s is that of displacement, velocity or acceleration alike: they differ by a scalar.
+    candidates = np.flatnonzero(modes.poles.imag > 0)
+    low, high = target.log_hz.min() - 0.7, target.log_hz.max() + 0.7
+    log_hz = np.log(np.maximum(np.abs(modes.poles[candidates]) / (2 * np.pi), 1e-12))
+    near = (log_hz > low) & (log_hz < high)
+    candidates, log_hz = candidates[near], log_hz[near]
+    shapes = (modes.shapes[target.rows] * target.signs[:, None]) @ modes.vectors[:, candidates]
+    norm_a = np.linalg.norm(target.shapes, axis=0)
+    norm_b = np.maximum(np.linalg.norm(shapes, axis=0), 1e-300)
+    mac = np.abs(target.shapes.conj().T @ shapes / np.outer(norm_a, norm_b)) ** 2
+    cost = np.minimum(np.abs(target.log_hz[:, None] - log_hz) / 0.05, 6.0) + 4 * (1 - mac)
+    index = np.full(target.n, -1)
+    picked = np.zeros((len(target.rows), target.n), complex)
+    if cost.size:
+        a, b = linear_sum_assignment(cost)
+        index[a] = candidates[b]
+        picked[:, a] = shapes[:, b]
+    return index, picked
+
+
+def whiteners(target: Target, model_variance: Real | None = None) -> Real:
+    """(n, 2m, 2m) matrices that turn shape differences into unit variance.
+
+    Parameters
+    ----------
+    target : Target
+    model_variance : (n, 2m) array, optional
+        The idle model's own variance, in the scale of the operating shapes.
+    """
+    out = np.empty_like(target.covariance)
+    for k in range(target.n):
+        total = target.covariance[k] + (0 if model_variance is None else np.diag(model_variance[k]))
+        values, vectors = np.linalg.eigh(total)
+        values = np.maximum(values, 1e-12 * values[-1])
+        out[k] = (vectors / np.sqrt(values)).T
+    return out
+
+
+def fit_scale(y: Complex, psi: Complex, whitener: Real) -> tuple[complex, Real, Real]:
+    """Complex scale of a predicted shape, whitened residual (2m,) and the orthonormal directions (2m, 2) the scale takes away."""
+    x = whitener @ np.c_[np.r_[psi.real, psi.imag], np.r_[-psi.imag, psi.real]]
+    q, r = np.linalg.qr(x)
+    t = whitener @ np.r_[y.real, y.imag]
+    part = q.T @ t
+    a = np.linalg.lstsq(r, part, rcond=None)[0]
+    return complex(a[0], a[1]), t - q @ part, q
+
+
+def residuals(target: Target, modes: Modes, white: Real) -> tuple[Real, NDArray[np.int_], Complex]:
+    """Standardised residuals, mode by mode [ln f, ln ζ, shape (2m)], not yet compressed; unmatched modes are far off.
+
+    Returns
+    -------
+    residuals : (n, 2 + 2m) array
+    index : (n,) int array
+        Pole of each mode.
+    scale : (n,) complex array
+    """
+    index, shapes = match(target, modes)
+    out = np.full((target.n, target.per_mode), 3 * KNEE)
+    scale = np.zeros(target.n, complex)
+    for k, j in enumerate(index):
+        if j < 0:
+            continue
+        pole = modes.poles[j]
+        zeta = max(-pole.real / abs(pole), 1e-5)
+        out[k, 0] = (target.log_hz[k] - np.log(abs(pole) / 2 / np.pi)) / target.std_log_hz[k]
+        out[k, 1] = (target.log_zeta[k] - np.log(zeta)) / target.std_log_zeta[k]
+        scale[k], out[k, 2:], _ = fit_scale(target.shapes[:, k], shapes[:, k], white[k])
+    return out, index, scale
+
+
+def model_variance(basis: Basis, target: Target, modes: Modes, index: NDArray[np.int_], scale: Complex) -> Real:
+    """The idle model's own variance of the predicted shapes (n, 2m), from the shape values read out there, in the operating shapes' scale."""
+    m = len(target.rows)
+    out = np.zeros((target.n, 2 * m))
+    if basis.covariance is None:
+        return out
+    for k, j in enumerate(index):
+        if j < 0:
+            continue
+        u = scale[k] * modes.vectors[:, j]
+        for a, dof in enumerate(target.rows):
+            block = basis.covariance[dof, dof]
+            out[k, a] = max(float(u.real @ block @ u.real), 0.0)
+            out[k, m + a] = max(float(u.imag @ block @ u.imag), 0.0)
+    return out
