@@ -1,270 +1,283 @@
-"""Candidate kinds at all places: a law fitted to what each place shows, channel faults, and changes of the whole."""
+"""Candidate kinds at all places before any refit: laws fitted to what each place shows, and faults of the channels.
+
+At a place with rows B the residual E = measured − model must be −(H B')·T·(B H), T = (I + δZ·BHB')⁻¹ δZ. For one coordinate the best complex
+t(ω) of each line follows from least squares and a law is fitted to it; for more, the coefficient starts from the motion measured there
+(equation error), then is fitted to the exact update.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel
-from operando.diagnose.localise import Columns, PlaceFit
-from operando.diagnose.predict import IdleArrays, Term, predict
-from operando.diagnose.refit import Fitted
+from operando.diagnose.predict import Term
 from operando.diagnose.sets import CheckLines
-from operando.effects import Effect, EffectKind
+from operando.effects import EffectKind
 
 Array = NDArray[Any]
 
 GRID_HZ = 30
 """Frequencies tried for a law that resonates."""
 
+COLUMN_DOUBT = 0.05
+"""Part of an effect's trace that the undriven columns of the idle model may have wrong (3–13 % seen)."""
+
 
 @dataclass(frozen=True)
-class Start:
-    """A candidate before its refit.
+class Candidate:
+    """A kind at a place with start values.
 
     Parameters
     ----------
     term : Term
     q : array
-        Start of its moving numbers.
-    score : float
-        Mean weighted square a line on the lines scanned; lower is better.
+        Its moving numbers.
+    cost : float
+        Mean weighted square of what remains on the lines scanned.
     """
 
     term: Term
     q: Array
-    score: float
+    cost: float
 
 
-def scan_places(
-    places: Sequence[PlaceFit],
-    index: Sequence[tuple[int, ...]],
-    kinds: Sequence[EffectKind],
-    idle: ModalModel,
-    lines: CheckLines,
-    count: int,
-    band: tuple[float, float],
-) -> list[Start]:
-    """Laws δz(ω; values) fitted to the kind-free t(ω) of each place.
+@dataclass(frozen=True)
+class Reduced:
+    """What the lines say about one place.
 
     Parameters
     ----------
-    places : sequence of PlaceFit
-    index : sequence of tuple of int
-        DOFs of each place.
-    kinds : sequence of EffectKind
-        Those that act by a dynamic stiffness on one coordinate.
-    idle, lines : ModalModel, CheckLines
-    count : int
-        Complex values in the weighted sums, to make means of them.
-    band : (float, float)
+    into : (lines, responses, k) array
+        Receptance from the place to the responses.
+    seen : (lines, k, references) array
+        Receptance at the place from the references.
+    between : (lines, k, k) array
+    motion : (lines, k, references) array
+        Motion at the place per force, measured where it is measured, else the model's.
+    error, weight : (lines, responses, references) arrays
+        Measured minus model, and 1/variance.
+    t, pull, rest : (lines,) arrays
+        One coordinate only: best t, its weight, and the weighted square that no t explains (else empty).
     """
-    out: list[Start] = []
+
+    into: Array
+    seen: Array
+    between: Array
+    motion: Array
+    error: Array
+    weight: Array
+    t: Array
+    pull: Array
+    rest: Array
+
+    @property
+    def count(self) -> int:
+        """Complex values that count."""
+        return max(int(np.count_nonzero(self.weight)), 1)
+
+
+def scan_weights(lines: CheckLines, model: Array, own: Array) -> Array:
+    """1/variance of each line, with the idle model's own variance and the doubt about columns that were never driven."""
+    error = np.abs(lines.data - model)
+    return np.asarray(1 / (lines.variance + own + (COLUMN_DOUBT * error) ** 2))
+
+
+def reduce_place(full: Array, rows: Array, lines: CheckLines, data: Array, weight: Array) -> Reduced:
+    """What one place (rows over the idle DOFs) means for the lines.
+
+    Parameters
+    ----------
+    full : (lines, n_dofs, n_dofs) array
+        Receptance of the present model between all DOFs.
+    rows : (k, n_dofs) array
+    lines : CheckLines
+    data : (lines, responses, references) array
+        Measured receptance, channel faults put right.
+    weight : array like ``data``
+    """
+    into = full[:, lines.responses] @ rows.T
+    seen = rows @ full[:, :, lines.references]
+    between = rows @ full @ rows.T
+    model = full[np.ix_(np.arange(lines.hz.size), lines.responses, lines.references)]
+    error = data - model
+    used = np.flatnonzero(np.any(rows != 0, axis=0))
+    at = {int(d): i for i, d in enumerate(lines.responses)}
+    motion = seen
+    if all(int(d) in at for d in used) and np.all(np.isfinite(lines.variance[:, [at[int(d)] for d in used]])):
+        motion = rows[:, used] @ data[:, [at[int(d)] for d in used]]
+    empty = np.zeros(0)
+    if rows.shape[0] != 1:
+        return Reduced(into, seen, between, motion, error, weight, empty, empty, empty)
+    a = into * seen
+    pull = np.sum(weight * np.abs(a) ** 2, axis=(1, 2))
+    cross = np.sum(weight * np.conj(a) * error, axis=(1, 2))
+    t = -cross / np.maximum(pull, 1e-300)
+    rest = np.sum(weight * np.abs(error) ** 2, axis=(1, 2)) - np.abs(cross) ** 2 / np.maximum(pull, 1e-300)
+    return Reduced(into, seen, between, motion, error, weight, t, pull, np.maximum(rest, 0))
+
+
+def fit_place(term: Term, reduced: Reduced, lines: CheckLines) -> Candidate | None:
+    """Best values of a kind at a place, in either sign where the kind can be taken away; None where only an impossible sign fits."""
     s = 1j * lines.omega
-    for place, dofs in zip(places, index, strict=True):
-        for kind in kinds:
-            if kind.acts != "dynamic_stiffness" or kind.places != len(dofs) or kind.coordinates == "separate":
-                continue
-            best = _fit_law(place, kind, s, band)
-            if best is None:
-                continue
-            sign, values, cost = best
-            effect = Effect(kind.kind, tuple(idle.dofs[d] for d in dofs), values, removed=sign < 0, band_hz=band)
-            term = Term.of(effect, idle, band)
-            extra = place.score * count - float(place.rest.sum())
-            out.append(Start(term, term.inward(effect.values), (float(place.rest.sum()) + cost + extra) / count))
-    return out
+    if reduced.t.size:
+        return _fit_scalar(term, reduced, s)
+    return _fit_coefficient(term, reduced, s) if len(term.moving) == 1 else None
 
 
-def _fit_law(place: PlaceFit, kind: EffectKind, s: Array, band: tuple[float, float]) -> tuple[int, dict[str, float], float] | None:
-    """Sign, values and cost Σ pull·|t − t_best|² of the best law, or None where only an impossible sign fits."""
-    z, g = place.stiffness, place.inner
-    weight = place.pull * np.abs(1 - place.t * g) ** 4
-    values = kind.defaults(band)
-    first, *others = kind.parameters
-    grids = [_grid(kind, p.name, band) for p in others]
+def _fit_scalar(term: Term, r: Reduced, s: Array) -> Candidate | None:
+    g = r.between[:, 0, 0]
+    z = r.t / (1 - r.t * g)
+    weight = r.pull * np.abs(1 - r.t * g) ** 4
+    root = np.sqrt(r.pull)
+
+    def law(kind_values: dict[str, float], sign: int) -> Array:
+        z_law = sign * term.kind.dynamic_stiffness(s, kind_values)
+        return np.asarray(root * (z_law / (1 + z_law * g) - r.t))
+
+    values = term.kind.defaults(term.band_hz) | term.constants | term.fixed
+    first, *others = term.kind.parameters
     found: list[tuple[float, int, dict[str, float]]] = []
-    for combination in product(*grids):
+    for combination in product(*[[term.fixed[p.name]] if p.name in term.fixed else _grid(term.kind, p.name, term.band_hz) for p in others]):
         trial = dict(values) | {p.name: v for p, v in zip(others, combination, strict=True)}
-        unit = kind.dynamic_stiffness(s, trial | {first.name: 1.0})
+        unit = term.kind.dynamic_stiffness(s, trial | {first.name: 1.0})
         size = float(np.real(np.sum(weight * np.conj(unit) * z)) / max(float(np.sum(weight * np.abs(unit) ** 2)), 1e-300))
-        # The weight belongs to the right z; a start from the measured motion is less sure of itself but less blind.
-        for amount in (size, 0.3 * size, 3 * size):
-            if not np.isfinite(amount) or amount == 0 or (amount < 0 and not kind.removable):
+        # Equation error with the measured motion: E ≈ −h·δz·x_measured, also where the kind-free t is poor.
+        a = r.into * (unit[:, None] * r.motion[:, 0])[:, None, :]
+        direct = -float(np.sum(r.weight * np.real(np.conj(a) * r.error)) / max(float(np.sum(r.weight * np.abs(a) ** 2)), 1e-300))
+        for amount in (size, direct):
+            if not np.isfinite(amount) or amount == 0 or (amount < 0 and not term.kind.removable):
                 continue
-            t = amount * unit / (1 + amount * unit * g)
-            cost = float(np.sum(place.pull * np.abs(t - place.t) ** 2))
-            found.append((cost, 1 if amount > 0 else -1, trial | {first.name: abs(amount)}))
+            sign = 1 if amount > 0 else -1
+            start = trial | {first.name: abs(amount) if first.name not in term.fixed else term.fixed[first.name]}
+            found.append((float(np.sum(np.abs(law(start, sign)) ** 2)), sign, start))
     if not found:
         return None
     found.sort(key=lambda item: item[0])
-    results = [_polish_law(place, kind, s, sign, trial, band) for _, sign, trial in found[: 1 if not others else 3]]
-    return min(results, key=lambda item: item[2])
+    best: Candidate | None = None
+    for _, sign, start in found[: 3 if others else 1]:
+        here = replace(term, sign=sign)
+        q, cost = _polish(lambda x, t=here, sg=sign: law(t.values(x), sg), here.inward(start), here)
+        cost = (cost + float(r.rest.sum())) / r.count
+        if best is None or cost < best.cost:
+            best = Candidate(here, q, cost)
+    return best
+
+
+def _fit_coefficient(term: Term, r: Reduced, s: Array) -> Candidate | None:
+    """One coefficient on several coordinates."""
+    name = term.moving[0]
+    k = r.into.shape[2]
+    unit = np.asarray(term.kind.matrix(s, term.constants | {name: 1.0}, k))
+    a = r.into @ (unit @ r.motion)
+    size = -float(np.sum(r.weight * np.real(np.conj(a) * r.error)) / max(float(np.sum(r.weight * np.abs(a) ** 2)), 1e-300))
+    if not np.isfinite(size) or size == 0:
+        return None
+    sign, start = 1, size
+    if term.kind.parameter(name).transform == "log":
+        if size < 0 and not term.kind.removable:
+            return None
+        sign, start = (1 if size > 0 else -1), abs(size)
+    here = replace(term, sign=sign)
+    root = np.sqrt(r.weight)
+
+    def left(x: Array) -> Array:
+        z = here.stiffness(s, here.values(x))
+        middle = np.linalg.solve(np.eye(k) + z @ r.between, z)
+        return np.asarray((root * (r.error + r.into @ middle @ r.seen)).ravel())
+
+    q, cost = _polish(left, here.inward({name: start}), here, 4)
+    return Candidate(here, q, cost / r.count)
 
 
 def _grid(kind: EffectKind, name: str, band: tuple[float, float]) -> list[float]:
     p = kind.parameter(name)
     low, high = p.bounds(band)
     if p.unit == "Hz":
-        return list(np.geomspace(low * 1.02, high * 0.98, GRID_HZ))
+        return [float(v) for v in np.geomspace(low * 1.02, high * 0.98, GRID_HZ)]
     a, b = p.inward(low), p.inward(high)
-    return [p.outward(v) for v in a + (b - a) * np.array([0.35, 0.65, 0.9])]
+    return [p.outward(float(v)) for v in a + (b - a) * np.array([0.35, 0.65, 0.9])]
 
 
-def _polish_law(
-    place: PlaceFit, kind: EffectKind, s: Array, sign: int, values: dict[str, float], band: tuple[float, float]
-) -> tuple[int, dict[str, float], float]:
-    """A few damped Gauss–Newton steps of t(values) on the kind-free t."""
-    low, high = kind.bounds(band)
-    root = np.sqrt(place.pull)
-    constants = {p.name: values[p.name] for p in kind.constants}
-
-    def law(q: Array) -> Array:
-        z = sign * kind.dynamic_stiffness(s, kind.outward(q) | constants)
-        return root * (z / (1 + z * place.inner) - place.t)
-
-    q = np.clip(kind.inward(values), low, high)
+def _polish(law: Callable[[Array], Array], q: Array, term: Term, steps: int = 15) -> tuple[Array, float]:
+    """A few damped Gauss–Newton steps within the bounds; law gives weighted complex residuals."""
+    low, high = term.bounds()
     e = law(q)
     cost, damping = float(np.vdot(e, e).real), 1e-3
-    for _ in range(15):
-        j = np.array([(law(q + 1e-5 * np.eye(q.size)[i]) - e) / 1e-5 for i in range(q.size)])
-        normal, gradient = np.real(j.conj() @ j.T), np.real(j.conj() @ e)
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-30 * np.eye(q.size), gradient)
-        trial = np.clip(q - np.clip(step, -1, 1), low, high)
-        e_new = law(trial)
+    for _ in range(steps if q.size else 0):
+        j = np.array([(law(q + 1e-5 * row) - e) / 1e-5 for row in np.eye(q.size)])
+        normal, slope = np.real(j.conj() @ j.T), np.real(j.conj() @ e)
+        move = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-30), slope)
+        tried = np.clip(q - np.clip(move, -1, 1), low, high)
+        e_new = law(tried)
         new = float(np.vdot(e_new, e_new).real)
         if new < cost:
             done = cost - new < 1e-4 * cost
-            q, e, cost, damping = trial, e_new, new, damping / 5
+            q, e, cost, damping = tried, e_new, new, damping / 5
             if done:
                 break
         else:
             damping *= 10
             if damping > 1e4:
                 break
-    return sign, kind.outward(q) | constants, cost
+    return q, cost
 
 
-def scan_skew(
-    columns: Columns,
-    weight: Array,
-    pairs: Sequence[tuple[int, ...]],
-    kinds: Sequence[EffectKind],
-    idle: ModalModel,
-    lines: CheckLines,
-    band: tuple[float, float],
-) -> list[Start]:
-    """Kinds on two coordinates with one coefficient: linear in it by the motion measured at the places (equation error)."""
-    out: list[Start] = []
-    skew = [k for k in kinds if k.acts == "dynamic_stiffness" and k.coordinates == "separate" and len(k.parameters) == 1]
-    if not skew:
-        return out
-    s = 1j * lines.omega
-    row_of = {int(d): i for i, d in enumerate(lines.responses)}
-    count = max(int(np.count_nonzero(weight)), 1)
-    variance = np.where(weight > 0, 1 / np.maximum(weight, 1e-300), np.inf)
-    for place in pairs:
-        if any(d not in row_of for d in place):
+def channel_candidates(terms: Sequence[Term], lines: CheckLines, model: Array, data: Array, weight: Array) -> list[Candidate]:
+    """Sensor and force faults: what each channel's own rows or columns say, and pairs exchanged.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Kinds that act on channels.
+    lines : CheckLines
+    model, data : (lines, responses, references) arrays
+        Present model, and measurement with accepted faults put right.
+    weight : array like ``data``
+    """
+    out: list[Candidate] = []
+    before = weight * np.abs(data - model) ** 2
+    total, count = float(before.sum()), max(int(np.count_nonzero(weight)), 1)
+    row = {int(d): i for i, d in enumerate(lines.responses)}
+    column = {int(d): i for i, d in enumerate(lines.references)}
+    for term in terms:
+        if term.kind.places == 2:
+            i, k = (row[d] for d in term.index)
+            after = weight[:, i] * np.abs(data[:, i] - model[:, k]) ** 2 + weight[:, k] * np.abs(data[:, k] - model[:, i]) ** 2
+            cost = total - float(before[:, i].sum() + before[:, k].sum()) + float(after.sum())
+            out.append(Candidate(term, np.zeros(0), cost / count))
             continue
-        x = lines.data[:, [row_of[d] for d in place], :]
-        h = columns.into[:, :, list(place)]
-        doubt = columns.doubt_into[:, :, list(place)]
-        for kind in skew:
-            name = kind.parameters[0].name
-            unit = kind.matrix(s, {name: 1.0}, 2)
-            force = unit @ x
-            a = h @ force
-            w = weight
-            for _ in range(2):
-                size = -float(np.sum(w * np.real(np.conj(a) * columns.residual)) / max(float(np.sum(w * np.abs(a) ** 2)), 1e-300))
-                spread = size**2 * np.einsum("lok,lkj->loj", doubt, np.abs(force) ** 2)
-                w = np.where(np.isfinite(variance), 1 / (variance + spread), 0.0)
-            good = w > 0
-            logs = float(np.sum(-np.log(w[good] / weight[good])))
-            score = (float(np.sum(w * np.abs(columns.residual + size * a) ** 2)) + logs) / count
-            effect = Effect(kind.kind, tuple(idle.dofs[d] for d in place), {name: size or 1e-9}, band_hz=band)
-            term = Term.of(effect, idle, band)
-            out.append(Start(term, term.inward(effect.values), score))
+        force = term.kind.group == "force"
+        where = (slice(None), slice(None), column[term.index[0]]) if force else (slice(None), row[term.index[0]], slice(None))
+        found = _channel(term, data[where], model[where], weight[where], lines, force)
+        if found is not None:
+            q, after_sum = found
+            out.append(Candidate(term, q, (total - float(before[where].sum()) + after_sum) / count))
     return out
 
 
-def scan_channels(
-    arrays: IdleArrays, weight: Array, fitted: Fitted, kinds: Sequence[EffectKind], idle: ModalModel, lines: CheckLines, band: tuple[float, float]
-) -> list[Start]:
-    """Sensor and force faults: gain and delay of each channel from its own rows or columns, and swapped pairs."""
-    out: list[Start] = []
-    p = fitted.predict(arrays, lines)
-    e = np.abs(lines.data - p.data) ** 2 * weight
-    count, total = max(int(np.count_nonzero(weight)), 1), float(e.sum())
-    w = lines.omega[:, None]
-
-    def add(kind: EffectKind, dofs: tuple[int, ...], values: dict[str, float], cost: float) -> None:
-        effect = Effect(kind.kind, tuple(idle.dofs[d] for d in dofs), values, band_hz=band)
-        term = Term.of(effect, idle, band)
-        out.append(Start(term, term.inward(effect.values), cost / count))
-
-    for kind in kinds:
-        if kind.acts != "sensor_map":
-            continue
-        if kind.places == 2:
-            for i, a in enumerate(lines.responses):
-                for k in range(i + 1, lines.responses.size):
-                    swapped = weight[:, i] * np.abs(lines.data[:, i] - p.data[:, k]) ** 2
-                    swapped = swapped + weight[:, k] * np.abs(lines.data[:, k] - p.data[:, i]) ** 2
-                    add(kind, (int(a), int(lines.responses[k])), {}, total - float((e[:, i] + e[:, k]).sum()) + float(swapped.sum()))
-            continue
-        force = kind.group == "force"
-        for i, dof in enumerate(lines.references if force else lines.responses):
-            x, h, own = (lines.data[:, :, i], p.data[:, :, i], weight[:, :, i]) if force else (lines.data[:, i], p.data[:, i], weight[:, i])
-            before = float((e[:, :, i] if force else e[:, i]).sum())
-            if not kind.parameters:
-                values: dict[str, float] = {}
-                after = x + h
-            elif kind.parameters[0].name == "gain":
-                gain = float(np.sum(own * np.real(np.conj(h) * x)) / max(float(np.sum(own * np.abs(h) ** 2)), 1e-300))
-                if gain <= 0.02:
-                    continue
-                values = {"gain": 1 / gain if force else gain}
-                after = x - gain * h
-            elif kind.parameters[0].name == "delay":
-                # A coarse grid first: the phase wraps.
-                grid = np.linspace(-1, 1, 81) / max(4 * lines.hz.max() / 10, 1e-9) / 2
-                costs = [float(np.sum(own * np.abs(x - h * np.exp(-1j * w * d)) ** 2)) for d in grid]
-                delay = float(grid[int(np.argmin(costs))])
-                for _ in range(6):
-                    turned = h * np.exp(-1j * w * delay)
-                    slope = -1j * w * turned
-                    delay += float(np.sum(own * np.real(np.conj(slope) * (x - turned))) / max(float(np.sum(own * np.abs(slope) ** 2)), 1e-300))
-                values = {"delay": -delay if force else delay}
-                after = x - h * np.exp(-1j * w * delay)
-            else:
-                values = kind.defaults(band)
-                after = x - h
-            add(kind, (int(dof),), values, total - before + float(np.sum(own * np.abs(after) ** 2)))
-    return out
-
-
-def scan_whole(
-    arrays: IdleArrays, weight: Array, fitted: Fitted, kinds: Sequence[EffectKind], idle: ModalModel, lines: CheckLines, band: tuple[float, float]
-) -> list[Start]:
-    """Changes of the whole structure, from a coarse line search (their size moves every peak)."""
-    out: list[Start] = []
-    count = max(int(np.count_nonzero(weight)), 1)
-    moved = arrays.with_phi(fitted.nuisance.phi(arrays.phi, fitted.v)) if fitted.nuisance.size else arrays
-    for kind in kinds:
-        if kind.acts != "modal_change" or len(kind.parameters) != 1:
-            continue
-        name = kind.parameters[0].name
-        tried = []
-        for change in (-0.5, -0.3, -0.2, -0.12, -0.07, -0.04, -0.02, -0.01, 0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.7, 1.5):
-            term = Term.of(Effect(kind.kind, (), {name: change}, band_hz=band), idle, band)
-            q = term.inward({name: change})
-            p = predict(moved, lines, (*fitted.terms, term), (*fitted.q, q))
-            tried.append(Start(term, q, float(np.sum(weight * np.abs(lines.data - p.data) ** 2)) / count))
-        out.append(min(tried, key=lambda start: start.score))
-    return out
+def _channel(term: Term, x: Array, h: Array, w: Array, lines: CheckLines, force: bool) -> tuple[Array, float] | None:
+    """Moving numbers of one channel's fault and the weighted square that it leaves."""
+    omega = lines.omega[:, None]
+    names = term.moving
+    if names == ("gain",):
+        gain = float(np.sum(w * np.real(np.conj(h) * x)) / max(float(np.sum(w * np.abs(h) ** 2)), 1e-300))
+        if gain <= 0.05:
+            return None
+        return term.inward({"gain": 1 / gain if force else gain}), float(np.sum(w * np.abs(x - gain * h) ** 2))
+    if names == ("delay",):
+        # A coarse grid first: the phase wraps.
+        grid = np.linspace(-2.5, 2.5, 101) / float(lines.hz.max())
+        delay = float(grid[int(np.argmin([np.sum(w * np.abs(x - h * np.exp(-1j * omega * d)) ** 2) for d in grid]))])
+        for _ in range(8):
+            turned = h * np.exp(-1j * omega * delay)
+            slope = -1j * omega * turned
+            delay += float(np.sum(w * np.real(np.conj(slope) * (x - turned))) / max(float(np.sum(w * np.abs(slope) ** 2)), 1e-300))
+        return term.inward({"delay": -delay if force else delay}), float(np.sum(w * np.abs(x - h * np.exp(-1j * omega * delay)) ** 2))
+    values = term.kind.defaults(term.band_hz) | term.constants
+    factor = np.asarray(term.kind.sensor_map(lines.hz, values))[:, None]
+    return term.inward(values), float(np.sum(w * np.abs(x - h * (1 / factor if force else factor)) ** 2))
