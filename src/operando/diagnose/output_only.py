@@ -30,7 +30,10 @@ NO_MISFIT = 1.5
 GRID = (0.003, 0.03, 0.2, 1.0)
 """Sizes tried first, as the change of the most affected mode's modal mass, stiffness or damping over its own."""
 
-REFINED = 24
+POLISHED = 60
+"""Places whose size is polished after the coarse grid."""
+
+REFINED = 20
 """Places refined with floating shapes, after the scan."""
 
 MOST_EFFECTS = 3
@@ -196,8 +199,9 @@ def scan(
                 best = (misfit, action, size)
         if np.isfinite(best[0]):
             coarse.append(best)
+    coarse.sort(key=lambda item: item[0])
     fine = []
-    for _, action, size in coarse:
+    for _, action, size in best_of(coarse, POLISHED, 6):
         near = basis.touched(np.vstack([*rows, action.rows]))
         found = fit(target, near, [*accepted, action], [*sizes, size], use, floating=False, own_variance=False, iterations=6, folds=False)
         if found is not None and _allowed(action, float(found.sizes[-1])):
@@ -205,12 +209,15 @@ def scan(
     return sorted(fine, key=lambda item: item[0])
 
 
-def _shortlist(scanned: list[tuple[float, Action, float]]) -> list[tuple[float, Action, float]]:
-    """The best of all, and the best two of each kind."""
-    short = scanned[:REFINED]
-    for kind in {a.kind for _, a, _ in scanned}:
-        short += [item for item in scanned if item[1].kind == kind and item not in short][:2]
-    return short
+def best_of(scanned: list[tuple[float, Action, float]], number: int, of_each: int) -> list[tuple[float, Action, float]]:
+    """The best of a sorted list, and the best of each kind."""
+    out, seen = [], dict.fromkeys(LINEAR_KINDS, 0)
+    for rank, item in enumerate(scanned):
+        kind = item[1].kind
+        if rank < number or seen[kind] < of_each:
+            out.append(item)
+        seen[kind] += 1
+    return out
 
 
 def refine(
@@ -279,9 +286,10 @@ def _propose(best: Effect, others: Sequence[Effect]) -> str | None:
     if not others:
         return None
     other = others[0]
+    here, there = best.place or "the whole structure", other.place or "the whole structure"
     return (
-        f"Operating modes alone do not tell {best.kind} at {best.place or 'the whole structure'} from {other.kind} at "
-        f"{other.place or 'the whole structure'}: measure FRFs in operation with a force at {best.place or other.place or 'two points'}. Or: {best.confirm}"
+        f"Operating modes alone do not tell {best.kind} at {here} from {other.kind} at {there}: measure FRFs in operation with a force at "
+        f"{best.place or other.place or 'two points'}. Or: {best.confirm}"
     )
 
 
@@ -357,7 +365,7 @@ def _diagnose(
         taken = {(a.kind, a.effect.location) for a in current.actions}
         open_actions = [a for a in actions if (a.kind, a.effect.location) not in taken]
         scanned = scan(target, basis, current.actions, list(current.sizes), open_actions, use, progress)
-        fits = refine(target, basis, current.actions, list(current.sizes), _shortlist(scanned), use)
+        fits = refine(target, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 2), use)
         if step == 1:
             ranked = fits
         last_fall = 1 - fits[0].selection / current.selection if fits else 0.0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from operando.diagnose.output_only_forward import Action, Basis, Modes, floating_change, pole_derivatives, solve, stiffness_change
 from operando.diagnose.output_only_residuals import (
+    ZETA_FLOOR,
     Target,
     compress,
     compress_slope,
@@ -121,6 +122,8 @@ def jacobian(
     k, q, n = len(actions), prior.root.shape[1], basis.omega.size
     out = np.zeros((target.n, target.per_mode, k + q))
     phi = modes.shapes
+    predicted = (phi[target.rows] * target.signs[:, None]) @ modes.vectors[:, index]
+    scales, _, away = fit_scale(target.shapes, predicted, white)
     for i, j in enumerate(index):
         if j < 0:
             continue
@@ -134,18 +137,17 @@ def jacobian(
         zeta = -s.real / size
         by_zeta = -by_pole.real / size - zeta * by_log
         out[i, 0] = -by_log / target.std_log_hz[i]
-        out[i, 1] = -by_zeta / max(zeta, 1e-5) / target.std_log_zeta[i] * (zeta > 1e-5)
+        out[i, 1] = -by_zeta / max(zeta, ZETA_FLOOR) / target.std_log_zeta[i] * (zeta > ZETA_FLOOR)
         by_shape = phi @ by_vector
         if q:
             direct = np.zeros((phi.shape[0], q), complex)
             direct[prior.dofs] = np.einsum("drq,r->dq", prior.root.reshape(prior.dofs.size, n, q), u)
             by_shape[:, k:] += direct
         by_shape = by_shape[target.rows] * target.signs[:, None]
-        psi = (phi[target.rows] @ u) * target.signs
-        a, _, away = fit_scale(target.shapes[:, i], psi, white[i])
-        moved = a * by_shape
+        moved = scales[i] * by_shape
         part = white[i] @ np.r_[moved.real, moved.imag]
-        out[i, 2:] = -(part - away @ (away.T @ part))
+        # The scale follows the shape (variable projection, Kaufman 1975: the term of the residual's own size is left out).
+        out[i, 2:] = -(part - away[i] @ (away[i].T @ part))
     return out
 
 
@@ -191,9 +193,10 @@ def fit(
     q = prior.root.shape[1]
     sizes, eta = np.array(start, float), np.zeros(q)
     white = whiteners(target)
-    modes = solve(basis, actions, sizes, prior.shapes(basis, eta), derivatives=True)
-    if modes is None:
+    begun = solve(basis, actions, sizes, prior.shapes(basis, eta), derivatives=True)
+    if begun is None:
         return None
+    modes: Modes = begun
     raw, index, scale = residuals(target, modes, white)
     if own_variance:
         white = whiteners(target, model_variance(basis, target, modes, index, scale))
@@ -212,7 +215,7 @@ def fit(
         g = scaled_jacobian.T @ compress(raw[use])
         h[np.arange(k, k + q), np.arange(k, k + q)] += 1
         g[k:] += eta
-        improved = False
+        better: Modes | None = None
         for _ in range(6):
             step = -np.linalg.solve(h + damping * np.diag(np.diag(h) + 1e-300), g)
             # Sizes move by a factor of three at most: beyond that the linearisation says nothing.
@@ -224,13 +227,13 @@ def fit(
                 new_raw, new_index, new_scale = residuals(target, new_modes, white)
                 new_cost = cost_of(new_raw, new_eta)
                 if new_cost < cost:
-                    improved = True
+                    better = new_modes
                     break
             damping *= 8
-        if not improved:
+        if better is None:
             break
         gain = cost - new_cost
-        sizes, eta, modes, raw, index, scale, cost = new_sizes, new_eta, new_modes, new_raw, new_index, new_scale, new_cost
+        sizes, eta, modes, raw, index, scale, cost = new_sizes, new_eta, better, new_raw, new_index, new_scale, new_cost
         damping = max(damping / 5, 1e-9)
         if gain < 1e-3 + 1e-6 * cost:
             break

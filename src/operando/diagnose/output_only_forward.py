@@ -189,13 +189,13 @@ def solve(
         return None
     try:
         np.linalg.cholesky(m)
-        inverse = np.linalg.inv(m)
+        inverse = np.asarray(np.linalg.inv(m), float)
         # Time in units of 1/ω_ref keeps both halves of the state of one size.
         ref = float(np.median(basis.omega))
         a = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ k / ref**2, -inverse @ c / ref]])
         poles, v = np.linalg.eig(a)
         # Perturbing the lower half by −M⁻¹ δZ u/ref² moves λ/ref by left·that: one factor 1/ref stays.
-        left = np.linalg.inv(v)[:, n:] / ref if derivatives else None
+        left = np.asarray(np.linalg.inv(v)[:, n:] / ref, complex) if derivatives else None
     except np.linalg.LinAlgError:
         return None
     return Modes(np.asarray(poles * ref, complex), np.asarray(v[:n], complex), left, inverse, phi)

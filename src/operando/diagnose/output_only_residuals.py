@@ -22,6 +22,9 @@ KNEE = 8.0
 SHAPE_FLOOR = 5e-4
 """Smallest standard deviation of a shape value, over the largest of its mode: what any identification leaves."""
 
+ZETA_FLOOR = 1e-5
+"""Predicted damping below this (or negative) counts as this: ln ζ must exist."""
+
 ASSUMED = (5e-4, 0.08, 0.01)
 """Relative standard deviations of f, ζ and shape where the operating modes bring none."""
 
@@ -175,14 +178,37 @@ def whiteners(target: Target, model_variance: Real | None = None) -> Real:
     return out
 
 
-def fit_scale(y: Complex, psi: Complex, whitener: Real) -> tuple[complex, Real, Real]:
-    """Complex scale of a predicted shape, whitened residual (2m,) and the orthonormal directions (2m, 2) the scale takes away."""
-    x = whitener @ np.c_[np.r_[psi.real, psi.imag], np.r_[-psi.imag, psi.real]]
-    q, r = np.linalg.qr(x)
-    t = whitener @ np.r_[y.real, y.imag]
-    part = q.T @ t
-    a = np.linalg.lstsq(r, part, rcond=None)[0]
-    return complex(a[0], a[1]), t - q @ part, q
+def fit_scale(y: Complex, psi: Complex, white: Real) -> tuple[Complex, Real, Real]:
+    """Free complex scale of predicted shapes, by least squares of the whitened difference, mode by mode.
+
+    Parameters
+    ----------
+    y, psi : (m, n) complex arrays
+        Operating and predicted shapes.
+    white : (n, 2m, 2m) array
+
+    Returns
+    -------
+    scale : (n,) complex array
+    residual : (n, 2m) array
+        Whitened difference that is left.
+    away : (n, 2m, 2) array
+        Orthonormal directions the scale takes away.
+    """
+    first = (white @ np.concatenate([psi.real, psi.imag]).T[:, :, None])[..., 0]
+    second = (white @ np.concatenate([-psi.imag, psi.real]).T[:, :, None])[..., 0]
+    t = (white @ np.concatenate([y.real, y.imag]).T[:, :, None])[..., 0]
+    # Two columns: Gram–Schmidt in closed form, all modes at once.
+    norm = np.maximum(np.linalg.norm(first, axis=1), 1e-300)
+    q1 = first / norm[:, None]
+    across = np.sum(q1 * second, axis=1)
+    q2 = second - across[:, None] * q1
+    rest = np.maximum(np.linalg.norm(q2, axis=1), 1e-300)
+    q2 /= rest[:, None]
+    t1, t2 = np.sum(q1 * t, axis=1), np.sum(q2 * t, axis=1)
+    imaginary = t2 / rest
+    real = (t1 - across * imaginary) / norm
+    return real + 1j * imaginary, t - t1[:, None] * q1 - t2[:, None] * q2, np.stack([q1, q2], axis=-1)
 
 
 def residuals(target: Target, modes: Modes, white: Real) -> tuple[Real, NDArray[np.int_], Complex]:
@@ -197,20 +223,18 @@ def residuals(target: Target, modes: Modes, white: Real) -> tuple[Real, NDArray[
     """
     index, shapes = match(target, modes)
     out = np.full((target.n, target.per_mode), 3 * KNEE)
-    scale = np.zeros(target.n, complex)
-    for k, j in enumerate(index):
-        if j < 0:
-            continue
-        pole = modes.poles[j]
-        zeta = max(-pole.real / abs(pole), 1e-5)
-        out[k, 0] = (target.log_hz[k] - np.log(abs(pole) / 2 / np.pi)) / target.std_log_hz[k]
-        out[k, 1] = (target.log_zeta[k] - np.log(zeta)) / target.std_log_zeta[k]
-        scale[k], out[k, 2:], _ = fit_scale(target.shapes[:, k], shapes[:, k], white[k])
-    return out, index, scale
+    scale, shape_part, _ = fit_scale(target.shapes, shapes, white)
+    poles = modes.poles[index]
+    zeta = np.maximum(-poles.real / np.abs(poles), ZETA_FLOOR)
+    found = index >= 0
+    out[found, 0] = ((target.log_hz - np.log(np.abs(poles) / 2 / np.pi)) / target.std_log_hz)[found]
+    out[found, 1] = ((target.log_zeta - np.log(zeta)) / target.std_log_zeta)[found]
+    out[found, 2:] = shape_part[found]
+    return out, index, np.where(found, scale, 0)
 
 
 def model_variance(basis: Basis, target: Target, modes: Modes, index: NDArray[np.int_], scale: Complex) -> Real:
-    """The idle model's own variance of the predicted shapes (n, 2m), from the shape values read out there, in the operating shapes' scale."""
+    """The idle model's own variance of the shapes read out (n, 2m), in the scale of the operating shapes."""
     m = len(target.rows)
     out = np.zeros((target.n, 2 * m))
     if basis.covariance is None:
