@@ -115,24 +115,24 @@ def _lonely_band(structure: Structure) -> tuple[float, float]:
 
 
 def _references(structure: Structure, count: int) -> tuple[int, ...]:
-    """Sensors to drive at: at least one of them moves well in each mode in band; random among the best few sets."""
+    """Sensors to drive at: at least one of them moves well in each mode in band; random among the best few sets (the best one alone)."""
     rows = np.abs(structure.rows[:, structure.in_band])
     seen = rows / rows.max(axis=0)
     sets = list(combinations(range(len(rows)), count))
     worth = np.array([seen[list(s)].max(axis=0).min() for s in sets])
-    best = np.argsort(-worth, kind="stable")[: 3 if count == 1 else 8]
+    best = np.argsort(-worth, kind="stable")[: 1 if count == 1 else 8]
     return sets[int(np.random.default_rng([len(rows), count, int(1e3 * structure.hz[0])]).choice(best))]
 
 
 def _orders(state: Hidden, band: tuple[float, float], rng: np.random.Generator) -> tuple[tuple[float, float], ...]:
-    """Running speed and its double [Hz], with amplitudes [N], neither within 2 % of a mode."""
+    """Running speed and its double [Hz], with their shares of the mean square of the channel that feels them most, neither within 2 % of a mode."""
     values, _ = state.system.poles()
     modes = np.abs(values) / 2 / np.pi
     for _ in range(500):
         speed = rng.uniform(max(12.0, band[0]), 0.48 * band[1])
         if all(np.abs(modes / (n * speed) - 1).min() > 0.02 for n in (1, 2)):
             break
-    return (speed, float(rng.uniform(1, 4))), (2 * speed, float(rng.uniform(0.5, 2)))
+    return (speed, float(np.exp(rng.uniform(*np.log((0.01, 0.3)))))), (2 * speed, float(np.exp(rng.uniform(*np.log((0.005, 0.15))))))
 
 
 def write(spec: Spec, folder: Path, case: Path | None = None) -> Path:

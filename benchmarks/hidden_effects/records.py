@@ -124,7 +124,7 @@ def forced_run(
 
 
 def operating_run(logger: Logger, state: Hidden, seconds: float, orders: tuple[tuple[float, float], ...]) -> bytes:
-    """White forces at 24 places of the mesh, unmeasured, and rotor orders (Hz, N) at one of them."""
+    """White forces at 24 places of the mesh, unmeasured, and rotor orders (Hz, share) at one of them."""
     rng = logger.rng
     samples = int(seconds * RATE)
     period = fft.next_fast_len(samples + int(20 * RATE), real=True)
@@ -139,10 +139,14 @@ def operating_run(logger: Logger, state: Hidden, seconds: float, orders: tuple[t
         hz = np.array([f for f, _ in orders])
         gains = state.system.accelerance(hz, state.rows, state.shapes[places[:1]])[:, 0]
         time = np.arange(samples) / RATE
-        for gain, (f, amplitude) in zip(gains.T, orders, strict=True):
-            wave = np.exp(2j * np.pi * (f * time + rng.uniform()))
-            for i, row in enumerate(_through_faults(state, gain, f)):
-                acceleration[i] += np.real(row * amplitude * wave)
+        power = (acceleration**2).mean(axis=1)
+        waves = []
+        for gain, (f, share) in zip(gains.T, orders, strict=True):
+            # The force is such that the order holds this share of the mean square of the channel that feels it most.
+            amplitude = np.sqrt(share / np.max(np.abs(gain) ** 2 / 2 / power))
+            phase = np.exp(2j * np.pi * (f * time + rng.uniform()))
+            waves.append(np.real(_through_faults(state, gain, f)[:, None] * amplitude * phase))
+        acceleration = acceleration + sum(waves)
     return logger.run(acceleration, None, None, "running")
 
 

@@ -1,0 +1,156 @@
+"""Runs the command line over cases with hidden effects, from their raw files, and keeps one line of figures a case.
+
+    python benchmarks/hidden_effects/score.py WORK --plan full        # some 450 runs; --plan short: 50; or names of cases
+    python benchmarks/hidden_effects/tally.py WORK/results.jsonl      # the tables, also printed at the end here
+
+Each case is written under a name that says nothing, run with ``operando run``, judged, and deleted (``--keep``: kept). Finished cases are
+found in WORK/results.jsonl and not run again (``--fresh``: they are). Where diagnosis.json is not written, the row says so, and what
+there is is scored.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from families import FAMILIES
+from generate import Spec, parse, truth, write
+from hidden import LINEAR, SENSOR
+from judge import judge
+from tally import report
+
+OUTPUT_ONLY = ("ground_spring", "coupling_spring", "point_mass", "gyroscopic", "global_stiffness", "ground_damper", "coupling_damper")
+EXCITATIONS = ("shaker", "hammer")
+TIMEOUT = 900  # s a run
+
+
+def plan(name: str) -> list[Spec]:
+    """The cases of a plan; ``full`` is what the issue's figures are taken from, ``short`` one seed of each kind in turn."""
+    seeds = {"full": 6, "short": 1}[name]
+    nothing = {"full": 60, "short": 6}[name]
+    specs: list[Spec] = []
+    for offset, family in enumerate(FAMILIES):
+        for kind in (*LINEAR, *SENSOR):
+            for i in range(seeds):
+                seed = (i if name == "full" else (*LINEAR, *SENSOR).index(kind) % 6) + 100
+                # Three references and one by turns; hammer and shaker by pairs, so that all four meet.
+                specs.append(Spec(family, kind, seed, (3, 1)[(seed + offset) % 2], EXCITATIONS[(seed // 2) % 2]))
+        for i in range(nothing):
+            kind = "orders" if i % 4 == 3 else "none"
+            specs.append(Spec(family, kind, 200 + i, 1 + i % 3, EXCITATIONS[(i // 3) % 2], check=i % 5 != 4))
+        for kind in OUTPUT_ONLY:
+            specs += [Spec(family, kind, 300 + i, (3, 2)[i % 2], EXCITATIONS[i % 2], check=False, orders=i % 3 == 2) for i in range(seeds)]
+        for kind in ("unmeasured", "outside", "one_mode", "two"):
+            specs += [Spec(family, kind, 400 + i, (3, 2)[i % 2], EXCITATIONS[(i // 2) % 2]) for i in range(max(seeds + 2, 2))]
+    # Families and kinds mixed, so that an early stop still shows everything.
+    return sorted(specs, key=lambda s: hashlib.sha1(s.name.encode()).hexdigest())
+
+
+def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None) -> dict:
+    """Writes, runs, judges."""
+    label = hashlib.sha1(spec.name.encode()).hexdigest()[:10]
+    case, results = work / "cases" / label, work / "runs" / label
+    row: dict = {"case": spec.name, "family": spec.family, "kind": spec.kind, "seed": spec.seed, "references": spec.references}
+    row |= {"excitation": spec.excitation, "check": spec.check, "orders": spec.orders or spec.kind == "orders", "folder": str(case)}
+    if not (case / "test.toml").exists():
+        write(spec, work, case)
+    answer = json.loads((work / "answers" / f"{spec.name}.json").read_text())
+    row["truth"], row["change_db"] = answer["effects"], answer["change_db"]
+    start = time.perf_counter()
+    arguments = [command, "run", str(case / "test.toml"), "-o", str(results), *(["--until", until] if until else [])]
+    environment = dict(os.environ, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MPLBACKEND="Agg")
+    try:
+        done = subprocess.run(arguments, capture_output=True, text=True, timeout=TIMEOUT, env=environment, check=False)
+        row["exit"], row["stderr"] = done.returncode, done.stderr[-600:] if done.returncode else ""
+    except subprocess.TimeoutExpired:
+        row["exit"], row["stderr"] = -1, f"no end after {TIMEOUT} s"
+    row["seconds"] = time.perf_counter() - start
+    known = truth(spec)
+    state = known.state
+    row |= judge(answer, results, partial(_exact, state.system, state.rows))
+    if row["diagnosis"] is None:
+        row["no_diagnosis"] = row.get("left_out", {}).get("diagnose") or "diagnosis.json was not written"
+    if not keep:
+        shutil.rmtree(results, ignore_errors=True)
+        shutil.rmtree(case, ignore_errors=True)
+    return row
+
+
+def _exact(system, rows: np.ndarray, hz: np.ndarray) -> np.ndarray:
+    return system.accelerance(hz, rows, rows)
+
+
+def finished(path: Path) -> Iterator[dict]:
+    """The rows kept so far; a line cut off by an interruption is left out."""
+    if not path.exists():
+        return
+    for line in path.read_text().splitlines():
+        try:
+            yield json.loads(line)
+        except json.JSONDecodeError:
+            continue
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("names", nargs="*", help="names of cases, as generate.py writes them")
+    parser.add_argument("--plan", choices=("full", "short"))
+    parser.add_argument("--only", help="of the plan, cases whose name holds this text")
+    parser.add_argument("--limit", type=int, help="stop after so many new runs")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--until", help="last stage of the run, e.g. compare: identification alone")
+    parser.add_argument("--keep", action="store_true", help="keep cases and results folders")
+    parser.add_argument("--fresh", action="store_true", help="run finished cases again")
+    parser.add_argument("--operando", default=str(Path(sys.executable).with_name("operando")), help="the command to run")
+    options = parser.parse_args()
+    specs = [parse(name) for name in options.names] or [
+        s for s in plan(options.plan or "short") if not options.only or options.only in s.name
+    ]
+    options.work.mkdir(parents=True, exist_ok=True)
+    path = options.work / "results.jsonl"
+    rows = {row["case"]: row for row in finished(path)}
+    todo = [s for s in specs if options.fresh or s.name not in rows][: options.limit]
+    print(f"{len(specs)} cases, {len(todo)} to run", flush=True)
+    with ProcessPoolExecutor(options.processes) as pool, path.open("a") as sink:
+        futures = {pool.submit(run_case, s, options.work, options.operando, options.keep, options.until): s for s in todo}
+        for number, future in enumerate(as_completed(futures), start=1):
+            try:
+                row = future.result()
+            except Exception as problem:  # one broken case must not end the study; it is counted as failed
+                row = {"case": futures[future].name, "kind": futures[future].kind, "exit": -2, "stderr": repr(problem)}
+            rows[row["case"]] = row
+            sink.write(json.dumps(row) + "\n")
+            sink.flush()
+            print(f"{number:4d}/{len(todo)} {one_line(row)}", flush=True)
+    print()
+    print(report([rows[s.name] for s in specs if s.name in rows]))
+
+
+def one_line(row: dict) -> str:
+    """What happened, for the eye."""
+    text = f"{row['case']:46s} {row.get('seconds', 0):5.1f} s"
+    if row.get("exit"):
+        return f"{text}  FAILED {row['stderr'].strip().splitlines()[-1:]}"
+    found = row["identification"]
+    text += f"  misfit {found['misfit']:.2f}" if found and found["misfit"] else "  no idle model"
+    diagnosis = row["diagnosis"]
+    if diagnosis is None:
+        return f"{text}  {row['no_diagnosis']}"
+    right = "false alarm" if diagnosis["false_alarm"] else "right" if not row["truth"] or all(diagnosis["right"]) else "WRONG"
+    return f"{text}  {diagnosis['verdict']:11s} {right:11s} {' + '.join(diagnosis['effects'])}"
+
+
+if __name__ == "__main__":
+    main()
