@@ -125,7 +125,7 @@ def _references(structure: Structure, count: int) -> tuple[int, ...]:
 
 
 def _orders(state: Hidden, band: tuple[float, float], rng: np.random.Generator) -> tuple[tuple[float, float], ...]:
-    """Running speed and its double [Hz], with their shares of the mean square of the channel that feels them most, neither within 2 % of a mode."""
+    """Running speed and its double [Hz], with their shares of the mean square in the channel they move most; not within 2 % of a mode."""
     values, _ = state.system.poles()
     modes = np.abs(values) / 2 / np.pi
     for _ in range(500):
