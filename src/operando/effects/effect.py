@@ -81,7 +81,9 @@ class Effect:
         for name in values:
             definition.parameter(name)
         for p in (*definition.parameters, *definition.constants):
-            if p.name not in values:
+            if definition.acts == "excitation":
+                values[p.name] = tuple(float(v) for v in np.atleast_1d(values.get(p.name, ())))
+            elif p.name not in values:
                 values[p.name] = p.start(self.band_hz)
         removed = self.removed
         if definition.removable:
@@ -129,6 +131,8 @@ class Effect:
         for p in (*definition.parameters, *definition.constants):
             value, std = self.values[p.name], self.std.get(p.name)
             if isinstance(value, (tuple, list)):
+                if not value:
+                    continue
                 parts.append(", ".join(f"{v:.5g}" for v in value) + (f" {p.unit}" if p.unit else ""))
                 continue
             number, spread = (100 * value, None if std is None else 100 * std) if p.name == "change" else (value, std)
@@ -232,7 +236,8 @@ class Effect:
         numbers = []
         for name, value in self.values.items():
             if isinstance(value, (tuple, list)):
-                numbers.append(f"{name}:{';'.join(f'{v:.6g}' for v in value)}")
+                if value:
+                    numbers.append(f"{name}:{';'.join(f'{v:.6g}' for v in value)}")
             else:
                 first = self.definition.removable and name == self.definition.names[0]
                 numbers.append(f"{name}:{(self.sign if first else 1.0) * value:.6g}")

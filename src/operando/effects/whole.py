@@ -120,7 +120,7 @@ class HarmonicExcitation(EffectKind):
     moves = "nothing"
 
     def explain(self, place: str, size: str, removed: bool = False) -> str:
-        return f"the machine itself excites at {size}: excitation, not structure"
+        return f"the machine itself excites at {size or 'lines of its own'}: excitation, not structure"
 
     def confirm(self, place: str, values: Values) -> str:
         return "change the speed: these lines move with it, natural frequencies do not"
