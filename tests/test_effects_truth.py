@@ -295,3 +295,53 @@ def test_harmonics_are_no_structure():
 def test_unscaled_model_is_refused():
     with pytest.raises(DataError, match="unit modal mass"):
         Model(ModalModel(TRUTH.w, TRUTH.zeta, TRUTH.phi, DOFS))
+
+
+def test_shapes_go_through_the_channels_and_forces_do_not():
+    plain = model("point_mass@2+Z=mass:0.3").modes()
+    seen = model(
+        "point_mass@2+Z=mass:0.3",
+        "sensor_gain@1+X=gain:1.5",
+        "sensor_delay@3-Z=delay:1e-3",
+        "channel_swap@2+Z,4+X",
+        "force_gain@1+Z=gain:2",
+    ).modes()
+    want = plain.shapes.copy()
+    want[0] *= 1.5
+    want[5] *= np.exp(-plain.poles * 1e-3)
+    want[[3, 6]] = want[[6, 3]]
+    np.testing.assert_allclose(seen.shapes, want, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(seen.poles, plain.poles, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ("gyroscopic@2+Z,4+X=coefficient:70", "point_mass@2+Z=mass:0.3"),
+        ("ground_rubber@2+Z=stiffness:4e4,exponent:0.4", "global_stiffness=change:0.1"),
+        ("tuned_absorber@2+Z=mass:0.4,frequency:40,damping_ratio:0.05",),
+    ],
+)
+def test_spread_of_the_poles_is_the_scatter_of_random_models(texts):
+    rng = np.random.default_rng(3)
+    idle = TRUTH.idle()
+    n, p = idle.n_modes, idle.n_parameters
+    size = np.r_[1e-3 * idle.frequencies_hz, 2e-2 * idle.damping_ratios, np.full(p - 2 * n, 3e-3)]
+    half = size[:, None] * rng.normal(size=(p, p)) / np.sqrt(p)
+    effects = []
+    for text in texts:
+        e = parse_effect(text, BAND)
+        effects.append(e.with_std({name: 0.01 * abs(e.values[name]) for name in e.names}))
+    stated = Model(TRUTH.idle(half @ half.T), tuple(effects)).modes(variance=True)
+    theta = np.r_[idle.frequencies_hz, idle.damping_ratios, idle.shapes.T.ravel()]
+    hz, zeta = [], []
+    for _ in range(150):
+        t = theta + half @ rng.normal(size=p)
+        drawn = ModalModel(t[:n], t[n : 2 * n], t[2 * n :].reshape(n, -1).T, DOFS, "unit_modal_mass", band_hz=BAND)
+        moved = [e.with_values(**{k: e.values[k] + e.std[k] * rng.normal() for k in e.names}) for e in effects]
+        modes = Model(drawn, tuple(moved)).modes()
+        hz.append(modes.frequencies_hz)
+        zeta.append(modes.damping_ratios)
+    for said, seen in ((stated.frequency_std_hz, np.std(hz, axis=0)), (stated.damping_ratio_std, np.std(zeta, axis=0))):
+        # 150 draws know a standard deviation to 6 %; four of those.
+        np.testing.assert_allclose(said / seen, 1, atol=0.25)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.effects import Effect, parse_effect, place_weights, running_modes
+from operando.effects.running import with_spread
 from operando.effects.update import update_variance, woodbury_core
 from operando.errors import ConfigError, DataError
 from operando.synthesis import modal_kernel
@@ -153,12 +155,43 @@ class Model:
                 own *= np.abs(factor) ** 2
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, provenance=self.idle.provenance.then("Model.frf"))
 
-    def modes(self) -> ModalModel:
-        """Poles and complex shapes of the running structure: see :func:`operando.effects.running_modes`."""
+    def modes(self, variance: bool = False) -> ModalModel:
+        """Poles and complex shapes of the running structure: see :func:`operando.effects.running_modes`.
+
+        Shapes are as the channels show them: scaled, turned, late or swapped where an effect says so.
+
+        Parameters
+        ----------
+        variance : bool
+            Fill ``std`` of frequencies and damping ratios, to first order in the idle parameters and the effects' values.
+        """
         base = self._base()
-        acting = self._acting()
+        placed = [(e, place_weights(e, base, self.geometry)) for e in self._acting()]
         with threadpool_limits(1, "blas"):
-            return running_modes(base, [(e, place_weights(e, base, self.geometry)) for e in acting])
+            modes = running_modes(base, placed)
+            if variance:
+                modes = with_spread(modes, base, placed, self._pole_changes(modes))
+        return self._shown(modes, base)
+
+    def _shown(self, modes: ModalModel, base: ModalModel) -> ModalModel:
+        """Shapes through the response channels; a delay acts at each pole."""
+        seen = replace(self, effects=tuple(e for e in self.effects if e.definition.group != "force"), covariance=None)
+        carried, factor = seen._channels(base.dofs, base.dofs[:1], modes.poles / 2j / np.pi)
+        return modes if factor is None else replace(modes, shapes=modes.rows(carried) * factor[:, 0])
+
+    def _pole_changes(self, modes: ModalModel) -> Array | None:
+        """Changes of the poles [rad/s] by independent directions of the effects' values, one standard deviation each."""
+        spread = self._spread()
+        if spread is None:
+            return None
+        slopes = np.zeros((len(spread), modes.n_modes), complex)
+        for at, ends, step in self._neighbours(np.sqrt(np.diag(spread))):
+            poles = [m.modes().poles for m in ends]
+            # So small a change leaves each pole nearest to itself.
+            near = [p[np.abs(p[None] - modes.poles[:, None]).argmin(axis=1)] for p in poles]
+            slopes[at] = (near[0] - near[1]) / (2 * step)
+        size, directions = np.linalg.eigh(spread)
+        return np.asarray((directions * np.sqrt(np.maximum(size, 0))).T @ slopes)
 
     # How.
 
@@ -287,17 +320,20 @@ class Model:
     def _by_values(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...], std: Array) -> Array:
         """∂H/∂value by central differences over a hundredth of each standard deviation (0 where that is 0)."""
         out = np.zeros((std.size, len(resp), len(refs), hz.size), complex)
+        for at, (more, less), step in self._neighbours(std):
+            out[at] = (more._receptance(hz, resp, refs) - less._receptance(hz, resp, refs)) / (2 * step)
+        return out
+
+    def _neighbours(self, std: Array) -> Iterator[tuple[int, tuple[Model, Model], float]]:
+        """For each value that has a spread: its number, the models a little above and below, and the step."""
         for number, (start, _) in enumerate(self._spans()):
             e = self.effects[number]
             for i, p in enumerate(e.definition.parameters):
-                step = 0.01 * min(float(std[start + i]), abs(e.values[p.name]) if p.transform == "log" else np.inf)
+                value = float(e.values[p.name])
+                step = 0.01 * min(float(std[start + i]), abs(value) if p.transform == "log" else np.inf)
                 if step > 0:
-                    ends = [
-                        self.with_values(number + 1, **{p.name: e.values[p.name] + sign * step})._receptance(hz, resp, refs)
-                        for sign in (1, -1)
-                    ]
-                    out[start + i] = (ends[0] - ends[1]) / (2 * step)
-        return out
+                    ends = [self.with_values(number + 1, **{p.name: value + sign * step}) for sign in (1, -1)]
+                    yield start + i, (ends[0], ends[1]), step
 
 
 class _Lines:
