@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -11,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalModel
+from operando.diagnose.diagnosis import Diagnosis
 from operando.diagnose.output_only_fit import Fit, counts, fit, mean_square
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, action_of, solve
 from operando.diagnose.output_only_residuals import Target, compress, residuals, target_of, whiteners
+from operando.diagnose.verdict import spacing, verdict_of
 from operando.dof import Dof, parse_dofs
 from operando.effects import Effect, kind_of
 from operando.errors import ConfigError, DataError
@@ -24,8 +25,8 @@ Progress = Callable[[str], None]
 EARN = 0.10
 """Share of the selection misfit an effect must take away to be accepted."""
 
-NO_MISFIT = 1.5
-"""Judge misfit below which the idle model is as good as the data allow."""
+ENOUGH = 1.0
+"""Selection misfit at which nothing is left for a further effect."""
 
 GRID = (0.003, 0.03, 0.2, 1.0)
 """Sizes tried first, as the change of the most affected mode's modal mass, stiffness or damping over its own."""
@@ -38,52 +39,6 @@ REFINED = 20
 
 MOST_EFFECTS = 3
 """Effects looked for one after the other."""
-
-
-@dataclass(frozen=True)
-class OutputOnlyDiagnosis:
-    """What turns the idle modes into the operating ones.
-
-    Parameters
-    ----------
-    verdict : str
-        As in the contract.
-    effects : tuple of Effect
-        Accepted, in order, with values and standard deviations from all the data.
-    candidates : tuple of dict
-        Ranked: effect, ``selection_misfit``, ``evidence`` (share of the selection misfit it takes away).
-    ambiguous_with : tuple of Effect
-        What the data cannot tell from the accepted effects.
-    ladder : tuple of dict
-        Misfits step by step; ``misfit`` on the rows that chose, ``heldout_misfit`` on those that judge.
-    proposed_measurement : str or None
-        What would decide between the accepted effects and the ambiguous ones.
-    by_mode : tuple of dict
-        Where it fails: frequency, mean squared residual at rest and with the effects.
-    """
-
-    verdict: str
-    effects: tuple[Effect, ...]
-    candidates: tuple[dict[str, Any], ...]
-    ambiguous_with: tuple[Effect, ...]
-    ladder: tuple[dict[str, Any], ...]
-    proposed_measurement: str | None
-    by_mode: tuple[dict[str, Any], ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON object ``operando/diagnosis/1``; dB fields are null."""
-        return {
-            "schema": "operando/diagnosis/1",
-            "data": ["operating_modes"],
-            "verdict": self.verdict,
-            "effects": [e.to_dict() for e in self.effects],
-            "ambiguous_with": [e.to_dict() for e in self.ambiguous_with],
-            "proposed_measurement": self.proposed_measurement,
-            "ladder": [dict(step) for step in self.ladder],
-            "candidates": [dict(c) for c in self.candidates],
-            "where": {"by_dof": [], "by_band": [], "by_mode": [dict(m) for m in self.by_mode]},
-            "noise_floor_db": None,
-        }
 
 
 def judge_rows(target: Target) -> NDArray[np.bool_]:
@@ -238,7 +193,7 @@ def refine(
     return sorted(out, key=lambda f: f.selection)
 
 
-def indistinct(best: Fit, others: Sequence[Fit], use: NDArray[np.bool_]) -> list[Fit]:
+def indistinct(best: Fit, others: Sequence[Fit]) -> list[Fit]:
     """Fits the rows cannot tell from the best: within 2 %, or within 15 % and less than two paired standard errors over modes."""
     out = []
     n = len(best.by_mode)
@@ -259,19 +214,16 @@ def _far(a: Effect, b: Effect, geometry: Geometry | None) -> bool:
         return False
     if geometry is None:
         return True
-    points = geometry.coordinates
-    gaps = np.linalg.norm(points[:, None] - points[None], axis=2) + np.diag(np.full(len(points), np.inf))
-    spacing = 1.05 * float(np.median(gaps.min(axis=1)))
 
     def apart(p: Dof, q: Dof) -> float:
         x, y = geometry.position(p.node), geometry.position(q.node)
         return np.inf if x is None or y is None else float(np.linalg.norm(x - y))
 
     orders = [b.location, b.location[::-1]] if len(b.location) == 2 else [b.location]
-    return min(max(apart(p, q) for p, q in zip(a.location, order, strict=True)) for order in orders) > spacing
+    return min(max(apart(p, q) for p, q in zip(a.location, order, strict=True)) for order in orders) > 1.05 * spacing(geometry)
 
 
-def _step(step: int, added: Effect | None, f: Fit, use: NDArray[np.bool_], judge: NDArray[np.bool_]) -> dict[str, Any]:
+def _step(step: int, added: Effect | None, f: Fit, judge: NDArray[np.bool_]) -> dict[str, Any]:
     return {
         "step": step,
         "added": None if added is None else added.to_dict(),
@@ -282,14 +234,11 @@ def _step(step: int, added: Effect | None, f: Fit, use: NDArray[np.bool_], judge
     }
 
 
-def _propose(best: Effect, others: Sequence[Effect]) -> str | None:
-    if not others:
-        return None
-    other = others[0]
+def _propose(best: Effect, other: Effect) -> str:
     here, there = best.place or "the whole structure", other.place or "the whole structure"
     return (
-        f"Operating modes alone do not tell {best.kind} at {here} from {other.kind} at {there}: measure FRFs in operation with a force at "
-        f"{best.place or other.place or 'two points'}. Or: {best.confirm}"
+        f"operating modes alone do not tell {best.kind} at {here} from {other.kind} at {there}: measure FRFs in operation with a force at "
+        f"{best.place or other.place or 'two points'}; or {best.confirm}"
     )
 
 
@@ -300,8 +249,9 @@ def diagnose_output_only(
     kinds: Iterable[str] | None = None,
     places: Iterable[Any] | None = None,
     geometry: Geometry | None = None,
+    band: tuple[float, float] | None = None,
     progress: Progress | None = None,
-) -> OutputOnlyDiagnosis:
+) -> Diagnosis:
     """Name the effect that turns the idle modes into the operating ones.
 
     Each kind at each DOF and pair is added to the idle model; poles and complex shapes of the exact state-space
@@ -321,12 +271,14 @@ def diagnose_output_only(
         DOFs to look at.
     geometry : Geometry, optional
         Sensor positions, so that neighbouring places do not count as ambiguity.
+    band : (float, float), optional
+        Use only operating modes in this band [Hz].
     progress : callable, optional
         Takes a text.
 
     Returns
     -------
-    OutputOnlyDiagnosis
+    Diagnosis
 
     Raises
     ------
@@ -340,12 +292,14 @@ def diagnose_output_only(
     if idle.scaling != "unit_modal_mass":
         raise DataError("the idle shapes have no scale: no effect can be sized", hint="give units to the idle test")
     with threadpool_limits(1, "blas"):
+        if band is not None:
+            operating = operating.select_modes((operating.frequencies_hz >= band[0]) & (operating.frequencies_hz <= band[1]))
         return _diagnose(idle, operating, kinds, places, geometry, progress)
 
 
 def _diagnose(
     idle: ModalModel, operating: ModalModel, kinds: object, places: object, geometry: Geometry | None, progress: Progress | None
-) -> OutputOnlyDiagnosis:
+) -> Diagnosis:
     target, basis = target_of(idle, operating), Basis.of(idle)
     judge = judge_rows(target)
     use = ~judge
@@ -355,10 +309,10 @@ def _diagnose(
     if current is None:
         raise DataError("the idle model has no poles")
     first = current
-    ladder = [_step(0, None, current, use, judge)]
+    ladder = [_step(0, None, current, judge)]
     ranked: list[Fit] = []
-    rivals: list[Fit] = []
-    last_fall = 0.0
+    rivals: list[tuple[Effect, Effect]] = []
+    further = 1.0
     for step in range(1, MOST_EFFECTS + 1):
         if progress is not None:
             progress(f"looking for effect {step}")
@@ -368,25 +322,23 @@ def _diagnose(
         fits = refine(target, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 2), use)
         if step == 1:
             ranked = fits
-        last_fall = 1 - fits[0].selection / current.selection if fits else 0.0
-        if last_fall <= EARN or (step > 1 and ladder[-1]["heldout_misfit"] < NO_MISFIT and current.selection < NO_MISFIT):
+        further = fits[0].selection / current.selection if fits else 1.0
+        if further >= 1 - EARN:
             break
-        current = fits[0]
-        rivals = indistinct(current, fits[1:], use)
-        ladder.append(_step(step, current.actions[-1].sized(float(current.sizes[-1])), current, use, judge))
-        last_fall = 0.0
+        current, further = fits[0], 1.0
+        added = effects_of(current)[-1]
+        rivals += [(added, effects_of(f)[-1]) for f in indistinct(current, fits[1:])]
+        ladder.append(_step(step, added, current, judge))
+        if current.selection < ENOUGH:
+            break
     full = current
     if current.actions:
         rows = np.vstack([a.rows for a in current.actions])
         full = fit(target, basis.touched(rows), current.actions, list(current.sizes), everything) or current
-    effects = tuple(_effect(a, s, d) for a, s, d in zip(full.actions, full.sizes, full.std, strict=True))
-    ambiguous = tuple(_effect(f.actions[-1], f.sizes[-1], f.std[-1]) for f in rivals)
-    verdict = _verdict(ladder, effects, ambiguous, last_fall, geometry)
-    candidates = tuple(
-        _effect(f.actions[-1], f.sizes[-1], f.std[-1]).to_dict()
-        | {"selection_misfit": f.selection, "evidence": 1 - f.selection / first.selection}
-        for f in ranked
-    )
+    effects = tuple(effects_of(full))
+    far = any(_far(one, other, geometry) for one, other in rivals)
+    verdict = verdict_of([float(row["heldout_misfit"]) for row in ladder], bool(effects), far, further)
+    candidates = tuple(_candidate(f, first.selection) for f in ranked)
     by_mode = tuple(
         {
             "frequency_hz": float(np.exp(target.log_hz[k])),
@@ -395,26 +347,26 @@ def _diagnose(
         }
         for k in range(target.n)
     )
-    decide = _propose(effects[-1], ambiguous) if effects else None
-    return OutputOnlyDiagnosis(verdict, effects, candidates, ambiguous, tuple(ladder), decide, by_mode)
+    where = {"by_dof": [], "by_band": [], "by_mode": list(by_mode)}
+    decide = _propose(*rivals[0]) if rivals else None
+    alike = tuple(other for _, other in rivals)
+    notes = ("one third of the values (of each mode its frequency, damping or shape, in turn) judged and chose nothing",)
+    return Diagnosis(verdict, effects, alike, decide, tuple(ladder), candidates, where, None, ("operating_modes",), notes=notes, idle=idle)
 
 
-def _effect(action: Action, size: float, std: float) -> Effect:
-    effect = action.sized(float(size))
-    return effect if not np.isfinite(std) else effect.with_std({action.name: float(std)})
+def effects_of(found: Fit) -> list[Effect]:
+    """The fitted actions as effects with values and standard deviations."""
+    out = []
+    for action, size, std in zip(found.actions, found.sizes, found.std, strict=True):
+        effect = action.sized(float(size))
+        out.append(effect.with_std({action.name: float(std)}) if np.isfinite(std) else effect)
+    return out
 
 
-def _verdict(
-    ladder: Sequence[dict[str, Any]], effects: Sequence[Effect], ambiguous: Sequence[Effect], more: float, geometry: Geometry | None
-) -> str:
-    """Verdict of the contract; ``more`` is the share by which a further candidate would lower the selection misfit."""
-    idle_judge, judge = float(ladder[0]["heldout_misfit"]), float(ladder[-1]["heldout_misfit"])
-    if not effects:
-        return "no_misfit" if idle_judge < NO_MISFIT else "unexplained"
-    fallen = 1 - judge / idle_judge
-    if judge < NO_MISFIT or (fallen > 0.99 and more <= 0.2):
-        return "ambiguous" if any(_far(effects[-1], other, geometry) for other in ambiguous) else "explained"
-    return "partial" if fallen > 0.8 else "unexplained"
+def _candidate(found: Fit, idle_selection: float) -> dict[str, Any]:
+    fall = 100 * (1 - found.selection / idle_selection)
+    text = f"misfit of modes left out {idle_selection:.4g} → {found.selection:.4g} ({fall:.1f} % lower)"
+    return effects_of(found)[-1].to_dict() | {"selection_misfit": found.selection, "evidence": text}
 
 
-__all__ = ["OutputOnlyDiagnosis", "candidate_effects", "diagnose_output_only", "judge_rows"]
+__all__ = ["candidate_effects", "diagnose_output_only", "judge_rows"]
