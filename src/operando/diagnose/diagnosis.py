@@ -17,7 +17,7 @@ from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.places import candidates as all_candidates
 from operando.diagnose.problem import EARNED, Problem, Tried, choose, step
-from operando.diagnose.refit import Fit, predicted
+from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.scan import Candidate
 from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines, split_lines
 from operando.diagnose.verdict import ambiguous_with, separates, verdict_of
@@ -283,8 +283,8 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
     rows = []
     judge = problem.lines.group == JUDGE
     for number, fit in enumerate(fits):
-        data, extra = predicted(problem.arrays, problem.lines, fit, True)
-        own = problem.own if extra is None else problem.own + extra
+        data, _ = predicted(problem.arrays, problem.lines, fit)
+        own = model_variance(problem.idle, problem.arrays, problem.lines, fit) if number else problem.own
         everything = flat(problem.lines, own, data)
         held = flat(problem.lines.where(judge), own[judge], data[judge])
         rows.append(

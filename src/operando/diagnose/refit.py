@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.predict import IdleArrays, Prediction, Term, by_shapes, predict
+from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, by_shapes, predict
 from operando.diagnose.sets import CheckLines
 
 Array = NDArray[Any]
@@ -31,24 +31,37 @@ class ShapePrior:
     ----------
     dofs : (d,) int array
         Rows of the idle model.
-    root : (d·n_modes, k) array
+    modes : (r,) int array
+        Modes whose shape values move.
+    root : (d·r, k) array
         Square root of their covariance; δφ = root @ z with z of unit variance.
     """
 
     dofs: Array
+    modes: Array
     root: Array
+
+    def moved(self, phi: Array, z: Array) -> Array:
+        """Shapes of the idle model with these values moved."""
+        out = phi.copy()
+        out[np.ix_(self.dofs, self.modes)] += (self.root @ z).reshape(self.dofs.size, -1)
+        return out
 
 
 def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
-    """Prior of all modes' shape values at some DOFs, from the idle model's covariance (none without one)."""
+    """Prior of the shape values of the modes outside the band at some DOFs, from the idle model's covariance (none without one).
+
+    The shapes of modes in the band are known at every DOF from the drive points, to far better than any effect could tell.
+    """
     dofs = np.asarray(dofs, int)
     n, m = idle.n_modes, len(idle.dofs)
-    if idle.covariance is None or dofs.size == 0:
-        return ShapePrior(dofs[:0], np.zeros((0, 0)))
-    index = (2 * n + np.arange(n)[None, :] * m + dofs[:, None]).ravel()
+    modes = np.flatnonzero(np.asarray(idle.residual) | ~np.asarray(idle.in_band))
+    if idle.covariance is None or dofs.size == 0 or modes.size == 0:
+        return ShapePrior(dofs[:0], modes, np.zeros((0, 0)))
+    index = (2 * n + modes[None, :] * m + dofs[:, None]).ravel()
     values, vectors = np.linalg.eigh(idle.covariance[np.ix_(index, index)])
     keep = values > KEPT * max(float(values[-1]), 1e-300)
-    return ShapePrior(dofs, vectors[:, keep] * np.sqrt(values[keep]))
+    return ShapePrior(dofs, modes, vectors[:, keep] * np.sqrt(values[keep]))
 
 
 @dataclass(frozen=True)
@@ -124,8 +137,7 @@ def jacobian(arrays: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Se
     own = np.array(rows).reshape(len(rows), *p.data.shape)
     if not prior.dofs.size:
         return own
-    modes = np.arange(arrays.phi.shape[1])
-    by = by_shapes(p, lines, prior.dofs, modes)
+    by = by_shapes(p, lines, prior.dofs, prior.modes)
     flat = prior.root.T @ by.reshape(by.shape[0], -1)
     return np.concatenate([own, flat.reshape(-1, *p.data.shape)])
 
@@ -142,6 +154,9 @@ def refit(
 ) -> Fit:
     """Levenberg–Marquardt over all effects' numbers and the shape values at their DOFs, on the given lines.
 
+    Sizes first: far from the answer the shapes must not move to make up for a wrong size. Where the shapes then move by more than
+    their prior allows on average, the prior was too sure of itself (it is a linearised covariance) and is widened by that factor.
+
     Parameters
     ----------
     arrays : IdleArrays
@@ -153,34 +168,58 @@ def refit(
         Effects and start of their moving numbers.
     prior : ShapePrior
     z : array, optional
-        Start of the shape values.
+        Start of the shape values, in units of the prior as given.
+    steps : int
+        Iterations at most, of each pass.
     """
     root_w = np.sqrt(weights(lines, own))
-    n_q = sum(t.size for t in terms)
-    k = prior.root.shape[1]
-    x = np.r_[np.concatenate([np.zeros(0), *q]), np.zeros(k) if z is None else z]
+    start = np.concatenate([np.zeros(0), *q])
+    n_q, k = start.size, prior.root.shape[1]
+    bare = ShapePrior(prior.dofs[:0], prior.modes, np.zeros((0, 0)))
+    if k and n_q and z is None:
+        start = _levenberg(arrays, lines, root_w, terms, start, np.zeros(0), bare, steps, 1e-3)[0]
+    x, normal, cost = _levenberg(arrays, lines, root_w, terms, start, np.zeros(k) if z is None else z, prior, steps, 1e-4)
+    for _ in range(2):
+        wide = float(np.sqrt(np.mean(x[n_q:] ** 2))) if k else 0.0
+        if wide <= 1.2:
+            break
+        prior = ShapePrior(prior.dofs, prior.modes, prior.root * wide)
+        x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-4)
+    phi = prior.moved(arrays.phi, x[n_q:]) if k else arrays.phi
+    return Fit(tuple(terms), split(x[:n_q], terms), phi, prior, x[n_q:], _inverse(normal), cost)
+
+
+def _levenberg(
+    arrays: IdleArrays,
+    lines: CheckLines,
+    root_w: Array,
+    terms: Sequence[Term],
+    q: Array,
+    z: Array,
+    prior: ShapePrior,
+    steps: int,
+    tolerance: float,
+) -> tuple[Array, Array, float]:
+    """Minimum of 2·Σ|root_w·e|² + |z|² over [q, z], its normal matrix and cost."""
+    n_q, k = q.size, z.size
     bounds = [t.bounds() for t in terms]
     low = np.r_[np.concatenate([np.zeros(0), *(b[0] for b in bounds)]), np.full(k, -np.inf)]
     high = np.r_[np.concatenate([np.zeros(0), *(b[1] for b in bounds)]), np.full(k, np.inf)]
     base = arrays.kernel(lines.hz)
-    shift = np.zeros_like(arrays.phi)
+    x = np.clip(np.r_[q, z], low, high)
 
-    def state(x: Array) -> tuple[Prediction, Array, float]:
-        if k:
-            moved = arrays.phi.copy()
-            moved[prior.dofs] += (prior.root @ x[n_q:]).reshape(prior.dofs.size, -1)
-            here = arrays.with_phi(moved)
-        else:
-            here = arrays
+    def state(x: Array) -> tuple[IdleArrays, Prediction, Array, float]:
+        here = arrays.with_phi(prior.moved(arrays.phi, x[n_q:])) if k else arrays
         p = predict(here, lines, terms, split(x[:n_q], terms), base)
         error = root_w * (lines.data - p.data)
-        return p, error, 2 * float(np.sum(np.abs(error) ** 2)) + float(x[n_q:] @ x[n_q:])
+        return here, p, error, 2 * float(np.sum(np.abs(error) ** 2)) + float(x[n_q:] @ x[n_q:])
 
-    p, error, cost = state(x)
-    damping = 1e-6
+    here, p, error, cost = state(x)
     normal = np.zeros((x.size, x.size))
+    if not x.size:
+        return x, normal, cost
+    damping = 1e-5
     for _ in range(steps):
-        here = arrays.with_phi(p.phi[:, : arrays.phi.shape[1]])
         jac = jacobian(here, lines, terms, split(x[:n_q], terms), prior, p) * root_w
         flat = jac.reshape(x.size, -1)
         stacked = np.concatenate([flat.real, flat.imag], axis=1)
@@ -188,27 +227,104 @@ def refit(
         slope = 2 * stacked @ np.concatenate([error.real.ravel(), error.imag.ravel()])
         normal[np.arange(n_q, x.size), np.arange(n_q, x.size)] += 1
         slope[n_q:] -= x[n_q:]
-        for _ in range(7):
-            try:
-                move = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-300), slope)
-            except np.linalg.LinAlgError:
-                damping = max(damping * 10, 1e-8)
-                continue
-            tried = np.clip(x + move, low, high)
-            p_new, error_new, cost_new = state(tried)
-            if cost_new < cost:
+        # What stands at a bound and is pushed outwards stays there.
+        held = ((x <= low) & (slope < 0)) | ((x >= high) & (slope > 0))
+        better = False
+        for _ in range(9):
+            matrix = normal + damping * np.diag(np.diag(normal) + 1e-300)
+            matrix[held] = 0
+            matrix[:, held] = 0
+            matrix[held, held] = 1
+            move = _solve(matrix, np.where(held, 0, slope))
+            move[:n_q] = np.clip(move[:n_q], -1, 1)
+            new = state(np.clip(x + move, low, high))
+            if np.isfinite(new[3]) and new[3] < cost:
+                better = True
                 break
-            damping = max(damping * 10, 1e-6)
-        else:
+            damping = max(damping * 8, 1e-6)
+        if not better:
             break
-        gain = cost - cost_new
-        x, p, error, cost, damping = tried, p_new, error_new, cost_new, damping / 10
-        if gain < 1e-4 + 1e-5 * cost:
+        gain = cost - new[3]
+        x = np.clip(x + move, low, high)
+        here, p, error, cost = new
+        damping = max(damping / 8, 1e-12)
+        if gain < 1e-4 + tolerance * cost:
             break
-    del shift
-    inverse = np.linalg.pinv(normal, hermitian=True) if x.size else np.zeros((0, 0))
-    phi = p.phi[:, : arrays.phi.shape[1]]
-    return Fit(tuple(terms), split(x[:n_q], terms), phi, prior, x[n_q:], inverse, cost)
+    return x, normal, cost
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    try:
+        return np.asarray(np.linalg.solve(matrix * scale[:, None] * scale, right * scale) * scale)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrix * scale[:, None] * scale, rcond=1e-12) @ (right * scale) * scale)
+
+
+def _inverse(normal: Array) -> Array:
+    if not normal.size:
+        return normal
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(np.linalg.pinv(normal * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale)
+
+
+def model_variance(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit: Fit) -> Array:
+    """Variance E|ΔH|² of the predicted receptance, the idle model's own and that of what was refitted.
+
+    The refitted numbers carry their covariance after the fit; all other modal parameters that of the idle model given the refitted
+    shape values, carried through the exact update (first order).
+
+    Returns
+    -------
+    (lines, responses, references) array
+    """
+    here = arrays.with_phi(fit.phi)
+    p = predict(here, lines, fit.terms, fit.q)
+    total = np.zeros(p.data.shape)
+    if idle.covariance is None:
+        return total
+    n, m = idle.n_modes, len(idle.dofs)
+    covariance = np.array(idle.covariance)
+    prior = fit.prior
+    if prior.dofs.size:
+        moved = (2 * n + prior.modes[None, :] * m + prior.dofs[:, None]).ravel()
+        across = covariance[:, moved]
+        covariance -= across @ np.linalg.pinv(covariance[np.ix_(moved, moved)], rcond=1e-10, hermitian=True) @ across.T
+        covariance[moved, :] = 0
+        covariance[:, moved] = 0
+    changed = arrays.model
+    for t, q in zip(fit.terms, fit.q, strict=True):
+        if t.kind.acts == "modal_change":
+            changed = t.kind.modal_change(changed, t.values(q))
+    hz, zeta = by_poles(p, changed, lines)
+    at = effect_dofs(fit.terms)
+    modes = np.arange(n)
+    for a, i in enumerate(lines.responses[p.order]):
+        for b, j in enumerate(lines.references):
+            dofs = np.unique(np.r_[at, i, j]).astype(int)
+            gradient = np.concatenate([hz[:, :, a, b], zeta[:, :, a, b], _by_shapes_of_pair(p, lines, dofs, n, a, b)])
+            index = np.concatenate([modes, n + modes, (2 * n + modes[None, :] * m + dofs[:, None]).ravel()])
+            block = covariance[np.ix_(index, index)]
+            for g in (gradient.real, gradient.imag):
+                total[:, a, b] += np.einsum("kl,kl->l", g, block @ g)
+    if fit.covariance.size:
+        jac = jacobian(here, lines, fit.terms, fit.q, prior, p).reshape(fit.covariance.shape[0], -1)
+        total += np.real(np.sum(np.conj(jac) * (fit.covariance @ jac), axis=0)).reshape(total.shape)
+    return np.maximum(total, 0)
+
+
+def _by_shapes_of_pair(p: Prediction, lines: CheckLines, dofs: Array, n_modes: int, a: int, b: int) -> Array:
+    """∂H[a, b]/∂φ[d, r] of one pair, (dofs·modes, lines); row a as the channels give it."""
+    o = int(p.order[a])
+    at = p.rows @ p.phi
+    psi = p.phi[lines.responses[o]][None] - p.left[:, o] @ at
+    chi = p.phi[lines.references[b]][None] - p.right[:, :, b] @ at
+    left = -(p.left[:, o] @ p.rows[:, dofs]) + (dofs == lines.responses[o])
+    right = -(p.right[:, :, b] @ p.rows[:, dofs]) + (dofs == lines.references[b])
+    kernel = p.kernel[:, :n_modes]
+    out = np.einsum("ld,lr->drl", left, kernel * chi[:, :n_modes]) + np.einsum("ld,lr->drl", right, kernel * psi[:, :n_modes])
+    out = out.reshape(dofs.size * n_modes, -1)
+    return out if p.factor is None else np.asarray(out * p.factor[:, a, b])
 
 
 def predicted(arrays: IdleArrays, lines: CheckLines, fit: Fit, variance: bool = False) -> tuple[Array, Array | None]:
