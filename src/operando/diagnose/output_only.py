@@ -91,6 +91,11 @@ def candidate_effects(idle: ModalModel, kinds: object = None, places: object = N
     return out
 
 
+def chance(candidates: int) -> float:
+    """Fall of the summed squared residuals that the best of so many useless candidates of one size stays below, but for 1 in 300 times."""
+    return 2 * float(np.log(max(candidates, 1))) + 10.0
+
+
 def unit_change(basis: Basis, action: Action, top: float) -> float:
     """Largest relative change of a mode's own mass, stiffness or damping force (over its stiffness) by an effect of unit size."""
     if action.kind in ("global_stiffness", "global_damping"):
@@ -323,7 +328,8 @@ def _diagnose(
         if step == 1:
             ranked = fits
         further = fits[0].selection / current.selection if fits else 1.0
-        if further >= 1 - EARN:
+        gain = (current.selection - fits[0].selection) * counts(use).sum() if fits else 0.0
+        if further >= 1 - EARN or gain < chance(len(open_actions)):
             break
         current, further = fits[0], 1.0
         added = effects_of(current)[-1]
