@@ -15,10 +15,10 @@ from operando.ema.candidates import candidate_poles, stabilization_diagram
 from operando.ema.findings import fit_findings, turned_finding
 from operando.ema.heldout import heldout_misfit
 from operando.ema.model_error import relative_model_error, with_model_error
-from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, weak_modes
+from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.polish import Polished, signed, start_parameters
-from operando.ema.polish_model import Real
+from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
@@ -164,8 +164,8 @@ def _fit(
     core_runs, turned = _turned(core_runs, hz, zeta)
     log = OrderLog()
     hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
-    lower, share = _needs_lower(core_runs, n_dofs, hz, zeta)
-    weighted = with_model_error(core_runs, share)
+    lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta)
+    weighted = with_model_error(core_runs, theta, share)
     fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, log=log, progress=progress)
     final = _final(weighted, n_dofs, fit, lower, select_hz, reject_hz, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
@@ -176,7 +176,9 @@ def _fit(
         by_row = _spread(by_row, core, len(dofs))
     used = records is not None
     stabilization = _diagram(frf, data, weights, fit_band, max_order, final, select_hz, reject_hz)
-    model = _model(frf, dofs, final, outside, band, fit_band, misfit, log, used)
+    # Where a model error was weighed, the fit's own misfit is the one its covariance belongs to.
+    inflation = final.cost / final.n_data if share > 0 else misfit
+    model = _model(frf, dofs, final, outside, band, fit_band, misfit, inflation, log, used)
     if turned:
         names = dict.fromkeys(str(dofs[int(runs[i].force_rows[k])]) for i, k in turned)
         model = replace(model, findings=(*model.findings, *(turned_finding(name) for name in names)))
@@ -264,10 +266,10 @@ def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list
     return out
 
 
-def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float]:
-    """Whether kernels below the band lower the cost by more than their number earns, and the relative error that remains.
+def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float, Parameters]:
+    """Whether kernels below the band lower the cost by more than their number earns, the relative error that remains, and that fit.
 
-    The second figure is 0 where the candidates already describe the data to within a few times their noise.
+    The error is 0 where the candidates already describe the data to within a few times their noise.
     """
     thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
     without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
@@ -277,7 +279,7 @@ def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) 
     price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
     lower = without.cost - with_lower.cost > price
     best = with_lower if lower else without
-    return bool(lower), relative_model_error(thinned, best.parameters)
+    return bool(lower), relative_model_error(thinned, best.parameters), best.parameters
 
 
 def _final(
@@ -307,7 +309,7 @@ def _final(
             want_covariance=True,
             progress=progress,
         )
-        out = weak_modes(runs, final, keep_hz, log, reject_hz)
+        out = np.union1d(weak_modes(runs, final, keep_hz, log, reject_hz), uncertain_modes(runs, final, keep_hz, log)).astype(int)
         if not out.size or out.size == final.parameters.hz.size:
             break
         log.rounds.append(f"final fit: {out.size} modes taken out")
@@ -378,6 +380,7 @@ def _model(
     band: tuple[float, float],
     fit_band: tuple[float, float],
     misfit: float,
+    inflation: float,
     log: OrderLog,
     from_records: bool,
 ) -> ModalModel:
@@ -390,7 +393,7 @@ def _model(
     hz, zeta = theta.hz, theta.zeta.copy()
     if frf.exponential_window_rate > 0 and not from_records:
         zeta = np.maximum(zeta - frf.exponential_window_rate / (2 * np.pi * hz), 1e-6)
-    covariance = _model_covariance(final, sign, outside, zeta, max(1.0, misfit if np.isfinite(misfit) else 1.0))
+    covariance = _model_covariance(final, sign, outside, zeta, max(1.0, inflation if np.isfinite(inflation) else 1.0))
     residual = np.concatenate([(hz > fit_band[1]) | (hz < 0.8 * fit_band[0]), np.ones(p, bool)])
     in_band = np.concatenate([(hz >= band[0]) & (hz <= band[1]), np.zeros(p, bool)]) & ~residual
     findings = list(frf.findings) + fit_findings(frf, dofs, theta.hz, band, log, misfit)

@@ -1,7 +1,7 @@
 """Relative model error: where real modes cannot describe the data to their noise, peaks must not rule the fit.
 
 A measured structure is a little nonlinear, a little non-stationary, and its modes are a little complex. Where the noise is far below
-that, weighting by noise alone lets the largest peaks force spurious modes. A share of each response is added to its variance then.
+that, weighting by noise alone lets the largest peaks force spurious modes. A share of what each mode adds counts as variance then.
 """
 
 from __future__ import annotations
@@ -12,22 +12,34 @@ from dataclasses import replace
 import numpy as np
 
 from operando.ema.polish import residual
-from operando.ema.polish_model import Parameters
+from operando.ema.polish_model import Parameters, Real, run_basis
 from operando.ema.spectra import RunSpectra
 
 ACCEPTED_MISFIT = 3.0
 
 
+def contributions(run: RunSpectra, theta: Parameters, index: int) -> Real:
+    """Σ over the modes of |φ_jr Q_r|², and |outside part|², (m, L).
+
+    A model error is a share of what each mode adds, not of the sum: at an antiresonance large terms cancel, and so do not their errors.
+    """
+    basis = run_basis(run, theta, index, run.forces)
+    phi = theta.shapes[run.response_rows]
+    local = theta.local[index]
+    tail = local @ basis.stack[basis.stack.shape[0] - local.shape[1] :]
+    return np.asarray(phi**2 @ np.abs(basis.modal) ** 2 + np.abs(tail) ** 2)
+
+
 def relative_model_error(runs: Sequence[RunSpectra], theta: Parameters) -> float:
-    """Share α with mean |e|²/(variance + α²|X|²) = 1, or 0 where the misfit by noise alone is below 3."""
-    ratio, power, variance = [], [], []
+    """Share α with median |e|²/(variance + α²·contributions) at that of noise; 0 where the misfit by noise alone is below 3."""
+    error, power, variance = [], [], []
     for i, run in enumerate(runs):
         state = residual(run, theta, i)
         noise = run.response_variance + np.einsum("kml,kl->ml", np.abs(state.transfer) ** 2, run.force_variance)
-        ratio.append((np.abs(state.error) ** 2).ravel())
+        error.append((np.abs(state.error) ** 2).ravel())
         variance.append(noise.ravel())
-        power.append((np.abs(run.responses) ** 2).ravel())
-    e, v, p = np.concatenate(ratio), np.concatenate(variance), np.concatenate(power)
+        power.append(contributions(run, theta, i).ravel())
+    e, v, p = np.concatenate(error), np.concatenate(variance), np.concatenate(power)
     # Medians: a mode still missing from the candidates is no reason to distrust the rest.
     level = np.log(2.0)
     if float(np.median(e / v)) < ACCEPTED_MISFIT * level:
@@ -42,14 +54,8 @@ def relative_model_error(runs: Sequence[RunSpectra], theta: Parameters) -> float
     return high
 
 
-def with_model_error(runs: Sequence[RunSpectra], share: float) -> list[RunSpectra]:
-    """Runs whose response variance holds a share of the response itself, smoothed over a few lines."""
+def with_model_error(runs: Sequence[RunSpectra], theta: Parameters, share: float) -> list[RunSpectra]:
+    """Runs whose response variance holds a share of what the modes of ``theta`` add (``theta`` fitted on other lines of these runs)."""
     if share <= 0:
         return list(runs)
-    out = []
-    for run in runs:
-        power = np.abs(run.responses) ** 2
-        kernel = np.ones(5) / 5
-        smooth = np.stack([np.convolve(np.pad(row, 2, mode="edge"), kernel, mode="valid") for row in power])
-        out.append(replace(run, response_variance=run.response_variance + share**2 * smooth))
-    return out
+    return [replace(run, response_variance=run.response_variance + share**2 * contributions(run, theta, i)) for i, run in enumerate(runs)]

@@ -248,6 +248,24 @@ def weak_modes(
     return np.array(out, int)
 
 
+def uncertain_modes(runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[float], log: OrderLog) -> NDArray[np.int_]:
+    """Modes among the fitted lines whose own covariance says that the data do not determine them: damping unknown to half its value."""
+    theta = fit.parameters
+    n = theta.hz.size
+    spread = np.sqrt(np.diag(fit.covariance)[n : 2 * n] * max(1.0, fit.cost / fit.n_data))
+    low = min(run.frequencies_hz[0] for run in runs)
+    high = max(run.frequencies_hz[-1] for run in runs)
+    out = []
+    for i in range(n):
+        h, z = float(theta.hz[i]), float(theta.zeta[i])
+        if spread[i] > 0.5 and low < h < high and not any(abs(h - k) < 0.01 * k for k in keep_hz):
+            out.append(i)
+            log.rejected.append(
+                RejectedPole(h, z, "uncertain", f"its damping {100 * z:.3g} % is uncertain by {100 * spread[i]:.0f} % of itself")
+            )
+    return np.array(out, int)
+
+
 def _alike(theta: Parameters, i: int, j: int) -> bool:
     a, b = theta.shapes[:, i], theta.shapes[:, j]
     norm = float((a @ a) * (b @ b))
