@@ -176,9 +176,7 @@ def _fit(
         by_row = _spread(by_row, core, len(dofs))
     used = records is not None
     stabilization = _diagram(frf, data, weights, fit_band, max_order, final, select_hz, reject_hz)
-    # Where a model error was weighed, the fit's own misfit is the one its covariance belongs to.
-    inflation = final.cost / final.n_data if share > 0 else misfit
-    model = _model(frf, dofs, final, outside, band, fit_band, misfit, inflation, log, used)
+    model = _model(frf, dofs, final, outside, band, fit_band, misfit, log, used)
     if turned:
         names = dict.fromkeys(str(dofs[int(runs[i].force_rows[k])]) for i, k in turned)
         model = replace(model, findings=(*model.findings, *(turned_finding(name) for name in names)))
@@ -380,7 +378,6 @@ def _model(
     band: tuple[float, float],
     fit_band: tuple[float, float],
     misfit: float,
-    inflation: float,
     log: OrderLog,
     from_records: bool,
 ) -> ModalModel:
@@ -393,7 +390,7 @@ def _model(
     hz, zeta = theta.hz, theta.zeta.copy()
     if frf.exponential_window_rate > 0 and not from_records:
         zeta = np.maximum(zeta - frf.exponential_window_rate / (2 * np.pi * hz), 1e-6)
-    covariance = _model_covariance(final, sign, outside, zeta, max(1.0, inflation if np.isfinite(inflation) else 1.0))
+    covariance = _model_covariance(final, sign, outside, zeta, max(1.0, misfit if np.isfinite(misfit) else 1.0))
     residual = np.concatenate([(hz > fit_band[1]) | (hz < 0.8 * fit_band[0]), np.ones(p, bool)])
     in_band = np.concatenate([(hz >= band[0]) & (hz <= band[1]), np.zeros(p, bool)]) & ~residual
     findings = list(frf.findings) + fit_findings(frf, dofs, theta.hz, band, log, misfit)
