@@ -13,7 +13,10 @@ sys.path.append(str(FOLDER))
 
 import generate  # noqa: E402
 import hidden  # noqa: E402
+import judge  # noqa: E402
 import records  # noqa: E402
+import score  # noqa: E402
+import tally  # noqa: E402
 from beams import Mesh, Section  # noqa: E402
 from families import FAMILIES, draw  # noqa: E402
 
@@ -269,3 +272,99 @@ def test_nothing_of_operando_is_imported():
         text = (FOLDER / f"{name}.py").read_text()
         assert "import operando" not in text
         assert "from operando" not in text
+
+
+def _answer(effects):
+    return {
+        "effects": effects,
+        "check": True,
+        "dofs": ["1+Z", "2-Z", "3+X"],
+        "references": ["1+Z"],
+        "positions": {"1+Z": [0, 0, 0], "2-Z": [0.4, 0, 0], "3+X": [0.8, 0, 0]},
+        "sensor_spacing_m": 0.4,
+        "band_hz": [5.0, 50.0],
+        "harmonics_hz": [],
+        "idle": {
+            "frequency_hz": [10.0, 20.0],
+            "damping_ratio": [0.01, 0.01],
+            "shapes_unit_modal_mass": [[1.0, 0.5], [0.5, -1.0], [0.2, 0.3]],
+        },
+    }
+
+
+def _effect(kind, location, **parameters):
+    return {
+        "kind": kind,
+        "location": location,
+        "parameters": {k: {"value": v, "unit": "", "std": 0.1 * abs(v)} for k, v in parameters.items()},
+    }
+
+
+def _diagnosis(verdict, *effects, ambiguous=()):
+    ladder = [{"heldout_misfit": 100.0}, {"heldout_misfit": 1.0}]
+    return {"verdict": verdict, "effects": list(effects), "ambiguous_with": list(ambiguous), "candidates": [], "ladder": ladder}
+
+
+def test_judge_tells_right_from_wrong():
+    """Kind, place, set, size and intervals; a false alarm; a place between sensors."""
+    true = _effect("coupling_spring", ["1+Z", "2-Z"], stiffness=1000.0)
+    answer = _answer([true])
+    right = judge.compare_diagnosis(answer, _diagnosis("explained", _effect("coupling_spring", ["2-Z", "1+Z"], stiffness=1050.0)))
+    assert right["top"]
+    assert right["in_set"]
+    assert right["sizes"][0]["error"] == pytest.approx(0.05)
+    assert right["sizes"][0]["z"] == pytest.approx(50 / 105)
+    wrong = judge.compare_diagnosis(
+        answer, _diagnosis("ambiguous", _effect("coupling_spring", ["1+Z", "3+X"], stiffness=900.0), ambiguous=[true])
+    )
+    assert not wrong["top"]
+    assert wrong["kind_top"]
+    assert wrong["in_set"]
+    assert not wrong["sizes"]
+    assert judge.compare_diagnosis(_answer([]), _diagnosis("explained", true))["false_alarm"]
+    assert not judge.compare_diagnosis(_answer([]), _diagnosis("no_misfit"))["false_alarm"]
+    between = {**_effect("point_mass", [], mass=1.0), "position": [0.25, 0.0, 0.0], "direction": "+Z"}
+    near, far = ({**between, "position": [x, 0.0, 0.0]} for x in (0.4, 0.55))
+    assert judge.compare_diagnosis(_answer([between]), _diagnosis("explained", near))["top"]
+    assert not judge.compare_diagnosis(_answer([between]), _diagnosis("explained", far))["top"]
+
+
+def test_judge_counts_modes():
+    """A mode found, one missed, one spurious; the modal mass from the scale of the shape; labels of either sign."""
+    mode = {"frequency_hz": 10.001, "damping_ratio": 0.0101, "frequency_std_hz": 0.001, "damping_ratio_std": 1e-4, "in_band": True}
+    found = {**mode, "shape": {"1+Z": 1.1, "2+Z": -0.55, "3+X": 0.22}, "shape_std": {"1+Z": 0.1, "2+Z": 0.01, "3+X": 0.1}}
+    false = {**mode, "frequency_hz": 33.0, "shape": {"1+Z": 1.0, "2+Z": 1.0, "3+X": 0.1}}
+    out = judge.identification(_answer([]), {"idle": {"modes": [found, false], "misfit": 1.0}})["idle"]
+    assert out["found"] == 1
+    assert out["missed"] == [20.0]
+    assert out["spurious"] == [33.0]
+    pair = out["pairs"][0]
+    assert pair["mass_error"] == pytest.approx(1 / 1.21 - 1)
+    assert pair["f_z"] == pytest.approx(1.0)
+    assert pair["shape_within"] == pytest.approx(2 / 3)
+
+
+def test_plan_is_what_the_issue_asks_for():
+    """At least six seeds a kind in each family, 100 runs with nothing hidden, every name once and readable."""
+    specs = score.plan("full")
+    assert len({s.name for s in specs}) == len(specs) >= 200
+    assert all(generate.parse(s.name) == s for s in specs)
+    for family in FAMILIES:
+        for kind in (*hidden.LINEAR, *hidden.SENSOR):
+            seeds = {s.seed for s in specs if s.family == family and s.kind == kind and s.check}
+            assert len(seeds) >= 6
+    assert sum(s.kind in ("none", "orders") for s in specs) >= 100
+
+
+def test_tally_says_what_is_not_there():
+    row = {
+        "case": "a",
+        "kind": "none",
+        "check": True,
+        "references": 1,
+        "identification": None,
+        "diagnosis": None,
+        "no_diagnosis": "not built yet",
+    }
+    text = tally.report([row])
+    assert "No diagnosis in 1 runs: not built yet" in text

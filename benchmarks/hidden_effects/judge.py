@@ -26,6 +26,8 @@ def judge(answer: dict, results: Path, exact=None) -> dict:
     diagnosis = _load(results / "diagnosis.json")
     if diagnosis is not None:
         row["diagnosis"] = compare_diagnosis(answer, diagnosis)
+        if "seconds" in diagnosis:  # through_library.py
+            row["timings_s"]["diagnose"] = diagnosis["seconds"]
     comparison = _load(results / "comparison.json")
     if comparison is not None:
         models = {k: v for k, v in comparison["models"].items() if v}

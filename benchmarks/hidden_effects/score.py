@@ -57,7 +57,7 @@ def plan(name: str) -> list[Spec]:
     return sorted(specs, key=lambda s: hashlib.sha1(s.name.encode()).hexdigest())
 
 
-def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None) -> dict:
+def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None, library: bool) -> dict:
     """Writes, runs, judges."""
     label = hashlib.sha1(spec.name.encode()).hexdigest()[:10]
     case, results = work / "cases" / label, work / "runs" / label
@@ -76,11 +76,16 @@ def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None
     except subprocess.TimeoutExpired:
         row["exit"], row["stderr"] = -1, f"no end after {TIMEOUT} s"
     row["seconds"] = time.perf_counter() - start
+    if library and not row["exit"] and not (results / "diagnosis.json").exists():
+        row["diagnosed_by"] = "library"
+        script = str(Path(__file__).with_name("through_library.py"))
+        done = subprocess.run([sys.executable, script, str(results)], capture_output=True, text=True, env=environment, check=False)
+        row["no_diagnosis"] = done.stderr.strip()[-200:]
     known = truth(spec)
     state = known.state
     row |= judge(answer, results, partial(_exact, state.system, state.rows))
     if row["diagnosis"] is None:
-        row["no_diagnosis"] = row.get("left_out", {}).get("diagnose") or "diagnosis.json was not written"
+        row["no_diagnosis"] = row.get("no_diagnosis") or row.get("left_out", {}).get("diagnose") or "diagnosis.json was not written"
     if not keep:
         shutil.rmtree(results, ignore_errors=True)
         shutil.rmtree(case, ignore_errors=True)
@@ -113,6 +118,7 @@ def main() -> None:
     parser.add_argument("--until", help="last stage of the run, e.g. compare: identification alone")
     parser.add_argument("--keep", action="store_true", help="keep cases and results folders")
     parser.add_argument("--fresh", action="store_true", help="run finished cases again")
+    parser.add_argument("--library", action="store_true", help="where the run leaves no diagnosis, ask the Python interface for one")
     parser.add_argument("--operando", default=str(Path(sys.executable).with_name("operando")), help="the command to run")
     options = parser.parse_args()
     specs = [parse(name) for name in options.names] or [
@@ -124,7 +130,7 @@ def main() -> None:
     todo = [s for s in specs if options.fresh or s.name not in rows][: options.limit]
     print(f"{len(specs)} cases, {len(todo)} to run", flush=True)
     with ProcessPoolExecutor(options.processes) as pool, path.open("a") as sink:
-        futures = {pool.submit(run_case, s, options.work, options.operando, options.keep, options.until): s for s in todo}
+        futures = {pool.submit(run_case, s, options.work, options.operando, options.keep, options.until, options.library): s for s in todo}
         for number, future in enumerate(as_completed(futures), start=1):
             try:
                 row = future.result()

@@ -35,6 +35,9 @@ def report(rows: list[dict]) -> str:
     if silent:
         reasons = sorted({r["no_diagnosis"] for r in silent})
         parts.append(f"No diagnosis in {len(silent)} runs: {'; '.join(reasons)}. They are not in the figures below.")
+    aside = sum(r.get("diagnosed_by") == "library" for r in told)
+    if aside:
+        parts.append(f"{aside} of {len(told)} diagnoses came through the Python interface, not the command line.")
     if told:
         parts += [must_show(told), by_kind(told), sizes(told), routes(told), wrong(told)]
     return "\n\n".join(parts)
