@@ -10,7 +10,7 @@ import pytest
 
 from effect_truth import at, chain_and_idle, pole_list, receptance, skew
 from operando.data import Geometry, ModalModel
-from operando.diagnose import Model
+from operando.diagnose import Model, joint_covariance
 from operando.effects import Effect, EffectKind, Parameter, catalogue, parse_effect, register, unregister
 from operando.errors import ConfigError, DataError, DofError
 
@@ -281,7 +281,7 @@ def test_variance_matches_the_scatter_of_random_models(texts):
     rng = np.random.default_rng(1)
     theta = np.r_[exact.frequencies_hz, exact.damping_ratios, exact.shapes.T.ravel()]
     n, draws = exact.n_modes, []
-    for _ in range(1500):
+    for _ in range(700):
         t = theta + half @ rng.normal(size=half.shape[1])
         values = {k: v + 0.01 * abs(v) * rng.normal() for k, v in effects[0].values.items()}
         drawn = ModalModel(t[:n], t[n : 2 * n], t[2 * n :].reshape(n, -1).T, exact.dofs, "unit_modal_mass")
@@ -291,6 +291,72 @@ def test_variance_matches_the_scatter_of_random_models(texts):
     scatter = np.mean(np.abs(np.array(draws) - nominal) ** 2, axis=0)
     ratio = stated / scatter
     assert np.all((ratio > 0.8) & (ratio < 1.25))
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ["ground_spring@3+Z=stiffness:8e4", "sensor_gain@4+Z=gain:1.3"],
+        ["global_stiffness=change:0.2", "point_mass@3+Z=mass:0.7"],
+    ],
+)
+def test_variance_counts_what_idle_parameters_and_values_share(texts):
+    _, exact = chain_and_idle()
+    idle, _ = _spread_idle(exact)
+    effects = tuple(parse_effect(t) for t in texts)
+    p, q = idle.n_parameters, 2
+    # Both values go with the shape at the place (where the idle model shows too much motion, the effect is found too small).
+    rng = np.random.default_rng(5)
+    half = np.linalg.cholesky(idle.covariance + 1e-18 * np.diag(np.diag(idle.covariance)))
+    at_place = 2 * N + np.arange(N) * N + 2
+    lean = np.tile(-np.sign(exact.shapes[2]) @ half[at_place], (q, 1))
+    lean /= np.linalg.norm(lean, axis=1)[:, None]
+    size = np.array([0.03 * abs(e.values[e.names[0]]) for e in effects])
+    below = np.c_[size[:, None] * lean, 0.2 * np.diag(size)]
+    whole = np.r_[np.c_[half, np.zeros((p, q))], below]
+    model = Model(idle, effects, covariance=whole @ whole.T)
+    hz = np.array([11.0, 25.0, 47.0, 90.0])
+    ask = ("3-Z,4+Z", "1+Z,3-Z", "receptance")
+    stated, apart = model.frf(hz, *ask).variance, Model(idle, effects, covariance=below @ below.T).frf(hz, *ask).variance
+    theta = np.r_[exact.frequencies_hz, exact.damping_ratios, exact.shapes.T.ravel()]
+    n, draws = exact.n_modes, []
+    for _ in range(1500):
+        t = whole @ rng.normal(size=p + q)
+        u = theta + t[:p]
+        drawn = ModalModel(u[:n], u[n : 2 * n], u[2 * n :].reshape(n, -1).T, exact.dofs, "unit_modal_mass")
+        moved = tuple(e.with_values(**{e.names[0]: e.values[e.names[0]] + v}) for e, v in zip(effects, t[p:], strict=True))
+        draws.append(Model(drawn, moved).frf(hz, *ask).data)
+    scatter = np.mean(np.abs(np.array(draws) - model.frf(hz, *ask).data) ** 2, axis=0)
+    assert np.all((stated / scatter > 0.8) & (stated / scatter < 1.25))
+    off = [np.sqrt(np.mean(np.log(v / scatter) ** 2)) for v in (stated, apart)]
+    assert off[0] < 0.5 * off[1]
+    only = model.structure()
+    assert only.covariance.shape == (p + len(only.effects),) * 2
+
+
+def test_joint_covariance_is_the_gaussian_update():
+    """Measured: a combination of two shape values and one effect value, with noise; against the dense conditional covariance."""
+    idle, _ = _spread_idle(chain_and_idle()[1])
+    p, index = idle.n_parameters, np.array([14, 21])
+    size, vectors = np.linalg.eigh(idle.covariance[np.ix_(index, index)])
+    root = vectors * np.sqrt(size)
+    prior = np.zeros((p + 1, p + 1))
+    prior[:p, :p], prior[p, p] = idle.covariance, 4.0
+    row = np.zeros(p + 1)
+    row[index], row[p] = [30.0, -50.0], 0.7
+    noise = 0.3
+    gain = prior @ row / (row @ prior @ row + noise)
+    truth = prior - np.outer(gain, row @ prior)
+    small = np.diag([4.0, 1.0, 1.0])  # [value, z]
+    seen = np.r_[0.7, np.array([30.0, -50.0]) @ root]
+    posterior = small - np.outer(small @ seen, seen @ small) / (seen @ small @ seen + noise)
+    updated, joint = joint_covariance(idle, index, root, posterior)
+    scale = np.sqrt(np.diag(prior))
+    assert np.allclose(joint / np.outer(scale, scale), truth / np.outer(scale, scale), atol=1e-9)
+    assert np.allclose(updated.covariance, joint[:p, :p])
+    assert np.abs(joint[p, index]).max() > 0
+    with pytest.raises(DataError):
+        joint_covariance(replace(idle, covariance=None), index, root, posterior)
 
 
 def test_variance_of_the_bare_idle_model_is_that_of_the_modal_model():

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from operando.diagnose.model import Model
+from operando.diagnose.model import Model, joint_covariance
 
-__all__ = ["Model"]
+__all__ = ["Model", "joint_covariance"]

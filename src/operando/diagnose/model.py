@@ -37,7 +37,8 @@ class Model:
     geometry : Geometry, optional
         Sensor positions, for effects at places without a sensor.
     covariance : (p, p) array, optional
-        Of all values that a fit may move, effect by effect; default the squares of their standard deviations.
+        Of all values of the effects, one after the other; or joint with the idle parameters θ = [f (Hz), ζ, shapes mode by mode],
+        which then come first (see :func:`joint_covariance`). Default: the squares of the values' standard deviations.
     cache : dict, optional
         Idle receptances on the last sets of lines; models made from one another share it.
 
@@ -60,7 +61,8 @@ class Model:
         if self.idle.scaling != "unit_modal_mass":
             raise DataError("effects need an idle model of unit modal mass", hint="give units to the EMA, so that shapes can be scaled")
         size = sum(len(e.definition.parameters) for e in self.effects)
-        if self.covariance is not None and np.shape(self.covariance) != (size, size):
+        allowed = ((size, size), (size + self.idle.n_parameters,) * 2)
+        if self.covariance is not None and np.shape(self.covariance) not in allowed:
             raise DataError(f"covariance of the effects has shape {np.shape(self.covariance)}, they have {size} values")
         for e in self.effects:
             if e.definition.places:
@@ -96,7 +98,11 @@ class Model:
         """Only the effects on the running structure: faults of sensors and forces left out, as an OFRF wants it."""
         kept = [i for i, e in enumerate(self.effects) if e.definition.group in ("structure", "idle")]
         columns = np.concatenate([[], *(np.arange(a, b) for i, (a, b) in enumerate(self._spans()) if i in kept)]).astype(int)
-        covariance = None if self.covariance is None else np.asarray(self.covariance)[np.ix_(columns, columns)]
+        covariance = None
+        if self.covariance is not None:
+            before = len(self.covariance) - sum(len(e.definition.parameters) for e in self.effects)
+            columns = np.r_[np.arange(before), before + columns].astype(int)
+            covariance = np.asarray(self.covariance)[np.ix_(columns, columns)]
         return replace(self, effects=tuple(self.effects[i] for i in kept), covariance=covariance)
 
     def _check(self, step: int) -> None:
@@ -294,6 +300,8 @@ class Model:
             return None
         out = np.zeros((len(resp), len(refs), hz.size))
         carried, factor = self._channels(resp, refs, hz)
+        gradient: Array | None = None if spread is None else self._by_values(hz, resp, refs, np.sqrt(np.diag(spread)))
+        cross = self._cross(base)
         if base.covariance is not None:
             acting = self._acting()
             shape = (len(resp), 0, hz.size)
@@ -302,20 +310,33 @@ class Model:
                 weights, z = self._added(base, acting, hz)
                 core, from_o, to_j = self._update(self._lines(base, hz), base, weights, z, carried, refs)
                 left, right = np.einsum("oal,abl->obl", from_o, core), np.einsum("abl,bjl->ajl", core, to_j)
-            out += update_variance(base, hz, match_dofs(carried, base.dofs), match_dofs(refs, base.dofs), weights, left, right)
+            shared: tuple[Array, Array] | None = None
+            if cross is not None and gradient is not None:
+                shared = cross, np.asarray(gradient if factor is None else gradient / factor)
+            out += update_variance(base, hz, match_dofs(carried, base.dofs), match_dofs(refs, base.dofs), weights, left, right, shared)
             if factor is not None:
                 out *= np.abs(factor) ** 2
-        if spread is not None:
-            gradient = self._by_values(hz, resp, refs, np.sqrt(np.diag(spread)))
+        if spread is not None and gradient is not None:
             out += np.einsum("aojl,ab,bojl->ojl", gradient.conj(), spread, gradient).real
-        return out
+        return np.maximum(out, 0)
 
     def _spread(self) -> Array | None:
         """Covariance of all values, None where none is known."""
         if self.covariance is not None:
-            return np.asarray(self.covariance)
+            size = sum(len(e.definition.parameters) for e in self.effects)
+            return np.asarray(self.covariance)[len(self.covariance) - size :, len(self.covariance) - size :]
         std = np.array([e.std.get(p.name, 0.0) for e in self.effects for p in e.definition.parameters])
         return np.diag(std**2) if np.any(std > 0) else None
+
+    def _cross(self, base: ModalModel) -> Array | None:
+        """Covariance of the base's parameters (rows) and the values, None without one."""
+        n = self.idle.n_parameters
+        if self.covariance is None or len(self.covariance) < n or not self.effects or base.n_parameters != n:
+            return None  # with a mode added the idle parameters no longer stand one to one: counted as independent
+        # A kind that changes the whole model scales each idle parameter; so does it with an identity in place of its covariance.
+        plain = replace(self, idle=replace(self.idle, covariance=np.eye(n), std=None), covariance=None, cache={})
+        factors = np.sqrt(np.diag(np.asarray(plain._base().covariance)))
+        return np.asarray(factors[:, None] * np.asarray(self.covariance)[:n, n:])
 
     def _by_values(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...], std: Array) -> Array:
         """∂H/∂value by central differences over a hundredth of each standard deviation (0 where that is 0)."""
@@ -334,6 +355,50 @@ class Model:
                 if step > 0:
                     ends = [self.with_values(number + 1, **{p.name: value + sign * step}) for sign in (1, -1)]
                     yield start + i, (ends[0], ends[1]), step
+
+
+def joint_covariance(
+    idle: ModalModel, index: NDArray[np.int_], root: NDArray[np.float64], posterior: NDArray[np.float64]
+) -> tuple[ModalModel, NDArray[np.float64]]:
+    """Covariance of idle parameters and effect values after some idle parameters were fitted together with the values under their prior.
+
+    The fit moved θ[index] = θ0 + root·z, z of unit variance before. What it learnt on z reaches the other idle parameters through their
+    correlation: C' = C − G (I − P_zz) Gᵀ, cov(θ, v) = G P_zv, with G = cov(θ, z).
+
+    Parameters
+    ----------
+    idle : ModalModel
+        With its covariance before the fit.
+    index : (r,) int array
+        Rows of θ = [f (Hz), ζ, shapes mode by mode] that were fitted.
+    root : (r, k) array
+        Orthogonal columns; root rootᵀ is the prior covariance of θ[index].
+    posterior : (p + k, p + k) array
+        Of [values, z].
+
+    Returns
+    -------
+    idle : ModalModel
+        With the new covariance (shapes as given: move them yourself).
+    covariance : (n_parameters + p, n_parameters + p) array
+        Of [θ, values], for :class:`Model`.
+
+    Raises
+    ------
+    DataError
+        If the idle model has no covariance or sizes do not fit.
+    """
+    if idle.covariance is None:
+        raise DataError("the idle model has no covariance to start from")
+    k = root.shape[1]
+    p = posterior.shape[0] - k
+    if root.shape[0] != len(index) or p < 0:
+        raise DataError(f"{len(index)} parameters, root {root.shape} and posterior {posterior.shape} do not fit")
+    g = idle.covariance[:, index] @ (root / np.maximum(np.sum(root**2, axis=0), 1e-300))
+    own = idle.covariance - g @ (np.eye(k) - posterior[p:, p:]) @ g.T
+    own = (own + own.T) / 2
+    cross = g @ posterior[p:, :p]
+    return replace(idle, covariance=own, std=None), np.block([[own, cross], [cross.T, posterior[:p, :p]]])
 
 
 class _Lines:

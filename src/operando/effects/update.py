@@ -81,6 +81,7 @@ def update_variance(
     weights: NDArray[np.float64],
     left: Complex,
     right: Complex,
+    shared: tuple[NDArray[np.float64], Complex] | None = None,
 ) -> NDArray[np.float64]:
     """Variance E|ΔH|² [m²/N²] of updated receptances, to first order in the modal parameters.
 
@@ -98,6 +99,9 @@ def update_variance(
         H0_oB T.
     right : (k, n_references, n_lines) array
         T H0_Bj.
+    shared : (n_parameters, p) array and (p, n_responses, n_references, n_lines) array, optional
+        Covariance of the modal parameters with p other numbers, and the derivative of the receptances by these; adds the part that
+        both have in common (which can be negative: the result is then no variance yet).
 
     Returns
     -------
@@ -131,4 +135,6 @@ def update_variance(
             both = np.concatenate([gradient.real, gradient.imag], axis=1)
             value = np.einsum("kl,kl->l", both, covariance @ both)
             result[o, j] = np.maximum(value[: w.shape[1]] + value[w.shape[1] :], 0)
+            if shared is not None:
+                result[o, j] += 2 * np.einsum("kl,kl->l", gradient.conj(), shared[0][where] @ shared[1][:, o, j]).real
     return result
