@@ -39,6 +39,9 @@ _WHERE = {
     "parse_effect": "operando.effects",
     "register": "operando.effects",
     "Model": "operando.diagnose",
+    "Diagnosis": "operando.diagnose",
+    "diagnose": "operando.diagnose",
+    "apply_effects": "operando.diagnose",
     "run": "operando.pipeline",
 }
 

@@ -12,14 +12,15 @@ from threadpoolctl import threadpool_limits
 
 from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
-from operando.data import Geometry, ModalModel
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
+from operando.diagnose.model import Model
 from operando.diagnose.places import candidates as all_candidates
 from operando.diagnose.problem import EARNED, Problem, Tried, choose, step
 from operando.diagnose.refit import Fit, model_variance, predicted
-from operando.diagnose.scan import Candidate
-from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines, split_lines
+from operando.diagnose.result import effects_of, model_of
+from operando.diagnose.sets import FIT, JUDGE, LEVEL_LIMIT, SELECT, CheckLines, split_lines
 from operando.diagnose.verdict import ambiguous_with, separates, verdict_of
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
@@ -28,6 +29,12 @@ from operando.results import CheckRun
 Array = NDArray[Any]
 
 MAX_EFFECTS = 3
+
+WHERE_LINES = 600
+"""Lines of a run on which failure by DOF and band is judged."""
+
+DONE = 1.2
+"""Selection misfit at which the data allow no better and nothing more is looked for."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,10 @@ class Diagnosis:
     picture : dict
         Dynamic stiffness δz(ω) at the place found, and the kind-free ranking of places.
     notes : tuple of str
-    idle : ModalModel
+    idle : ModalModel or None
+        As it was before.
+    model : Model or None
+        Idle model (shapes at the effects' places refitted), the accepted effects, and the covariance of both.
     """
 
     verdict: str
@@ -70,6 +80,7 @@ class Diagnosis:
     picture: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     idle: ModalModel | None = None
+    model: Model | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
@@ -180,39 +191,43 @@ def idle_variance(idle: ModalModel, lines: CheckLines) -> Array:
 
 def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | None, band: tuple[float, float] | None) -> Diagnosis:
     fit = problem.empty()
-    selection = [problem.misfit(SELECT, fit)]
+    here = problem
+    before = [problem.misfit(SELECT, fit)]
     fits: list[Fit] = [fit]
     history: list[tuple[Tried, list[Tried]]] = []
-    scans: list[list[Candidate]] = []
     last: list[Tried] = []
-    while len(fit.terms) < MAX_EFFECTS:
-        tried, found = step(problem, fit)
-        scans.append(found)
+    further = 1.0
+    one_system = not problem.lines.disagreement > LEVEL_LIMIT
+    while len(fit.terms) < (MAX_EFFECTS if one_system else 1):
+        if fit.terms and before[-1] < DONE:
+            break
+        tried, _ = step(here, fit)
         last = tried
         if not tried:
             break
         best = choose(tried)
-        if best.selection > (1 - EARNED) * selection[-1] or not earns(problem, fit, best):
+        further = best.selection / before[-1]
+        if not separates(best.selection, before[-1], EARNED) or not earns(here, fit, best):
+            further = max(further, 1 - EARNED)
             break
         history.append((best, tried))
-        fit = best.fit
+        fit, further = best.fit, 1.0
         fits.append(fit)
-        selection.append(best.selection)
-        if best.selection < 1.2:
-            break
+        # From here on the model's own variance is that of the model with this effect: a further one must beat that.
+        here = problem.with_own(np.maximum(problem.own, model_variance(problem.idle, problem.arrays, problem.lines, fit)))
+        before.append(here.misfit(SELECT, fit))
     final = [problem.joint(f.terms, f.q, (FIT, SELECT), f) if f.terms else f for f in fits]
     effects = tuple(effects_of(final[-1]))
     rows = ladder(problem, final)
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
-    further = last[0].selection / selection[-1] if last and (not history or last is not history[-1][1]) else 1.0
     verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
     judged = problem.sets[JUDGE]
     notes = list(problem.lines.notes)
-    if problem.lines.disagreement > 2 and verdict in ("explained", "ambiguous"):
+    if not one_system and verdict in ("explained", "ambiguous"):
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
-    ranked = tuple(candidate_row(t, selection) for t in (history[0][1] if history else last))
-    proposal = propose(problem, final[-1], [t for t in alternatives], verdict)
+    ranked = tuple(candidate_row(t, before) for t in (history[0][1] if history else last))
+    proposal = propose(problem, final[-1], alternatives, verdict)
     where = where_it_fails(problem.idle, check, band)
     floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
     picture = localise(problem, effects, final[-1])
@@ -229,6 +244,7 @@ def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | No
         picture,
         tuple(notes),
         problem.idle,
+        model_of(problem, final[-1], geometry),
     )
 
 
@@ -241,31 +257,6 @@ def earns(problem: Problem, fit: Fit, best: Tried) -> bool:
     prior = shape_prior(problem.idle, effect_dofs(best.fit.terms))
     freed = refit(problem.arrays, problem.sets[FIT], problem.owns[FIT], fit.terms, fit.q, prior)
     return separates(best.selection, problem.misfit(SELECT, freed), EARNED)
-
-
-def effects_of(fit: Fit) -> list[Effect]:
-    """The fitted terms as effects with values and standard deviations."""
-    out = []
-    for term, q, spread in zip(fit.terms, fit.q, fit.std, strict=True):
-        values = term.values(q)
-        values.pop("shape", None)
-        std = {
-            name: float(abs(term.kind.parameter(name).slope(float(values[name])) * s)) for name, s in zip(term.moving, spread, strict=False)
-        }
-        out.append(
-            Effect(
-                term.kind.kind,
-                term.dofs,
-                values,
-                std,
-                term.position,
-                term.direction or "",
-                term.sign < 0,
-                fixed=tuple(term.fixed),
-                band_hz=term.band_hz,
-            )
-        )
-    return out
 
 
 def flat(lines: CheckLines, own: Array, data: Array) -> Lines:
@@ -300,13 +291,13 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
     return rows
 
 
-def candidate_row(tried: Tried, selection: Sequence[float]) -> dict[str, Any]:
+def candidate_row(tried: Tried, before: Sequence[float]) -> dict[str, Any]:
     """One entry of ``candidates``."""
     effect = effects_of(tried.fit)[-1]
-    fall = 1 - tried.selection / selection[0]
+    fall = 1 - tried.selection / before[0]
     return effect.to_dict() | {
         "selection_misfit": tried.selection,
-        "evidence": f"misfit on lines the fit has not seen {selection[0]:.4g} → {tried.selection:.4g} ({100 * fall:.1f} % lower)",
+        "evidence": f"misfit on lines the fit has not seen {before[0]:.4g} → {tried.selection:.4g} ({100 * fall:.1f} % lower)",
     }
 
 
@@ -315,8 +306,28 @@ def where_it_fails(idle: ModalModel, check: Sequence[CheckRun], band: tuple[floa
     from operando.compare.comparison import lowest_level
 
     judge = lowest_level(check)
-    made = compare(idle, [run.frf for run in check if run.level == judge], band).to_dict()
-    return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
+    runs = [run.frf for run in check if run.level == judge]
+    if band is not None:
+        runs = [frf.band(*band) for frf in runs]
+    # The idle model's variance of thousands of lines takes longer than the diagnosis; peaks need the lines but no variance.
+    few = [every(frf, max(1, len(frf.axis) // WHERE_LINES)) for frf in runs]
+    made = compare(idle, few).to_dict()
+    have = {(d.node, d.axis) for d in idle.dofs}
+    plain = []
+    for frf in runs:
+        shared = frf.select([d for d in frf.responses if (d.node, d.axis) in have], [d for d in frf.references if (d.node, d.axis) in have])
+        plain.append((idle.frf(shared.frequencies_hz, shared.responses, shared.references, shared.quantity, variance=False), shared))
+    by_mode = [row for model, frf in plain for row in compare(model, frf).to_dict()["by_mode"]]
+    return {"by_dof": made["by_dof"], "by_band": made["by_band"], "by_mode": by_mode}
 
 
-
+def every(frf: Frf, step: int) -> Frf:
+    """One line in ``step``."""
+    pick = slice(step // 2, None, step)
+    return replace(
+        frf,
+        data=frf.data[:, :, pick],
+        axis=FrequencyAxis(frf.frequencies_hz[pick]),
+        variance=None if frf.variance is None else frf.variance[:, :, pick],
+        coherence=None if frf.coherence is None else frf.coherence[:, :, pick],
+    )

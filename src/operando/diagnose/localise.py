@@ -58,7 +58,10 @@ def _picture(problem: Problem, effect: Effect, effects: Sequence[Effect], fit: F
     if term.kind.acts != "dynamic_stiffness" or term.kind.coordinates == "separate":
         return None
     others = replace(
-        fit, terms=tuple(t for i, t in enumerate(fit.terms) if i != k), q=tuple(v for i, v in enumerate(fit.q) if i != k), covariance=np.zeros((0, 0))
+        fit,
+        terms=tuple(t for i, t in enumerate(fit.terms) if i != k),
+        q=tuple(v for i, v in enumerate(fit.q) if i != k),
+        covariance=np.zeros((0, 0)),
     )
     lines = problem.lines
     full, _, data = full_receptance(problem.arrays, lines, others)

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 def propose(problem: Problem, fit: Fit, alternatives: Sequence[Tried], verdict: str) -> str | None:
     """The force position and frequency where the models differ most, or the accepted effect's confirming test."""
-    from operando.diagnose.diagnosis import effects_of
     from operando.diagnose.problem import full_receptance
+    from operando.diagnose.result import effects_of
 
     if not alternatives:
         if verdict in ("partial", "unexplained"):
-            return "measure the running structure at another level, with the force at another point: it shows whether the rest depends on level"
+            return "measure the running structure at another level and with the force at another point: does the rest depend on level?"
         return None
     lines = problem.lines
     one = full_receptance(problem.arrays, lines, fit)[0]
@@ -35,7 +35,7 @@ def propose(problem: Problem, fit: Fit, alternatives: Sequence[Tried], verdict: 
         decibel = float(np.max(20 * np.abs(np.log10(np.abs(two[line, :, j]) / np.maximum(size[line, :, j], 1e-300)))))
         other = effects_of(t.fit)[-1]
         texts.append(
-            f"to tell it from {other.kind} at {other.place or 'no place'}: excite {problem.idle.dofs[j]} while it runs; near {lines.hz[line]:.4g} Hz "
-            f"the two predictions differ by up to {decibel:.2g} dB"
+            f"to tell it from {other.kind} at {other.place or 'no place'}: excite {problem.idle.dofs[j]} while it runs; "
+            f"near {lines.hz[line]:.4g} Hz the two predictions differ by up to {decibel:.2g} dB"
         )
     return "; ".join(texts)

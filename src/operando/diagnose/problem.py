@@ -20,6 +20,9 @@ Array = NDArray[Any]
 SHORT_LIST = 14
 """Candidates of the scan that are refitted."""
 
+REFITTED, NEAR = 7, 30.0
+"""At most so many of them are refitted with the shapes at their places, and only within this factor of the best."""
+
 EARNED = 0.10
 """An effect must lower the selection misfit by more than this part (contract, "Verdicts")."""
 
@@ -93,12 +96,18 @@ class Problem:
         value, count = np.sum(w * np.abs(lines.data - data) ** 2, axis=(1, 2)), np.sum(w > 0, axis=(1, 2))
         return np.array([np.sum(value[lines.block == b]) / max(np.sum(count[lines.block == b]), 1) for b in np.unique(lines.block)])
 
-    def joint(self, terms: Sequence[Term], q: Sequence[Array], groups: Sequence[int] = (FIT,), start: Fit | None = None) -> Fit:
-        """All effects together with the shape values at their DOFs."""
-        prior = shape_prior(self.idle, effect_dofs(terms))
+    def joint(
+        self, terms: Sequence[Term], q: Sequence[Array], groups: Sequence[int] = (FIT,), start: Fit | None = None, shapes: bool = True
+    ) -> Fit:
+        """All effects together with the shape values at their DOFs (or their sizes alone)."""
+        prior = start.prior if start is not None else shape_prior(self.idle, effect_dofs(terms) if shapes else np.zeros(0, int))
         mask = np.isin(self.lines.group, groups)
-        z = start.z if start is not None and np.array_equal(start.prior.dofs, prior.dofs) else None
-        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z)
+        z = start.z if start is not None else None
+        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z, 12 if shapes else 6)
+
+    def with_own(self, own: Array) -> Problem:
+        """The same problem judged with another variance of the model."""
+        return Problem(self.idle, self.lines, own, self.templates, self.say)
 
     def tried(self, fit: Fit) -> Tried:
         """A fit with its figures on the select set."""
@@ -110,7 +119,11 @@ def full_receptance(arrays: IdleArrays, lines: CheckLines, fit: Fit) -> tuple[Ar
     here = arrays.with_phi(fit.phi)
     m = arrays.phi.shape[0]
     every = replace(
-        lines, responses=np.arange(m), references=np.arange(m), data=np.zeros((lines.hz.size, m, m)), variance=np.ones((lines.hz.size, m, m))
+        lines,
+        responses=np.arange(m),
+        references=np.arange(m),
+        data=np.zeros((lines.hz.size, m, m)),
+        variance=np.ones((lines.hz.size, m, m)),
     )
     structural = [(t, v) for t, v in zip(fit.terms, fit.q, strict=True) if t.kind.acts != "sensor_map"]
     full = predict(here, every, [t for t, _ in structural], [v for _, v in structural]).data
@@ -125,7 +138,7 @@ def full_receptance(arrays: IdleArrays, lines: CheckLines, fit: Fit) -> tuple[Ar
 def scan(problem: Problem, fit: Fit) -> list[Candidate]:
     """All kinds at all places beside the accepted effects, ranked by their error on the fit lines, model error allowed for."""
     lines, own = problem.sets[FIT], problem.owns[FIT]
-    full, seen, data = full_receptance(problem.arrays, lines, fit)
+    full, _, data = full_receptance(problem.arrays, lines, fit)
     right = replace(lines, data=data)
     model = full[np.ix_(np.arange(lines.hz.size), lines.responses, lines.references)]
     weight = scan_weights(right, model, own)
@@ -184,13 +197,22 @@ def shortlist(found: Sequence[Candidate], count: int = SHORT_LIST) -> list[Candi
 
 
 def step(problem: Problem, fit: Fit) -> tuple[list[Tried], list[Candidate]]:
-    """One more effect: scan, refit the short list with all accepted ones, rank by the select set."""
+    """One more effect: scan, refit the short list with all accepted ones, rank by the select set.
+
+    Sizes are refitted first on the idle model's shapes; only what then comes near the best is refitted with its shapes.
+    """
     found = scan(problem, fit)
-    tried = []
+    first = []
     for c in shortlist(found):
-        if problem.say:
-            problem.say(f"refit {c.term.kind.kind} at {', '.join(map(str, c.term.dofs)) or 'no place'}")
-        tried.append(problem.tried(problem.joint([*fit.terms, c.term], [*fit.q, c.q])))
+        first.append(problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False))
+    first.sort(key=lambda f: f.cost)
+    tried = []
+    for k, f in enumerate(first):
+        if k < REFITTED and (k < 2 or f.cost < NEAR * first[0].cost):
+            if problem.say:
+                problem.say(f"refit {f.terms[-1].kind.kind} at {', '.join(map(str, f.terms[-1].dofs)) or 'no place'}")
+            f = problem.joint(f.terms, f.q)
+        tried.append(problem.tried(f))
     return sorted(tried, key=lambda t: t.selection), found
 
 

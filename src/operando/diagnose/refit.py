@@ -1,13 +1,14 @@
 """Refit of effects together with what the idle model does not know about their own DOFs.
 
-The undriven columns H0[:, b] of a place b hang on shape values (mostly of residual modes) that no drive point has seen. Their uncertainty is in
-the idle model's covariance; here it is the prior under which they are fitted together with the effects' sizes.
+The undriven columns H0[:, b] of a place b hang on shape values of modes outside the band that no drive point has seen. Their
+uncertainty is in the idle model's covariance; here it is the prior under which they are fitted together with the effects' sizes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -120,14 +121,14 @@ def weights(lines: CheckLines, own: Array) -> Array:
 def split(vector: Array, terms: Sequence[Term]) -> tuple[Array, ...]:
     """Moving numbers term by term."""
     edges = np.cumsum([0, *(t.size for t in terms)])
-    return tuple(vector[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True))
+    return tuple(vector[a:b] for a, b in pairwise(edges))
 
 
 def jacobian(arrays: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Sequence[Array], prior: ShapePrior, p: Prediction) -> Array:
     """∂H/∂[q, z] (parameters, lines, responses, references)."""
     rows = []
     for i, term in enumerate(terms):
-        low, high = term.bounds()
+        high = term.bounds()[1]
         for j in range(term.size):
             step = 1e-6 if q[i][j] + 1e-6 <= high[j] else -1e-6
             moved = [v.copy() for v in q]
@@ -283,15 +284,11 @@ def model_variance(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit:
     total = np.zeros(p.data.shape)
     if idle.covariance is None:
         return total
+    from operando.diagnose.result import given_shapes
+
     n, m = idle.n_modes, len(idle.dofs)
-    covariance = np.array(idle.covariance)
     prior = fit.prior
-    if prior.dofs.size:
-        moved = (2 * n + prior.modes[None, :] * m + prior.dofs[:, None]).ravel()
-        across = covariance[:, moved]
-        covariance -= across @ np.linalg.pinv(covariance[np.ix_(moved, moved)], rcond=1e-10, hermitian=True) @ across.T
-        covariance[moved, :] = 0
-        covariance[:, moved] = 0
+    covariance, _ = given_shapes(idle, fit)
     changed = arrays.model
     for t, q in zip(fit.terms, fit.q, strict=True):
         if t.kind.acts == "modal_change":

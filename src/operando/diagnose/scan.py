@@ -1,8 +1,8 @@
 """Candidate kinds at all places before any refit: laws fitted to what each place shows, and faults of the channels.
 
 At a place with rows B the residual E = measured − model must be −(H Bᵀ)·T·(B H), T = (I + δZ·BHBᵀ)⁻¹ δZ. For one coordinate the best
-complex t(ω) of each line follows from least squares and a law is fitted to it; for more, the coefficient starts from the motion measured there
-(equation error), then is fitted to the exact update.
+complex t(ω) of each line follows from least squares and a law is fitted to it; for more, the coefficient starts from the motion
+measured there (equation error), then is fitted to the exact update.
 """
 
 from __future__ import annotations

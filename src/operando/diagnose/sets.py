@@ -202,7 +202,9 @@ def _join_references(frfs: list[Frf], names: list[str]) -> tuple[list[Frf], list
             same = other.responses == frf.responses and np.array_equal(other.frequencies_hz, frf.frequencies_hz)
             apart = not {(d.node, d.axis) for d in other.references} & {(d.node, d.axis) for d in frf.references}
             if same and apart and other.quantity == frf.quantity and (other.variance is None) == (frf.variance is None):
-                variance = None if frf.variance is None or other.variance is None else np.concatenate([other.variance, frf.variance], axis=1)
+                variance = None
+                if frf.variance is not None and other.variance is not None:
+                    variance = np.concatenate([other.variance, frf.variance], axis=1)
                 out[i] = Frf(
                     np.concatenate([other.data, frf.data], axis=1),
                     other.axis,
