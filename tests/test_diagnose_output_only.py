@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from operando.data import ModalModel
+from operando.diagnose.diagnosis import diagnose
 from operando.diagnose.output_only import candidate_effects, diagnose_output_only, judge_rows
 from operando.diagnose.output_only_fit import Prior, fit, jacobian
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Basis, action_of, solve
@@ -227,6 +230,19 @@ def test_residuals_are_standard_normal_without_an_effect():
         found = fit(target, Basis.of(idle), (), (), np.ones((target.n, target.per_mode), bool))
         values.append(found.misfit)
     assert 0.85 < np.mean(values) < 1.15
+
+
+def test_the_document_is_plain_json_with_the_keys_of_the_contract():
+    c = chain()
+    document = diagnose(idle_of(c), operating=running(c, TRUTHS[1]), kinds=("ground_spring", "point_mass")).to_dict()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["data"] == ["operating_modes"]
+    assert document["noise_floor_db"] is None
+    assert all(row["error_db"] is None and row["heldout_error_db"] is None for row in document["ladder"])
+    assert document["ladder"][1]["added"]["kind"] == document["effects"][0]["kind"] == "ground_spring"
+    assert {"selection_misfit", "evidence"} <= set(document["candidates"][0])
+    misfits = [row["selection_misfit"] for row in document["candidates"]]
+    assert misfits == sorted(misfits)
 
 
 def test_order_and_sense_of_sensors_do_not_matter():

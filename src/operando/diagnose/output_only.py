@@ -234,7 +234,7 @@ def _step(step: int, added: Effect | None, f: Fit, judge: NDArray[np.bool_]) -> 
         "added": None if added is None else added.to_dict(),
         "error_db": None,
         "heldout_error_db": None,
-        "misfit": f.misfit,
+        "misfit": float(f.misfit),
         "heldout_misfit": mean_square(f.residuals, judge),
     }
 

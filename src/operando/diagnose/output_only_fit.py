@@ -245,7 +245,7 @@ def fit(
         # What the floating shapes had to move is paid for: together both are the residual against the marginal covariance.
         by_mode = by_mode + float(eta @ eta) / len(r)
         selection = float(by_mode.sum() / max(counts(use).sum(), 1.0))
-    misfit = mean_square(r, use) + float(eta @ eta) / max(counts(use).sum(), 1.0)
+    misfit = mean_square(r, use) + float(eta @ eta) / float(max(counts(use).sum(), 1.0))
     return Fit(actions, sizes, std, eta, r, selection, by_mode, misfit, modes, index)
 
 
