@@ -122,7 +122,7 @@ def full_receptance(arrays: IdleArrays, lines: CheckLines, fit: Fit) -> tuple[Ar
         lines,
         responses=np.arange(m),
         references=np.arange(m),
-        data=np.zeros((lines.hz.size, m, m)),
+        data=np.zeros((lines.hz.size, m, m), complex),
         variance=np.ones((lines.hz.size, m, m)),
     )
     structural = [(t, v) for t, v in zip(fit.terms, fit.q, strict=True) if t.kind.acts != "sensor_map"]

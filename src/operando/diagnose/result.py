@@ -75,9 +75,9 @@ def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Mo
     lift = np.zeros((size, n_q))
     row = column = 0
     for term, effect in zip(fit.terms, effects, strict=True):
-        for k, p in enumerate(effect.definition.parameters):
-            if p.name in term.moving:
-                lift[row + k, column + term.moving.index(p.name)] = p.slope(float(effect.values[p.name]))
+        for k, number in enumerate(effect.definition.parameters):
+            if number.name in term.moving:
+                lift[row + k, column + term.moving.index(number.name)] = number.slope(float(effect.values[number.name]))
         row += len(effect.definition.parameters)
         column += term.size
     p = idle.n_parameters

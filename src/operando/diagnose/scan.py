@@ -161,7 +161,11 @@ def _fit_scalar(term: Term, r: Reduced, s: Array) -> Candidate | None:
     best: Candidate | None = None
     for _, sign, start in found[: 3 if others else 1]:
         here = replace(term, sign=sign)
-        q, cost = _polish(lambda x, t=here, sg=sign: law(t.values(x), sg), here.inward(start), here)
+
+        def left(x: Array, here: Term = here, sign: int = sign) -> Array:
+            return law(here.values(x), sign)
+
+        q, cost = _polish(left, here.inward(start), here)
         cost = (cost + float(r.rest.sum())) / r.count
         if best is None or cost < best.cost:
             best = Candidate(here, q, cost)
