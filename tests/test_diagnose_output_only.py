@@ -9,6 +9,7 @@ import pytest
 
 from operando.data import ModalModel
 from operando.diagnose.diagnosis import diagnose
+from operando.diagnose.model import Model
 from operando.diagnose.output_only import candidate_effects, diagnose_output_only, judge_rows
 from operando.diagnose.output_only_fit import Prior, fit, jacobian
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Basis, action_of, solve
@@ -243,6 +244,23 @@ def test_the_document_is_plain_json_with_the_keys_of_the_contract():
     assert {"selection_misfit", "evidence"} <= set(document["candidates"][0])
     misfits = [row["selection_misfit"] for row in document["candidates"]]
     assert misfits == sorted(misfits)
+
+
+@pytest.mark.parametrize("truth", [TRUTHS[1], TRUTHS[5]], ids=["ground_spring", "gyroscopic"])
+def test_the_model_handed_on_predicts_the_running_structure(truth):
+    c = chain()
+    kind, places, size = truth
+    idle = idle_of(c)
+    found = diagnose_output_only(idle, running(c, truth), kinds=(kind,))
+    true = ModalModel(c.hz, c.zeta, c.phi[list(SENSORS)], DOFS, scaling="unit_modal_mass", residual=idle.residual)
+    hz = np.linspace(2.0, 1.05 * c.hz[IN_BAND - 1], 150)
+    exact = Model(true, (Effect(kind, places, {Effect(kind, places).names[0]: size}),)).frf(hz)
+    got, before = found.model.frf(hz), idle.frf(hz)
+    error = np.linalg.norm(got.data - exact.data) / np.linalg.norm(exact.data)
+    assert error < 0.15 * np.linalg.norm(before.data - exact.data) / np.linalg.norm(exact.data)
+    # Its own variance says how far off it is, to first order.
+    ratio = np.mean(np.abs(got.data - exact.data) ** 2 / got.variance)
+    assert 0.1 < ratio < 5
 
 
 def test_order_and_sense_of_sensors_do_not_matter():

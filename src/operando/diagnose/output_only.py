@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalModel
 from operando.diagnose.diagnosis import Diagnosis
+from operando.diagnose.model import Model, joint_covariance
 from operando.diagnose.output_only_fit import Fit, counts, fit, mean_square
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, action_of, solve
 from operando.diagnose.output_only_residuals import Target, compress, residuals, target_of, whiteners
@@ -339,8 +341,7 @@ def _diagnose(
             break
     full = current
     if current.actions:
-        rows = np.vstack([a.rows for a in current.actions])
-        full = fit(target, basis.touched(rows), current.actions, list(current.sizes), everything) or current
+        full = fit(target, basis, current.actions, list(current.sizes), everything) or current
     effects = tuple(effects_of(full))
     far = any(_far(one, other, geometry) for one, other in rivals)
     verdict = verdict_of([float(row["heldout_misfit"]) for row in ladder], bool(effects), far, further)
@@ -357,7 +358,20 @@ def _diagnose(
     decide = _propose(*rivals[0]) if rivals else None
     alike = tuple(other for _, other in rivals)
     notes = ("one third of the values (of each mode its frequency, damping or shape, in turn) judged and chose nothing",)
-    return Diagnosis(verdict, effects, alike, decide, tuple(ladder), candidates, where, None, ("operating_modes",), notes=notes, idle=idle)
+    return Diagnosis(
+        verdict,
+        effects,
+        alike,
+        decide,
+        tuple(ladder),
+        candidates,
+        where,
+        None,
+        ("operating_modes",),
+        notes=notes,
+        idle=idle,
+        model=_model(idle, basis, full, geometry),
+    )
 
 
 def effects_of(found: Fit) -> list[Effect]:
@@ -367,6 +381,20 @@ def effects_of(found: Fit) -> list[Effect]:
         effect = action.sized(float(size))
         out.append(effect.with_std({action.name: float(std)}) if np.isfinite(std) else effect)
     return out
+
+
+def _model(idle: ModalModel, basis: Basis, found: Fit, geometry: Geometry | None) -> Model:
+    """Idle model with the shapes at the effects' places moved, the effects, and the covariance of both."""
+    effects = tuple(effects_of(found))
+    if idle.covariance is None or not found.covariance.size:
+        return Model(idle, effects, geometry)
+    n, m = idle.n_modes, len(idle.dofs)
+    index = (2 * n + np.arange(n)[None, :] * m + found.prior.dofs[:, None]).ravel()
+    # Values of effects taken away are kept positive.
+    senses = np.r_[[e.sign for e in effects], np.ones(found.eta.size)]
+    posterior = found.covariance * senses[:, None] * senses
+    updated, joint = joint_covariance(idle, index, found.prior.root, posterior)
+    return Model(replace(updated, shapes=found.prior.shapes(basis, found.eta)), effects, geometry, joint)
 
 
 def _candidate(found: Fit, idle_selection: float) -> dict[str, Any]:

@@ -80,6 +80,10 @@ class Fit:
         From the Jacobian at the end, floating shapes included.
     eta : (q,) array
         Standardised moves of the floating idle shapes.
+    prior : Prior
+        Which idle shapes floated.
+    covariance : (k + q, k + q) array
+        Of sizes and moves, from the Jacobian at the end; empty where it was not asked for.
     residuals : (n, per_mode) array
         Compressed, standardised.
     selection : float
@@ -97,6 +101,8 @@ class Fit:
     sizes: Real
     std: Real
     eta: Real
+    prior: Prior
+    covariance: Real
     residuals: Real
     selection: float
     by_mode: Real
@@ -238,26 +244,28 @@ def fit(
         if gain < 1e-3 + 1e-6 * cost:
             break
     r = compress(raw)
+    covariance = np.zeros((0, 0))
     std, selection, by_mode = np.full(k, np.nan), mean_square(r, use), np.sum(np.where(use, r, 0.0) ** 2, axis=1)
     if folds and k:
         j = jacobian(target, basis, actions, sizes, prior, modes, index, white) * compress_slope(raw)[..., None]
-        std, by_mode = _left_out(r, j, use, eta, k)
+        covariance, by_mode = _left_out(r, j, use, eta, k)
+        std = np.sqrt(np.maximum(np.diag(covariance)[:k], 0))
         # What the floating shapes had to move is paid for: together both are the residual against the marginal covariance.
         by_mode = by_mode + float(eta @ eta) / len(r)
         selection = float(by_mode.sum() / max(counts(use).sum(), 1.0))
     misfit = mean_square(r, use) + float(eta @ eta) / float(max(counts(use).sum(), 1.0))
-    return Fit(actions, sizes, std, eta, r, selection, by_mode, misfit, modes, index)
+    return Fit(actions, sizes, std, eta, prior, covariance, r, selection, by_mode, misfit, modes, index)
 
 
 def _left_out(r: Real, j: Real, use: NDArray[np.bool_], eta: Real, k: int) -> tuple[Real, Real]:
-    """Standard deviations, and squared residuals of each mode predicted without its fold, to first order."""
+    """Covariance of sizes and moves, and squared residuals of each mode predicted without its fold, to first order."""
     q = eta.size
     prior = np.diag(np.r_[np.zeros(k), np.ones(q)])
     parts = [(j[i][use[i]], r[i][use[i]]) for i in range(len(r))]
     h_all = sum((a.T @ a for a, _ in parts), prior)
     g_all = sum((a.T @ b for a, b in parts), np.r_[np.zeros(k), eta])
     tiny = 1e-12 * np.diag(np.diag(h_all)) + 1e-300 * np.eye(k + q)
-    std = np.sqrt(np.maximum(np.diag(np.linalg.inv(h_all + tiny))[:k], 0))
+    covariance = np.asarray(np.linalg.inv(h_all + tiny), float)
     out = np.zeros(len(r))
     for fold in range(FOLDS):
         members = range(fold, len(r), FOLDS)
@@ -270,4 +278,4 @@ def _left_out(r: Real, j: Real, use: NDArray[np.bool_], eta: Real, k: int) -> tu
         for i in members:
             a, b = parts[i]
             out[i] = np.sum((b + a @ move) ** 2)
-    return std, out
+    return covariance, out
