@@ -125,15 +125,18 @@ def hide(
     references: tuple[int, ...],
     rng: np.random.Generator,
     base: Hidden | None = None,
+    *,
     most_db: float = DB_RANGE[1],
+    largest: float = np.inf,
 ) -> Hidden:
-    """One effect at a random place, its size drawn for a change of 0.5 to 6 dB of the FRFs."""
+    """One effect at a random place, its size drawn for a change of 0.5 to 6 dB of the FRFs, and at most ``largest``."""
     base = base or idle(structure)
     if kind in SENSOR:
         return _sensor_fault(kind, structure, references, rng, base)
     for _ in range(60):
         target = float(np.exp(rng.uniform(*np.log((DB_RANGE[0], most_db)))))
-        found = _sized(_maker(kind, structure, rng, base), structure, references, base, target)
+        make, low, high = _maker(kind, structure, rng, base)
+        found = _sized((make, low, min(high, largest)), structure, references, base, target)
         if found is not None:
             return found
     raise RuntimeError(f"no place for {kind} changes the FRFs by {DB_RANGE} dB")
@@ -400,6 +403,6 @@ def _sensor_fault(kind: str, structure: Structure, references: tuple[int, ...], 
         return with_effect([sensors[reference]], {"gain": gain}, force_gain={reference: gain})
     if kind == "force_delay":
         return with_effect([sensors[reference]], {"delay": delay}, force_delay={reference: delay})
-    heavy = hide("point_mass", structure, references, rng, base, most_db=1.5)
+    heavy = hide("point_mass", structure, references, rng, base, most_db=1.5, largest=1.5)
     effect = {**heavy.effects[-1], "kind": "sensor_mass"}
     return replace(base, check_system=heavy.system, effects=(*base.effects, effect))
