@@ -30,6 +30,9 @@ Array = NDArray[Any]
 
 MAX_EFFECTS = 3
 
+SWAPPED = 0.03
+"""What replaces an accepted effect must lower the selection misfit by more than this part."""
+
 WHERE_LINES = 600
 """Lines of a run on which failure by DOF and band is judged."""
 
@@ -216,6 +219,9 @@ def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | No
         # From here on the model's own variance is that of the model with this effect: a further one must beat that.
         here = problem.with_own(np.maximum(problem.own, model_variance(problem.idle, problem.arrays, problem.lines, fit)))
         before.append(here.misfit(SELECT, fit))
+    if len(history) > 1:
+        fits, history = swap(problem, fits, history)
+        fit = fits[-1]
     final = [problem.joint(f.terms, f.q, (FIT, SELECT), f) if f.terms else f for f in fits]
     effects = tuple(effects_of(final[-1]))
     rows = ladder(problem, final)
@@ -246,6 +252,48 @@ def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | No
         problem.idle,
         model_of(problem, final[-1], geometry),
     )
+
+
+def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Tried]]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
+    """Take each effect out in turn and look what fits best in its stead; then drop what no longer earns its place.
+
+    The first effect of several was found while the others were still missing, so it is the likeliest to be wrong.
+    """
+    best = problem.tried(fits[-1])
+    alternatives = {t.term.key: tried for t, tried in history}
+    changed = False
+    for _ in range(2):
+        moved = False
+        for k in range(len(best.fit.terms)):
+            rest = problem.joint([t for i, t in enumerate(best.fit.terms) if i != k], [v for i, v in enumerate(best.fit.q) if i != k])
+            tried, _ = step(problem, rest)
+            if tried and choose(tried).term.key != best.fit.terms[k].key and separates(choose(tried).selection, best.selection, SWAPPED):
+                best = choose(tried)
+                alternatives[best.term.key] = tried
+                moved = changed = True
+                break
+        if not moved:
+            break
+    for k in reversed(range(len(best.fit.terms))):
+        if len(best.fit.terms) < 2:
+            break
+        rest = problem.joint([t for i, t in enumerate(best.fit.terms) if i != k], [v for i, v in enumerate(best.fit.q) if i != k])
+        if not separates(best.selection, problem.misfit(SELECT, rest), EARNED):
+            best, changed = problem.tried(rest), True
+    if not changed:
+        return fits, history
+    # The ladder in the order in which each lowers the misfit most.
+    terms, q = list(best.fit.terms), list(best.fit.q)
+    ordered: list[Fit] = [problem.empty()]
+    told: list[tuple[Tried, list[Tried]]] = []
+    while terms:
+        options = [problem.joint([*ordered[-1].terms, t], [*ordered[-1].q, v]) for t, v in zip(terms, q, strict=True)]
+        k = int(np.argmin([problem.misfit(SELECT, f) for f in options]))
+        ordered.append(options[k])
+        one = problem.tried(options[k])
+        told.append((one, alternatives.get(one.term.key, [one]) if len(terms) == 1 else [one]))
+        del terms[k], q[k]
+    return ordered, told
 
 
 def earns(problem: Problem, fit: Fit, best: Tried) -> bool:

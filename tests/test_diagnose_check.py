@@ -1,0 +1,211 @@
+"""Diagnosis from check FRFs: a chain of masses whose running state hides a known effect, solved by its matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from operando.data import Frf, ModalModel
+from operando.diagnose import apply_effects, diagnose
+from operando.diagnose.predict import IdleArrays, Term, by_poles, by_shapes, predict
+from operando.diagnose.sets import FIT, JUDGE, SELECT, split_lines
+from operando.diagnose.verdict import verdict_of
+from operando.dof import Dof
+from operando.effects import Effect
+from operando.errors import MissingError
+from operando.results import CheckRun
+from structures import Chain
+
+N = 7
+HZ = np.arange(4.0, 150.0, 0.25)
+DOFS = tuple(Dof.parse(f"{i + 1}+Z") for i in range(N))
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return Chain(N)
+
+
+@pytest.fixture(scope="module")
+def idle(chain):
+    p = N * (2 + N)
+    std = np.r_[1e-6 * chain.hz, 1e-4 * chain.zeta, np.full(N * N, 1e-4)]
+    return ModalModel(chain.hz, chain.zeta, chain.phi, DOFS, scaling="unit_modal_mass", covariance=np.diag(std**2)[:p, :p])
+
+
+def running(chain, references, mass=None, damping=None, stiffness=None, seed=0, noise=2e-3):
+    """Check FRFs from M, C, K with changes added, and complex noise of known variance."""
+    damping_idle = chain.M @ chain.phi @ np.diag(2 * chain.zeta * 2 * np.pi * chain.hz) @ chain.phi.T @ chain.M
+    m, c, k = chain.M.copy(), damping_idle, chain.K.copy()
+    m = m if mass is None else m + mass
+    c = c if damping is None else c + damping
+    k = k if stiffness is None else k + stiffness
+    w = 2 * np.pi * HZ
+    h = np.array([-(x**2) * np.linalg.inv(k + 1j * x * c - x**2 * m)[:, references] for x in w])
+    h = np.moveaxis(h, 0, 2)
+    spread = noise * np.sqrt(np.mean(np.abs(h) ** 2, axis=2, keepdims=True))
+    rng = np.random.default_rng(seed)
+    data = h + spread * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    variance = np.broadcast_to(spread**2, h.shape).copy()
+    return CheckRun("check", "1 N rms", Frf(data, HZ, DOFS, tuple(DOFS[r] for r in references), variance=variance))
+
+
+def at(i, j=None):
+    b = np.zeros(N)
+    b[i] = 1
+    if j is not None:
+        b[j] = -1
+    return np.outer(b, b)
+
+
+def skew(i, j):
+    out = np.zeros((N, N))
+    out[i, j], out[j, i] = 1, -1
+    return out
+
+
+CASES = [
+    ("point_mass", ["5+Z"], dict(mass=0.15 * at(4)), "mass", 0.15),
+    ("ground_spring", ["3+Z"], dict(stiffness=2e4 * at(2)), "stiffness", 2e4),
+    ("ground_damper", ["6+Z"], dict(damping=15 * at(5)), "damping", 15.0),
+    ("coupling_spring", ["2+Z", "6+Z"], dict(stiffness=1.5e4 * at(1, 5)), "stiffness", 1.5e4),
+    ("gyroscopic", ["3+Z", "5+Z"], dict(damping=20 * skew(2, 4)), "coefficient", 20.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "place", "change", "name", "size"), CASES, ids=[c[0] for c in CASES])
+def test_kind_place_and_size(chain, idle, kind, place, change, name, size):
+    found = diagnose(idle, check=[running(chain, [0, 3], **change)])
+    assert found.verdict == "explained"
+    assert [e.kind for e in found.effects] == [kind]
+    assert [str(d) for d in found.effects[0].location] == place
+    assert found.effects[0].values[name] == pytest.approx(size, rel=0.01)
+    # The true size lies where the standard deviation says.
+    assert abs(found.effects[0].values[name] - size) < 5 * found.effects[0].std[name]
+    assert found.ladder[0]["heldout_misfit"] > 20
+    assert found.ladder[1]["heldout_misfit"] < 1.5
+    document = found.to_dict()
+    assert document["schema"] == "operando/diagnosis/1"
+    assert document["candidates"][0]["kind"] == kind
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_hidden(chain, idle, seed):
+    found = diagnose(idle, check=[running(chain, [0, 3], seed=seed)])
+    assert found.verdict == "no_misfit"
+    assert found.effects == ()
+    assert 0.8 < found.ladder[0]["heldout_misfit"] < 1.2
+
+
+def test_a_wrong_sensitivity_is_named_as_sensor(chain, idle):
+    run = running(chain, [0, 3])
+    data, variance = np.array(run.frf.data), np.array(run.frf.variance)
+    data[4] *= 1.2
+    variance[4] *= 1.2**2
+    found = diagnose(idle, check=[CheckRun("check", "", Frf(data, HZ, DOFS, run.frf.references, variance=variance))])
+    assert [(e.kind, str(e.location[0])) for e in found.effects] == [("sensor_gain", "5+Z")]
+    assert found.effects[0].values["gain"] == pytest.approx(1.2, rel=1e-3)
+
+
+def test_swapped_channels(chain, idle):
+    run = running(chain, [0, 3])
+    order = [0, 1, 5, 3, 4, 2, 6]
+    frf = Frf(run.frf.data[order], HZ, DOFS, run.frf.references, variance=run.frf.variance[order])
+    found = diagnose(idle, check=[CheckRun("check", "", frf)])
+    assert [(e.kind, {str(d) for d in e.location}) for e in found.effects] == [("channel_swap", {"3+Z", "6+Z"})]
+
+
+def test_two_effects(chain, idle):
+    found = diagnose(idle, check=[running(chain, [0, 3], mass=0.15 * at(4), damping=15 * at(1))])
+    assert {(e.kind, str(e.location[0])) for e in found.effects} == {("point_mass", "5+Z"), ("ground_damper", "2+Z")}
+    held = [row["heldout_misfit"] for row in found.ladder]
+    assert held == sorted(held, reverse=True)
+
+
+def test_runs_that_depend_on_level_are_not_explained(chain, idle):
+    low = running(chain, [0, 3])
+    high = running(chain, [0, 3], stiffness=2e4 * at(2), seed=1)
+    found = diagnose(idle, check=[CheckRun("low", "1 N rms", low.frf), CheckRun("high", "4 N rms", high.frf)])
+    assert found.verdict in ("partial", "unexplained")
+
+
+def test_wrong_effect_by_hand_is_said_to_be_wrong(chain, idle):
+    check = [running(chain, [0, 3], mass=0.15 * at(4))]
+    right = apply_effects(idle, ["point_mass@5+Z"], check=check)
+    wrong = apply_effects(idle, ["point_mass@2+Z"], check=check)
+    start = right.ladder[0]["heldout_misfit"]
+    assert right.effects[0].values["mass"] == pytest.approx(0.15, rel=0.01)
+    assert start - wrong.ladder[1]["heldout_misfit"] < 0.5 * (start - right.ladder[1]["heldout_misfit"])
+    assert any("point_mass@5+Z" in w for w in wrong.words)
+    assert not any("point_mass@2+Z" in w for w in right.words)
+
+
+def test_held_values_stay(chain, idle):
+    check = [running(chain, [0, 3], mass=0.15 * at(4))]
+    held = apply_effects(idle, ["point_mass@5+Z=mass:0.1"], check=check, refit=False)
+    assert held.effects[0].values["mass"] == 0.1
+
+
+def test_sets_are_contiguous_blocks_fixed_by_the_lines(chain, idle):
+    lines = split_lines([running(chain, [0, 3])], idle)
+    for group in (FIT, SELECT, JUDGE):
+        blocks = np.unique(lines.block[lines.group == group])
+        assert blocks.size == 6
+    # One block, one set.
+    assert all(np.unique(lines.group[lines.block == b]).size == 1 for b in range(18))
+    other = split_lines([running(chain, [0, 3], mass=0.15 * at(4), seed=3)], idle)
+    assert np.array_equal(lines.group, other.group)
+
+
+def test_derivatives_against_differences(chain, idle):
+    lines = split_lines([running(chain, [0, 3])], idle)
+    effect = Effect("gyroscopic", (DOFS[2], DOFS[4]), {"coefficient": 20.0})
+    term = Term.of(effect, idle, (4.0, 150.0))
+    q = [term.inward(effect.values)]
+    arrays = IdleArrays.of(idle)
+    p = predict(arrays, lines, [term], q)
+    by = by_shapes(p, lines, np.array([0, 2]), np.array([1, 3])).reshape(2, 2, *p.data.shape)
+    for a, d in enumerate((0, 2)):
+        for b, r in enumerate((1, 3)):
+            phi = np.array(idle.shapes)
+            phi[d, r] += 1e-6
+            moved = predict(arrays.with_phi(phi), lines, [term], q).data
+            assert np.allclose((moved - p.data) / 1e-6, by[a, b], rtol=1e-3, atol=1e-4 * np.abs(by[a, b]).max())
+    hz = by_poles(p, idle, lines)[0][2]
+    f = np.array(idle.frequencies_hz)
+    f[2] += 1e-6
+    other = IdleArrays.of(ModalModel(f, idle.damping_ratios, idle.shapes, DOFS, scaling="unit_modal_mass"))
+    moved = predict(other, lines, [term], q).data
+    assert np.allclose((moved - p.data) / 1e-6, hz, rtol=1e-3, atol=1e-3 * np.abs(hz).max())
+
+
+def test_model_of_the_diagnosis_predicts_the_running_structure(chain, idle):
+    found = diagnose(idle, check=[running(chain, [0, 3], stiffness=2e4 * at(2))])
+    exact = running(chain, list(range(N)), stiffness=2e4 * at(2), noise=0.0)
+    made = found.model.frf(HZ, DOFS, DOFS)
+    ratio = 20 * np.log10(np.abs(made.data) / np.abs(exact.frf.data))
+    assert np.median(np.abs(ratio)) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("judge", "accepted", "ambiguous", "further", "verdict"),
+    [
+        ([1.2], False, False, 1.0, "no_misfit"),
+        ([5.0], False, False, 1.0, "unexplained"),
+        ([50.0, 1.2], True, False, 1.0, "explained"),
+        ([50.0, 1.2], True, True, 1.0, "ambiguous"),
+        ([5000.0, 20.0], True, False, 0.9, "explained"),
+        ([5000.0, 20.0], True, False, 0.7, "partial"),
+        ([50.0, 6.0], True, False, 1.0, "partial"),
+        ([50.0, 20.0], True, False, 1.0, "unexplained"),
+    ],
+)
+def test_verdicts_of_the_contract(judge, accepted, ambiguous, further, verdict):
+    assert verdict_of(judge, accepted, ambiguous, further) == verdict
+
+
+def test_without_check_or_modes(idle):
+    with pytest.raises(MissingError):
+        diagnose(idle)
+    with pytest.raises(MissingError):
+        apply_effects(idle, ["point_mass@5+Z"], check=[])
