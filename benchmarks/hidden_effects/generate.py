@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from families import FAMILIES, Structure, draw
 from hidden import LINEAR, OUTSIDE, SENSOR, Hidden, change_db, hide, hide_between, idle
-from records import Logger, forced_run, geometry, operating_run
+from records import Logger, forced_run, geometry, operating_run, through_faults
 
 SPECIAL = ("none", "orders", "two", "unmeasured", "outside", "one_mode")
 KINDS = (*LINEAR, *SENSOR, *SPECIAL)
@@ -186,7 +186,7 @@ def answer(spec: Spec, known: Truth) -> dict:
     values, vectors = state.system.poles()
     operating = np.abs(values) / 2 / np.pi
     keep = np.flatnonzero(operating < 250)
-    shapes = state.rows @ vectors[:, keep]
+    shapes = np.array([through_faults(state, state.rows @ vectors[:, k], operating[k]) for k in keep]).T
     shapes /= np.linalg.norm(shapes, axis=0)
     return {
         "case": spec.name,

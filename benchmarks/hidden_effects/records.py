@@ -145,13 +145,13 @@ def operating_run(logger: Logger, state: Hidden, seconds: float, orders: tuple[t
             # The force is such that the order holds this share of the mean square of the channel that feels it most.
             amplitude = np.sqrt(share / np.max(np.abs(gain) ** 2 / 2 / power))
             phase = np.exp(2j * np.pi * (f * time + rng.uniform()))
-            waves.append(np.real(_through_faults(state, gain, f)[:, None] * amplitude * phase))
+            waves.append(np.real(through_faults(state, gain, f)[:, None] * amplitude * phase))
         acceleration = acceleration + sum(waves)
     return logger.run(acceleration, None, None, "running")
 
 
-def _through_faults(state: Hidden, gain: np.ndarray, hz: float) -> np.ndarray:
-    """The faults of the channels at one frequency."""
+def through_faults(state: Hidden, gain: np.ndarray, hz: float) -> np.ndarray:
+    """What the channels make of a vector of true accelerations at one frequency."""
     out = gain.astype(complex)
     for i, factor in state.gain.items():
         out[i] *= factor
