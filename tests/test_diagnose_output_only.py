@@ -151,6 +151,16 @@ def test_nothing_is_found_where_nothing_is_hidden():
         assert found.candidates
 
 
+def test_one_mode_cannot_tell_kinds_apart_and_says_so():
+    c = chain()
+    # A mode that the mass does move.
+    found = diagnose_output_only(idle_of(c), running(c, TRUTHS[0]).select_modes([2]))
+    assert found.verdict == "ambiguous"
+    assert len({e.kind for e in (*found.effects, *found.ambiguous_with)}) >= 2
+    assert "measure" in found.proposed_measurement
+    assert "too few" in found.notes[0]
+
+
 def test_two_effects_are_found_one_after_the_other():
     c = chain()
     more = chain()

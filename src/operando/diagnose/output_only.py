@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from operando.data import Geometry, ModalModel
 from operando.diagnose.diagnosis import Diagnosis
 from operando.diagnose.model import Model, joint_covariance
-from operando.diagnose.output_only_fit import Fit, counts, fit, mean_square
+from operando.diagnose.output_only_fit import FOLDS, Fit, counts, fit, mean_square
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, action_of, solve
 from operando.diagnose.output_only_residuals import Target, compress, residuals, target_of, whiteners
 from operando.diagnose.verdict import spacing, verdict_of
@@ -44,8 +44,13 @@ MOST_EFFECTS = 3
 
 
 def judge_rows(target: Target) -> NDArray[np.bool_]:
-    """Rows that judge: of each mode one of frequency, damping and shape, in turn; fixed by the order of the modes alone."""
+    """Rows that judge: of each mode one of frequency, damping and shape, in turn; fixed by the order of the modes alone.
+
+    With fewer than ``FOLDS`` modes nothing can be spared, and all rows are judged that were fitted.
+    """
     out = np.zeros((target.n, target.per_mode), bool)
+    if target.n < FOLDS:
+        return ~out
     for k in range(target.n):
         piece = k % 3
         out[k, (slice(2, None), slice(0, 1), slice(1, 2))[piece]] = True
@@ -309,7 +314,7 @@ def _diagnose(
 ) -> Diagnosis:
     target, basis = target_of(idle, operating), Basis.of(idle)
     judge = judge_rows(target)
-    use = ~judge
+    use = ~judge if target.n >= FOLDS else judge
     everything = np.ones_like(use)
     actions = [action_of(e, idle) for e in candidate_effects(idle, kinds, places)]
     current = fit(target, basis, (), (), use)
@@ -357,7 +362,9 @@ def _diagnose(
     where = {"by_dof": [], "by_band": [], "by_mode": list(by_mode)}
     decide = _propose(*rivals[0]) if rivals else None
     alike = tuple(other for _, other in rivals)
-    notes = ("one third of the values (of each mode its frequency, damping or shape, in turn) judged and chose nothing",)
+    spared = "one third of the values (of each mode its frequency, damping or shape, in turn) judged and chose nothing"
+    few = f"{target.n} operating modes are too few to set some apart: what judges was fitted"
+    notes = (spared if target.n >= FOLDS else few,)
     return Diagnosis(
         verdict,
         effects,

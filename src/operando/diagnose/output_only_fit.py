@@ -248,7 +248,9 @@ def fit(
     std, selection, by_mode = np.full(k, np.nan), mean_square(r, use), np.sum(np.where(use, r, 0.0) ** 2, axis=1)
     if folds and k:
         j = jacobian(target, basis, actions, sizes, prior, modes, index, white) * compress_slope(raw)[..., None]
-        covariance, by_mode = _left_out(r, j, use, eta, k)
+        covariance, left_out = _left_out(r, j, use, eta, k)
+        # Too few modes to leave one out: what is left has to say it.
+        by_mode = left_out if len(r) >= FOLDS else by_mode
         std = np.sqrt(np.maximum(np.diag(covariance)[:k], 0))
         # What the floating shapes had to move is paid for: together both are the residual against the marginal covariance.
         by_mode = by_mode + float(eta @ eta) / len(r)
