@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from operando.data import Geometry, ModalModel
 from operando.diagnose.model import Model
 from operando.diagnose.refit import Fit
+from operando.dof import Dof
 from operando.effects import Effect
 
 if TYPE_CHECKING:
@@ -19,12 +21,12 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-def effects_of(fit: Fit) -> list[Effect]:
-    """The fitted terms as effects with values and standard deviations."""
+def effects_of(fit: Fit, dofs: Sequence[Dof] = ()) -> list[Effect]:
+    """The fitted terms as effects with values and standard deviations; an added mode's shape needs the idle model's DOFs."""
     out = []
     for term, q, spread in zip(fit.terms, fit.q, fit.std, strict=True):
         values = term.values(q)
-        values.pop("shape", None)
+        shape = values.pop("shape", None)
         std = {
             name: float(abs(term.kind.parameter(name).slope(float(values[name])) * s)) for name, s in zip(term.moving, spread, strict=False)
         }
@@ -37,6 +39,7 @@ def effects_of(fit: Fit) -> list[Effect]:
                 term.position,
                 term.direction or "",
                 term.sign < 0,
+                None if shape is None or not dofs else {str(d): float(v) for d, v in zip(dofs, shape, strict=True)},
                 fixed=tuple(term.fixed),
                 band_hz=term.band_hz,
             )
@@ -61,7 +64,7 @@ def given_shapes(idle: ModalModel, fit: Fit) -> tuple[Array, Array]:
 def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Model:
     """Idle model with the refitted shape values, the effects, and one covariance of all."""
     idle = problem.idle
-    effects = tuple(effects_of(fit))
+    effects = tuple(effects_of(fit, idle.dofs))
     updated = replace(idle, shapes=fit.phi)
     if idle.covariance is None or not fit.covariance.size:
         return Model(updated, effects, geometry)
