@@ -120,7 +120,7 @@ def main() -> None:
     parser.add_argument("--fresh", action="store_true", help="run finished cases again")
     parser.add_argument("--library", action="store_true", help="where the run leaves no diagnosis, ask the Python interface for one")
     parser.add_argument("--operando", default=str(Path(sys.executable).with_name("operando")), help="the command to run")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     specs = [parse(name) for name in options.names] or [
         s for s in plan(options.plan or "short") if not options.only or options.only in s.name
     ]
