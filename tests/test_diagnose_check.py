@@ -65,11 +65,11 @@ def skew(i, j):
 
 
 CASES = [
-    ("point_mass", ["5+Z"], dict(mass=0.15 * at(4)), "mass", 0.15),
-    ("ground_spring", ["3+Z"], dict(stiffness=2e4 * at(2)), "stiffness", 2e4),
-    ("ground_damper", ["6+Z"], dict(damping=15 * at(5)), "damping", 15.0),
-    ("coupling_spring", ["2+Z", "6+Z"], dict(stiffness=1.5e4 * at(1, 5)), "stiffness", 1.5e4),
-    ("gyroscopic", ["3+Z", "5+Z"], dict(damping=20 * skew(2, 4)), "coefficient", 20.0),
+    ("point_mass", ["5+Z"], {"mass": 0.15 * at(4)}, "mass", 0.15),
+    ("ground_spring", ["3+Z"], {"stiffness": 2e4 * at(2)}, "stiffness", 2e4),
+    ("ground_damper", ["6+Z"], {"damping": 15 * at(5)}, "damping", 15.0),
+    ("coupling_spring", ["2+Z", "6+Z"], {"stiffness": 1.5e4 * at(1, 5)}, "stiffness", 1.5e4),
+    ("gyroscopic", ["3+Z", "5+Z"], {"damping": 20 * skew(2, 4)}, "coefficient", 20.0),
 ]
 
 

@@ -193,35 +193,14 @@ def idle_variance(idle: ModalModel, lines: CheckLines) -> Array:
 
 
 def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | None, band: tuple[float, float] | None) -> Diagnosis:
-    fit = problem.empty()
-    here = problem
-    before = [problem.misfit(SELECT, fit)]
-    fits: list[Fit] = [fit]
-    history: list[tuple[Tried, list[Tried]]] = []
-    last: list[Tried] = []
-    further = 1.0
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
-    while len(fit.terms) < (MAX_EFFECTS if one_system else 1):
-        if fit.terms and before[-1] < DONE:
-            break
-        tried, _ = step(here, fit)
-        last = tried
-        if not tried:
-            break
-        best = choose(tried)
-        further = best.selection / before[-1]
-        if not separates(best.selection, before[-1], EARNED) or not earns(here, fit, best):
-            further = max(further, 1 - EARNED)
-            break
-        history.append((best, tried))
-        fit, further = best.fit, 1.0
-        fits.append(fit)
-        # From here on the model's own variance is that of the model with this effect: a further one must beat that.
-        here = problem.with_own(np.maximum(problem.own, model_variance(problem.idle, problem.arrays, problem.lines, fit)))
-        before.append(here.misfit(SELECT, fit))
-    if len(history) > 1:
-        fits, history = swap(problem, fits, history)
-        fit = fits[-1]
+    search = greedy(problem, problem.empty(), MAX_EFFECTS if one_system else 1)
+    if len(search.history) > 1:
+        search = from_each(problem, search)
+        fits, history = swap(problem, search.fits, search.history)
+    else:
+        fits, history = search.fits, search.history
+    before, last, further = search.before, search.last, search.further
     final = [problem.joint(f.terms, f.q, (FIT, SELECT), f) if f.terms else f for f in fits]
     effects = tuple(effects_of(final[-1]))
     rows = ladder(problem, final)
@@ -252,6 +231,81 @@ def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | No
         problem.idle,
         model_of(problem, final[-1], geometry),
     )
+
+
+@dataclass
+class Search:
+    """Effects accepted one after the other.
+
+    Parameters
+    ----------
+    fits : list of Fit
+        The start, then one a step.
+    history : list
+        Accepted candidate and all tried, a step each.
+    before : list of float
+        Selection misfit before each step and after the last, by the variance of the model then.
+    last : list of Tried
+        Candidates of the last step tried.
+    further : float
+        Selection misfit with the best further candidate over that without it.
+    """
+
+    fits: list[Fit]
+    history: list[tuple[Tried, list[Tried]]]
+    before: list[float]
+    last: list[Tried] = field(default_factory=list)
+    further: float = 1.0
+
+
+def allowing(problem: Problem, fit: Fit) -> Problem:
+    """The problem with the own variance of the model with these effects: a further one must beat that."""
+    own = model_variance(problem.idle, problem.arrays, problem.lines, fit)
+    return problem.with_own(np.maximum(problem.own, own))
+
+
+def greedy(problem: Problem, start: Fit, most: int) -> Search:
+    """Add the best effect as long as each earns its place."""
+    fit, here = start, problem
+    if fit.terms:
+        here = allowing(problem, fit)
+    found = Search([fit], [], [here.misfit(SELECT, fit)])
+    while len(fit.terms) < most:
+        if fit.terms and found.before[-1] < DONE:
+            break
+        tried, _ = step(here, fit)
+        found.last = tried
+        if not tried:
+            break
+        best = choose(tried)
+        found.further = best.selection / found.before[-1]
+        if not separates(best.selection, found.before[-1], EARNED) or not earns(here, fit, best):
+            found.further = max(found.further, 1 - EARNED)
+            break
+        found.history.append((best, tried))
+        fit, found.further = best.fit, 1.0
+        found.fits.append(fit)
+        here = allowing(problem, fit)
+        found.before.append(here.misfit(SELECT, fit))
+    return found
+
+
+def from_each(problem: Problem, found: Search) -> Search:
+    """Search again from each later effect by itself.
+
+    The first place goes to the candidate that mends most while everything else is missing; it may only have stood in for others.
+    """
+    best, then = found, problem.misfit(SELECT, found.fits[-1])
+    last = found.fits[-1]
+    for term, q in zip(last.terms[1:], last.q[1:], strict=True):
+        first = problem.tried(problem.joint([term], [q]))
+        again = greedy(problem, first.fit, MAX_EFFECTS)
+        now = problem.misfit(SELECT, again.fits[-1])
+        if separates(now, then, SWAPPED):
+            then = now
+            history = [(first, [first]), *again.history]
+            best = Search([problem.empty(), *again.fits], history, [found.before[0], *again.before], again.last, again.further)
+    return best
 
 
 def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Tried]]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
@@ -298,6 +352,10 @@ def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Trie
 
 def earns(problem: Problem, fit: Fit, best: Tried) -> bool:
     """Whether the effect itself lowers the misfit, and not the shape values that were freed with it."""
+    # The same shapes and other effects without this one: if that is as good, the shapes did it.
+    without = Fit(best.fit.terms[:-1], best.fit.q[:-1], best.fit.phi, best.fit.prior)
+    if not separates(best.selection, problem.misfit(SELECT, without), EARNED):
+        return False
     if best.selection < 0.5 * problem.misfit(SELECT, fit):
         return True
     from operando.diagnose.refit import effect_dofs, refit, shape_prior
