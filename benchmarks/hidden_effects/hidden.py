@@ -18,7 +18,7 @@ TWO_PLACES = ("coupling_spring", "coupling_damper", "gyroscopic", "circulatory")
 GLOBAL = ("global_stiffness", "global_damping", "missing_mode")
 LINEAR = ONE_PLACE + TWO_PLACES + GLOBAL
 SENSOR = ("sensor_gain", "sensor_polarity", "sensor_delay", "channel_swap", "sensor_mass", "force_gain", "force_delay")
-OUTSIDE = ("distributed_support", "two_stage_absorber", "added_inertia")
+OUTSIDE = ("distributed_support", "inerter", "added_inertia")
 UNITS = {
     "mass": "kg", "stiffness": "N/m", "damping": "N·s/m", "loss_factor": "", "exponent": "", "frequency": "Hz", "damping_ratio": "",
     "change": "", "gain": "", "delay": "s",
@@ -302,19 +302,11 @@ def _maker(kind: str, structure: Structure, rng: np.random.Generator, base: Hidd
             return state(changed, [], {"stiffness": k})
 
         return bedded, 1e-5 * typical_mass * centre**2, typical_mass * centre**2
-    if kind == "two_stage_absorber":
-        hz1, hz2 = sorted(rng.uniform(low_hz + 0.2 * (high_hz - low_hz), high_hz, 2))
+    if kind == "inerter":  # f = m·(a₁ − a₂) between two places: the catalogue has no such coupling
         j = int(rng.choice([k for k in free if k != i]))
-        stages = [(1.0, hz1, rng.uniform(0.01, 0.05)), (rng.uniform(0.5, 1.5), hz2, rng.uniform(0.01, 0.05))]
-
-        def staged(m: float) -> Hidden:
-            first = _absorber(base, structure, sensors[i], b, [(m * stages[0][0], *stages[0][1:])], kind)
-            second_row = np.append(rows[j], 0.0)
-            both = _absorber(first, structure, sensors[j], second_row, [(m * stages[1][0], *stages[1][1:])], kind)
-            merged = _effect(kind, [sensors[i], sensors[j]], {"mass": m})
-            return replace(both, effects=(*base.effects, merged))
-
-        return staged, 1e-4 * typical_mass, typical_mass
+        d = np.outer(b - rows[j], b - rows[j])
+        ends = [sensors[i], sensors[j]]
+        return lambda m: state(replace(system, mass=system.mass + m * d), ends, {"mass": m}), 1e-4 * typical_mass, typical_mass
     if kind == "added_inertia":
         node = sensors[i].node
         turns = structure.turning[node]
