@@ -31,7 +31,22 @@ def test_each_help_has_an_example_and_the_json_option(command):
 def test_commands_of_the_contract_are_there():
     done = call("--help")
     assert done.exit_code == 0
-    assert list(COMMANDS) == ["demo", "init", "inspect", "run", "frf", "ema", "oma", "ofrf", "compare", "convert", "report"]
+    assert list(COMMANDS) == [
+        "demo",
+        "init",
+        "inspect",
+        "run",
+        "frf",
+        "ema",
+        "oma",
+        "ofrf",
+        "compare",
+        "diagnose",
+        "add",
+        "remove",
+        "convert",
+        "report",
+    ]
     assert all(name in done.output for name in COMMANDS)
 
 

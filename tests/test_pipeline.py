@@ -25,6 +25,9 @@ CONTRACT_FILES = {
     "idle_modes.uff",
     "operating_modes.uff",
     "ofrf.uff",
+    "ofrf_effect.uff",
+    "diagnosis.json",
+    "ladder.json",
     "model.h5",
 }
 
@@ -72,7 +75,7 @@ def strict(path):
 def test_results_folder_is_that_of_the_contract(finished):
     _, out, results = finished
     assert {p.name for p in out.iterdir() if not p.name.startswith(".")} == CONTRACT_FILES
-    assert results.left_out == {"diagnose": "not built yet"}
+    assert results.left_out == {}
     summary = strict(out / "summary.json")
     assert summary["schema"] == "operando/summary/1"
     assert {"test", "settings", "findings", "idle", "operating", "pairing", "scaling"} <= set(summary)
@@ -85,7 +88,7 @@ def test_results_folder_is_that_of_the_contract(finished):
     assert {"method", "reason", "threshold", "kappa", "outside_span", "residuals", "alternatives"} <= set(summary["scaling"])
     comparison = strict(out / "comparison.json")
     assert comparison["schema"] == "operando/comparison/1"
-    assert set(comparison["models"]) == {"idle", "idle_shapes", "msf_all", "ofrf"}
+    assert set(comparison["models"]) == {"idle", "idle_shapes", "msf_all", "ofrf", "effect"}
     assert comparison["settings"] == summary["settings"]
 
 
@@ -129,7 +132,7 @@ def test_a_setting_reruns_only_what_depends_on_it(again):
     path, out = again
     messages = []
     results = run(load_test(path).with_analysis(threshold=0.9), out, progress=log(messages))
-    assert set(computed(messages)) == {"ofrf", "compare", "report"}
+    assert set(computed(messages)) == {"ofrf", "compare", "diagnose", "report"}
     assert results.hybrid.threshold == 0.9
     assert strict(out / "summary.json")["settings"]["threshold"] == 0.9
 
@@ -142,7 +145,7 @@ def test_a_changed_file_reruns_what_reads_it(again):
     write_uff(path.parent / "check/run1b.uff", measurements.record(chain, [0], 2.0, 55, "run1b"))
     messages = []
     run(path, out, progress=log(messages))
-    assert set(computed(messages)) == {"inspect", "compare", "report"}
+    assert set(computed(messages)) == {"inspect", "compare", "diagnose", "report"}
     # a touched file of the same content is the same file
     os.utime(path.parent / "idle/run1.uff")
     messages.clear()
@@ -259,7 +262,7 @@ def test_a_fault_in_one_stage_is_a_finding_with_a_log(again, monkeypatch):
     results = run(load_test(path).with_analysis(threshold=0.8), out)
     assert results.left_out["ofrf"].startswith("failed: unexpected ZeroDivisionError")
     assert results.comparison is not None
-    assert set(results.comparison["models"]) == {"idle"}
+    assert set(results.comparison["models"]) - {"effect"} == {"idle"}
     assert not (out / "ofrf.uff").exists()
     assert "sum of nothing" in (out / "errors.log").read_text()
 
@@ -286,3 +289,40 @@ def test_wrong_calls_are_refused(finished, tmp_path):
         run(path, tmp_path / "file")
     assert STAGES[-1] == "report"
     assert issubclass(IdentificationError, operando.OperandoError)
+
+
+def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
+    """The whole story from the command line: named, taken back, a wrong one added and called wrong, the right one suggested."""
+    from click.testing import CliRunner
+
+    from operando.cli import main
+
+    _, out, _ = finished
+    folder = tmp_path / "out"
+    shutil.copytree(out, folder)
+
+    def call(*words):
+        done = CliRunner().invoke(main, [*words, "--json"])
+        assert done.exit_code == 0, done.output
+        return json.loads(done.stdout)
+
+    found = call("diagnose", str(folder))
+    assert found["schema"] == "operando/diagnosis/1"
+    assert found["verdict"] in ("explained", "ambiguous")
+    right = found["effects"][0]
+    # The running chain keeps its modal damping ratios although the spring stiffens it: a little damping comes with the spring.
+    assert right["kind"] in ("ground_spring", "ground_hysteretic_spring")
+    assert right["location"] == ["3+Z"]
+    assert strict(folder / "ladder.json") == found["ladder"]
+    before, after = (row["heldout_misfit"] for row in found["ladder"][:2])
+    assert after < 0.1 * before
+    assert len(call("remove", str(folder), "1")["ladder"]) == 1
+    wrong = call("add", str(folder), "point_mass@1+Z=mass:0.01")
+    assert before - wrong["ladder"][1]["heldout_misfit"] < 0.5 * (before - after)
+    assert any("data" in word or "misfit remains" in word or "worse" in word for word in wrong["words"])
+    call("remove", str(folder), "1")
+    again = call("add", str(folder), "--suggested")
+    assert [e["kind"] for e in again["effects"]] == [e["kind"] for e in found["effects"]]
+    refused = CliRunner().invoke(main, ["remove", str(folder), "9", "--json"])
+    assert refused.exit_code == 1
+    assert json.loads(refused.stdout)["schema"] == "operando/error/1"

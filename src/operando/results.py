@@ -41,7 +41,12 @@ class Results:
     comparison : dict or None
         ``comparison.json``.
     diagnosis : dict or None
-        ``diagnosis.json`` (later).
+        ``diagnosis.json``.
+    effect_idle : ModalModel or None
+        The idle model as the diagnosis left it (shapes at the effects' places refitted); with the accepted effects it is the second
+        route to the operational FRFs.
+    effect_covariance : array or None
+        Joint covariance of that idle model and the effects' values (see ``operando.diagnose.Model``).
     left_out : dict
         Stage name → reason why it was left out.
     timings_s : dict
@@ -62,3 +67,5 @@ class Results:
     diagnosis: dict[str, Any] | None = None
     left_out: dict[str, str] = field(default_factory=dict)
     timings_s: dict[str, float] = field(default_factory=dict)
+    effect_idle: ModalModel | None = None
+    effect_covariance: Any = None

@@ -21,6 +21,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "oma": ("stages", "A test up to the operational modes."),
     "ofrf": ("ofrf", "Operational FRFs of any pair of DOFs."),
     "compare": ("compare", "Any model against any measurement."),
+    "diagnose": ("diagnose", "Where the idle model fails in operation, and which effect is missing."),
+    "add": ("add", "Add effects to the idle model and see the error before and after."),
+    "remove": ("remove", "Take an added effect back."),
     "convert": ("convert", "Convert between file formats."),
     "report": ("report", "Rebuild report.html of a results folder."),
 }

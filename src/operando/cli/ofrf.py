@@ -48,30 +48,35 @@ def ofrf(
 
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
-    results = load_results(folder, only=("hybrid", "idle_frf", "left_out", "settings"))
-    if route == "effect":
-        raise MissingError(
-            "there is no model with accepted effects", where=folder, hint="use --route hybrid; the diagnosis makes the effect route"
-        )
-    if results.hybrid is None:
+    names = ("idle_frf", "left_out", "settings", "geometry")
+    more = ("idle", "diagnosis", "effect_idle", "effect_covariance") if route == "effect" else ("hybrid",)
+    results = load_results(folder, only=(*names, *more))
+    if route == "hybrid" and results.hybrid is None:
         reason = results.left_out.get("ofrf", "the run ended before it")
         raise MissingError(f"there are no operational FRFs: {reason}", where=folder, hint="run `operando run test.toml` to the stage ofrf")
     if lines is None:
         from operando.pipeline.outputs import ofrf_lines
 
         lines = ofrf_lines(results)
-    frf = results.hybrid.frf(np.asarray(lines, float), wanted, driven, quantity)
-    document = {
+    if route == "effect":
+        from operando.pipeline.outputs import effect_model
+
+        model: Any = effect_model(results)
+        method, own = "idle model + " + (", ".join(str(e) for e in model.effects) or "no effect"), ()
+    else:
+        model, method, own = results.hybrid, results.hybrid.method, results.hybrid.findings
+    frf = model.frf(np.asarray(lines, float), wanted, driven, quantity)
+    document: dict[str, Any] = {
         "schema": "operando/ofrf/1",
         "route": route,
-        "method": results.hybrid.method,
+        "method": method,
         "settings": results.settings,
         "responses": [str(d) for d in frf.responses],
         "references": [str(d) for d in frf.references],
         "quantity": quantity,
         "unit": UNITS[quantity],
         "file": output,
-        "findings": [f.to_dict() for f in (*results.hybrid.findings, *frf.findings)],
+        "findings": [f.to_dict() for f in (*own, *frf.findings)],
     }
     if output is not None:
         write_frf(frf, Path(output))
@@ -80,7 +85,7 @@ def ofrf(
     else:
         data = np.stack([frf.data.real, frf.data.imag], axis=-1)
         document |= {"frequencies_hz": frf.frequencies_hz, "data": data, "std": None if frf.variance is None else np.sqrt(frf.variance)}
-    return Answer(document, _text(frf, results.hybrid.method, output))
+    return Answer(document, _text(frf, method, output))
 
 
 def _dofs(text: str | None, option: str) -> Any:

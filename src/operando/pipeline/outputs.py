@@ -17,6 +17,7 @@ OUTPUTS = {
     "oma": ("operating_modes.uff",),
     "ofrf": ("ofrf.uff",),
     "compare": ("comparison.json",),
+    "diagnose": ("diagnosis.json", "ladder.json", "comparison.json", "ofrf_effect.uff"),
 }
 """Stage → files it makes."""
 
@@ -27,7 +28,12 @@ MAX_BYTES = 1_000_000_000
 def write_output(name: str, out: Path, results: Results) -> list[Finding]:
     """Write one file of the results folder, whole or not at all; returns what there is to say about it."""
     if name == "comparison.json":
-        write_json(out / name, results.comparison or {})
+        if results.comparison is not None:
+            write_json(out / name, results.comparison)
+        return []
+    if name in ("diagnosis.json", "ladder.json"):
+        document = results.diagnosis or {}
+        write_json(out / name, document if name == "diagnosis.json" else document.get("ladder", []))
         return []
     from operando.io import write_uff
 
@@ -40,9 +46,28 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
         objects = [results.geometry, None if model is None else proper_modes(model)]
     elif name == "ofrf.uff":
         objects = [ofrf(results, findings)]
+    elif name == "ofrf_effect.uff":
+        objects = [effect_model(results).frf(ofrf_lines(results), None, None, "accelerance", variance=False)]
     with whole(out / name) as beside:
         write_uff(beside, *(o for o in objects if o is not None))
     return findings
+
+
+def effect_model(results: Results) -> Any:
+    """The second route to the operational FRFs: the idle model with the accepted effects, channel faults left out.
+
+    Raises
+    ------
+    MissingError
+        If there is no diagnosis.
+    """
+    from operando.diagnose import Model
+    from operando.effects import Effect
+
+    if results.diagnosis is None or results.idle is None:
+        raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
+    effects = tuple(Effect.from_dict(e) for e in results.diagnosis["effects"])
+    return Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance).structure()
 
 
 def proper_modes(model: ModalModel) -> ModalModel:

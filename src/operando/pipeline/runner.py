@@ -23,8 +23,6 @@ from operando.results import Results
 STAGES = ("inspect", "frf", "ema", "oma", "ofrf", "compare", "diagnose", "report")
 """Stages of the contract, in order."""
 
-NOT_BUILT = {"diagnose": "not built yet"}
-
 Progress = Callable[[str, str], None]
 
 
@@ -124,10 +122,6 @@ class _Run:
         for stage in STEPS:
             self.keys[stage.name] = self._key(stage)
             self._step(stage, asked=STAGES.index(stage.part_of) < last)
-        for name, reason in NOT_BUILT.items():
-            if STAGES.index(name) < last:
-                self.results.left_out[name] = reason
-                self.progress(name, f"left out: {reason}")
         self._gather_findings()
         if last == len(STAGES):
             self._report()
@@ -195,7 +189,7 @@ class _Run:
 
     def _upstream_missing(self, stage: Stage) -> str | None:
         # the comparison judges whatever model there is
-        needed = ("ema", "check") if stage.name == "compare" else stage.upstream
+        needed = {"compare": ("ema", "check"), "diagnose": ("ema",)}.get(stage.name, stage.upstream)
         missing = [name for name in needed if name not in self.done]
         words = {"frf": "idle FRFs", "ema": "idle modes", "oma": "operational modes", "ofrf": "scaled modes", "check": "check FRFs"}
         return f"it needs the {' and the '.join(words[m] for m in missing)}" if missing else None

@@ -255,6 +255,55 @@ def comparison(work: Work) -> dict[str, Any]:
     return {"comparison": document | {"settings": results.settings}, "findings": findings}
 
 
+def missing_physics(work: Work) -> dict[str, Any]:
+    """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
+    from operando.compare import compare_all
+    from operando.diagnose import Model, diagnose
+
+    results = work.results
+    idle = _needed(results.idle, "idle modes")
+    if idle.scaling != "unit_modal_mass" or not idle.si:
+        raise Lacking("the idle modes have no scale, so no effect has a size", hint="give the units the files do not state in [units]")
+    runs = [replace(run, frf=without_bands(run.frf, work.analysis.exclude_bands)) for run in results.check]
+    if not runs and results.operating is None:
+        raise Lacking("there are neither check FRFs nor operational modes")
+    found = diagnose(
+        idle,
+        check=runs,
+        operating=results.operating,
+        geometry=results.geometry,
+        hybrid=results.hybrid,
+        kinds=work.analysis.kinds or None,
+        places=work.analysis.places or None,
+        band=analysis_band(work),
+        progress=work.say,
+    )
+    document = found.to_dict()
+    comparison = results.comparison
+    model = found.model or Model(idle, tuple(found.effects), results.geometry)
+    if runs and comparison is not None and found.effects:
+        bare = Model(replace(model.idle, covariance=None, std=None), model.effects, results.geometry)
+        comparison = with_effect(comparison, compare_all({"idle": idle, "effect": bare}, runs, band_hz=analysis_band(work)))
+    return {
+        "diagnosis": document,
+        "comparison": comparison,
+        "effect_idle": model.idle,
+        "effect_covariance": model.covariance,
+        "findings": [],
+    }
+
+
+def with_effect(comparison: dict[str, Any], judged: dict[str, Any]) -> dict[str, Any]:
+    """``comparison.json`` with the model ``effect`` of another comparison on the same runs."""
+    by_run = []
+    for old, new in zip(comparison.get("by_run", []), judged.get("by_run", []), strict=False):
+        by_run.append(old | {"models": old.get("models", {}) | {"effect": new["models"]["effect"]}} if "models" in old else old)
+    return comparison | {
+        "models": comparison["models"] | {"effect": judged["models"]["effect"]},
+        "by_run": by_run or comparison.get("by_run", []),
+    }
+
+
 def without_bands(frf: Frf, bands: Sequence[tuple[float, float]]) -> Frf:
     """The FRFs without the lines inside the bands."""
     keep = np.ones(len(frf.axis), bool)
@@ -293,6 +342,11 @@ def no_check(test: Test) -> str | None:
     return no_idle(test) or (None if test.check else "the test has no [check] measurement")
 
 
+def no_evidence(test: Test) -> str | None:
+    """Why the diagnosis is left out."""
+    return no_idle(test) or (None if test.check or test.operating else "the test has neither [check] nor [operating] measurements")
+
+
 READING = ("data", "io", "quality", "dof", "units", "pipeline/inputs", "pipeline/stages")
 ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits")
 
@@ -325,6 +379,16 @@ STEPS: tuple[Stage, ...] = (
         ("ema", "ofrf", "check"),
         ("compare", "scaling", "pipeline/stages"),
         ("band", "threshold", "exclude_bands"),
+        optional=True,
+    ),
+    Stage(
+        "diagnose",
+        "diagnose",
+        missing_physics,
+        no_evidence,
+        ("ema", "oma", "ofrf", "check", "compare"),
+        ("diagnose", "effects", "compare", "pipeline/stages"),
+        ("band", "exclude_bands", "kinds", "places"),
         optional=True,
     ),
 )

@@ -1,0 +1,33 @@
+"""``operando add``."""
+
+from __future__ import annotations
+
+import click
+
+from operando.cli.answer import Answer, answers
+
+
+@click.command("add", epilog="Example: operando add pump-results point_mass@272+Z=mass:0.2")
+@click.argument("folder", metavar="DIR", type=click.Path())
+@click.argument("effects", metavar="EFFECT", nargs=-1)
+@click.option("--suggested", is_flag=True, help="Add what the diagnosis accepts, in its order.")
+@click.option("--fix", is_flag=True, help="Hold the values given instead of fitting them.")
+@answers
+def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> Answer:
+    """Add effects to the idle model, refit all of them, and print the error before and after on lines the fit has not seen.
+
+    EFFECT is KIND[@PLACE][=name:value,...], PLACE is DOF, DOF,DOF or x,y,z:+Z (m); values are starting values.
+    """
+    if bool(effects) == suggested:
+        raise click.UsageError("name effects to add, or --suggested")
+    from operando.cli.ladder import change, present, suggestion
+    from operando.effects import parse_effect
+
+    state = present(folder)
+    band = state.idle.band_hz if state.idle is not None else None
+    if suggested:
+        return change(folder, state, suggestion(folder, state))
+    new = [parse_effect(text, band, fixed=fix) for text in effects]
+    from operando.cli.ladder import accepted
+
+    return change(folder, state, [*accepted(state), *new])
