@@ -24,8 +24,8 @@ from operando.results import CheckRun
 
 Array = NDArray[Any]
 
-CONVINCING = 0.9
-"""An added effect whose judge misfit falls by less than this part is held against the best candidate of its step."""
+ENOUGH = 1.5
+"""A judge misfit above this after an effect was added is held against the best candidate of its step."""
 
 LITTLE = 0.1
 """One that lowers it by less than this part has no support in the data."""
@@ -114,8 +114,7 @@ def apply_effects(
         rows = ladder(problem, fits)
         for k, fit in enumerate(fits[1:], 1):
             words.append(_words(effects_of(fit)[-1], rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]))
-            fall = 1 - rows[k]["heldout_misfit"] / rows[k - 1]["heldout_misfit"]
-            if fall < CONVINCING and rows[k - 1]["heldout_misfit"] > 1.5:
+            if rows[k]["heldout_misfit"] > ENOUGH and rows[k - 1]["heldout_misfit"] > ENOUGH:
                 tried, _ = step(problem, fits[k - 1])
                 if tried:
                     best = problem.joint(choose(tried).fit.terms, choose(tried).fit.q, (FIT, SELECT))
