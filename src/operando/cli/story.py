@@ -77,6 +77,10 @@ def run_text(results: Results, out: Path) -> str:
         parts.append(f"Idle modes ({_scaling(results.idle)}):\n" + mode_table(results.idle))
     if results.operating is not None:
         parts.append("Operational modes:\n" + mode_table(results.operating, results.hybrid))
+    if results.diagnosis is not None:
+        from operando.cli.diagnose import text_of
+
+        parts.append("What is missing in the idle model - " + text_of(results.name, results.diagnosis))
     parts.append(findings_text(results))
     left = [f"  {stage}: {reason}" for stage, reason in results.left_out.items()]
     if left:
