@@ -213,5 +213,5 @@ def test_second_opinion_beside_it(fitted):
     os.environ.setdefault("MPLBACKEND", "Agg")
     _, _, frf, _ = fitted
     model = fit_ema(frf.band(5, 150), band=(10, 140), second_opinion=True)
-    assert len(model.details.second_opinion) == 2 * 6 or len(model.details.second_opinion) > 0
+    assert len(model.details.second_opinion) >= 2 * 6
     assert any(o["agrees"] for o in model.details.second_opinion)
