@@ -14,11 +14,15 @@ from operando.compare.comparison import lowest_level
 from operando.data import Finding, Frf, ModalModel
 from operando.dof import Dof
 from operando.errors import OperandoError
+from operando.report.svg import thin
 from operando.report.text import number
 from operando.results import CheckRun, Results
 
 SNR_POWER = 100.0
 """Lines count for dB errors where |H|² is more than so many times its variance (contract, ``error_db``)."""
+
+BAND_LINES = 500
+"""Intervals of frequency in which the variance of a curve is worked out at its least and its greatest line."""
 
 _RANK = {"error": 0, "warning": 1, "info": 2}
 
@@ -114,13 +118,18 @@ def model_frf(model: Any, frf: Frf) -> Frf | None:
 
 
 def with_variance(model: Any, frf: Frf, pairs: Sequence[tuple[int, int, str]]) -> Frf:
-    """An FRF of a model with the model's variance at some pairs (NaN at the others); as it is where the model has none."""
+    """An FRF of a model with the model's variance at some pairs, on the lines that keep the look of the curve (NaN elsewhere).
+
+    As it is where the model has none.
+    """
     variance = np.full(frf.data.shape, np.nan)
     for i, j, _ in pairs:
-        part = model.frf(frf.frequencies_hz, (frf.responses[i],), (frf.references[j],), frf.quantity)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lines = thin(frf.frequencies_hz, np.log(np.abs(frf.data[i, j])), BAND_LINES)
+        part = model.frf(frf.frequencies_hz[lines], (frf.responses[i],), (frf.references[j],), frf.quantity)
         if part.variance is None:
             return frf
-        variance[i, j] = part.variance[0, 0]
+        variance[i, j, lines] = part.variance[0, 0]
     return replace(frf, variance=variance)
 
 

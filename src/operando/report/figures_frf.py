@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
 
+HELD_OUT = "#fdf3d8"
+
 Pair = tuple[int, int, str]
 
 
@@ -160,7 +162,15 @@ def _coherence(axes: Axes, measured: Frf, i: int, j: int, shown: slice) -> None:
     axes.set_ylabel("Coh. [–]")
 
 
-def ofrf_pairs(check: Frf, ofrf: Frf | None, idle: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None = None) -> str:
+def ofrf_pairs(
+    check: Frf,
+    ofrf: Frf | None,
+    idle: Frf | None,
+    pairs: Sequence[Pair],
+    band: Sequence[float] | None = None,
+    label: str = "operating FRF",
+    held_out: Sequence[tuple[float, float]] = (),
+) -> str:
     """SVG: magnitudes of operating FRFs with their 95 % band, the check measurement and the idle model, one panel a pair.
 
     Parameters
@@ -171,12 +181,24 @@ def ofrf_pairs(check: Frf, ofrf: Frf | None, idle: Frf | None, pairs: Sequence[P
         On the same lines and pairs; the variance of ``ofrf`` gives the band.
     pairs : list of (response index, reference index, why shown)
     band : (float, float), optional
+    label : str
+        What the model with the band is.
+    held_out : sequence of (float, float)
+        Frequency ranges [Hz] set off, whose lines nothing was fitted to.
     """
-    return _ofrf_pairs(check, ofrf, idle, pairs, band)
+    return _ofrf_pairs(check, ofrf, idle, pairs, band, label, held_out)
 
 
 @drawn
-def _ofrf_pairs(check: Frf, ofrf: Frf | None, idle: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None) -> tuple[Figure, str]:
+def _ofrf_pairs(
+    check: Frf,
+    ofrf: Frf | None,
+    idle: Frf | None,
+    pairs: Sequence[Pair],
+    band: Sequence[float] | None,
+    label: str,
+    held_out: Sequence[tuple[float, float]],
+) -> tuple[Figure, str]:
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)
     width, cell = 10.2, 3.0
@@ -189,17 +211,23 @@ def _ofrf_pairs(check: Frf, ofrf: Frf | None, idle: Frf | None, pairs: Sequence[
         x0 = left + (k % columns) * (panel + gap)
         y0 = height - 0.25 - (k // columns + 1) * cell + 0.5
         axes = figure.add_axes((x0 / width, y0 / height, panel / width, (cell - 0.8) / height))
-        ofrf_panel(axes, check, ofrf, idle, i, j, shown)
+        ofrf_panel(axes, check, ofrf, idle, i, j, shown, label)
+        for n, (low, high) in enumerate(held_out):
+            axes.axvspan(low, high, color=HELD_OUT, lw=0, zorder=0, label=None if n else "held-out lines")
         axes.set_title(f"{check.responses[i]} from {check.references[j]} ({why})")
         _frequency_axis(axes, check, shown, band, label=True)
         if k == 0:
             handles, labels = axes.get_legend_handles_labels()
-            figure.legend(handles, labels, loc="upper left", ncols=4, bbox_to_anchor=(left / width - 0.01, 1.0))
+            figure.legend(handles, labels, loc="upper left", ncols=5, bbox_to_anchor=(left / width - 0.01, 1.0))
     names = listing(f"{check.responses[i]} from {check.references[j]}" for i, j, _ in pairs)
+    if label != "operating FRF":
+        return figure, f"Frequency response functions of the {label} with 95 % band against check and idle model: {names}"
     return figure, f"Operating frequency response functions with 95 % band against check and idle model: {names}"
 
 
-def ofrf_panel(axes: Axes, check: Frf, ofrf: Frf | None, idle: Frf | None, i: int, j: int, shown: slice) -> None:
+def ofrf_panel(
+    axes: Axes, check: Frf, ofrf: Frf | None, idle: Frf | None, i: int, j: int, shown: slice, label: str = "operating FRF"
+) -> None:
     """Draw one pair into given axes."""
     f = check.frequencies_hz[shown]
     axes.set_yscale("log")
@@ -216,11 +244,13 @@ def ofrf_panel(axes: Axes, check: Frf, ofrf: Frf | None, idle: Frf | None, i: in
         h = np.abs(ofrf.data[i, j, shown])
         heights.append(h)
         if ofrf.variance is not None:
-            half = 1.96 * np.sqrt(np.maximum(ofrf.variance[i, j, shown], 0) / 2)
-            keep = thin(f, np.log(np.maximum(h, 1e-300)), 450)
-            low = np.maximum(h - half, h * 1e-2)[keep]
-            axes.fill_between(f[keep], low, (h + half)[keep], color=MODEL, alpha=0.25, linewidth=0, label="95 % band")
-        _curve(axes, f, h, color=MODEL, lw=1.1, label="operating FRF", count=1000)
+            variance = ofrf.variance[i, j, shown]
+            known = np.flatnonzero(np.isfinite(variance))  # it is dear, so some lines have none
+            keep = known[thin(f[known], np.log(np.maximum(h[known], 1e-300)), 450)] if known.size else known
+            half = 1.96 * np.sqrt(np.maximum(variance[keep], 0) / 2)
+            low = np.maximum(h[keep] - half, h[keep] * 1e-2)
+            axes.fill_between(f[keep], low, h[keep] + half, color=MODEL, alpha=0.25, linewidth=0, label="95 % band")
+        _curve(axes, f, h, color=MODEL, lw=1.1, label=label, count=1000)
     axes.set_ylabel(magnitude_label(check))
     all_heights = np.concatenate(heights) if heights else np.ones(1)
     positive = all_heights[np.isfinite(all_heights) & (all_heights > 0)]

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from operando.report import sections_answer, sections_modes, sections_rest, sections_states
+from operando.report import sections_answer, sections_diagnosis, sections_modes, sections_rest, sections_states
 from operando.report.parts import Numbering, Section
 from operando.results import Results
 
-_MAKERS: tuple[tuple[str, str, Callable[[Results, Numbering], str]], ...] = (
-    ("answer", "Answer", sections_answer.answer),
+_Maker = tuple[str, str, Callable[[Results, Numbering], str]]
+
+_DIAGNOSED: _Maker = ("missing", "Answer: what is missing in the idle model", sections_diagnosis.answer)
+_MAKERS: tuple[_Maker, ...] = (
+    ("answer", "Answer: how good the operating FRFs are", sections_answer.answer),
     ("data", "What was measured", sections_rest.measured),
     ("idle", "At rest: FRFs and idle model", sections_states.idle),
     ("operating", "Running: operational modes", sections_states.operating),
     ("shapes", "Mode shapes and MAC", sections_modes.shapes),
     ("scaling", "Pairing and scaling", sections_modes.scaling),
     ("ofrf", "Operating FRFs against the check", sections_answer.ofrf),
-    ("diagnosis", "Diagnosis: what the idle model lacks", sections_rest.diagnosis),
+    ("diagnosis", "Diagnosis: the evidence", sections_diagnosis.diagnosis),
     ("settings", "Settings, timings, provenance", sections_rest.provenance),
 )
 
@@ -24,4 +27,5 @@ _MAKERS: tuple[tuple[str, str, Callable[[Results, Numbering], str]], ...] = (
 def build(results: Results) -> list[Section]:
     """All sections in order; each is a pure function from results to HTML and says in one sentence what is missing."""
     numbering = Numbering()
-    return [Section(anchor, title, make(results, numbering)) for anchor, title, make in _MAKERS]
+    makers = (_DIAGNOSED, *_MAKERS) if results.diagnosis else _MAKERS
+    return [Section(anchor, title, make(results, numbering)) for anchor, title, make in makers]

@@ -38,9 +38,7 @@ def answer(results: Results, numbering: Numbering) -> str:
         svg = figures_frf.ofrf_pairs(
             run.frf, derive.with_variance(results.hybrid, hybrid_frf, pairs), rest, pairs, derive.analysis_band(results)
         )
-        caption = (
-            "One operating FRF with its 95 % band, the check measurement it is judged by, and the idle model (more pairs: see section 7)."
-        )
+        caption = 'One operating FRF with its 95 % band, the check that judges it, and the idle model (<a href="#ofrf">more pairs</a>).'
         out.append(numbering.figure(svg, caption))
     if results.idle is not None or results.operating is not None:
         out.append(tables.mode_table(results))

@@ -1,14 +1,13 @@
-"""Sections on the measurements, the diagnosis, and how the results were made."""
+"""Sections on the measurements, and on how the results were made."""
 
 from __future__ import annotations
 
 from pathlib import PurePath
-from typing import Any
 
 from operando.data import Frf
 from operando.report import derive, figures_frf, tables, tables_files
-from operando.report.parts import Numbering, left_out, missing, paragraph
-from operando.report.text import band_text, count, esc, finite, fixed, listing, number, plain, short_names
+from operando.report.parts import Numbering, missing, paragraph
+from operando.report.text import band_text, count, esc, finite, fixed, number, plain, short_names
 from operando.results import CheckRun, Results
 
 
@@ -59,61 +58,6 @@ def _frf_cells(frf: Frf) -> list[str]:
         number(frf.averages, 3),
         esc(unit),
     ]
-
-
-def diagnosis(results: Results, numbering: Numbering) -> str:
-    """Room for what the idle model lacks; a short account of ``diagnosis.json`` where there is one."""
-    found = results.diagnosis
-    if not found:
-        return missing(left_out(results, "diagnose", "No diagnosis was made"))
-    out = [paragraph(f"Verdict: {str(found.get('verdict', 'none')).replace('_', ' ')}.")]
-    effects = found.get("effects") or []
-    if effects:
-        rows = [
-            [
-                esc(str(e.get("kind")).replace("_", " ")),
-                esc(listing(e.get("location") or [])),
-                _parameters(e),
-                esc(e.get("explanation", "")),
-                esc(e.get("confirm", "")),
-            ]
-            for e in effects
-        ]
-        out.append(tables.table(["Effect", "Place", "Size", "Explanation", "How to confirm"], rows, wide=True))
-    if found.get("ambiguous_with"):
-        others = listing(f"{str(e.get('kind')).replace('_', ' ')} at {listing(e.get('location') or [])}" for e in found["ambiguous_with"])
-        out.append(paragraph(f"The data cannot tell the accepted effects from: {others}."))
-    if found.get("proposed_measurement"):
-        out.append(paragraph(f"Measurement that would decide: {found['proposed_measurement']}"))
-    ladder = found.get("ladder") or []
-    if ladder:
-        rows = [
-            [
-                str(s.get("step")),
-                esc(_effect_name(s.get("added"))),
-                fixed(s.get("error_db"), 2),
-                fixed(s.get("heldout_error_db"), 2),
-                number(s.get("heldout_misfit"), 3),
-            ]
-            for s in ladder
-        ]
-        head = ["Step", "Added", "Error [dB]", "Held-out error [dB]", "Held-out misfit"]
-        out.append(tables.table(head, rows, numeric=(0, 2, 3, 4), caption="<b>Error ladder.</b>"))
-    return "".join(out)
-
-
-def _effect_name(effect: Any) -> str:
-    if not isinstance(effect, dict):
-        return "idle model" if effect is None else str(effect)
-    return f"{str(effect.get('kind')).replace('_', ' ')} at {listing(effect.get('location') or [])}"
-
-
-def _parameters(effect: dict[str, Any]) -> str:
-    parts = []
-    for name, p in (effect.get("parameters") or {}).items():
-        value = p if isinstance(p, dict) else {"value": p}
-        parts.append(f"{esc(name)} {tables.plus_minus(value.get('value'), value.get('std'))} {esc(value.get('unit', ''))}")
-    return "; ".join(parts)
 
 
 def provenance(results: Results, numbering: Numbering) -> str:

@@ -1,0 +1,176 @@
+"""Numbers behind the figures of the diagnosis: the model with the effects, lines held out, error maps, the two routes to the OFRFs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Frf
+from operando.errors import OperandoError
+from operando.report import derive
+from operando.results import CheckRun, Results
+
+MAP_LINES = 3000
+"""Lines of a map or of the comparison of the two routes, at most."""
+
+DECIBEL = 8.685889638065035
+"""dB of a relative change of one: 20/ln 10."""
+
+
+def effect_model(results: Results) -> Any:
+    """The idle model with the effects now in the diagnosis (an ``operando.diagnose.Model``); None where it cannot be made."""
+    from operando.diagnose import Model
+    from operando.effects import Effect
+
+    base = results.effect_idle or derive.scaled_idle(results)
+    if results.diagnosis is None or base is None:
+        return None
+    try:
+        effects = tuple(Effect.from_dict(e) for e in results.diagnosis.get("effects") or [])
+        try:
+            return Model(base, effects, results.geometry, results.effect_covariance)
+        except OperandoError:  # a covariance of other effects
+            return Model(base, effects, results.geometry)
+    except (OperandoError, KeyError, TypeError, ValueError):
+        return None
+
+
+def predicted(model: Any, frf: Frf) -> Frf | None:
+    """FRFs of the model on the lines and pairs of a measured one, without variance; None where it has no such DOFs."""
+    if model is None:
+        return None
+    try:
+        made: Frf = model.frf(frf.frequencies_hz, frf.responses, frf.references, frf.quantity, variance=False)
+    except OperandoError:
+        return None
+    return made
+
+
+def held_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, float]], bool]:
+    """Frequency ranges of a check run [Hz] whose lines judged and were never fitted to, and whether that is all of the run.
+
+    The sets are fixed by labels and frequencies alone, so they are found again here.
+    """
+    from operando.diagnose.sets import JUDGE, split_lines
+
+    if results.idle is None or results.settings.get("exclude_bands"):
+        return [], False
+    band = results.settings.get("band") or results.idle.band_hz
+    try:
+        ordered = sorted(results.check, key=lambda r: r.level != run.level)
+        lines = split_lines(ordered, results.idle, None if band is None else (float(band[0]), float(band[1])))
+    except (OperandoError, ValueError, IndexError):
+        return [], False
+    first = lines.run == 0
+    judged = first & (lines.group == JUDGE)
+    if not judged.any():
+        return [], False
+    if judged.sum() == first.sum():
+        return [], True
+    parts = [lines.hz[judged & (lines.block == b)] for b in np.unique(lines.block[judged])]
+    return [(float(p.min()), float(p.max())) for p in parts], False
+
+
+def every(frf: Frf, most: int = MAP_LINES) -> Frf:
+    """One line in so many that at most ``most`` are left."""
+    step = max(1, -(-len(frf.axis) // most))
+    if step == 1:
+        return frf
+    from operando.data import FrequencyAxis
+
+    part = lambda array: None if array is None else array[:, :, ::step]  # noqa: E731
+    axis = FrequencyAxis(frf.frequencies_hz[::step])
+    return replace(frf, data=frf.data[:, :, ::step], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
+
+
+def noise_by_dof_band(measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """rms dB error that the noise of the measurement alone makes, by response DOF and band; None without a variance."""
+    if measured.variance is None:
+        return None
+    mask, f = derive.clear_lines(measured), measured.frequencies_hz
+    with np.errstate(divide="ignore", invalid="ignore"):
+        noise = DECIBEL * np.sqrt(measured.variance / 2) / np.abs(measured.data)
+    columns = []
+    for low, high in pairwise(edges):
+        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
+        columns.append(derive.rms_over(noise, mask & inside, axis=(1, 2)))
+    return np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class Routes:
+    """Two routes to the operating FRFs: hybrid (idle shapes, operating poles) and idle model with effects.
+
+    Parameters
+    ----------
+    frequencies_hz : (n_lines,) array
+    references : tuple of str
+    difference_db : (n_references, n_lines) array
+        rms over the responses at each line.
+    rms_db : (n_references,) array
+        rms over lines and responses.
+    hybrid_db, effect_db : (n_references,) arrays or None
+        Error of each against the check, where there is one.
+    total_db : float
+        Over everything.
+    """
+
+    frequencies_hz: NDArray[np.float64]
+    references: tuple[str, ...]
+    difference_db: NDArray[np.float64]
+    rms_db: NDArray[np.float64]
+    hybrid_db: NDArray[np.float64] | None
+    effect_db: NDArray[np.float64] | None
+    total_db: float
+
+
+def routes(results: Results, model: Any) -> Routes | None:
+    """How far the two routes to the operating FRFs lie apart in band; None where one of them is missing.
+
+    With a check its lines that stand clear of the noise count, else all lines of the idle FRFs.
+    """
+    run = derive.judge_run(results)
+    grid = run.frf if run is not None else results.idle_frf
+    if model is None or results.hybrid is None or grid is None:
+        return None
+    band = derive.analysis_band(results)
+    grid = every(grid if band is None else grid.band(*band))
+    hybrid, effect = derive.model_frf(results.hybrid, grid), predicted(model.structure(), grid)
+    if hybrid is None or effect is None or not len(grid.axis):
+        return None
+    mask = derive.clear_lines(grid) if run is not None else np.isfinite(hybrid.data)
+    gap = derive.level_error_db(effect, hybrid)
+    against: list[NDArray[np.float64] | None] = [None, None]
+    if run is not None:
+        against = [derive.rms_over(derive.level_error_db(one, grid), mask, axis=(0, 2)) for one in (hybrid, effect)]
+    return Routes(
+        grid.frequencies_hz,
+        tuple(str(d) for d in grid.references),
+        np.asarray(derive.rms_over(gap, mask, axis=0)),
+        np.asarray(derive.rms_over(gap, mask, axis=(0, 2))),
+        against[0],
+        against[1],
+        float(derive.rms_over(gap, mask)),
+    )
+
+
+def telling_pairs(frf: Frf, idle_error: NDArray[np.float64] | None, places: Sequence[str]) -> list[tuple[int, int, str]]:
+    """Four pairs worth a picture: a drive point, where the idle model fails most, and at the places of the effects."""
+    pairs = derive.choose_pairs(frf, idle_error, 1, 2)
+    pairs = [(i, j, why.replace("worst pair", "where the idle model is worst").replace("next where", "next: where")) for i, j, why in pairs]
+    names = {label.rstrip("XYZ").rstrip("+-") for label in places}
+    taken = {(i, j) for i, j, _ in pairs}
+    for i, dof in enumerate(frf.responses):
+        if str(dof) in places or str(dof.node) in names:
+            j = 0
+            if idle_error is not None and np.isfinite(idle_error[i]).any():
+                j = int(np.nanargmax(idle_error[i]))
+            if (i, j) not in taken:
+                pairs.append((i, j, "at the effect"))
+                taken.add((i, j))
+    return pairs[:4]

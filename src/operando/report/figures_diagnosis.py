@@ -1,0 +1,310 @@
+"""Figures of the diagnosis: the ladder of the error, misfit by mode, dynamic stiffness at the place found, places ranked."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.report.svg import GREEN, GREY, IDLE, INK, MEASURED, MODEL, PALE, PURPLE, SKY, dots, drawn, log_axis, new_figure, thin
+from operando.report.text import fixed, number
+from operando.report.words_diagnosis import EffectWords, Ladder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BADGE = {"good": "#00664a", "fair": "#7a5200", "poor": "#a33a00", "none": "#4b5762"}
+"""Colours of the verdict, as in the page."""
+
+
+def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> str:
+    """SVG: the error at each step, idle model first, each column with what was added, against the noise floor.
+
+    Parameters
+    ----------
+    ladder : Ladder
+        At least one step.
+    verdict : str
+        Word on the badge.
+    grade : {"good", "fair", "poor", "none"}
+        Its colour.
+    """
+    return _ladder_figure(ladder, verdict, grade)
+
+
+@drawn
+def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str]:
+    rungs = ladder.rungs
+    values = np.array([r.heldout for r in rungs])
+    n, slots = len(rungs), max(len(rungs), 2) + 0.4
+    labels = [_column_label(r.effect, max(12, round(116 / slots))) for r in rungs]
+    foot = 0.2 + 0.165 * max(label.count("\n") + 1 for label in labels)
+    width, plot, head = 10.2, 2.55, 0.42
+    height = head + plot + foot
+    figure = new_figure(width, height)
+    axes = figure.add_axes((0.075, foot / height, 0.91, plot / height))
+    bottom = _ladder_scale(axes, ladder, values)
+    x = np.arange(n)
+    axes.bar(x, values - bottom, bottom=bottom, width=0.56, color=[IDLE] + [GREEN] * (n - 1), zorder=2)
+    lines = [(i, r.everything) for i, r in enumerate(rungs) if ladder.held_out and np.isfinite(r.everything) and r.everything > 0]
+    if lines:
+        axes.plot(*np.transpose(lines), ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=0.9, zorder=4)
+    if ladder.floor is not None and ladder.floor > bottom:
+        axes.axhspan(bottom, ladder.floor, color=PALE, alpha=0.55, lw=0, zorder=1)
+        axes.axhline(ladder.floor, color=INK, lw=1.1, ls=(0, (4, 2)), zorder=3)
+        words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the data allow"
+        axes.annotate(words, (1, ladder.floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
+    for i, v in enumerate(values):
+        top = max(v, lines[i][1] if len(lines) == n else v)
+        axes.annotate(ladder.text(v), (i, top), (0, 5), textcoords="offset points", ha="center", fontsize=11, fontweight="bold", zorder=5)
+    for i in range(1, n):
+        _fall(axes, i, values[i - 1], values[i], ladder)
+    axes.set_xticks(x, labels, fontsize=9, linespacing=1.2)
+    axes.get_xticklabels()[0].set_fontweight("bold")
+    axes.set_xlim(-0.5, slots - 0.5)
+    axes.tick_params(axis="x", length=0)
+    box = {"boxstyle": "square,pad=0.4", "facecolor": BADGE.get(grade, BADGE["none"]), "edgecolor": "none"}
+    word = verdict.replace("_", " ")
+    at = (0.985 - 0.0055 * len(word), 1.0 + 0.14 / plot)  # in the middle: the reader's font is narrower than the one measured with
+    axes.text(*at, word, transform=axes.transAxes, ha="center", va="bottom", color="white", fontsize=10.5, fontweight="bold", bbox=box)
+    steps = [f"idle model {ladder.text(values[0])}"]
+    steps += [f"with {r.effect.label if r.effect else 'effect'} {ladder.text(v)}" for r, v in zip(rungs[1:], values[1:], strict=True)]
+    floor = "" if ladder.floor is None else f"; noise floor {ladder.text(ladder.floor)}"
+    return figure, f"Error ladder, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
+
+
+def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> float:
+    """Set the axis of the errors; the value its columns stand on."""
+    top = float(np.max([*values, *(r.everything for r in ladder.rungs if np.isfinite(r.everything)), ladder.floor or 0.0]))
+    kind = "Held-out" if ladder.held_out else "Error on all data:"
+    if ladder.decibel:
+        axes.set_ylim(0, 1.2 * max(top, 1e-9))
+        axes.set_ylabel(f"{kind} level error, rms [dB]")
+        return 0.0
+    low = float(np.min([*values[values > 0], 1.0])) if np.any(values > 0) else 1.0
+    bottom = 0.3 * low
+    axes.set_yscale("log")
+    axes.set_ylim(bottom, max(top, 1.0) * (max(top, 1.0) / bottom) ** 0.2)
+    axes.set_ylabel(f"{kind} misfit [1 = noise]")
+    log_axis(axes.yaxis)
+    return bottom
+
+
+def _column_label(effect: EffectWords | None, width: int) -> str:
+    if effect is None:
+        return "idle model"
+    parts = [f"+ {effect.name}{' (taken away)' if effect.removed else ''}", effect.place, *effect.size.split(", ")]
+    return "\n".join(line for part in parts if part for line in textwrap.wrap(part, width))
+
+
+def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> None:
+    """Arrow from the height of one column to that of the next, with the change."""
+    worse = after > before
+    color = BADGE["poor"] if worse else MEASURED
+    axes.plot([i - 0.72, i - 0.5], [before, before], color=color, lw=0.9, ls=(0, (2, 2)), zorder=3)
+    arrow = {"arrowstyle": "-|>", "color": color, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (i - 0.5, after), (i - 0.5, before), arrowprops=arrow)
+    axes.plot([i - 0.5, i - 0.28], [after, after], color=color, lw=0.9, ls=(0, (2, 2)), zorder=3)
+    if ladder.decibel:
+        words, middle = f"{fixed(after - before, 2, sign=True)} dB", (before + after) / 2
+    else:
+        ratio = (after if worse else before) / max(before if worse else after, 1e-300)
+        words, middle = f"{'×' if worse else '÷'} {number(ratio, 2)}", float(np.sqrt(max(before, 1e-300) * max(after, 1e-300)))
+    axes.annotate(words, (i - 0.5, middle), (5, 0), textcoords="offset points", color=color, fontsize=8.5, va="center", zorder=5)
+
+
+def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> str:
+    """SVG: misfit of each operating mode by the idle model and by the model with the effects, against 1, the noise.
+
+    Parameters
+    ----------
+    frequencies_hz : (n,) array
+    idle : (n,) array
+        NaN where not known.
+    added : (n,) array or None
+        With the effects.
+    """
+    return _mode_misfit(frequencies_hz, idle, added)
+
+
+@drawn
+def _mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
+    hz = np.asarray(frequencies_hz, float)
+    figure = new_figure(10.2, 2.7)
+    axes = figure.add_axes((0.075, 0.24, 0.91, 0.6))
+    rows = [("idle model", np.asarray(idle, float), IDLE)]
+    if added is not None:
+        rows.append(("idle model with the effects", np.asarray(added, float), GREEN))
+    everything = np.concatenate([v for _, v, _ in rows])
+    positive = everything[np.isfinite(everything) & (everything > 0)]
+    bottom = 0.5 * min(float(positive.min()) if positive.size else 1.0, 1.0)
+    axes.set_yscale("log")
+    step = 0.8 / len(rows)
+    for k, (name, values, color) in enumerate(rows):
+        tall = np.where(np.isfinite(values), np.maximum(values, bottom), bottom)
+        axes.bar(np.arange(hz.size) - 0.4 + step * (k + 0.5), tall - bottom, bottom=bottom, width=0.92 * step, color=color, label=name)
+    axes.axhline(1.0, color=INK, lw=1.1, ls=(0, (4, 2)), label="noise (1)")
+    axes.set_ylim(bottom, 1.6 * max(float(positive.max()) if positive.size else 1.0, 1.0))
+    axes.set_xticks(np.arange(hz.size), [number(f, 4) for f in hz], fontsize=7.5, rotation=90 if hz.size > 16 else 0)
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlabel("Operating mode [Hz]")
+    axes.set_ylabel("Misfit [1 = noise]")
+    log_axis(axes.yaxis)
+    figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.065, 1.02))
+    return figure, f"Misfit of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
+
+
+def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> str:
+    """SVG: dynamic stiffness δz(ω) that the check asks for at each place, real and imaginary part, with the fitted law.
+
+    Parameters
+    ----------
+    pictures : sequence of dict
+        ``frequency_hz``, ``real``, ``imag``, ``law_real``, ``law_imag`` (may be missing), ``unit``.
+    titles : sequence of str
+    """
+    return _stiffness_figure(pictures, titles)
+
+
+@drawn
+def _stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> tuple[Figure, str]:
+    row, top = 2.75, 0.28
+    height = row * len(pictures) + top
+    figure = new_figure(10.2, height)
+    for k, (picture, title) in enumerate(zip(pictures, titles, strict=True)):
+        hz = np.asarray(picture["frequency_hz"], float)
+        spans = [stiffness_span(picture.get(part), picture.get(f"law_{part}")) for part in ("real", "imag")]
+        factor, prefix = _prefix(max(abs(end) for span in spans for end in span))
+        spans = [(low / factor, high / factor) for low, high in spans]
+        unit = prefix + str(picture.get("unit") or "N/m")
+        both = max(high - low for low, high in spans)
+        for j, (part, word) in enumerate((("real", "Real part"), ("imag", "Imaginary part"))):
+            axes = figure.add_axes((0.085 + 0.495 * j, (height - top - row * (k + 1) + 0.5) / height, 0.4, (row - 0.85) / height))
+            values, law = _values(picture.get(part), hz) / factor, _values(picture.get(f"law_{part}"), hz) / factor
+            middle = sum(spans[j]) / 2
+            low, high = middle - both / 2, middle + both / 2  # one span for both parts: what is small looks small
+            inside = np.isfinite(values) & (values > low) & (values < high)
+            axes.axhline(0, color=GREY, lw=0.8)
+            dots(axes, hz[inside], values[inside], SKY, 2.2, "from the check, line by line")
+            smooth = running_median(values)
+            axes.plot(hz, np.clip(smooth, low, high), color=MEASURED, lw=1.1, label="running median")
+            axes.plot(hz, law, color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted")
+            axes.set_xlim(hz.min(), hz.max())
+            axes.set_ylim(low, high)
+            axes.set_ylabel(f"{word} of δz [{unit}]")
+            axes.set_xlabel("Frequency [Hz]")
+            axes.set_title(title if j == 0 else "", fontsize=9.5)
+            axes.grid(True)
+            if k == 0 and j == 0:
+                figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
+    return figure, "Dynamic stiffness, real and imaginary part with the fitted law: " + "; ".join(titles)
+
+
+def _prefix(size: float) -> tuple[float, str]:
+    """Factor and SI prefix of a size."""
+    return next(((f, p) for f, p in ((1e9, "G"), (1e6, "M"), (1e3, "k")) if size >= f), (1.0, ""))
+
+
+def _values(given: Any, hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    values = np.array([np.nan if v is None else float(v) for v in given or ()])
+    return values if values.size == hz.size else np.full(hz.size, np.nan)
+
+
+def stiffness_span(values: Any, law: Any) -> tuple[float, float]:
+    """Axis limits that show the law and nine tenths of the lines: between resonances a few lines know nothing and lie far off."""
+    points = np.array([np.nan if v is None else float(v) for v in values or ()])
+    points = points[np.isfinite(points)]
+    ends = [0.0, *(float(v) for v in law or () if v is not None and np.isfinite(v))]
+    if points.size:
+        smooth = running_median(points)
+        ends += [float(v) for v in np.quantile(smooth, [0.03, 0.97])] + [float(v) for v in np.quantile(points, [0.15, 0.85])]
+    low, high = min(ends), max(ends)
+    margin = 0.15 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def running_median(values: NDArray[np.float64], lines: int = 15) -> NDArray[np.float64]:
+    """Median over neighbouring lines; fewer at the ends."""
+    half = min(lines // 2, max((values.size - 1) // 2, 0))
+    if half == 0:
+        return values
+    padded = np.r_[np.full(half, np.nan), values, np.full(half, np.nan)]
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    good = np.isfinite(windows).any(axis=1)
+    out = np.full(values.size, np.nan)
+    out[good] = np.nanmedian(windows[good], axis=1)
+    return out
+
+
+def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]], most: int = 10) -> str:
+    """SVG: part of the idle model's error that one free force at each place explains, best first, without asking what kind of effect.
+
+    Parameters
+    ----------
+    places : sequence of dict
+        ``location`` (DOF labels) and ``remains`` (share of the error that is left).
+    found : sequence of frozenset of str
+        DOF labels of the accepted effects; their bars stand out.
+    most : int
+        Places shown.
+    """
+    return _places_figure(list(places)[:most], found)
+
+
+@drawn
+def _places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]]) -> tuple[Figure, str]:
+    n = len(places)
+    height = 0.65 + 0.2 * n
+    figure = new_figure(7.6, height)
+    axes = figure.add_axes((0.19, 0.45 / height, 0.72, (height - 0.5) / height))
+    share = 100 * (1 - np.array([float(p["remains"]) for p in places]))
+    names = [" and ".join(str(d) for d in p["location"]) for p in places]
+    mine = [frozenset(str(d) for d in p["location"]) in found for p in places]
+    axes.barh(np.arange(n), share, color=[GREEN if m else MODEL for m in mine], height=0.7)
+    for i, v in enumerate(share):
+        axes.text(v, i, f" {v:.1f} %", va="center", fontsize=8, fontweight="bold" if mine[i] else "normal")
+    axes.set_yticks(np.arange(n), names, fontsize=8.5)
+    axes.invert_yaxis()
+    axes.set_xlim(0, 112)
+    axes.set_xlabel("Part of the idle model's error that a force at this place explains [%]")
+    axes.tick_params(axis="y", length=0)
+    best = ", ".join(f"{name} {v:.1f} %" for name, v in list(zip(names, share, strict=True))[:3])
+    return figure, f"Places ranked by what a force there explains of the idle model's error: {best}"
+
+
+def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> str:
+    """SVG: how far two sets of FRFs lie apart at each line, rms over the responses, one curve a reference.
+
+    Parameters
+    ----------
+    frequencies_hz : (n_lines,) array
+    difference_db : (n_references, n_lines) array [dB]
+        NaN where no response stands clear of the noise.
+    names : sequence of str
+        One a reference.
+    """
+    return _routes_figure(frequencies_hz, difference_db, names)
+
+
+@drawn
+def _routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> tuple[Figure, str]:
+    hz = np.asarray(frequencies_hz, float)
+    figure = new_figure(10.2, 2.6)
+    axes = figure.add_axes((0.075, 0.18, 0.91, 0.68))
+    styles: tuple[tuple[str, Any], ...] = ((MODEL, "-"), (IDLE, (0, (4, 2))), (GREEN, (0, (1, 1))), (PURPLE, "-."))
+    for k, (name, values) in enumerate(zip(names, difference_db, strict=True)):
+        color, dash = styles[k % len(styles)]
+        keep = thin(hz, values, 420)
+        axes.plot(hz[keep], values[keep], color=color, ls=dash, lw=1.1, label=name)
+    good = difference_db[np.isfinite(difference_db)]
+    axes.set_ylim(0, 1.1 * max(float(np.quantile(good, 0.998)) if good.size else 1.0, 0.1))
+    axes.set_xlim(hz.min(), hz.max())
+    axes.set_xlabel("Frequency [Hz]")
+    axes.set_ylabel("Difference, rms [dB]")
+    axes.grid(True)
+    figure.legend(loc="upper left", ncols=4, bbox_to_anchor=(0.065, 1.02))
+    return figure, f"Difference of the two routes to the operating FRFs in dB: {'; '.join(names)}"

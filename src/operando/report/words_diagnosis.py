@@ -1,0 +1,323 @@
+"""The diagnosis in words: verdicts, effects with 95 % intervals, the steps of the ladder, the answer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from operando.effects import Effect
+from operando.errors import OperandoError
+from operando.report.text import decibel, finite, listing, number
+
+VERDICTS: dict[str, tuple[str, str]] = {
+    "no_misfit": ("Nothing is missing: the idle model predicts the running machine", "good"),
+    "explained": ("What the idle model lacks is found", "good"),
+    "ambiguous": ("Something is missing; the data cannot tell which of several effects it is", "fair"),
+    "partial": ("Part of what the idle model lacks is found", "fair"),
+    "unexplained": ("Something is missing that no effect of the catalogue explains", "poor"),
+}
+"""Verdict → what it means, and the colour class."""
+
+INTERVAL = 1.96
+"""Standard deviations in the 95 % interval."""
+
+MOST_NAMED = 4
+"""Effects named one by one in a sentence; the rest are counted."""
+
+
+@dataclass(frozen=True)
+class EffectWords:
+    """One effect for people.
+
+    Parameters
+    ----------
+    name : str
+        The kind in words: "point mass".
+    place : str
+        Empty where it has none.
+    size : str
+        Values with 95 % intervals.
+    sentence : str
+        What it does, with place and size.
+    confirm : str
+        The test that would confirm it.
+    group : str
+        ``structure``, ``idle``, ``sensor``, ``force`` or ``excitation``.
+    removed : bool
+        Whether it was taken away.
+    sure : bool
+        Whether its 95 % interval leaves zero out.
+    """
+
+    name: str
+    place: str
+    size: str
+    sentence: str
+    confirm: str
+    group: str = "structure"
+    removed: bool = False
+    sure: bool = True
+
+    @property
+    def label(self) -> str:
+        """Kind and place."""
+        return f"{self.name} at {self.place}" if self.place else self.name
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of the ladder: what was added, and the error on lines held out and on all lines (dB or misfit; NaN where not known)."""
+
+    step: int
+    effect: EffectWords | None
+    heldout: float
+    everything: float
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The steps of the error.
+
+    Parameters
+    ----------
+    rungs : tuple of Rung
+    decibel : bool
+        Level errors, else misfits (1 is the noise).
+    held_out : bool
+        Whether they were judged on data that nothing was fitted to.
+    floor : float or None
+        What noise and the model's own uncertainty explain, in the same measure.
+    by_phase : bool
+        Whether misfits stand because levels hardly change.
+    """
+
+    rungs: tuple[Rung, ...] = ()
+    decibel: bool = True
+    held_out: bool = True
+    floor: float | None = None
+    by_phase: bool = False
+
+    def text(self, value: float) -> str:
+        """A value with its unit."""
+        return decibel(value) if self.decibel else f"{number(value, 3)}"
+
+
+@dataclass(frozen=True)
+class DiagnosisWords:
+    """The answer of a diagnosis.
+
+    Parameters
+    ----------
+    verdict, title, grade : str
+        As in the document; what it means; colour class.
+    found : tuple of str
+        One sentence an effect in the model.
+    sentences : tuple of str
+        How far the idle model is off without and with them, and what they cannot be told from.
+    decide : tuple of str
+        The measurement that would decide or confirm.
+    ladder : Ladder
+    effects : tuple of EffectWords
+    output_only : bool
+        Whether operating modes alone were judged by.
+    """
+
+    verdict: str
+    title: str
+    grade: str
+    found: tuple[str, ...]
+    sentences: tuple[str, ...]
+    decide: tuple[str, ...]
+    ladder: Ladder
+    effects: tuple[EffectWords, ...] = ()
+    output_only: bool = False
+
+
+def kind_words(kind: Any) -> str:
+    """Name of a kind as read by people."""
+    return str(kind).replace("_", " ")
+
+
+def effect_words(document: Mapping[str, Any]) -> EffectWords:
+    """An effect of ``diagnosis.json`` in words, its sizes with 95 % intervals; as it stands where the kind is not known here."""
+    try:
+        given = Effect.from_dict(document)
+        effect = replace(given, std={name: INTERVAL * s for name, s in given.std.items()})
+        sentence = _typeset(effect.definition.explain(effect.place, _marked(effect), effect.removed))
+        sentence = sentence[:1].upper() + sentence[1:]
+        names = effect.definition.names[:1]
+        sure = not names or names[0] not in effect.std or abs(effect.values[names[0]]) > effect.std[names[0]]
+        return EffectWords(
+            kind_words(effect.kind), effect.place, _typeset(effect.size), sentence, effect.confirm, effect.definition.group,
+            effect.removed, bool(sure),
+        )  # fmt: skip
+    except (OperandoError, KeyError, TypeError, ValueError):
+        place = listing(document.get("location") or [])
+        name = kind_words(document.get("kind"))
+        sentence = str(document.get("explanation") or (f"{name} at {place}" if place else name))
+        return EffectWords(
+            name, place, _plain_size(document), sentence, str(document.get("confirm") or ""), removed=bool(document.get("removed"))
+        )
+
+
+def _marked(effect: Effect) -> str:
+    """The size with the interval named, in brackets unless it stands in brackets already."""
+    size = effect.size
+    if "±" not in size:
+        return size
+    text = effect.definition.explain(effect.place, size, effect.removed)
+    at = text.find(size)
+    closed = at >= 0 and text[at + len(size) : at + len(size) + 1] == ")"
+    return f"{size}, 95 % interval" if closed else f"{size} (95 %)"
+
+
+def _typeset(text: str) -> str:
+    """True minus signs, and 1e-07 as 1·10⁻⁷."""
+    powers = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    text = re.sub(r"(?<=\d)e([-+]?\d+)", lambda m: "·10" + str(int(m[1])).translate(powers), text)
+    return re.sub(r"(?<=[ (])-(?=\d)", "−", text)
+
+
+def _plain_size(document: Mapping[str, Any]) -> str:
+    parts = []
+    parameters = document.get("parameters") or {}
+    for name, entry in parameters.items():
+        value = entry if isinstance(entry, Mapping) else {"value": entry}
+        if not finite(value.get("value")):
+            continue
+        spread = f" ± {number(INTERVAL * float(value['std']), 2)}" if finite(value.get("std")) else ""
+        text = f"{number(value['value'], 4)}{spread} {value.get('unit') or ''}".strip()
+        parts.append(text if len(parameters) == 1 else f"{kind_words(name)} {text}")
+    return ", ".join(parts)
+
+
+def ladder_of(document: Mapping[str, Any]) -> Ladder:
+    """The steps of a diagnosis in dB on lines held out; as misfits, or on all lines, where it has no others.
+
+    Misfits stand also where the levels hardly change and the misfit does: a fault of phase alone has no dB.
+    A step is named by the effect as it stands after the last refit of all.
+    """
+    rows = [row for row in document.get("ladder") or [] if isinstance(row, Mapping)]
+    final = {_key(e): e for e in document.get("effects") or []}
+    in_decibel = bool(rows) and all(finite(r.get("heldout_error_db")) or finite(r.get("error_db")) for r in rows)
+    by_phase = in_decibel and _phase_only(rows)
+    keys = ("heldout_error_db", "error_db") if in_decibel and not by_phase else ("heldout_misfit", "misfit")
+    held_out = bool(rows) and all(finite(r.get(keys[0])) for r in rows)
+    value = lambda row, key: float(row[key]) if finite(row.get(key)) else float("nan")  # noqa: E731
+    rungs = []
+    for i, row in enumerate(rows):
+        added = row.get("added")
+        words = effect_words(final.get(_key(added), added)) if isinstance(added, Mapping) else None
+        rungs.append(Rung(int(row.get("step", i)), words, value(row, keys[0 if held_out else 1]), value(row, keys[1])))
+    rungs = [r for r in rungs if finite(r.heldout)]
+    floor: Any = document.get("noise_floor_db") if keys[1] == "error_db" else 1.0
+    return Ladder(tuple(rungs), keys[1] == "error_db", held_out, float(floor) if finite(floor) else None, by_phase)
+
+
+def _phase_only(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the misfit fell by more than half and the level error by less than a tenth."""
+    ends = []
+    for keys in (("heldout_error_db", "error_db"), ("heldout_misfit", "misfit")):
+        first, last = ([r[k] for k in keys if finite(r.get(k))][:1] for r in (rows[0], rows[-1]))
+        if not first or not last or float(first[0]) <= 0:
+            return False
+        ends.append(float(last[0]) / float(first[0]))
+    return len(rows) > 1 and ends[0] > 0.9 and ends[1] < 0.5
+
+
+def _key(effect: Any) -> tuple[Any, ...]:
+    if not isinstance(effect, Mapping):
+        return ()
+    return (effect.get("kind"), tuple(map(str, effect.get("location") or ())), tuple(effect.get("position") or ()))
+
+
+def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
+    """The answer of ``diagnosis.json``: what is missing, how far the idle model is off without and with it, and what would confirm it."""
+    verdict = str(document.get("verdict") or "none")
+    title, grade = VERDICTS.get(verdict, (f"Diagnosis: {kind_words(verdict)}", "none"))
+    effects = tuple(effect_words(e) for e in document.get("effects") or [])
+    ladder = ladder_of(document)
+    output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
+    sentences = (_by_hand(verdict, effects), _errors(ladder, output_only), _others(document, verdict, effects))
+    found = tuple(_found(e) for e in effects)
+    decide = _deciding(document, verdict, effects)
+    return DiagnosisWords(verdict, title, grade, found, tuple(s for s in sentences if s), decide, ladder, effects, output_only)
+
+
+def _found(effect: EffectWords) -> str:
+    owner = ""
+    if effect.group == "structure" and effect.place:
+        owner = f"; the idle model {'still has' if effect.removed else 'does not have'} it"
+    unsure = "" if effect.sure else " (its size cannot be told from zero)"
+    return f"{effect.sentence}{owner}{unsure}."
+
+
+def found_intro(words: DiagnosisWords) -> str:
+    """What stands before the effects: nothing before one that is believed."""
+    if not words.found:
+        return ""
+    if words.verdict == "no_misfit":
+        return "Added by hand:"
+    if words.verdict == "unexplained":
+        return "The best try, which explains too little to be believed:"
+    if words.verdict == "ambiguous":
+        return "The likeliest:" if len(words.found) == 1 else "The likeliest, together:"
+    return "" if len(words.found) == 1 else f"{len(words.found)} effects together:"
+
+
+def _by_hand(verdict: str, effects: Sequence[EffectWords]) -> str:
+    if not effects and verdict in ("explained", "partial", "ambiguous"):
+        return "No effect is in the model now: what the diagnosis accepted was taken out by hand."
+    return ""
+
+
+def _errors(ladder: Ladder, output_only: bool) -> str:
+    if not ladder.rungs:
+        return ""
+    first, last = ladder.rungs[0].heldout, ladder.rungs[-1].heldout
+    added = len(ladder.rungs) - 1
+    what = "operating frequencies, damping ratios and shapes" if output_only else "check lines"
+    where = f"On {what} that nothing was fitted to" if ladder.held_out else f"On all {what}"
+    value = decibel if ladder.decibel else _deviations
+    missed = "the machine" if output_only else "the check"
+    text = f"{where}, the idle model misses {missed} by {value(first)}"
+    text += f" alone and by {value(last)} with {'it' if added == 1 else 'them'}" if added else ""
+    if ladder.decibel:
+        return text + (f"; noise and the model's own uncertainty explain {decibel(ladder.floor)}." if ladder.floor is not None else ".")
+    text += f" (misfit {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 is as good as the data allow)"
+    return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
+
+
+def _deviations(misfit: float) -> str:
+    return f"{number(max(misfit, 0.0) ** 0.5, 2)} standard deviations"
+
+
+def _others(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectWords]) -> str:
+    others = [effect_words(e).label for e in document.get("ambiguous_with") or []]
+    if others:
+        return f"The data cannot tell {'it' if len(effects) < 2 else 'them'} from: {listing(others, MOST_NAMED)}."
+    if verdict == "explained" and effects:
+        return "Nothing else in the catalogue does as well."
+    if verdict == "partial":
+        return "No further effect of the catalogue earns a place, yet the rest is more than noise."
+    if verdict == "no_misfit" and not effects:
+        return "No effect of the catalogue earns a place."
+    return ""
+
+
+def _deciding(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectWords]) -> tuple[str, ...]:
+    out = []
+    proposed = document.get("proposed_measurement")
+    if proposed:
+        out.append(_stopped(f"What would decide: {str(proposed).replace('_', ' ')}"))
+    if verdict in ("explained", "partial", "no_misfit"):
+        for e in effects[:2]:
+            if e.confirm:
+                out.append(_stopped(f"To confirm{'' if len(effects) == 1 else f' the {e.label}'}: {e.confirm}"))
+    return tuple(out)
+
+
+def _stopped(text: str) -> str:
+    return text if text.endswith(("?", ".")) else f"{text}."
