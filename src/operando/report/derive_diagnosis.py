@@ -102,6 +102,27 @@ def noise_by_dof_band(measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.f
     return np.column_stack(columns)
 
 
+def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of the measured response [%] by response DOF and band: root of the sum of |ΔH|² (or of the variance) over that of |H|².
+
+    Parameters
+    ----------
+    size2 : (n_responses, n_references, n_lines) array
+        |ΔH|² or variance.
+    measured : Frf
+    edges : (n_bands + 1,) array [Hz]
+    """
+    mask, f = derive.clear_lines(measured) & np.isfinite(size2), measured.frequencies_hz
+    whole = np.where(mask, np.abs(measured.data) ** 2, 0.0)
+    part = np.where(mask, size2, 0.0)
+    columns = []
+    for low, high in pairwise(edges):
+        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
+        top, under = (np.sum(v[:, :, inside], axis=(1, 2)) for v in (part, whole))
+        columns.append(100 * np.sqrt(np.divide(top, under, out=np.full(top.shape, np.nan), where=under > 0)))
+    return np.column_stack(columns)
+
+
 @dataclass(frozen=True)
 class Routes:
     """Two routes to the operating FRFs: hybrid (idle shapes, operating poles) and idle model with effects.
@@ -115,7 +136,7 @@ class Routes:
     rms_db : (n_references,) array
         rms over lines and responses.
     hybrid_db, effect_db : (n_references,) arrays or None
-        Error of each against the check, where there is one.
+        Error of each against the check, where there is one; faults of channels count on the second route.
     total_db : float
         Over everything.
     """
@@ -140,14 +161,14 @@ def routes(results: Results, model: Any) -> Routes | None:
         return None
     band = derive.analysis_band(results)
     grid = every(grid if band is None else grid.band(*band))
-    hybrid, effect = derive.model_frf(results.hybrid, grid), predicted(model.structure(), grid)
-    if hybrid is None or effect is None or not len(grid.axis):
+    hybrid, effect, measured = derive.model_frf(results.hybrid, grid), predicted(model.structure(), grid), predicted(model, grid)
+    if hybrid is None or effect is None or measured is None or not len(grid.axis):
         return None
     mask = derive.clear_lines(grid) if run is not None else np.isfinite(hybrid.data)
     gap = derive.level_error_db(effect, hybrid)
     against: list[NDArray[np.float64] | None] = [None, None]
     if run is not None:
-        against = [derive.rms_over(derive.level_error_db(one, grid), mask, axis=(0, 2)) for one in (hybrid, effect)]
+        against = [derive.rms_over(derive.level_error_db(one, grid), mask, axis=(0, 2)) for one in (hybrid, measured)]
     return Routes(
         grid.frequencies_hz,
         tuple(str(d) for d in grid.references),

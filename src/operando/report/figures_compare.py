@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.report.maps import value_maps
 from operando.report.svg import GREEN, GREY, IDLE, INK, MODEL, ORANGE, PURPLE, SKY, drawn, new_figure
 from operando.report.text import number
 
@@ -58,61 +59,22 @@ def _error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, 
     return figure, "Error of each model in dB: " + ", ".join(f"{n} {v:.2f}" for n, v in zip(names, values, strict=True))
 
 
-def error_maps(maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike) -> str:
-    """SVG: rms dB error by response DOF (rows) and frequency band (columns), one map a model, one colour scale.
+def error_maps(
+    maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike, measure: str = "Level error, rms [dB]"
+) -> str:
+    """SVG: error by response DOF (rows) and frequency band (columns), one map a model, one colour scale.
 
     Parameters
     ----------
-    maps : sequence of (title, (n_rows, n_bands) array [dB]); NaN where no line stands clear of the noise
+    maps : sequence of (title, (n_rows, n_bands) array); NaN where no line stands clear of the noise
     rows : sequence of str
     edges : (n_bands + 1,) array [Hz]
+    measure : str
+        What the numbers are.
     """
-    return _error_maps(maps, rows, edges)
-
-
-@drawn
-def _error_maps(maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike) -> tuple[Figure, str]:
-    import matplotlib
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    hz = np.asarray(edges, float)
-    n, bands = len(rows), hz.size - 1
-    cell = float(np.clip(4.2 / max(n, 1), 0.13, 0.26))
-    width, height = 10.2, n * cell + 1.15
-    figure = new_figure(width, height)
-    finite = np.concatenate([m[np.isfinite(m)] for _, m in maps])
-    top = max(float(np.max(finite)) if finite.size else 1.0, 0.5)
-    norm = Normalize(0, top)
-    colors = matplotlib.colormaps["YlOrBr"]
-    panel = (width - 1.2) / max(len(maps), 2) - 0.75
-    for k, (title, values) in enumerate(maps):
-        axes = figure.add_axes(((0.7 + k * (panel + 0.75)) / width, 0.75 / height, panel / width, n * cell / height))
-        axes.pcolormesh(
-            np.arange(bands + 1), np.arange(n + 1), np.ma.masked_invalid(values), cmap=colors, norm=norm, edgecolors="white", linewidth=0.5
-        )
-        if n <= 40:
-            for i in range(n):
-                for j in range(bands):
-                    v = values[i, j]
-                    text, dark = ("–", False) if not np.isfinite(v) else (f"{v:.1f}", v > 0.55 * top)
-                    axes.text(
-                        j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=min(7, 72 * cell * 0.5), color="white" if dark else INK
-                    )
-        axes.set_xticks(np.arange(bands + 1), [number(f, 3) for f in hz], fontsize=7)
-        every = max(1, n // 40)
-        axes.set_yticks(np.arange(0, n, every) + 0.5, list(rows)[::every], fontsize=7.5)
-        axes.invert_yaxis()
-        axes.set_title(title)
-        axes.set_xlabel("Band limits [Hz]")
-        if k == 0:
-            axes.set_ylabel("Response DOF")
-        axes.tick_params(length=0)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-    bar = figure.add_axes((1 - 0.62 / width, 0.75 / height, 0.13 / width, n * cell / height))
-    figure.colorbar(ScalarMappable(norm=norm, cmap=colors), cax=bar).set_label("Level error, rms [dB]")
-    return figure, "Error by response DOF and frequency band: " + ", ".join(title for title, _ in maps)
+    limits = [number(f, 3) for f in np.asarray(edges, float)]
+    alt = "Error by response DOF and frequency band: " + ", ".join(title for title, _ in maps)
+    return value_maps(maps, rows, limits, measure, ("Band limits [Hz]", "Response DOF"), alt)
 
 
 def frequency_changes(

@@ -49,7 +49,9 @@ def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, st
     axes = figure.add_axes((0.075, foot / height, 0.91, plot / height))
     bottom = _ladder_scale(axes, ladder, values)
     x = np.arange(n)
-    axes.bar(x, values - bottom, bottom=bottom, width=0.56, color=[IDLE] + [GREEN] * (n - 1), zorder=2)
+    axes.bar(
+        x, values - bottom, bottom=bottom, width=0.56, color=[IDLE] + [GREY if verdict == "unexplained" else GREEN] * (n - 1), zorder=2
+    )
     lines = [(i, r.everything) for i, r in enumerate(rungs) if ladder.held_out and np.isfinite(r.everything) and r.everything > 0]
     if lines:
         axes.plot(*np.transpose(lines), ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=0.9, zorder=4)
@@ -59,8 +61,10 @@ def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, st
         words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the data allow"
         axes.annotate(words, (1, ladder.floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
     for i, v in enumerate(values):
-        top = max(v, lines[i][1] if len(lines) == n else v)
-        axes.annotate(ladder.text(v), (i, top), (0, 5), textcoords="offset points", ha="center", fontsize=11, fontweight="bold", zorder=5)
+        axes.annotate(
+            ladder.text(v), (i, _clear_of(v, rungs[i].everything if lines else np.nan, axes)), (0, 5), textcoords="offset points",
+            ha="center", fontsize=11, fontweight="bold", zorder=5,
+        )  # fmt: skip
     for i in range(1, n):
         _fall(axes, i, values[i - 1], values[i], ladder)
     axes.set_xticks(x, labels, fontsize=9, linespacing=1.2)
@@ -94,6 +98,13 @@ def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> fl
     return bottom
 
 
+def _clear_of(value: float, circle: float, axes: Axes) -> float:
+    """Where the words of a column stand: on it, or on the circle where that would cross them."""
+    scale = axes.transData.transform
+    height = scale((0, circle))[1] - scale((0, value))[1] if np.isfinite(circle) and circle > 0 else -1.0
+    return circle if 0 <= height < 24 * axes.figure.dpi / 72 else value
+
+
 def _column_label(effect: EffectWords | None, width: int) -> str:
     if effect is None:
         return "idle model"
@@ -113,8 +124,19 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> No
         words, middle = f"{fixed(after - before, 2, sign=True)} dB", (before + after) / 2
     else:
         ratio = (after if worse else before) / max(before if worse else after, 1e-300)
-        words, middle = f"{'×' if worse else '÷'} {number(ratio, 2)}", float(np.sqrt(max(before, 1e-300) * max(after, 1e-300)))
-    axes.annotate(words, (i - 0.5, middle), (5, 0), textcoords="offset points", color=color, fontsize=8.5, va="center", zorder=5)
+        words, middle = (
+            f"{'×' if worse else '÷'}{number(float(f'{ratio:.2g}'), 2)}",
+            float(np.sqrt(max(before, 1e-300) * max(after, 1e-300))),
+        )
+    if words in ("+0.00 dB", "×1.0", "÷1.0"):
+        return
+    ends = axes.transData.transform([(0, before), (0, after)])[:, 1]
+    short = abs(ends[1] - ends[0]) < 16 * axes.figure.dpi / 72
+    lift = 9.0 + 36 * (ends.max() - ends.mean()) / axes.figure.dpi if short else 0.0
+    axes.annotate(
+        words, (i - 0.5, middle), (0 if short else 5, lift), textcoords="offset points", color=color, fontsize=8.5, zorder=5,
+        ha="center" if short else "left", va="bottom" if short else "center",
+    )  # fmt: skip
 
 
 def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> str:

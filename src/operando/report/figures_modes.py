@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Geometry
 from operando.dof import Dof
-from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
+from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure, segments
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,7 +161,7 @@ def _displacements(mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> N
 
 def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any], box: Box) -> None:
     import matplotlib
-    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.collections import PolyCollection
 
     move = _displacements(mesh, dofs, shape)
     length = np.linalg.norm(move, axis=1)
@@ -178,7 +178,7 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
     scale = min(box[2] / size[0], box[3] / size[1])
     shift = np.array([box[0] + box[2] / 2, box[1] + box[3] / 2]) - scale * (low + size / 2)
     rest, flat = scale * rest + shift, scale * flat + shift
-    axes.add_collection(LineCollection([rest[list(e)] for e in mesh.outline], colors="#c3cbd3", linewidths=0.6, zorder=1))
+    segments(axes, [rest[list(e)] for e in mesh.outline], "#c3cbd3", 0.6, zorder=1)
     colors = matplotlib.colormaps["PuOr"]
     if mesh.faces:
         patches, values = _patches(mesh.faces, flat, depth, signed)
@@ -186,11 +186,9 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
         axes.add_collection(PolyCollection(list(patches), facecolors=shade, edgecolors=shade, linewidths=0.35, zorder=2))
     if mesh.edges:
         color, thick = ("#46525d", 0.7) if mesh.faces else (MODEL, 1.2)
-        axes.add_collection(LineCollection([flat[list(e)] for e in mesh.edges], colors=color, linewidths=thick, zorder=2.5))
+        segments(axes, [flat[list(e)] for e in mesh.edges], color, thick, zorder=2.5)
     if not mesh.faces and not mesh.edges:
-        axes.add_collection(
-            LineCollection([np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], colors=MODEL, linewidths=1.0)
-        )
+        segments(axes, [np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], MODEL, 1.0)
     axes.scatter(
         flat[shown, 0],
         flat[shown, 1],
@@ -207,7 +205,7 @@ def _patches(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Triangles of all faces from back to front, divided so that colour runs smoothly: corners (k, 3, 2), mean values (k,)."""
     corners = np.array([(f[0], f[i], f[i + 1]) for f in faces for i in range(1, len(f) - 1)])
-    n = 4 if len(corners) <= 40 else 2 if len(corners) <= 150 else 1
+    n = 3 if len(corners) <= 40 else 2 if len(corners) <= 150 else 1
     small = []
     for i in range(n):
         for j in range(n - i):

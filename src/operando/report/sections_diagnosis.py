@@ -10,7 +10,7 @@ import numpy as np
 from operando.report import derive, derive_diagnosis, figures_compare, figures_diagnosis, figures_frf, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import decibel, esc, finite, fixed, listing, number
-from operando.report.words_diagnosis import DiagnosisWords, diagnosis_words, effect_words, found_intro, kind_words
+from operando.report.words_diagnosis import DiagnosisWords, diagnosis_words, effect_words, found_intro, kind_words, plain_powers
 from operando.results import CheckRun, Results
 
 SHOWN_CANDIDATES = 8
@@ -97,22 +97,28 @@ def _where(results: Results, numbering: Numbering, words: DiagnosisWords, model:
     if run is None or idle is None or band is None:
         return _by_mode(results, numbering)
     edges = derive.band_edges(band)
-    maps = [("Idle model", derive.error_by_dof_band(idle, run.frf, edges))]
-    if after is not None and words.effects:
-        maps.append(("With the effects", derive.error_by_dof_band(after, run.frf, edges)))
-    noise = derive_diagnosis.noise_by_dof_band(run.frf, edges)
+    models = [("Idle model", idle)] + ([("With the effects", after)] if after is not None and words.effects else [])
+    if words.ladder.by_phase:  # levels would show nothing
+        maps = [(t, derive_diagnosis.relative_by_dof_band(np.abs(m.data - run.frf.data) ** 2, run.frf, edges)) for t, m in models]
+        noise = None if run.frf.variance is None else derive_diagnosis.relative_by_dof_band(run.frf.variance, run.frf, edges)
+        measure, value = "Relative error of the complex FRF [%]", lambda v: f"{number(v, 3)} %"
+    else:
+        maps = [(t, derive.error_by_dof_band(m, run.frf, edges)) for t, m in models]
+        noise = derive_diagnosis.noise_by_dof_band(run.frf, edges)
+        measure, value = "Level error, rms [dB]", decibel
     if noise is not None:
         maps.append(("Noise floor", noise))
     worst = np.where(np.isfinite(maps[0][1]), maps[0][1], -1.0)
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(worst)), worst.shape))
     text = ""
     if worst[i, j] > 0:
-        text = paragraph(
-            f"The idle model fails most at {run.frf.responses[i]} in {number(edges[j], 3)} to {number(edges[j + 1], 3)} Hz: "
-            f"{decibel(worst[i, j])}" + (f", with the effects {decibel(maps[1][1][i, j])}." if len(maps) > 1 and words.effects else ".")
-        )
-    svg = figures_compare.error_maps(maps, [str(d) for d in run.frf.responses], edges)
-    caption = "Level error against the check by response DOF and frequency band, over all references"
+        where = f"{run.frf.responses[i]} in {number(edges[j], 3)} to {number(edges[j + 1], 3)} Hz"
+        then = f", with the effects {value(maps[1][1][i, j])}" if len(models) > 1 else ""
+        text = paragraph(f"The idle model fails most at {where}: {value(worst[i, j])}{then}.")
+    svg = figures_compare.error_maps(maps, [str(d) for d in run.frf.responses], edges, measure)
+    caption = (
+        f"{measure[: measure.index(' [')].replace(', rms', '')} against the check by response DOF and frequency band, over all references"
+    )
     caption += "; the last map is what the noise of the check alone makes" if noise is not None else ""
     return text + numbering.figure(svg, caption + "; a dash where no line stands clear of the noise.")
 
@@ -155,7 +161,7 @@ def _picture(found: Mapping[str, Any], numbering: Numbering, words: DiagnosisWor
     if shown:
         effects = [_at_place(p, found, k) for k, p in enumerate(shown)]
         titles = [
-            listing(p.get("location") or []) + (f": {e.name} {e.size}" if e is not None else "")
+            listing(p.get("location") or []) + (f": {e.name}{' (taken away)' if e.removed else ''} {e.size}" if e is not None else "")
             for p, e in zip(shown, effects, strict=True)
         ]
         laws = dict.fromkeys(e.name for e in effects if e is not None)
@@ -216,8 +222,10 @@ def _before_after(results: Results, numbering: Numbering, words: DiagnosisWords,
     caption += "The band is 95 % from the covariance of idle model and effects." if banded.variance is not None else ""
     judged = derive.comparison_models(results)
     pair = [(judged.get(k) or {}).get("error_db") for k in ("idle", "effect")]
-    text = ""
-    if all(finite(e) for e in pair):
+    text = (
+        paragraph("A fault of phase does not show in these magnitudes; the relative errors above show it.") if words.ladder.by_phase else ""
+    )
+    if all(finite(e) for e in pair) and not words.ladder.by_phase:
         text = paragraph(
             f"Over all lines and pairs of the check the idle model is off by {decibel(pair[0])}, with the effects by {decibel(pair[1])}."
         )
@@ -233,7 +241,7 @@ def _candidates(found: Mapping[str, Any], words: DiagnosisWords) -> str:
     for n, c in enumerate(rows, start=1):
         e, key = effect_words(c), _key(c)
         state = tables.tag("accepted", "good") if key in accepted else tables.tag("not told apart", "fair") if key in rivals else ""
-        evidence = str(c.get("evidence") or "").replace(" (100.0 % lower)", "")
+        evidence = plain_powers(str(c.get("evidence") or "")).replace(" (-", " (−")
         removed = " (taken away)" if e.removed else ""
         cells.append(
             [str(n), esc(e.name + removed), esc(e.place or "–"), esc(e.size), number(c.get("selection_misfit"), 4), esc(evidence), state]

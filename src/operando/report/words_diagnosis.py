@@ -20,6 +20,9 @@ VERDICTS: dict[str, tuple[str, str]] = {
 }
 """Verdict → what it means, and the colour class."""
 
+FAULT = "The measurement is at fault, not the structure"
+"""What ``explained`` means where only channels are to blame."""
+
 INTERVAL = 1.96
 """Standard deviations in the 95 % interval."""
 
@@ -173,11 +176,16 @@ def _marked(effect: Effect) -> str:
     return f"{size}, 95 % interval" if closed else f"{size} (95 %)"
 
 
+def plain_powers(text: str) -> str:
+    """2.516e+04 in a sentence as 25160."""
+    return re.sub(r"\d(?:\.\d+)?e\+\d+", lambda m: f"{float(m[0]):.0f}", text)
+
+
 def _typeset(text: str) -> str:
     """True minus signs, and 1e-07 as 1·10⁻⁷."""
     powers = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
     text = re.sub(r"(?<=\d)e([-+]?\d+)", lambda m: "·10" + str(int(m[1])).translate(powers), text)
-    return re.sub(r"(?<=[ (])-(?=\d)", "−", text)
+    return re.sub(r"(?<![^ (])-(?=\d)", "−", text)
 
 
 def _plain_size(document: Mapping[str, Any]) -> str:
@@ -238,6 +246,8 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     verdict = str(document.get("verdict") or "none")
     title, grade = VERDICTS.get(verdict, (f"Diagnosis: {kind_words(verdict)}", "none"))
     effects = tuple(effect_words(e) for e in document.get("effects") or [])
+    if verdict == "explained" and effects and all(e.group in ("sensor", "force") for e in effects):
+        title = FAULT
     ladder = ladder_of(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     sentences = (_by_hand(verdict, effects), _errors(ladder, output_only), _others(document, verdict, effects))
