@@ -135,10 +135,12 @@ class EffectKind:
         Plain words, without place and size.
     group : {"structure", "sensor", "force", "idle", "excitation"}
         What it is about: the running structure, a response channel, a force channel, the idle model itself, or the excitation.
-    acts : {"dynamic_stiffness", "sensor_map", "modal_change", "added_mode", "excitation"}
+    acts : {"dynamic_stiffness", "pseudo_force", "sensor_map", "modal_change", "added_mode", "excitation"}
         Which of the methods below says what it does.
     places : {0, 1, 2}
         How many DOFs it takes.
+    alternative_places : tuple of int
+        Other numbers of DOFs it can take (two for the difference of two displacements).
     coordinates : {"difference", "separate", "node"}
         What x is: the (difference of the) place's displacement, both displacements apart (skew kinds), or all measured directions
         of the node.
@@ -161,6 +163,7 @@ class EffectKind:
     group: ClassVar[str] = "structure"
     acts: ClassVar[str] = "dynamic_stiffness"
     places: ClassVar[int] = 1
+    alternative_places: ClassVar[tuple[int, ...]] = ()
     coordinates: ClassVar[str] = "difference"
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     constants: ClassVar[tuple[Parameter, ...]] = ()
@@ -183,6 +186,10 @@ class EffectKind:
     def quadratic(self, values: Values, size: int = 1) -> Quadratic | None:
         """The same as M, C, K (with internal DOFs where it has some), or None where no finite number of them says it."""
         return None
+
+    def pseudo_force(self, x: Array, v: Array, values: Values) -> Array:
+        """Restoring force along the place at displacement x and velocity v; the structure feels the opposite. Same shape as x."""
+        raise NotImplementedError(f"{self.kind} has no restoring force")
 
     def sensor_map(self, frequencies_hz: Array, values: Values) -> Array:
         """Complex factor of the measured over the true channel at each frequency [Hz] (which may be complex: s/2πi)."""

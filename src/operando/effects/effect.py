@@ -70,7 +70,7 @@ class Effect:
                 raise ConfigError(
                     f"{self.kind} cannot stand at a position without a sensor", hint="only kinds of one place on the structure can"
                 )
-        elif len(self.location) != definition.places:
+        elif len(self.location) not in (definition.places, *definition.alternative_places):
             raise ConfigError(
                 f"{self.kind} takes {definition.places} places, {len(self.location)} given",
                 hint=f"write {self.kind}" + ("", "@12+Z", "@12+Z,13+Z")[definition.places],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 
-from operando.effects import absorber, channels, coupling, ground, rotor, whole
+from operando.effects import absorber, channels, coupling, friction, ground, nonlinear, rotor, whole
 from operando.effects.base import EffectKind
 from operando.errors import ConfigError
 
@@ -15,6 +15,7 @@ _ACTS = {
     "modal_change": ("modal_change",),
     "added_mode": ("added_mode",),
     "excitation": (),
+    "pseudo_force": ("pseudo_force",),
 }
 
 
@@ -96,6 +97,6 @@ def kind_of(name: str) -> EffectKind:
     )
 
 
-for _room in (ground, coupling, absorber, rotor, whole, channels):
+for _room in (ground, coupling, absorber, rotor, whole, channels, nonlinear, friction):
     for _kind in _room.KINDS:
         register(_kind)
