@@ -40,26 +40,19 @@ def diagnose(source: str, output: str | None) -> Answer:
     return Answer(results.diagnosis, text_of(results.name, results.diagnosis))
 
 
-VERDICTS = {
-    "no_misfit": "the idle model predicts the running machine; nothing is missing",
-    "explained": "what is missing is found",
-    "ambiguous": "something is missing; the data cannot tell which of several effects it is",
-    "partial": "part of what is missing is found",
-    "unexplained": "something is missing that no effect of the catalogue explains",
-}
-
-
 def text_of(name: str, document: dict[str, Any]) -> str:
-    """The diagnosis for people: answer first."""
-    lines = [f"{name}: {document['verdict']} - {VERDICTS[document['verdict']]}."]
-    for effect in document["effects"]:
-        lines.append(f"  {effect['explanation']}")
-        lines.append(f"  to confirm: {effect['confirm']}")
-    if document["ambiguous_with"]:
-        lines.append("Cannot be told from: " + "; ".join(e["explanation"] for e in document["ambiguous_with"]))
-    if document.get("proposed_measurement"):
-        lines.append(f"What would decide: {document['proposed_measurement']}")
+    """The diagnosis for people in the words of the report: answer first, then the ladder."""
+    from operando.report.words_diagnosis import diagnosis_words, found_intro
+
+    words = diagnosis_words(document)
+    lines = [f"{name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}."]
+    intro = found_intro(words)
+    lines += [intro] if intro else []
+    lines += [f"  {sentence}" for sentence in words.found]
+    lines += [*words.sentences, *words.decide]
     parts = ["\n".join(lines), ladder_table(document["ladder"])]
+    if words.ladder.decibel and words.ladder.floor is not None:
+        parts[-1] += f"\nnoise floor {words.ladder.floor:.4g} dB"
     if document.get("notes"):
         parts.append("\n".join(f"note: {n}" for n in document["notes"]))
     return "\n\n".join(parts)

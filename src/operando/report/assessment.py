@@ -27,7 +27,7 @@ from operando.scaling.methods import IN_WORDS
 
 MODEL_NAMES = {
     "ofrf": "operating FRFs (this method)",
-    "effect": "idle model with accepted effects",
+    "effect": "idle model + effects",
     "msf_all": "operating shapes, all scaled by MSF",
     "idle_shapes": "idle shapes with operating poles",
     "idle": "idle model",
