@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -15,7 +15,8 @@ from operando.diagnose.diagnosis import Diagnosis
 from operando.diagnose.model import Model, joint_covariance
 from operando.diagnose.output_only_fit import FOLDS, Fit, counts, fit, mean_square
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, action_of, solve
-from operando.diagnose.output_only_residuals import Target, compress, residuals, target_of, whiteners
+from operando.diagnose.output_only_idle import settled
+from operando.diagnose.output_only_residuals import Target, compress, model_variance, residuals, target_of, whiteners
 from operando.diagnose.verdict import spacing, verdict_of
 from operando.dof import Dof, parse_dofs
 from operando.effects import Effect, kind_of
@@ -27,17 +28,23 @@ Progress = Callable[[str], None]
 EARN = 0.10
 """Share of the selection misfit an effect must take away to be accepted."""
 
+CONFIRM = 0.05
+"""Share of its misfit that what judges must lose too, or the effect is not accepted: the judge ranks nothing, but it may refuse."""
+
 ENOUGH = 1.0
-"""Selection misfit at which nothing is left for a further effect."""
+"""Misfit of what chooses, or of what judges, at which nothing is left for a further effect."""
 
 GRID = (0.003, 0.03, 0.2, 1.0)
 """Sizes tried first, as the change of the most affected mode's modal mass, stiffness or damping over its own."""
 
-POLISHED = 60
+POLISHED = 40
 """Places whose size is polished after the coarse grid."""
 
-REFINED = 20
+REFINED = 12
 """Places refined with floating shapes, after the scan."""
+
+ALIKE = 12.0
+"""Candidates whose summed squared residuals differ by less are not told apart: odds of 400 to 1 under normal errors."""
 
 MOST_EFFECTS = 3
 """Effects looked for one after the other."""
@@ -195,27 +202,33 @@ def refine(
     short: list[tuple[float, Action, float]],
     use: NDArray[np.bool_],
 ) -> list[Fit]:
-    """Exact fits with floating shapes of all effects, ranked by selection misfit."""
+    """Exact fits with floating shapes of all effects, ranked by misfit, moves of the shapes included."""
     out = []
     for _, action, size in short:
         rows = np.vstack([*(a.rows for a in accepted), action.rows])
         found = fit(target, basis.touched(rows), [*accepted, action], [*sizes, size], use)
         if found is not None and all(_allowed(a, float(s)) for a, s in zip(found.actions, found.sizes, strict=True)):
             out.append(found)
-    return sorted(out, key=lambda f: f.selection)
+    return sorted(out, key=lambda f: f.misfit)
 
 
-def indistinct(best: Fit, others: Sequence[Fit]) -> list[Fit]:
-    """Fits the rows cannot tell from the best: within 2 %, or within 15 % and less than two paired standard errors over modes."""
-    out = []
-    n = len(best.by_mode)
-    for other in others:
-        difference = other.by_mode - best.by_mode
-        spread = float(np.std(difference, ddof=1) * np.sqrt(n)) if n > 1 else np.inf
-        z = float(difference.sum()) / spread if spread > 0 else np.inf
-        if other.selection < 1.02 * best.selection or (z < 2 and other.selection < 1.15 * best.selection):
-            out.append(other)
-    return out
+def indistinct(best: Fit, others: Sequence[Fit], rows: float) -> list[Fit]:
+    """Fits the rows cannot tell from the best: summed squared residuals within ``ALIKE`` of its, or misfit within 2 %."""
+    limit = max(ALIKE * max(1.0, best.misfit) / rows, 0.02 * best.misfit)
+    return [other for other in others if other.misfit - best.misfit < limit]
+
+
+def judged(target: Target, basis: Basis, found: Fit, use: NDArray[np.bool_]) -> float:
+    """Misfit of a fit, as it is, on modes it may not have seen."""
+    near = basis.touched(_rows(found.actions, basis))
+    plain = whiteners(target)
+    _, index, scale = residuals(target, found.modes, plain)
+    white = whiteners(target, model_variance(near, target, found.modes, index, scale, found.prior.dofs))
+    return mean_square(compress(residuals(target, found.modes, white)[0]), use)
+
+
+def _rows(actions: Sequence[Action], basis: Basis) -> Real:
+    return np.vstack([np.zeros((0, basis.shapes.shape[0])), *(a.rows for a in actions)])
 
 
 def _far(a: Effect, b: Effect, geometry: Geometry | None) -> bool:
@@ -235,14 +248,14 @@ def _far(a: Effect, b: Effect, geometry: Geometry | None) -> bool:
     return min(max(apart(p, q) for p, q in zip(a.location, order, strict=True)) for order in orders) > 1.05 * spacing(geometry)
 
 
-def _step(step: int, added: Effect | None, f: Fit, judge: NDArray[np.bool_]) -> dict[str, Any]:
+def _step(step: int, added: Effect | None, f: Fit, judge_misfit: float) -> dict[str, Any]:
     return {
         "step": step,
         "added": None if added is None else added.to_dict(),
         "error_db": None,
         "heldout_error_db": None,
         "misfit": float(f.misfit),
-        "heldout_misfit": mean_square(f.residuals, judge),
+        "heldout_misfit": judge_misfit,
     }
 
 
@@ -258,6 +271,7 @@ def diagnose_output_only(
     idle: ModalModel,
     operating: ModalModel,
     *,
+    halves: Sequence[ModalModel] | None = None,
     kinds: Iterable[str] | None = None,
     places: Iterable[Any] | None = None,
     geometry: Geometry | None = None,
@@ -269,7 +283,8 @@ def diagnose_output_only(
     Each kind at each DOF and pair is added to the idle model; poles and complex shapes of the exact state-space
     eigenproblem (residual modes included) are matched to the operating ones, and the size is fitted to ln f, ln ζ and
     shape, each over its standard deviation, while the idle shapes at the effect's DOFs float under their covariance.
-    One third of the rows judges and chooses nothing.
+    The first half of the record chooses, the second half, identified apart, judges, and the whole gives the sizes. Where there are
+    no halves, one third of the values judges and chooses nothing.
 
     Parameters
     ----------
@@ -277,6 +292,9 @@ def diagnose_output_only(
         Unit modal mass, residual modes and covariance included.
     operating : ModalModel
         Complex shapes of arbitrary scale, with covariance.
+    halves : (ModalModel, ModalModel), optional
+        Operating modes of the first and of the second half of the record (``operando.oma.fit_halves``). Default: those that
+        ``operating.details`` carries, if any.
     kinds : iterable of str, optional
         Kinds to look for.
     places : iterable of DOF labels, optional
@@ -304,24 +322,74 @@ def diagnose_output_only(
     if idle.scaling != "unit_modal_mass":
         raise DataError("the idle shapes have no scale: no effect can be sized", hint="give units to the idle test")
     with threadpool_limits(1, "blas"):
-        if band is not None:
-            operating = operating.select_modes((operating.frequencies_hz >= band[0]) & (operating.frequencies_hz <= band[1]))
-        return _diagnose(idle, operating, kinds, places, geometry, progress)
+        parts = tuple(getattr(operating.details, "halves", ()) if halves is None else halves)
+        inside = [model if band is None else _within(model, band) for model in (operating, *parts)]
+        return _diagnose(idle, inside[0], inside[1:], kinds, places, geometry, progress)
+
+
+def _within(model: ModalModel, band: tuple[float, float]) -> ModalModel:
+    return model.select_modes((model.frequencies_hz >= band[0]) & (model.frequencies_hz <= band[1]))
+
+
+@dataclass(frozen=True)
+class Sets:
+    """What chooses, what judges, and all of it, with the rows of each."""
+
+    choose: Target
+    use: NDArray[np.bool_]
+    judge: Target
+    held: NDArray[np.bool_]
+    whole: Target
+    note: str
+
+    @property
+    def rows(self) -> float:
+        """Degrees of freedom of what chooses."""
+        return float(counts(self.use).sum())
+
+    def misfit(self, basis: Basis, found: Fit) -> float:
+        """Of a fit, on what judges."""
+        return judged(self.judge, basis, found, self.held)
+
+
+def sets_of(idle: ModalModel, operating: ModalModel, halves: Sequence[ModalModel]) -> Sets:
+    """The halves of the record where both show modes, else the values of the whole in turn."""
+    whole = target_of(idle, operating)
+    every = lambda t: np.ones((t.n, t.per_mode), bool)  # noqa: E731
+    if len(halves) == 2:
+        try:
+            first, second = (target_of(idle, half) for half in halves)
+        except DataError:
+            pass
+        else:
+            note = "the first half of the record chose the effects, the second, identified apart, judged them, the whole gave the sizes"
+            return Sets(first, every(first), second, every(second), whole, note)
+    rows = judge_rows(whole)
+    if whole.n < FOLDS:
+        few = f"{whole.n} operating modes are too few to set some apart: what judges was fitted"
+        return Sets(whole, rows, whole, rows, whole, few)
+    spared = "one third of the values (of each mode its frequency, damping or shape, in turn) judged and chose nothing"
+    return Sets(whole, ~rows, whole, rows, whole, spared)
 
 
 def _diagnose(
-    idle: ModalModel, operating: ModalModel, kinds: object, places: object, geometry: Geometry | None, progress: Progress | None
+    given: ModalModel,
+    operating: ModalModel,
+    halves: Sequence[ModalModel],
+    kinds: object,
+    places: object,
+    geometry: Geometry | None,
+    progress: Progress | None,
 ) -> Diagnosis:
-    target, basis = target_of(idle, operating), Basis.of(idle)
-    judge = judge_rows(target)
-    use = ~judge if target.n >= FOLDS else judge
-    everything = np.ones_like(use)
+    idle = settled(given)
+    sets, basis = sets_of(idle, operating, halves), Basis.of(idle)
     actions = [action_of(e, idle) for e in candidate_effects(idle, kinds, places)]
-    current = fit(target, basis, (), (), use)
+    bare = basis.touched(_rows((), basis))
+    current = fit(sets.choose, bare, (), (), sets.use)
     if current is None:
         raise DataError("the idle model has no poles")
     first = current
-    ladder = [_step(0, None, current, judge)]
+    ladder = [_step(0, None, current, sets.misfit(basis, current))]
     ranked: list[Fit] = []
     rivals: list[tuple[Effect, Effect]] = []
     further = 1.0
@@ -330,54 +398,52 @@ def _diagnose(
             progress(f"looking for effect {step}")
         taken = {(a.kind, a.effect.location) for a in current.actions}
         open_actions = [a for a in actions if (a.kind, a.effect.location) not in taken]
-        scanned = scan(target, basis, current.actions, list(current.sizes), open_actions, use, progress)
-        fits = refine(target, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 2), use)
+        scanned = scan(sets.choose, basis, current.actions, list(current.sizes), open_actions, sets.use, progress)
+        fits = refine(sets.choose, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 2), sets.use)
         if step == 1:
             ranked = fits
-        further = fits[0].selection / current.selection if fits else 1.0
-        gain = (current.selection - fits[0].selection) * counts(use).sum() if fits else 0.0
+        further = fits[0].misfit / current.misfit if fits else 1.0
+        gain = (current.misfit - fits[0].misfit) * sets.rows if fits else 0.0
         if further >= 1 - EARN or gain < chance(len(open_actions)):
+            break
+        confirmed = sets.misfit(basis, fits[0])
+        if confirmed > (1 - CONFIRM) * ladder[-1]["heldout_misfit"]:
             break
         current, further = fits[0], 1.0
         added = effects_of(current)[-1]
-        rivals += [(added, effects_of(f)[-1]) for f in indistinct(current, fits[1:])]
-        ladder.append(_step(step, added, current, judge))
-        if current.selection < ENOUGH:
+        rivals += [(added, effects_of(f)[-1]) for f in indistinct(current, fits[1:], sets.rows)]
+        ladder.append(_step(step, added, current, confirmed))
+        if min(current.misfit, confirmed) < ENOUGH:
             break
-    full = current
-    if current.actions:
-        full = fit(target, basis, current.actions, list(current.sizes), everything) or current
+    everything = np.ones((sets.whole.n, sets.whole.per_mode), bool)
+    near = basis.touched(_rows(current.actions, basis))
+    full = fit(sets.whole, near, current.actions, list(current.sizes), everything) or current
+    before = fit(sets.whole, bare, (), (), everything) or first
     effects = tuple(effects_of(full))
     far = any(_far(one, other, geometry) for one, other in rivals)
     verdict = verdict_of([float(row["heldout_misfit"]) for row in ladder], bool(effects), far, further)
-    candidates = tuple(_candidate(f, first.selection) for f in ranked)
+    candidates = tuple(_candidate(f, first.misfit) for f in ranked)
     by_mode = tuple(
         {
-            "frequency_hz": float(np.exp(target.log_hz[k])),
+            "frequency_hz": float(np.exp(sets.whole.log_hz[k])),
             "misfit": float(np.sum(full.residuals[k] ** 2) / counts(everything)[k]),
-            "idle_misfit": float(np.sum(first.residuals[k] ** 2) / counts(everything)[k]),
+            "idle_misfit": float(np.sum(before.residuals[k] ** 2) / counts(everything)[k]),
         }
-        for k in range(target.n)
+        for k in range(sets.whole.n)
     )
-    where = {"by_dof": [], "by_band": [], "by_mode": list(by_mode)}
-    decide = _propose(*rivals[0]) if rivals else None
-    alike = tuple(other for _, other in rivals)
-    spared = "one third of the values (of each mode its frequency, damping or shape, in turn) judged and chose nothing"
-    few = f"{target.n} operating modes are too few to set some apart: what judges was fitted"
-    notes = (spared if target.n >= FOLDS else few,)
     return Diagnosis(
         verdict,
         effects,
-        alike,
-        decide,
+        tuple(other for _, other in rivals),
+        _propose(*rivals[0]) if rivals else None,
         tuple(ladder),
         candidates,
-        where,
+        {"by_dof": [], "by_band": [], "by_mode": list(by_mode)},
         None,
         ("operating_modes",),
-        notes=notes,
-        idle=idle,
-        model=_model(idle, basis, full, geometry),
+        notes=(sets.note,),
+        idle=given,
+        model=_model(idle, basis, full, geometry) if effects else Model(given, (), geometry),
     )
 
 
@@ -396,18 +462,22 @@ def _model(idle: ModalModel, basis: Basis, found: Fit, geometry: Geometry | None
     if idle.covariance is None or not found.covariance.size:
         return Model(idle, effects, geometry)
     n, m = idle.n_modes, len(idle.dofs)
-    index = (2 * n + np.arange(n)[None, :] * m + found.prior.dofs[:, None]).ravel()
+    # The fit left out local modes that the effects do not touch.
+    modes = np.flatnonzero(basis.involved(_rows(found.actions, basis)))
+    index = (2 * n + modes[None, :] * m + found.prior.dofs[:, None]).ravel()
     # Values of effects taken away are kept positive.
     senses = np.r_[[e.sign for e in effects], np.ones(found.eta.size)]
     posterior = found.covariance * senses[:, None] * senses
     updated, joint = joint_covariance(idle, index, found.prior.root, posterior)
-    return Model(replace(updated, shapes=found.prior.shapes(basis, found.eta)), effects, geometry, joint)
+    shapes = np.array(idle.shapes, float)
+    shapes[np.ix_(found.prior.dofs, modes)] += (found.prior.root @ found.eta).reshape(found.prior.dofs.size, modes.size)
+    return Model(replace(updated, shapes=shapes), effects, geometry, joint)
 
 
-def _candidate(found: Fit, idle_selection: float) -> dict[str, Any]:
-    fall = 100 * (1 - found.selection / idle_selection)
-    text = f"misfit of modes left out {idle_selection:.4g} → {found.selection:.4g} ({fall:.1f} % lower)"
-    return effects_of(found)[-1].to_dict() | {"selection_misfit": found.selection, "evidence": text}
+def _candidate(found: Fit, idle_misfit: float) -> dict[str, Any]:
+    fall = 100 * (1 - found.misfit / idle_misfit)
+    text = f"misfit of the operating modes {idle_misfit:.4g} → {found.misfit:.4g} ({fall:.1f} % lower), the one size fitted"
+    return effects_of(found)[-1].to_dict() | {"selection_misfit": found.misfit, "evidence": text}
 
 
 __all__ = ["candidate_effects", "diagnose_output_only", "judge_rows"]

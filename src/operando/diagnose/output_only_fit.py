@@ -25,6 +25,13 @@ Real = NDArray[np.float64]
 FOLDS = 4
 """Folds of modes of the selection misfit."""
 
+PASSES = 4
+"""Fits one after the other at most, each with the idle model's own variance at the solution of the one before."""
+
+LEAP = 1.5
+"""Largest move of a floating shape value in one step, in standard deviations: a shape value of either sign is the same mode, and a longer
+move could end on the wrong side."""
+
 LOST = 2
 """Shape residuals a mode loses to its free complex scale."""
 
@@ -198,50 +205,56 @@ def fit(
     prior = Prior.of(basis, actions) if floating else Prior(np.zeros(0, int), np.zeros((0, 0)))
     q = prior.root.shape[1]
     sizes, eta = np.array(start, float), np.zeros(q)
-    white = whiteners(target)
     begun = solve(basis, actions, sizes, prior.shapes(basis, eta), derivatives=True)
     if begun is None:
         return None
     modes: Modes = begun
-    raw, index, scale = residuals(target, modes, white)
-    if own_variance:
-        white = whiteners(target, model_variance(basis, target, modes, index, scale))
-        raw, index, scale = residuals(target, modes, white)
+    plain = whiteners(target)
 
     def cost_of(r: Real, e: Real) -> float:
         return float(np.sum(compress(r[use]) ** 2) + e @ e)
 
-    cost, damping = cost_of(raw, eta), 1e-3
-    scaled_jacobian = np.zeros((0, k + q))
-    for _ in range(iterations if k else 0):
-        j = jacobian(target, basis, actions, sizes, prior, modes, index, white)
-        slope = compress_slope(raw)
-        scaled_jacobian = (j * slope[..., None])[use]
-        h = scaled_jacobian.T @ scaled_jacobian
-        g = scaled_jacobian.T @ compress(raw[use])
-        h[np.arange(k, k + q), np.arange(k, k + q)] += 1
-        g[k:] += eta
-        better: Modes | None = None
-        for _ in range(6):
-            step = -np.linalg.solve(h + damping * np.diag(np.diag(h) + 1e-300), g)
-            # Sizes move by a factor of three at most: beyond that the linearisation says nothing.
-            limit = np.max(np.abs(step[:k]) / (2.0 * np.abs(sizes) + 1e-300))
-            step /= max(1.0, limit)
-            new_sizes, new_eta = sizes + step[:k], eta + step[k:]
-            new_modes = solve(basis, actions, new_sizes, prior.shapes(basis, new_eta), derivatives=True)
-            if new_modes is not None:
-                new_raw, new_index, new_scale = residuals(target, new_modes, white)
-                new_cost = cost_of(new_raw, new_eta)
-                if new_cost < cost:
-                    better = new_modes
-                    break
-            damping *= 8
-        if better is None:
-            break
-        gain = cost - new_cost
-        sizes, eta, modes, raw, index, scale, cost = new_sizes, new_eta, better, new_raw, new_index, new_scale, new_cost
-        damping = max(damping / 5, 1e-9)
-        if gain < 1e-3 + 1e-6 * cost:
+    # The idle model's own variance depends on the solution, so it is taken anew there; within a pass it is held, or the fit would
+    # look for the solution of the largest variance.
+    for number in range(PASSES if own_variance and k else 1):
+        white = plain
+        if own_variance:
+            _, index, scale = residuals(target, modes, plain)
+            white = whiteners(target, model_variance(basis, target, modes, index, scale, prior.dofs))
+        raw, index, scale = residuals(target, modes, white)
+        before, cost, damping = sizes.copy(), cost_of(raw, eta), 1e-3
+        for _ in range(iterations if k else 0):
+            j = jacobian(target, basis, actions, sizes, prior, modes, index, white)
+            slope = compress_slope(raw)
+            scaled_jacobian = (j * slope[..., None])[use]
+            h = scaled_jacobian.T @ scaled_jacobian
+            g = scaled_jacobian.T @ compress(raw[use])
+            h[np.arange(k, k + q), np.arange(k, k + q)] += 1
+            g[k:] += eta
+            better: Modes | None = None
+            for _ in range(6):
+                step = -np.linalg.solve(h + damping * np.diag(np.diag(h) + 1e-300), g)
+                # Sizes move by a factor of three at most: beyond that the linearisation says nothing.
+                limit = np.max(np.abs(step[:k]) / (2.0 * np.abs(sizes) + 1e-300))
+                limit = max(limit, float(np.max(np.abs(step[k:]), initial=0.0)) / LEAP)
+                step /= max(1.0, limit)
+                new_sizes, new_eta = sizes + step[:k], eta + step[k:]
+                new_modes = solve(basis, actions, new_sizes, prior.shapes(basis, new_eta), derivatives=True)
+                if new_modes is not None:
+                    new_raw, new_index, new_scale = residuals(target, new_modes, white)
+                    new_cost = cost_of(new_raw, new_eta)
+                    if new_cost < cost:
+                        better = new_modes
+                        break
+                damping *= 8
+            if better is None:
+                break
+            gain = cost - new_cost
+            sizes, eta, modes, raw, index, scale, cost = new_sizes, new_eta, better, new_raw, new_index, new_scale, new_cost
+            damping = max(damping / 5, 1e-9)
+            if gain < 1e-2 + 1e-5 * cost:
+                break
+        if number and np.all(np.abs(sizes - before) < 1e-2 * np.abs(sizes)):
             break
     r = compress(raw)
     covariance = np.zeros((0, 0))

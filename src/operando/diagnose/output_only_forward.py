@@ -122,15 +122,18 @@ class Basis:
         covariance = None if self.covariance is None else self.covariance[:, :, keep][:, :, :, keep]
         return Basis(self.omega[keep], self.zeta[keep], self.shapes[:, keep], covariance)
 
-    def touched(self, rows: Real) -> Basis:
-        """Without the local modes (nonzero at one DOF only) that have no part at any of the coordinates.
+    def involved(self, rows: Real) -> NDArray[np.bool_]:
+        """Modes but the local ones (nonzero at one DOF only) that have no part at any of the coordinates.
 
         Such a mode stays uncoupled: leaving it out changes no other pole.
         """
         local = np.count_nonzero(self.shapes, axis=0) <= 1
-        if not local.any():
-            return self
-        return self.kept(~local | np.any(np.abs(rows) @ np.abs(self.shapes) > 0, axis=0))
+        return np.asarray(~local | np.any(np.abs(rows) @ np.abs(self.shapes) > 0, axis=0))
+
+    def touched(self, rows: Real) -> Basis:
+        """The basis of the modes involved."""
+        keep = self.involved(rows)
+        return self if keep.all() else self.kept(keep)
 
 
 @dataclass(frozen=True)

@@ -233,8 +233,13 @@ def residuals(target: Target, modes: Modes, white: Real) -> tuple[Real, NDArray[
     return out, index, np.where(found, scale, 0)
 
 
-def model_variance(basis: Basis, target: Target, modes: Modes, index: NDArray[np.int_], scale: Complex) -> Real:
-    """The idle model's own variance of the shapes read out (n, 2m), in the scale of the operating shapes."""
+def model_variance(
+    basis: Basis, target: Target, modes: Modes, index: NDArray[np.int_], scale: Complex, floating: NDArray[np.int_] | None = None
+) -> Real:
+    """The idle model's own variance of the shapes read out (n, 2m), in the scale of the operating shapes.
+
+    Rows of the idle model that ``floating`` names have none: their shape values are fitted, and would count twice.
+    """
     m = len(target.rows)
     out = np.zeros((target.n, 2 * m))
     if basis.covariance is None:
@@ -244,6 +249,8 @@ def model_variance(basis: Basis, target: Target, modes: Modes, index: NDArray[np
             continue
         u = scale[k] * modes.vectors[:, j]
         for a, dof in enumerate(target.rows):
+            if floating is not None and dof in floating:
+                continue
             block = basis.covariance[dof, dof]
             out[k, a] = max(float(u.real @ block @ u.real), 0.0)
             out[k, m + a] = max(float(u.imag @ block @ u.imag), 0.0)
