@@ -47,7 +47,7 @@ def settled(idle: ModalModel) -> ModalModel:
     shapes = np.asarray(idle.shapes, float)
     m, n = shapes.shape
     residual = np.asarray(idle.residual)
-    local = residual & (np.count_nonzero(shapes, axis=0) <= 1)
+    local = residual & (np.count_nonzero(shapes, axis=0) == 1)
     driven = np.ones(m, bool)
     driven[np.argmax(np.abs(shapes[:, local]), axis=0)] = False
     if not local.any() or not driven.any() or idle.covariance is None or idle.band_hz is None:

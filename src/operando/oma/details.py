@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import ModalModel
 from operando.oma.spectra import Spectra
 from operando.stabilization import RejectedPole, Stabilization
 
@@ -30,6 +31,8 @@ class OmaDetails:
         Model order each mode was taken from.
     settings : dict
         All settings as used, defaults filled in.
+    halves : tuple of ModalModel
+        Modes of the first and of the second half of the record, identified apart (``fit_halves``); empty where nobody asked.
     """
 
     stabilization: Stabilization
@@ -38,6 +41,7 @@ class OmaDetails:
     second_opinion: tuple[dict[str, Any], ...] | None = None
     model_orders: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, int))
     settings: dict[str, Any] = field(default_factory=dict)
+    halves: tuple[ModalModel, ...] = ()
 
     @property
     def rejected(self) -> tuple[RejectedPole, ...]:

@@ -163,7 +163,7 @@ def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
 
 def operational_modes(work: Work) -> dict[str, Any]:
     """Operational modes, complex and unscaled."""
-    from operando.oma import fit_oma
+    from operando.oma import fit_halves, fit_oma
 
     analysis = work.analysis
     records = work.inputs.records(work.test.operating, force=False)
@@ -180,7 +180,11 @@ def operational_modes(work: Work) -> dict[str, Any]:
         exclude_bands=analysis.exclude_bands,
         second_opinion=analysis.second_opinion or None,
     )
-    return {"operating": fit_oma(records, **keywords), "findings": findings}
+    operating = fit_oma(records, **keywords)
+    if not work.test.check:
+        # The diagnosis from operating modes chooses on one half of the record and is judged on the other.
+        operating = replace(operating, details=replace(operating.details, halves=fit_halves(records, operating)))
+    return {"operating": operating, "findings": findings}
 
 
 def analysis_band(work: Work) -> tuple[float, float] | None:
