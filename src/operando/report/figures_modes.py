@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Geometry
 from operando.dof import Dof
-from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure, segments
+from operando.report.canvas import ORANGE_PURPLE, WHITE_BLUE, Canvas, shades
+from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _AXES = {"X": 0, "Y": 1, "Z": 2}
@@ -41,37 +41,28 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
         One a row of each shape.
     pairs : list of ShapePair
     """
-    return _mode_shapes(geometry, tuple(dofs), pairs)
-
-
-@drawn
-def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequence[ShapePair]) -> tuple[Figure, str]:
     columns = min(_PER_ROW, max(len(pairs), 1))
     rows = -(-max(len(pairs), 1) // columns)
     width, head, cell = 10.2, 0.34, 1.75
     height = rows * (head + cell) + 0.1
-    figure = new_figure(width, height)
+    sheet = Canvas(width, height)
     step = width / columns
-    mesh = None if geometry is None else _mesh(geometry, dofs)
-    axes = figure.add_axes((0, 0, 1, 1))  # one for all, in inches: axes of their own would cost seconds
-    axes.set_xlim(0, width)
-    axes.set_ylim(0, height)
-    axes.axis("off")
+    mesh = None if geometry is None else _mesh(geometry, tuple(dofs))
     half = (step - 0.1) / 2
     for k, pair in enumerate(pairs):
         x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
-        axes.text(x0 + 0.06, y0 + cell + 0.13, pair.label, fontsize=9, fontweight="bold", va="bottom")
+        sheet.text(x0 + 0.06, y0 + cell + 0.14, pair.label, 9, bold=True)
         for side, (shape, text, color) in enumerate(((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))):
             left = x0 + 0.04 + side * half
-            axes.text(left + half / 2, y0 + cell - 0.02, text, fontsize=7.5, color=color, ha="center", va="center")
+            sheet.text(left + half / 2, y0 + cell - 0.05, text, 7.5, "middle", color)
             box = (left + 0.05, y0, half - 0.1, cell - 0.14)
             if shape is None:
-                axes.text(left + half / 2, y0 + cell / 2, "none", fontsize=7.5, color=GREY, ha="center")
+                sheet.text(left + half / 2, y0 + cell / 2, "none", 7.5, "middle", GREY)
             elif mesh is None:
-                _bars(axes, dofs, shape, color, box)
+                _bars(sheet, tuple(dofs), shape, color, box)
             else:
-                _deformed(axes, mesh, dofs, shape, box)
-    return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
+                _deformed(sheet, mesh, tuple(dofs), shape, box)
+    return sheet.svg(f"Mode shapes at rest and running, {len(pairs)} modes side by side")
 
 
 Box = tuple[float, float, float, float]
@@ -159,10 +150,7 @@ def _displacements(mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> N
     return out
 
 
-def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any], box: Box) -> None:
-    import matplotlib
-    from matplotlib.collections import PolyCollection
-
+def _deformed(sheet: Canvas, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any], box: Box) -> None:
     move = _displacements(mesh, dofs, shape)
     length = np.linalg.norm(move, axis=1)
     peak = length.max() if length.size and length.max() > 0 else 1.0
@@ -178,26 +166,16 @@ def _deformed(axes: Axes, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any
     scale = min(box[2] / size[0], box[3] / size[1])
     shift = np.array([box[0] + box[2] / 2, box[1] + box[3] / 2]) - scale * (low + size / 2)
     rest, flat = scale * rest + shift, scale * flat + shift
-    segments(axes, [rest[list(e)] for e in mesh.outline], "#c3cbd3", 0.6, zorder=1)
-    colors = matplotlib.colormaps["PuOr"]
+    sheet.lines([rest[list(e)] for e in mesh.outline], "#c3cbd3", 0.6)
     if mesh.faces:
         patches, values = _patches(mesh.faces, flat, depth, signed)
-        shade = colors(0.5 + 0.46 * values)
-        axes.add_collection(PolyCollection(list(patches), facecolors=shade, edgecolors=shade, linewidths=0.35, zorder=2))
+        sheet.polygons(list(patches), shades(0.5 + 0.46 * values, ORANGE_PURPLE), 0.35)
     if mesh.edges:
         color, thick = ("#46525d", 0.7) if mesh.faces else (MODEL, 1.2)
-        segments(axes, [flat[list(e)] for e in mesh.edges], color, thick, zorder=2.5)
+        sheet.lines([flat[list(e)] for e in mesh.edges], color, thick)
     if not mesh.faces and not mesh.edges:
-        segments(axes, [np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], MODEL, 1.0)
-    axes.scatter(
-        flat[shown, 0],
-        flat[shown, 1],
-        s=5,
-        color=[colors(0.5 + 0.5 * float(v)) for v in signed[shown]],
-        edgecolors=INK,
-        linewidths=0.35,
-        zorder=3,
-    )
+        sheet.lines([np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], MODEL, 1.0)
+    sheet.dots(flat[shown], shades(0.5 + 0.5 * signed[shown], ORANGE_PURPLE), 2.5, 0.35)
 
 
 def _patches(
@@ -205,7 +183,7 @@ def _patches(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Triangles of all faces from back to front, divided so that colour runs smoothly: corners (k, 3, 2), mean values (k,)."""
     corners = np.array([(f[0], f[i], f[i + 1]) for f in faces for i in range(1, len(f) - 1)])
-    n = 3 if len(corners) <= 40 else 2 if len(corners) <= 150 else 1
+    n = 4 if len(corners) <= 40 else 2 if len(corners) <= 150 else 1
     small = []
     for i in range(n):
         for j in range(n - i):
@@ -220,10 +198,8 @@ def _patches(
     return points[order], height[order]
 
 
-def _bars(axes: Axes, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str, box: Box) -> None:
+def _bars(sheet: Canvas, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str, box: Box) -> None:
     """Shape as bars by DOF where there is no geometry."""
-    from matplotlib.collections import PolyCollection
-
     values = np.asarray(shape, float)
     values = values / (float(np.max(np.abs(values))) or 1.0)
     left, bottom, width, height = box
@@ -235,10 +211,10 @@ def _bars(axes: Axes, dofs: tuple[Dof, ...], shape: NDArray[Any], color: str, bo
         [(a, middle), (a + 0.7 * step, middle), (a + 0.7 * step, middle + size * v), (a, middle + size * v)]
         for a, v in zip(x, values, strict=True)
     ]
-    axes.add_collection(PolyCollection(corners, facecolors=color, linewidths=0))
-    axes.plot([left, left + width], [middle, middle], color=INK, lw=0.6)
+    sheet.polygons(corners, [color] * values.size)
+    sheet.lines([[(left, middle), (left + width, middle)]], INK, 0.6)
     for i in range(0, values.size, max(1, values.size // 8)):
-        axes.text(x[i] + 0.35 * step, bottom + foot - 0.03, str(dofs[i]), rotation=90, fontsize=5.5, ha="center", va="top")
+        sheet.text(x[i] + 0.35 * step + 0.03, bottom + foot - 0.03, str(dofs[i]), 5.5, "end", turn=90)
 
 
 def mac_matrices(
@@ -250,55 +226,38 @@ def mac_matrices(
     ----------
     matrices : sequence of (title, (rows, columns) array, row labels, column labels, row axis name, column axis name)
     """
-    return _mac_matrices(matrices)
-
-
-@drawn
-def _mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]]) -> tuple[Figure, str]:
-    import matplotlib
-
     width, n = 10.2, len(matrices)
     panel = (width - 0.1) / max(n, 2) - 0.85
     heights = [panel * np.shape(m[1])[0] / max(np.shape(m[1])[1], 1) for m in matrices]
     tall = min(max(heights), 1.3 * panel)
     height = tall + 1.1
-    figure = new_figure(width, height)
-    colors = matplotlib.colormaps["Blues"]
+    sheet = Canvas(width, height)
     for k, (title, values, row_labels, column_labels, row_name, column_name) in enumerate(matrices):
         mac = np.asarray(values, float)
         rows, columns = mac.shape
         wide = min(panel, tall * columns / rows)
         high = wide * rows / columns
-        axes = figure.add_axes(((0.78 + k * (panel + 0.85)) / width, (height - 0.3 - high) / height, wide / width, high / height))
-        axes.pcolormesh(
-            np.arange(columns + 1),
-            np.arange(rows + 1),
-            np.clip(mac, 0, 1),
-            cmap=colors,
-            vmin=0,
-            vmax=1.15,
-            edgecolors="white",
-            linewidth=0.5,
-        )
-        size = float(np.clip(72 * wide / columns * 0.34, 0, 8))
-        if size >= 4.2:
-            for i in range(rows):
-                for j in range(columns):
-                    if mac[i, j] >= 0.005:
-                        text = "1" if mac[i, j] > 0.995 else f"{mac[i, j]:.2f}"[1:]
-                        axes.text(
-                            j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=size, color="white" if mac[i, j] > 0.6 else INK
-                        )
-        axes.set_xticks(np.arange(columns) + 0.5, list(column_labels), rotation=90, fontsize=min(8, size + 1.5))
-        axes.set_yticks(np.arange(rows) + 0.5, list(row_labels), fontsize=min(8, size + 1.5))
-        axes.invert_yaxis()
-        axes.tick_params(length=0)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-        axes.set_title(title)
-        axes.set_xlabel(column_name)
-        axes.set_ylabel(row_name)
-    return figure, "Modal assurance criterion matrices: " + "; ".join(m[0] for m in matrices)
+        x0, y0 = 0.78 + k * (panel + 0.85), height - 0.3 - high
+        cell = wide / columns
+        corner = [(x0 + j * cell, y0 + high - (i + 1) * cell) for i in range(rows) for j in range(columns)]
+        side = 0.97 * cell
+        corners = [[(x, y), (x + side, y), (x + side, y + side), (x, y + side)] for x, y in corner]
+        sheet.polygons(corners, shades(np.clip(mac, 0, 1) / 1.15, WHITE_BLUE))
+        size = float(np.clip(72 * cell * 0.34, 0, 8))
+        label = min(8, size + 1.5)
+        for (i, j), v in np.ndenumerate(mac):
+            if v >= 0.005 and size >= 4.2:
+                x, y = x0 + (j + 0.5) * cell, y0 + high - (i + 0.5) * cell - 0.35 * size / 72
+                sheet.text(x, y, "1" if v > 0.995 else f"{v:.2f}"[1:], size, "middle", "white" if v > 0.6 else INK)
+        for j, words in enumerate(column_labels):
+            sheet.text(x0 + (j + 0.5) * cell + 0.35 * label / 72, y0 - 0.06, words, label, "end", turn=90)
+        for i, words in enumerate(row_labels):
+            sheet.text(x0 - 0.06, y0 + high - (i + 0.5) * cell - 0.35 * label / 72, words, label, "end")
+        sheet.text(x0, y0 + high + 0.1, title, 10, bold=True)
+        longest = max((len(words) for words in column_labels), default=0) * 0.56 * label / 72
+        sheet.text(x0 + wide / 2, max(y0 - 0.26 - longest, 0.04), column_name, 9, "middle")
+        sheet.text(x0 - 0.63, y0 + high / 2, row_name, 9, "middle", turn=90)
+    return sheet.svg("Modal assurance criterion matrices: " + "; ".join(m[0] for m in matrices))
 
 
 def conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> str:

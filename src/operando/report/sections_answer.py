@@ -71,7 +71,7 @@ def _tiles(results: Results) -> str:
     tiles: list[tuple[str, str, bool]] = []
     if finite((models.get("ofrf") or {}).get("error_db")):
         tiles.append((decibel(models["ofrf"]["error_db"]), "operating FRFs against the check", True))
-    for key in ("idle", "idle_shapes", "msf_all"):
+    for key in ("effect", "idle", "idle_shapes", "msf_all"):
         if finite((models.get(key) or {}).get("error_db")):
             tiles.append((decibel(models[key]["error_db"]), MODEL_NAMES[key], False))
     if finite((models.get("ofrf") or {}).get("noise_floor_db")):

@@ -6,7 +6,7 @@ import functools
 import hashlib
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ParamSpec
 from xml.sax.saxutils import escape, quoteattr
 
@@ -179,29 +179,6 @@ def dots(axes: Axes, x: ArrayLike, y: ArrayLike, color: str, size: float, label:
         axes.add_patch(PathPatch(path, facecolor="none", edgecolor=color, linewidth=size, capstyle="round", zorder=3))
     if label is not None:
         axes.add_line(Line2D([], [], linestyle="none", marker="o", markersize=size, color=color, label=label, markeredgewidth=0))
-
-
-def segments(axes: Axes, lines: Sequence[NDArray[np.float64]], color: str, width: float, zorder: float = 2) -> None:
-    """Many separate lines of one look as one path: a tenth of the size and time of a collection in SVG.
-
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    lines : sequence of (k, 2) arrays
-    color : str
-    width : float
-        Points.
-    zorder : float
-    """
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
-
-    if not lines:
-        return
-    codes = np.concatenate([[Path.MOVETO] + [Path.LINETO] * (len(line) - 1) for line in lines])
-    path = Path(np.concatenate(lines), codes)
-    path.should_simplify = False
-    axes.add_patch(PathPatch(path, facecolor="none", edgecolor=color, linewidth=width, zorder=zorder))
 
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
