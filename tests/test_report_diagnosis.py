@@ -21,7 +21,7 @@ from operando.report.figures_diagnosis import ladder_figure, places_figure, runn
 from operando.report.maps import value_maps
 from operando.report.parts import Numbering
 from operando.report.sections import build
-from operando.report.words_diagnosis import FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
+from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
 from operando.results import CheckRun, Results
 from structures import Chain
 
@@ -186,9 +186,30 @@ def test_each_verdict_has_its_words(verdict):
         assert not any(s.startswith("To confirm") for s in words.decide)
 
 
+def test_wrong_effect_added_by_hand_is_never_told_as_the_diagnosis(whole):
+    said = ["ground_spring at 105+Z: misfit 7.292e+04 → 1.89e+04: lower by 74.1 %", "the data speak for another one"]
+    found = document(effects=(spring(500.0),), decibels=(3.93, 4.1), misfits=(5000.0, 900.0), by_hand={"found": [MASS], "words": said})
+    words = diagnosis_words(found)
+    assert (words.verdict, words.title, words.grade) == BY_HAND
+    assert found_intro(words) == "In the model now:"
+    assert "Ground spring at 105+Z: misfit 72920 → 18900: lower by 74.1 %." in words.sentences
+    assert "The data speak for another one." in words.sentences
+    assert "The diagnosis by itself (explained) found: A mass of 0.200 ± 0.002 kg (95 %) sits on 103+Z." in words.sentences
+    assert "Nothing else" not in " ".join(words.sentences)
+    assert not words.decide
+    results = replace(whole, diagnosis=found)
+    assert "effect" not in derive.comparison_models(results)
+    assert "effect" in derive.comparison_models(whole)
+    assert "added by hand" in sections(results)["diagnosis"]
+    # taken back to what was found, it is the diagnosis again
+    again = document(by_hand={"found": [MASS], "words": ["back"]})
+    assert diagnosis_words(again).verdict == "explained"
+
+
 def test_effects_removed_by_hand_are_told():
-    words = diagnosis_words(document(effects=(), decibels=(3.93,), misfits=(5000.0,)))
-    assert any("taken out by hand" in s for s in words.sentences)
+    words = diagnosis_words(document(effects=(), decibels=(3.93,), misfits=(5000.0,), by_hand={"found": [MASS], "words": []}))
+    assert words.sentences[0] == "No effect is in the model now."
+    assert words.verdict == BY_HAND[0]
 
 
 def test_channel_fault_is_no_missing_structure():

@@ -70,7 +70,10 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
         progress=lambda message: say("refit", message),
     )
     done = applied.to_dict()
-    results.diagnosis = (results.diagnosis or {}) | {"effects": done["effects"], "ladder": done["ladder"]}
+    before = results.diagnosis or {}
+    # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
+    by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
+    results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "by_hand": by_hand}
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
     out = Path(folder) if Path(folder).is_dir() else Path(folder).parent
     save_results(results, out / "model.h5")

@@ -22,6 +22,7 @@ from operando.report.derive import (
     scaling_of,
 )
 from operando.report.text import band_text, count, decibel, finite, fixed, listing, number
+from operando.report.words_diagnosis import found_by_itself
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
 
@@ -278,7 +279,7 @@ def _same_mass(results: Results, nonlinear: bool) -> Assumption:
     name = "Same mass at rest and running"
     models = comparison_models(results)
     if results.diagnosis:
-        masses = [e for e in results.diagnosis.get("effects") or [] if str(e.get("kind")).endswith("mass")]
+        masses = [e for e in found_by_itself(results.diagnosis) if str(e.get("kind")).endswith("mass")]
         if masses:
             return Assumption(
                 name, "fails", "The diagnosis found a change of mass (see Diagnosis): modes scaled by the idle mass are off by it."

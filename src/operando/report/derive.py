@@ -16,6 +16,7 @@ from operando.dof import Dof
 from operando.errors import OperandoError
 from operando.report.svg import thin
 from operando.report.text import number
+from operando.report.words_diagnosis import changed_by_hand
 from operando.results import CheckRun, Results
 
 SNR_POWER = 100.0
@@ -56,9 +57,10 @@ def _hybrid_dict(results: Results) -> dict[str, Any]:
 
 
 def comparison_models(results: Results) -> dict[str, dict[str, Any]]:
-    """The models of ``comparison.json`` that have numbers."""
+    """The models of ``comparison.json`` that have numbers; without ``effect`` where effects were changed by hand since."""
     models = (results.comparison or {}).get("models") or {}
-    return {name: m for name, m in models.items() if m}
+    stale = changed_by_hand(results.diagnosis or {})
+    return {name: m for name, m in models.items() if m and not (stale and name == "effect")}
 
 
 def judge_run(results: Results) -> CheckRun | None:

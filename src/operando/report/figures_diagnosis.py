@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.report.svg import GREEN, GREY, IDLE, INK, MEASURED, MODEL, PALE, PURPLE, SKY, dots, drawn, log_axis, new_figure, thin
 from operando.report.text import fixed, number
-from operando.report.words_diagnosis import EffectWords, Ladder
+from operando.report.words_diagnosis import BY_HAND, EffectWords, Ladder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +50,12 @@ def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, st
     bottom = _ladder_scale(axes, ladder, values)
     x = np.arange(n)
     axes.bar(
-        x, values - bottom, bottom=bottom, width=0.56, color=[IDLE] + [GREY if verdict == "unexplained" else GREEN] * (n - 1), zorder=2
+        x,
+        values - bottom,
+        bottom=bottom,
+        width=0.56,
+        color=[IDLE] + [{"unexplained": GREY, BY_HAND[0]: MODEL}.get(verdict, GREEN)] * (n - 1),
+        zorder=2,
     )
     lines = [(i, r.everything) for i, r in enumerate(rungs) if ladder.held_out and np.isfinite(r.everything) and r.everything > 0]
     if lines:

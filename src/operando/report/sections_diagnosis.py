@@ -10,7 +10,16 @@ import numpy as np
 from operando.report import derive, derive_diagnosis, figures_compare, figures_diagnosis, figures_frf, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import decibel, esc, finite, fixed, listing, number
-from operando.report.words_diagnosis import DiagnosisWords, diagnosis_words, effect_words, found_intro, kind_words, plain_powers
+from operando.report.words_diagnosis import (
+    DiagnosisWords,
+    diagnosis_words,
+    effect_key,
+    effect_words,
+    found_by_itself,
+    found_intro,
+    kind_words,
+    plain_powers,
+)
 from operando.results import CheckRun, Results
 
 SHOWN_CANDIDATES = 8
@@ -64,7 +73,7 @@ def diagnosis(results: Results, numbering: Numbering) -> str:
     words = diagnosis_words(found)
     model = derive_diagnosis.effect_model(results)
     parts = [
-        paragraph(f"Verdict: {kind_words(words.verdict)}. {words.title}."),
+        paragraph(f"Verdict: {kind_words(found.get('verdict') or 'none')}. {words.title}."),
         "<h3>Where the idle model fails</h3>",
         _where(results, numbering, words, model),
         "<h3>What acts there</h3>",
@@ -192,7 +201,7 @@ def _picture(found: Mapping[str, Any], numbering: Numbering, words: DiagnosisWor
 def _at_place(picture: Mapping[str, Any], found: Mapping[str, Any], k: int) -> Any:
     """The accepted effect a picture belongs to: the one named in it, else the k-th with this place."""
     here = list(map(str, picture.get("location") or ()))
-    same = [e for e in found.get("effects") or [] if list(map(str, e.get("location") or ())) == here]
+    same = [e for e in found_by_itself(found) if list(map(str, e.get("location") or ())) == here]
     if picture.get("kind"):
         same = [e for e in same if e.get("kind") == picture["kind"]] or same
     earlier = sum(list(map(str, p.get("location") or ())) == here for p in (found.get("picture") or {})["dynamic_stiffness"][:k])
@@ -220,27 +229,35 @@ def _before_after(results: Results, numbering: Numbering, words: DiagnosisWords,
     caption += "Shaded ranges judged: nothing was fitted to them. " if ranges else ""
     caption += "Nothing was fitted to any line of this run. " if everything else ""
     caption += "The band is 95 % from the covariance of idle model and effects." if banded.variance is not None else ""
-    judged = derive.comparison_models(results)
-    pair = [(judged.get(k) or {}).get("error_db") for k in ("idle", "effect")]
-    text = (
-        paragraph("A fault of phase does not show in these magnitudes; the relative errors above show it.") if words.ladder.by_phase else ""
-    )
-    if all(finite(e) for e in pair) and not words.ladder.by_phase:
-        text = paragraph(
-            f"Over all lines and pairs of the check the idle model is off by {decibel(pair[0])}, with the effects by {decibel(pair[1])}."
-        )
+    clear = derive.clear_lines(run.frf, band)
+    pair = [derive.rms_over(derive.level_error_db(m, run.frf), clear) for m in (idle, after)]
+    text = ""
+    if words.ladder.by_phase:
+        text = paragraph("A fault of phase does not show in these magnitudes; the relative errors above show it.")
+    elif all(finite(e) for e in pair):
+        over = "Over all lines in band and all pairs of this check"
+        text = paragraph(f"{over} the idle model is off by {decibel(pair[0])}, with the effects by {decibel(pair[1])}.")
     return text + numbering.figure(svg, esc(caption))
 
 
 def _candidates(found: Mapping[str, Any], words: DiagnosisWords) -> str:
     rows = found.get("candidates") or []
-    accepted = {_key(e) for e in found.get("effects") or []}
+    accepted = {effect_key(e) for e in found_by_itself(found)}
+    added = {effect_key(e) for e in found.get("effects") or []} - accepted
     alike = found.get("ambiguous_with") or []
-    rivals = {_key(e) for e in alike}
-    cells = []
+    rivals = {effect_key(e) for e in alike}
+    cells, by_hand = [], tables.tag("added by hand", "none")
     for n, c in enumerate(rows, start=1):
-        e, key = effect_words(c), _key(c)
-        state = tables.tag("accepted", "good") if key in accepted else tables.tag("not told apart", "fair") if key in rivals else ""
+        e, key = effect_words(c), effect_key(c)
+        state = (
+            tables.tag("accepted", "good")
+            if key in accepted
+            else tables.tag("not told apart", "fair")
+            if key in rivals
+            else by_hand
+            if key in added
+            else ""
+        )
         evidence = plain_powers(str(c.get("evidence") or "")).replace(" (-", " (−")
         removed = " (taken away)" if e.removed else ""
         cells.append(
@@ -260,7 +277,7 @@ def _candidates(found: Mapping[str, Any], words: DiagnosisWords) -> str:
         items = "".join(f"<li>{esc(effect_words(e).sentence)}.</li>" for e in alike)
         opened = " open" if len(alike) <= 4 else ""
         out.append(f"<details{opened}><summary>Could not be told apart from ({len(alike)})</summary><ul>{items}</ul></details>")
-    elif words.effects:
+    elif words.effects and words.verdict == "explained":
         out.append(paragraph("No other candidate does as well within what the data can tell."))
     proposed = [s for s in words.decide if s.startswith("What would decide")]
     out += [paragraph(s) for s in proposed]
@@ -268,10 +285,6 @@ def _candidates(found: Mapping[str, Any], words: DiagnosisWords) -> str:
         tests = [[esc(e.label), esc(e.size), esc(e.confirm)] for e in words.effects]
         out.append(tables.table(["Effect in the model", "Size (± 95 %)", "How to confirm it"], tests, wide=True))
     return "".join(out)
-
-
-def _key(effect: Mapping[str, Any]) -> tuple[Any, ...]:
-    return (effect.get("kind"), tuple(map(str, effect.get("location") or ())), tuple(effect.get("position") or ()))
 
 
 def _routes(results: Results, numbering: Numbering, words: DiagnosisWords, model: Any) -> str:

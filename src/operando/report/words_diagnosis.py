@@ -23,6 +23,9 @@ VERDICTS: dict[str, tuple[str, str]] = {
 FAULT = "The measurement is at fault, not the structure"
 """What ``explained`` means where only channels are to blame."""
 
+BY_HAND = ("changed_by_hand", "Effects were added or taken out by hand", "none")
+"""What stands in the place of verdict, title and colour class then."""
+
 INTERVAL = 1.96
 """Standard deviations in the 95 % interval."""
 
@@ -114,7 +117,7 @@ class DiagnosisWords:
     Parameters
     ----------
     verdict, title, grade : str
-        As in the document; what it means; colour class.
+        As in the document (``changed_by_hand`` where the effects are not the diagnosis' own); what it means; colour class.
     found : tuple of str
         One sentence an effect in the model.
     sentences : tuple of str
@@ -208,16 +211,17 @@ def ladder_of(document: Mapping[str, Any]) -> Ladder:
     A step is named by the effect as it stands after the last refit of all.
     """
     rows = [row for row in document.get("ladder") or [] if isinstance(row, Mapping)]
-    final = {_key(e): e for e in document.get("effects") or []}
+    final = {effect_key(e): e for e in document.get("effects") or []}
     in_decibel = bool(rows) and all(finite(r.get("heldout_error_db")) or finite(r.get("error_db")) for r in rows)
-    by_phase = in_decibel and _phase_only(rows)
+    channels = all(effect_words(r["added"]).group in ("sensor", "force") for r in rows if isinstance(r.get("added"), Mapping))
+    by_phase = in_decibel and channels and _phase_only(rows)
     keys = ("heldout_error_db", "error_db") if in_decibel and not by_phase else ("heldout_misfit", "misfit")
     held_out = bool(rows) and all(finite(r.get(keys[0])) for r in rows)
     value = lambda row, key: float(row[key]) if finite(row.get(key)) else float("nan")  # noqa: E731
     rungs = []
     for i, row in enumerate(rows):
         added = row.get("added")
-        words = effect_words(final.get(_key(added), added)) if isinstance(added, Mapping) else None
+        words = effect_words(final.get(effect_key(added), added)) if isinstance(added, Mapping) else None
         rungs.append(Rung(int(row.get("step", i)), words, value(row, keys[0 if held_out else 1]), value(row, keys[1])))
     rungs = [r for r in rungs if finite(r.heldout)]
     floor: Any = document.get("noise_floor_db") if keys[1] == "error_db" else 1.0
@@ -235,7 +239,8 @@ def _phase_only(rows: Sequence[Mapping[str, Any]]) -> bool:
     return len(rows) > 1 and ends[0] > 0.9 and ends[1] < 0.5
 
 
-def _key(effect: Any) -> tuple[Any, ...]:
+def effect_key(effect: Any) -> tuple[Any, ...]:
+    """Kind and place, by which two effects are the same one."""
     if not isinstance(effect, Mapping):
         return ()
     return (effect.get("kind"), tuple(map(str, effect.get("location") or ())), tuple(effect.get("position") or ()))
@@ -246,11 +251,15 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     verdict = str(document.get("verdict") or "none")
     title, grade = VERDICTS.get(verdict, (f"Diagnosis: {kind_words(verdict)}", "none"))
     effects = tuple(effect_words(e) for e in document.get("effects") or [])
-    if verdict == "explained" and effects and all(e.group in ("sensor", "force") for e in effects):
+    by_hand = changed_by_hand(document)
+    if by_hand:
+        verdict, title, grade = BY_HAND
+    elif verdict == "explained" and effects and all(e.group in ("sensor", "force") for e in effects):
         title = FAULT
     ladder = ladder_of(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
-    sentences = (_by_hand(verdict, effects), _errors(ladder, output_only), _others(document, verdict, effects))
+    others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
+    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), *others)
     found = tuple(_found(e) for e in effects)
     decide = _deciding(document, verdict, effects)
     return DiagnosisWords(verdict, title, grade, found, tuple(s for s in sentences if s), decide, ladder, effects, output_only)
@@ -268,8 +277,8 @@ def found_intro(words: DiagnosisWords) -> str:
     """What stands before the effects: nothing before one that is believed."""
     if not words.found:
         return ""
-    if words.verdict == "no_misfit":
-        return "Added by hand:"
+    if words.verdict == BY_HAND[0]:
+        return "In the model now:"
     if words.verdict == "unexplained":
         return "The best try, which explains too little to be believed:"
     if words.verdict == "ambiguous":
@@ -277,10 +286,31 @@ def found_intro(words: DiagnosisWords) -> str:
     return "" if len(words.found) == 1 else f"{len(words.found)} effects together:"
 
 
-def _by_hand(verdict: str, effects: Sequence[EffectWords]) -> str:
-    if not effects and verdict in ("explained", "partial", "ambiguous"):
-        return "No effect is in the model now: what the diagnosis accepted was taken out by hand."
-    return ""
+def changed_by_hand(document: Mapping[str, Any]) -> bool:
+    """Whether the effects in the model are others than those the diagnosis found by itself."""
+    return {effect_key(e) for e in document.get("effects") or []} != {effect_key(e) for e in found_by_itself(document)}
+
+
+def found_by_itself(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The effects the diagnosis accepted, whatever was added or taken out by hand since."""
+    by_hand = document.get("by_hand")
+    return list((by_hand.get("found") if isinstance(by_hand, Mapping) else document.get("effects")) or [])
+
+
+def _none_left(effects: Sequence[EffectWords]) -> str:
+    return "" if effects else "No effect is in the model now."
+
+
+def _diagnosed(document: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the refit said of the changes, and what the diagnosis had found by itself."""
+    said = [
+        re.sub(r"^[a-z_]+(?= at )", lambda m: kind_words(m[0]), plain_powers(str(w).replace("`", "")))
+        for w in document["by_hand"].get("words") or []
+    ]
+    own = [effect_words(e).sentence for e in found_by_itself(document)]
+    verdict = kind_words(document.get("verdict") or "none")
+    found = f"The diagnosis by itself ({verdict}) found: {'. '.join(own)}." if own else f"The diagnosis by itself said: {verdict}."
+    return (*(f"{w[:1].upper()}{w[1:]}." for w in said), found)
 
 
 def _errors(ladder: Ladder, output_only: bool) -> str:
@@ -320,9 +350,9 @@ def _others(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectW
 def _deciding(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectWords]) -> tuple[str, ...]:
     out = []
     proposed = document.get("proposed_measurement")
-    if proposed:
+    if proposed and verdict != BY_HAND[0]:
         out.append(_stopped(f"What would decide: {str(proposed).replace('_', ' ')}"))
-    if verdict in ("explained", "partial", "no_misfit"):
+    if verdict in ("explained", "partial"):
         for e in effects[:2]:
             if e.confirm:
                 out.append(_stopped(f"To confirm{'' if len(effects) == 1 else f' the {e.label}'}: {e.confirm}"))
