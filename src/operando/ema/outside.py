@@ -22,6 +22,15 @@ from operando.synthesis import synthesise
 UPPER = (1.05, 1.12, 1.2, 1.3, 1.45, 1.7, 2.1, 2.8, 4.0, 8.0)
 LOWER = (0.02, 0.02, 0.02, 0.6)
 LOCAL = 2.0
+PRIOR = 0.5
+"""Size of the pseudo-modes' shape values in the prior over the median rms of the in-band ones: smaller ones err less at undriven DOFs."""
+
+DOUBT = 2.0
+"""What the posterior standard deviation of undriven DOFs is multiplied by: the prior is sized by the driven ones."""
+
+LOCAL_SHAPE, LOCAL_SPREAD = 0.55, 0.9
+"""Mean and standard deviation of the local shape value of an undriven DOF over that which would make up a drive point's compliance."""
+
 N_LINES = 40
 TOLERANCE = 0.003
 """Accuracy asked of the pseudo-modes, in units of the out-of-band part itself."""
@@ -73,7 +82,7 @@ def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, 
     scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
     # The driven columns tell how much there is outside at all (products of two shape values, hence the root).
     expected = np.sqrt(np.sum((std[: len(UPPER), None] ** 2 * g[: len(UPPER)]) ** 2, axis=0))
-    std = std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
+    std = PRIOR * std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
     inside = synthesise(f, theta.hz, theta.zeta, theta.shapes, theta.shapes[refs])
     floor = NEGLIGIBLE * np.sqrt(np.mean(np.abs(inside) ** 2, axis=(0, 1)))
     weight = 1 / np.sqrt((TOLERANCE * scale) ** 2 + floor**2 + _noise(runs, fit, f))
@@ -93,8 +102,11 @@ def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, 
     rest = np.setdiff1d(np.arange(m_dofs), core)
     for p in range(hz.size):
         covariance[p, rest, p, rest] = variance[rest, p]
+    doubt = np.full(m_dofs, DOUBT)
+    doubt[refs] = 1.0
+    covariance *= doubt[None, :, None, None] * doubt
     size = hz.size * m_dofs
-    return _with_local(hz, shapes, covariance.reshape(size, size), variance, refs, len(UPPER), top, f)
+    return _with_local(hz, shapes, covariance.reshape(size, size), refs, target, known, top, f)
 
 
 def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Real, NDArray[np.bool_], list[int]]:
@@ -207,23 +219,25 @@ def _linear_row(target: Real, known: NDArray[np.bool_], psi_refs: Real, g: Real,
 
 
 def _with_local(
-    hz: Real, shapes: Real, covariance: Real, variance: Real, refs: list[int], n_upper: int, top: float, f: Real
+    hz: Real, shapes: Real, covariance: Real, refs: list[int], target: Real, known: NDArray[np.bool_], top: float, f: Real
 ) -> OutsideModes:
-    """Add one local mode a DOF that was not driven: the prior's remaining variance as a compliance on the diagonal."""
+    """Add one local mode a DOF that was not driven: the compliance of its own that no driven column shows.
+
+    It is positive and differs by tens from place to place; the drive points' own out-of-band compliance is all that tells its size.
+    """
     m_dofs = shapes.shape[0]
     rows = np.setdiff1d(np.arange(m_dofs), refs)
     local_hz = LOCAL * top
-    middle = np.array([np.sqrt(f[0] * f[-1])])
-    g = kernels(middle, hz[:n_upper], np.full(n_upper, OUTSIDE_DAMPING))[0].real[:, 0]
-    unit = kernels(middle, np.array([local_hz]), np.array([OUTSIDE_DAMPING]))[0].real[0, 0]
-    amplitude = np.sqrt(np.maximum(variance[rows][:, :n_upper] @ g / unit, 0))
+    unit = kernels(f, np.array([local_hz]), np.array([OUTSIDE_DAMPING]))[0].real[0]
+    at_refs = [max(float(np.median(target[k, row] / unit)), 0.0) for k, row in enumerate(refs) if known[k, row]]
+    amplitude = float(np.sqrt(np.median(at_refs))) if at_refs else 0.0
     extra = np.zeros((m_dofs, rows.size))
-    extra[rows, np.arange(rows.size)] = amplitude
+    extra[rows, np.arange(rows.size)] = LOCAL_SHAPE * amplitude
     size, added = covariance.shape[0], rows.size * m_dofs
     grown = np.zeros((size + added, size + added))
     grown[:size, :size] = covariance
     position = size + np.arange(rows.size) * m_dofs + rows
-    grown[position, position] = (0.5 * amplitude) ** 2
+    grown[position, position] = (LOCAL_SPREAD * amplitude) ** 2
     all_hz = np.concatenate([hz, np.full(rows.size, local_hz)])
     return OutsideModes(all_hz, np.full(all_hz.size, OUTSIDE_DAMPING), np.concatenate([shapes, extra], axis=1), grown)
 
