@@ -15,7 +15,8 @@ from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.diagnose import Model
 from operando.dof import Dof
 from operando.effects import Effect
-from operando.report import derive, derive_diagnosis, render_report, sections_diagnosis
+from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
+from operando.report.assessment import RECIPROCITY
 from operando.report.canvas import ORANGE_PURPLE, YELLOW_BROWN, Canvas, shades
 from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
 from operando.report.maps import value_maps
@@ -260,6 +261,18 @@ def test_ambiguous_effects_are_named_and_counted():
     assert any("ground spring at 101+Z" in s and "and 2 more" in s for s in words.sentences)
 
 
+def test_command_line_says_it_in_the_same_words():
+    from operando.cli.diagnose import text_of
+
+    found = document("ambiguous", ambiguous_with=[spring()])
+    words = diagnosis_words(found)
+    text = text_of("pump", found)
+    for sentence in (*words.found, *words.sentences, *words.decide):
+        assert sentence in text
+    assert text.startswith("pump: ambiguous")
+    assert "noise floor 0.14 dB" in text
+
+
 # Figures.
 
 
@@ -445,6 +458,26 @@ def test_gyroscopic_effect_speaks_against_the_hybrid_route(whole):
     text = text_of(sections(replace(whole, hybrid=Louder(whole.idle, 1.0), diagnosis=found))["diagnosis"])
     assert "trust the second" in text
     assert "no dynamic stiffness" not in text or "(a channel, a rotor, or the whole)" in text
+
+
+def test_channel_fault_excuses_reciprocity_in_the_check(whole):
+    skew = whole.check[0].frf.data.copy()
+    skew[5, 0] *= 3.0
+    check = [CheckRun("check/run1.uff", "5 N", replace(whole.check[0].frf, data=skew))]
+    gain = {"kind": "force_gain", "location": ["105+Z"], "parameters": {"gain": {"value": 3.0, "unit": "", "std": 0.01}}}
+    state = lambda d: next(a for a in assumptions(replace(whole, check=check, diagnosis=d)) if a.name == RECIPROCITY)  # noqa: E731
+    assert state(None).state == "fails"
+    assert state(document(effects=(gain,))).state == "doubtful"
+    assert "force gain at 105+Z" in state(document(effects=(gain,))).text
+
+
+def test_effect_that_depends_on_the_level_draws_no_frf(whole):
+    cubic = Effect("cubic_stiffness", ("103+Z",)).to_dict()
+    results = replace(whole, diagnosis=document("partial", (cubic,)))
+    assert derive_diagnosis.effect_model(results) is None
+    made = sections(results)
+    assert "cubic stiffness" in made["missing"]
+    assert "an effect depends on the level" in made["diagnosis"]
 
 
 def test_covariance_of_other_effects_is_not_used(whole):

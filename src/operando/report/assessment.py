@@ -22,7 +22,7 @@ from operando.report.derive import (
     scaling_of,
 )
 from operando.report.text import band_text, count, decibel, finite, fixed, listing, number
-from operando.report.words_diagnosis import found_by_itself
+from operando.report.words_diagnosis import effect_words, found_by_itself
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
 
@@ -349,6 +349,11 @@ def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assu
         measured = not ((worst["ratio"] if worst["ratio"] is not None else np.inf) > 3 and worst["relative"] > 0.1)
     named = [f for f in _of_kind(found, "not_reciprocal") if not _at_rest(results, f)]
     by_shapes = [f for f in named if not any(f in run.frf.findings for run in results.check)]
+    faults = [e.label for e in map(effect_words, found_by_itself(results.diagnosis or {})) if e.group in ("sensor", "force")]
+    if measured is False and faults and not by_shapes:
+        return Assumption(
+            name, "doubtful", f"{text}; yet the diagnosis found a fault of the measurement that does this ({listing(faults)})."
+        )
     if measured is False and nonlinear and not by_shapes:
         return Assumption(name, "doubtful", f"{text}; a response that depends on the level does this by itself.")
     if measured is False or (named and measured is None):

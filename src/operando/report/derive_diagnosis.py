@@ -23,7 +23,10 @@ DECIBEL = 8.685889638065035
 
 
 def effect_model(results: Results) -> Any:
-    """The idle model with the effects now in the diagnosis (an ``operando.diagnose.Model``); None where it cannot be made."""
+    """The idle model with the effects now in the diagnosis (an ``operando.diagnose.Model``); None where it cannot be made.
+
+    An effect that depends on the level has no FRF of its own, so there is none either with one of those.
+    """
     from operando.diagnose import Model
     from operando.effects import Effect
 
@@ -32,6 +35,8 @@ def effect_model(results: Results) -> Any:
         return None
     try:
         effects = tuple(Effect.from_dict(e) for e in results.diagnosis.get("effects") or [])
+        if any(e.definition.acts == "pseudo_force" for e in effects):
+            return None
         try:
             return Model(base, effects, results.geometry, results.effect_covariance)
         except OperandoError:  # a covariance of other effects
@@ -46,7 +51,7 @@ def predicted(model: Any, frf: Frf) -> Frf | None:
         return None
     try:
         made: Frf = model.frf(frf.frequencies_hz, frf.responses, frf.references, frf.quantity, variance=False)
-    except OperandoError:
+    except (OperandoError, NotImplementedError):
         return None
     return made
 

@@ -217,7 +217,7 @@ def _before_after(results: Results, numbering: Numbering, words: DiagnosisWords,
             "There is no effect in the model: before and after are the same." if idle is not None else "The idle model has no scale."
         )
     if after is None:
-        return missing("The model with the effects cannot be made from these results.")
+        return missing("The model with the effects has no FRFs: an effect depends on the level, or the results lack what it is made of.")
     band = derive.analysis_band(results)
     error = derive.rms_over(derive.level_error_db(idle, run.frf), derive.clear_lines(run.frf, band), axis=2)
     places = [str(d) for e in (results.diagnosis or {}).get("effects") or [] for d in e.get("location") or ()]
