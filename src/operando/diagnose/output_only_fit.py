@@ -17,6 +17,7 @@ from operando.diagnose.output_only_residuals import (
     fit_scale,
     model_variance,
     residuals,
+    shared,
     whiteners,
 )
 
@@ -31,6 +32,9 @@ PASSES = 4
 LEAP = 1.5
 """Largest move of a floating shape value in one step, in standard deviations: a shape value of either sign is the same mode, and a longer
 move could end on the wrong side."""
+
+SAMPLED = 1.15
+"""Factor on standard deviations of sizes: weights from a sample covariance of less than a hundred blocks fit its own errors."""
 
 LOST = 2
 """Shape residuals a mode loses to its free complex scale."""
@@ -261,7 +265,7 @@ def fit(
     std, selection, by_mode = np.full(k, np.nan), mean_square(r, use), np.sum(np.where(use, r, 0.0) ** 2, axis=1)
     if folds and k:
         j = jacobian(target, basis, actions, sizes, prior, modes, index, white) * compress_slope(raw)[..., None]
-        covariance, left_out = _left_out(r, j, use, eta, k)
+        covariance, left_out = _left_out(r, j, use, eta, k, shared(target, white))
         # Too few modes to leave one out: what is left has to say it.
         by_mode = left_out if len(r) >= FOLDS else by_mode
         std = np.sqrt(np.maximum(np.diag(covariance)[:k], 0))
@@ -272,15 +276,22 @@ def fit(
     return Fit(actions, sizes, std, eta, prior, covariance, r, selection, by_mode, misfit, modes, index)
 
 
-def _left_out(r: Real, j: Real, use: NDArray[np.bool_], eta: Real, k: int) -> tuple[Real, Real]:
-    """Covariance of sizes and moves, and squared residuals of each mode predicted without its fold, to first order."""
+def _left_out(r: Real, j: Real, use: NDArray[np.bool_], eta: Real, k: int, common: Real) -> tuple[Real, Real]:
+    """Covariance of sizes and moves, and squared residuals of each mode predicted without its fold, to first order.
+
+    The fit weighs modes as independent; their true covariance ``common`` comes in here (sandwich: H⁻¹ (Jᵀ S J + P) H⁻¹), because
+    shapes of close modes are wrong together, and would count twice.
+    """
     q = eta.size
     prior = np.diag(np.r_[np.zeros(k), np.ones(q)])
     parts = [(j[i][use[i]], r[i][use[i]]) for i in range(len(r))]
     h_all = sum((a.T @ a for a, _ in parts), prior)
     g_all = sum((a.T @ b for a, b in parts), np.r_[np.zeros(k), eta])
     tiny = 1e-12 * np.diag(np.diag(h_all)) + 1e-300 * np.eye(k + q)
-    covariance = np.asarray(np.linalg.inv(h_all + tiny), float)
+    inverse = np.linalg.inv(h_all + tiny)
+    flat = j[use]
+    spread = flat.T @ common[np.ix_(use.ravel(), use.ravel())] @ flat
+    covariance = np.asarray(inverse @ (SAMPLED**2 * spread + prior) @ inverse, float)
     out = np.zeros(len(r))
     for fold in range(FOLDS):
         members = range(fold, len(r), FOLDS)

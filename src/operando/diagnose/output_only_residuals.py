@@ -22,6 +22,10 @@ KNEE = 8.0
 SHAPE_FLOOR = 5e-4
 """Smallest standard deviation of a shape value, over the largest of its mode: what any identification leaves."""
 
+SECOND_ORDER = 0.6
+"""Standard deviation added to every shape value, in parts of the summed variance of its mode's shape of unit norm: the covariance is of
+first order, and a sample covariance underestimates its smallest directions."""
+
 ZETA_FLOOR = 1e-5
 """Predicted damping below this (or negative) counts as this: ln ζ must exist."""
 
@@ -50,6 +54,8 @@ class Target:
     shapes : (m, n) complex array
     covariance : (n, 2m, 2m) array
         Of the real, then the imaginary parts of each shape.
+    joint : (n, per_mode, n, per_mode) array
+        Covariance of [ln f, ln ζ, Re shape, Im shape] of all modes, as identified: what close modes share is in it.
     rows : (m,) int array
         Rows of the idle model at which the shapes are measured.
     signs : (m,) array
@@ -61,6 +67,7 @@ class Target:
     std_log_zeta: Real
     shapes: Complex
     covariance: Real
+    joint: Real
     rows: NDArray[np.int_]
     signs: Real
 
@@ -104,6 +111,13 @@ def target_of(idle: ModalModel, operating: ModalModel) -> Target:
     shapes = np.asarray(kept.shapes, complex)[own]
     # Sign of the idle row times that of the operating row: match_dofs reports the first against ``common``.
     covariance = np.empty((n, 2 * m, 2 * m))
+    joint = np.zeros((n, 2 + 2 * m, n, 2 + 2 * m))
+    if kept.covariance is not None and np.iscomplexobj(kept.shapes):
+        real = 2 * n + np.arange(n)[:, None] * full + np.asarray(own)
+        at = np.concatenate([np.arange(n)[:, None], n + np.arange(n)[:, None], real, real + n * full], axis=1)
+        unit = np.ones(at.shape)
+        unit[:, 0], unit[:, 1] = 1 / kept.frequencies_hz, 1 / kept.damping_ratios
+        joint = np.asarray(kept.covariance)[at.ravel()[:, None], at.ravel()].reshape(joint.shape) * unit[:, :, None, None] * unit
     f_std, z_std, s_std = kept.frequency_std_hz, kept.damping_ratio_std, kept.shape_std
     for k in range(n):
         floor = (SHAPE_FLOOR * np.abs(shapes[:, k]).max()) ** 2
@@ -115,7 +129,9 @@ def target_of(idle: ModalModel, operating: ModalModel) -> Target:
             block = np.diag(np.tile(np.asarray(s_std)[own, k] ** 2 / 2, 2))
         else:
             block = np.eye(2 * m) * (ASSUMED[2] * np.abs(shapes[:, k]).max()) ** 2
-        covariance[k] = block + np.eye(2 * m) * floor
+        size = float(np.sum(np.abs(shapes[:, k]) ** 2))
+        second = (SECOND_ORDER * float(np.trace(block)) / size) ** 2 * size
+        covariance[k] = block + np.eye(2 * m) * (floor + second)
     relative_f = np.full(n, ASSUMED[0]) if f_std is None else np.maximum(f_std / kept.frequencies_hz, 2e-5)
     relative_z = np.full(n, ASSUMED[1]) if z_std is None else np.maximum(z_std / kept.damping_ratios, 5e-3)
     return Target(
@@ -125,6 +141,7 @@ def target_of(idle: ModalModel, operating: ModalModel) -> Target:
         np.asarray(relative_z),
         shapes,
         covariance,
+        joint,
         np.asarray(rows),
         np.asarray(signs, float),
     )
@@ -176,6 +193,18 @@ def whiteners(target: Target, model_variance: Real | None = None) -> Real:
         values = np.maximum(values, 1e-12 * values[-1])
         out[k] = (vectors / np.sqrt(values)).T
     return out
+
+
+def shared(target: Target, white: Real) -> Real:
+    """Covariance of the standardised residuals of all modes (n·per_mode, n·per_mode): one on the diagonal, and what modes share."""
+    n, size = target.n, target.per_mode
+    whiten = np.zeros((n, size, size))
+    whiten[:, 0, 0], whiten[:, 1, 1] = 1 / target.std_log_hz, 1 / target.std_log_zeta
+    whiten[:, 2:, 2:] = white
+    out = np.einsum("iab,ibjc,jdc->iajd", whiten, target.joint, whiten, optimize=True)
+    for k in range(n):
+        out[k, :, k, :] = np.eye(size)
+    return np.asarray(out.reshape(n * size, n * size))
 
 
 def fit_scale(y: Complex, psi: Complex, white: Real) -> tuple[Complex, Real, Real]:
