@@ -30,12 +30,12 @@ LEVELS = {
     "ema": 8, "oma": 8,
     "scaling": 9,
     "compare": 10,
-    "effects": 11, "diagnose": 12,
-    "store": 13,
-    "report": 14,
-    "config": 15, "scaffold": 15,
-    "pipeline": 16,
-    "cli": 17,
+    "effects": 11, "nonlinear": 12, "diagnose": 13,
+    "store": 14,
+    "report": 15,
+    "config": 16, "scaffold": 16,
+    "pipeline": 17,
+    "cli": 18,
 }  # fmt: skip
 NUMERIC = (
     "dof",
@@ -52,6 +52,7 @@ NUMERIC = (
     "scaling",
     "compare",
     "effects",
+    "nonlinear",
     "diagnose",
 )
 

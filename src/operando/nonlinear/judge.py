@@ -1,0 +1,114 @@
+"""Figures of records: residuals, the ladder, where the model fails, the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from operando.effects import Effect
+from operando.nonlinear.laws import Motion
+from operando.nonlinear.place import Weighted
+from operando.nonlinear.run import Complex, Real, Run
+
+if TYPE_CHECKING:
+    from operando.nonlinear.search import Case
+
+GOOD = 1.5
+SNR = 100.0
+"""Lines whose power is above so many times the variance count for errors in dB."""
+
+
+def residual(motion: Motion, force: Complex) -> Complex:
+    """Weighted error (q, L) that a restoring force (L,) and the free decays leave."""
+    along = motion.along
+    w = along.weighted
+    return decayed(w.with_error(w.error / w.root + along.h * force))
+
+
+def decayed(weighted: Weighted) -> Complex:
+    """Weighted error without the free decays."""
+    run = weighted.run
+    amplitudes, _ = weighted.ringing()
+    return np.asarray(weighted.error - (run.decay_shapes @ (amplitudes[:, None] * run.decays)) * weighted.root)
+
+
+def figures(runs: Sequence[Run], errors: Sequence[Complex], grams: Sequence[Real | None]) -> dict[str, float]:
+    """Misfit, error in dB and noise floor of runs with given errors (q, L)."""
+    power, count, squares, floor, n = 0.0, 0, 0.0, 0.0, 0
+    for run, error, gram in zip(runs, errors, grams, strict=True):
+        rest = decayed(Weighted.of(run, error, gram))
+        power += float(np.sum(np.abs(rest) ** 2))
+        count += rest.size
+        measured = run.responses[:, run.lines]
+        model = measured - rest * np.sqrt(run.variance)
+        good = np.abs(measured) ** 2 > SNR * run.variance
+        ratio = np.abs(model[good]) / np.abs(measured[good])
+        squares += float(np.sum((20 * np.log10(np.maximum(ratio, 1e-6))) ** 2))
+        floor += float(np.sum((8.686 * np.sqrt(run.variance[good] / 2) / np.abs(measured[good])) ** 2))
+        n += int(np.sum(good))
+    return {
+        "misfit": power / max(count, 1),
+        "error_db": float(np.sqrt(squares / n)) if n else float("nan"),
+        "floor_db": float(np.sqrt(floor / n)) if n else float("nan"),
+    }
+
+
+def ladder_row(step: int, added: Effect | None, case: Case, errors: Sequence[Complex]) -> dict[str, Any]:
+    """One row of the ladder: all runs, and the judge set alone (the last third of the lines where there is one level)."""
+    runs = [*case.fitted, *case.judged]
+    everything = figures(runs, errors, [None] * len(runs))
+    n = len(case.fitted)
+    if case.judged:
+        held = figures(runs[n:], errors[n:], [None] * (len(runs) - n))
+    else:
+        held = everything
+    number = lambda v: float(v) if np.isfinite(v) else None  # noqa: E731
+    return {
+        "step": step,
+        "added": None if added is None else added.to_dict(),
+        "error_db": number(everything["error_db"]),
+        "heldout_error_db": number(held["error_db"]),
+        "misfit": number(everything["misfit"]),
+        "heldout_misfit": number(held["misfit"]),
+        "noise_floor_db": number(held["floor_db"]),
+    }
+
+
+def where_it_fails(case: Case, errors: Sequence[Complex]) -> dict[str, Any]:
+    """``by_dof`` and ``by_band`` of the idle model on the judge runs."""
+    n = len(case.fitted)
+    pairs = list(zip([*case.fitted, *case.judged], errors, strict=True))
+    pairs = pairs[n:] or pairs
+    by_row: dict[int, list[float]] = {}
+    edges = np.geomspace(max(case.band[0], 1e-3), case.band[1], 9)
+    bands: list[list[float]] = [[] for _ in range(8)]
+    for run, error in pairs:
+        rest = np.abs(decayed(Weighted.of(run, error))) ** 2
+        for row, power in zip(run.rows, rest, strict=True):
+            by_row.setdefault(int(row), []).append(float(np.mean(power)))
+        which = np.clip(np.digitize(run.hz, edges) - 1, 0, 7)
+        for k in range(8):
+            if np.any(which == k):
+                bands[k].append(float(np.mean(rest[:, which == k])))
+    return {
+        "by_dof": [{"dof": str(case.idle.dofs[i]), "error_db": None, "misfit": float(np.mean(v))} for i, v in sorted(by_row.items())],
+        "by_band": [
+            {"band_hz": [float(edges[k]), float(edges[k + 1])], "error_db": None, "misfit": float(np.mean(v)) if v else None}
+            for k, v in enumerate(bands)
+        ],
+        "by_mode": [],
+    }
+
+
+def verdict_of(judge: Sequence[float], accepted: bool, ambiguous: bool, further: float) -> str:
+    """Verdict of the contract from the judge misfits step by step (that of the idle model first)."""
+    if not accepted:
+        return "no_misfit" if judge[0] < GOOD else "unexplained"
+    now, fall = judge[-1], 1 - judge[-1] / judge[0]
+    if now < GOOD or (fall > 0.99 and further > 0.8):
+        return "ambiguous" if ambiguous else "explained"
+    if fall > 0.8:
+        return "ambiguous" if ambiguous else "partial"
+    return "unexplained"

@@ -1,0 +1,314 @@
+"""Fitting laws of restoring force at one place: regressions on pseudo-forces of the motion across it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy import fft as sfft
+
+from operando.effects import kind_of
+from operando.effects.base import EffectKind
+from operando.nonlinear.place import Along, Crossing, settle
+from operando.nonlinear.run import Complex, Real
+
+GRID = 14
+"""Gaps and knees tried first, evenly spaced in their logarithm between these shares of the largest deflection."""
+
+GRID_RANGE = (0.03, 0.93)
+STEEPEST = 60.0
+"""Dry friction is smoothed over the rms velocity divided by these at most."""
+
+SMOOTHINGS = (3.0, 10.0, 30.0, 100.0)
+"""Rms velocity over the smoothing speed of dry friction."""
+
+REACHES, EXPONENTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8), (1.0, 2.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion across a place in one run, and the run seen along it on the lines of one set.
+
+    Parameters
+    ----------
+    x, v : (N,) arrays
+    step : float
+    along : Along
+    crossing : Crossing
+    force : (L,) complex array
+        Restoring force without a law, on all lines of the run.
+    taken : (L,) array
+        How far the data decide about it.
+    """
+
+    x: Real
+    v: Real
+    step: float
+    along: Along
+    crossing: Crossing
+    force: Complex
+    taken: Real
+
+    def settled(self, law: Callable[[Real, Real], Real]) -> Motion:
+        """The motion where the data say nothing as the law has it."""
+        x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v))
+        return replace(self, x=x, v=v)
+
+    def spectra(self, forces: Real) -> Complex:
+        """Transforms of restoring forces (c, N) on the lines."""
+        return np.asarray(sfft.rfft(forces, axis=-1)[..., self.along.run.lines] / self.crossing.fine)
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """A law at a place.
+
+    Parameters
+    ----------
+    kind : str
+    side : float
+        −1 where a one-sided law acts towards the other side: its place is turned round.
+    values : dict
+    cost : float
+        Σ|weighted error|² with it, on the lines fitted.
+    size : int
+        Parameters.
+    """
+
+    kind: str
+    side: float
+    values: dict[str, float]
+    cost: float
+    size: int
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    def force(self, x: Real, v: Real, step: float) -> Real:
+        """Restoring force along the place as searched (not turned round)."""
+        return self.side * law_force(kind_of(self.kind), self.side * x, self.side * v, self.values, step)
+
+
+def law_force(kind: EffectKind, x: Real, v: Real, values: Mapping[str, Any], step: float) -> Real:
+    """Restoring force of a kind; linear kinds of spring and damper included."""
+    if kind.acts == "pseudo_force":
+        if getattr(kind, "has_state", False):
+            return np.asarray(kind.pseudo_force(x, v, values, step))  # type: ignore[call-arg]
+        return np.asarray(kind.pseudo_force(x, v, values))
+    if "stiffness" in values:
+        return np.asarray(values["stiffness"] * x)
+    return np.asarray(values["damping"] * v)
+
+
+def pooled(motions: Sequence[Motion], forces: Sequence[Real]) -> tuple[Real, Real, float]:
+    """Normal equations over runs of restoring forces (c, N) each."""
+    return summed([m.along.normal(m.spectra(f)) for m, f in zip(motions, forces, strict=True)])
+
+
+def summed(parts: Sequence[tuple[Real, Real, float]]) -> tuple[Real, Real, float]:
+    """Normal equations of several runs in one."""
+    return np.sum([p[0] for p in parts], axis=0), np.sum([p[1] for p in parts], axis=0), float(sum(p[2] for p in parts))
+
+
+def single_costs(gram: Real, right: Real, total: float) -> tuple[Real, Real]:
+    """Best positive factor of each column by itself, and the cost with it."""
+    diagonal = np.maximum(np.diag(gram), 1e-300)
+    factor = np.maximum(right / diagonal, 0.0)
+    return factor, total - factor * right
+
+
+def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> LawFit | None:
+    """Best values of one kind; None where no positive size helps.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+    kind_name : str
+        A level-dependent kind, or a spring or damper of one or two places.
+    side : float
+        −1 turns the place round.
+    """
+    kind = kind_of(kind_name)
+    if kind_name == "hysteresis":
+        return fit_hysteresis(motions)
+    if kind_name == "coulomb_friction":
+        return fit_friction(motions)
+    name = kind.parameters[0].name
+    shapes = getattr(kind, "shape_names", ())
+
+    def columns(values: Sequence[dict[str, float]]) -> tuple[Real, Real, float]:
+        return pooled(
+            motions, [np.stack([side * law_force(kind, side * m.x, side * m.v, {name: 1.0, **w}, m.step) for w in values]) for m in motions]
+        )
+
+    if not shapes:
+        factor, cost = single_costs(*columns([{}]))
+        return None if factor[0] <= 0 else LawFit(kind_name, side, {name: float(factor[0])}, float(cost[0]), 1)
+    if len(shapes) > 1:
+        return fit_general(motions, kind, side)
+    reach = max(float(np.max(np.abs(m.x))) for m in motions)
+    low, high = (reach * r for r in GRID_RANGE)
+    best = _search_shape(columns, name, shapes[0], low, high)
+    if best is None:
+        return None
+    size, value, least = best
+    return LawFit(kind_name, side, {name: size, shapes[0]: value}, least, 2)
+
+
+def _search_shape(
+    columns: Callable[[Sequence[dict[str, float]]], tuple[Real, Real, float]], name: str, shape: str, low: float, high: float
+) -> tuple[float, float, float] | None:
+    """Grid over one shape parameter, refined three times around the best."""
+    grid = np.geomspace(low, high, GRID)
+    found: tuple[float, float, float] | None = None
+    for _ in range(4):
+        factor, cost = single_costs(*columns([{shape: float(g)} for g in grid]))
+        if not np.any(factor > 0):
+            return found
+        k = int(np.argmin(np.where(factor > 0, cost, np.inf)))
+        if found is None or cost[k] < found[2]:
+            found = (float(factor[k]), float(grid[k]), float(cost[k]))
+        a, b = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
+        grid = np.geomspace(a, b, 7)[1:-1] if a < b else grid[:1]
+        grid = np.concatenate([[a], grid, [b]])
+    return found
+
+
+def fit_friction(motions: Sequence[Motion]) -> LawFit | None:
+    """Dry friction, smoothed over a speed that is found with it."""
+    kind = kind_of("coulomb_friction")
+    rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
+    speeds = [rms / s for s in SMOOTHINGS]
+
+    def force(m: Motion, speed: float) -> Real:
+        return np.asarray(kind.pseudo_force(m.x, m.v, {"force": 1.0, "slip_speed": speed}))
+
+    factor, cost = single_costs(*pooled(motions, [np.stack([force(m, s) for s in speeds]) for m in motions]))
+    if not np.any(factor > 0):
+        return None
+    k = int(np.argmin(np.where(factor > 0, cost, np.inf)))
+    return LawFit("coulomb_friction", 1.0, {"force": float(factor[k]), "slip_speed": speeds[k]}, float(cost[k]), 1)
+
+
+def fit_hysteresis(motions: Sequence[Motion]) -> LawFit | None:
+    """Bouc–Wen: grid over how far it moves before it slips and how sharply, the two forces by regression; then refined."""
+    kind = kind_of("hysteresis")
+    reach = max(float(np.max(np.abs(m.x))) for m in motions)
+    best: tuple[float, float, float, Real] | None = None
+    tried: set[tuple[float, float]] = set()
+    reaches, exponents = [reach * r for r in REACHES], list(EXPONENTS)
+    for _ in range(3):
+        pairs = [(a, n) for a in reaches for n in exponents if (a, n) not in tried]
+        tried.update(pairs)
+        z = memories(motions, kind, pairs)
+        for number, (a, n) in enumerate(pairs):
+            gram, right, total = pooled(motions, [np.stack([m.x, zm[number]]) for m, zm in zip(motions, z, strict=True)])
+            both = np.linalg.solve(gram + 1e-12 * np.diag(np.diag(gram)), right)
+            if both[0] < 0:
+                both = np.array([0.0, right[1] / gram[1, 1]])
+            cost = total - float(both @ right) if both[0] > 0 else total - float(both[1] * right[1])
+            if both[1] > 0 and (best is None or cost < best[2]):
+                best = (a, n, cost, np.asarray(both, float))
+        if best is None:
+            return None
+        a, n = best[:2]
+        spread = 1.35 if len(tried) < 25 else 1.12
+        reaches, exponents = [a / spread, a, a * spread], [n / spread, n, n * spread]
+    assert best is not None
+    a, n, cost, (after, force) = best
+    # f = r·k·x + (1−r)·F_y·z with F_y = k·a: after = r·k, force = (1−r)·k·a.
+    stiffness = after + force / a
+    values = {"stiffness": stiffness, "yield_force": stiffness * a, "exponent": n, "ratio": min(after / stiffness, 0.95)}
+    return LawFit("hysteresis", 1.0, {k: float(v) for k, v in values.items()}, cost, 4)
+
+
+def memories(motions: Sequence[Motion], kind: EffectKind, pairs: Sequence[tuple[float, float]]) -> list[Real]:
+    """Internal z of each run for each (reach, exponent), all in one walk through time; (pairs, N) a run."""
+    longest = max(m.x.size for m in motions)
+    x = np.stack([np.pad(m.x, (0, longest - m.x.size), mode="edge") for m in motions])  # (runs, N)
+    reach, exponent = (np.array(v)[:, None] for v in zip(*pairs, strict=True))
+    values = {"stiffness": 1.0 / reach, "yield_force": np.ones_like(reach), "exponent": exponent}
+    z = kind.memory(np.broadcast_to(x, (len(pairs), *x.shape)), values)  # type: ignore[attr-defined]
+    return [z[:, i, : m.x.size] for i, m in enumerate(motions)]
+
+
+def fit_general(motions: Sequence[Motion], kind: EffectKind, side: float = 1.0) -> LawFit | None:
+    """A user's law of any number of parameters: the first is taken as its size, the others are moved from their defaults."""
+    from scipy.optimize import minimize
+
+    first, *others = kind.parameters
+
+    def value(vector: Real) -> tuple[float, float]:
+        values = {first.name: 1.0} | {p.name: p.outward(float(t)) for p, t in zip(others, vector, strict=True)}
+        gram, right, total = pooled(motions, [(side * law_force(kind, side * m.x, side * m.v, values, m.step))[None] for m in motions])
+        factor, cost = single_costs(gram, right, total)
+        return float(cost[0]), float(factor[0])
+
+    start = np.array([p.inward(p.start()) for p in others])
+    found = minimize(lambda t: value(t)[0], start, method="Nelder-Mead", options={"maxfev": 120, "xatol": 1e-3})  # type: ignore[call-overload]
+    cost, factor = value(found.x)
+    if factor <= 0:
+        return None
+    values = {first.name: factor} | {p.name: p.outward(float(t)) for p, t in zip(others, found.x, strict=True)}
+    return LawFit(kind.kind, side, values, cost, len(kind.parameters))
+
+
+def law_cost(fit: LawFit | None, motions: Sequence[Motion]) -> tuple[float, int]:
+    """Σ|weighted error|² on other lines or runs with the law as it stands, and how many errors; without a law where None."""
+    cost, count = 0.0, 0
+    for m in motions:
+        count += m.along.weighted.error.size
+        if fit is None:
+            cost += m.along.weighted.ringing()[1]
+            continue
+        gram, right, total = m.along.normal(m.spectra(fit.force(m.x, m.v, m.step))[None])
+        cost += total - 2 * float(right[0]) + float(gram[0, 0])
+    return cost, count
+
+
+def free_law(motions: Sequence[Motion], judged: Sequence[Motion], knots: int = 21) -> float:
+    """Cost on ``judged`` of a law without a formula: piecewise linear in x, and v, v|v|, sign v; fitted on ``motions``."""
+    x_all = np.concatenate([m.x for m in motions])
+    v_rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
+    reach = float(np.max(np.abs(x_all)))
+    at = reach * np.sign(np.linspace(-1, 1, knots)) * np.abs(np.linspace(-1, 1, knots)) ** 1.5
+
+    def columns(m: Motion) -> Real:
+        hats = [np.interp(m.x, at, np.eye(knots)[i]) for i in range(knots) if i != knots // 2]
+        return np.stack([*hats, m.v, m.v * np.abs(m.v), np.tanh(m.v / (0.05 * v_rms))])
+
+    gram, right, _ = pooled(motions, [columns(m) for m in motions])
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    system = gram / np.outer(scale, scale)
+    theta = np.linalg.solve(system + 1e-9 * np.eye(len(system)), right / scale) / scale
+    gram, right, total = pooled(judged, [columns(m) for m in judged])
+    return total - 2 * float(theta @ right) + float(theta @ gram @ theta)
+
+
+def linear_law(motions: Sequence[Motion], judged: Sequence[Motion], blocks: int = 24) -> float:
+    """Cost on ``judged`` of any linear law: a complex dynamic stiffness for each of some bands of frequency, fitted on ``motions``."""
+    top = max(float(m.along.run.hz[-1]) for m in motions)
+    low = min(float(m.along.run.hz[0]) for m in motions)
+    edges = np.geomspace(low * 0.999, top * 1.001, blocks + 1)
+
+    def columns(m: Motion) -> Complex:
+        run = m.along.run
+        x = m.spectra(m.x)
+        centre = np.sqrt(edges[1:] * edges[:-1])
+        # Straight between band centres: real and imaginary part of the stiffness.
+        hats = np.array([np.interp(np.log(run.hz), np.log(centre), row) for row in np.eye(blocks)])
+        return np.concatenate([hats * x, 1j * hats * x])
+
+    def normal(part: Sequence[Motion]) -> tuple[Real, Real, float]:
+        return summed([m.along.normal(columns(m)) for m in part])
+
+    gram, right, _ = normal(motions)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    theta = np.linalg.solve(gram / np.outer(scale, scale) + 1e-9 * np.eye(gram.shape[0]), right / scale) / scale
+    gram, right, total = normal(judged)
+    return total - 2 * float(theta @ right) + float(theta @ gram @ theta)
+
+
+def turned(fit: LawFit) -> LawFit:
+    """The same law seen from the other end of the place."""
+    return replace(fit, side=-fit.side)

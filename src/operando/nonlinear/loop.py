@@ -1,0 +1,236 @@
+"""The closed loop: modes driven by measured forces and by restoring forces that depend on where they move.
+
+The modes are integrated exactly for forces that run straight between steps (first-order hold); the restoring force at the end of a step is
+solved for, not extrapolated, so stiff contacts and dry friction stay stable. Several cases (records, values) run side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operando.nonlinear.run import Complex, Real
+
+BLOCK = 16
+"""Steps between two updates of the modal state: inside, the response is a short convolution."""
+
+Law = Callable[[Real, Real], Real]
+"""Restoring force of displacement and velocity, each (cases,)."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Response across places to forces along them, as modes.
+
+    Parameters
+    ----------
+    poles : (n,) complex array
+        λ [rad/s], one of each conjugate pair.
+    shapes : (p, n) array
+        Shape values at the places; x_p = Σ shapes[p]·q.
+    step : float
+        [s].
+    """
+
+    poles: Complex
+    shapes: Real
+    step: float
+
+    def kernels(self) -> tuple[Complex, Complex, Complex]:
+        """exp(λh) and the weights of a force at the beginning and the end of a step, straight in between."""
+        lh = self.poles * self.step
+        e = np.exp(lh)
+        small = np.abs(lh) < 1e-4
+        safe = np.where(small, 1.0, lh)
+        end = np.where(small, 0.5 + lh / 6 + lh**2 / 24, (e - 1 - lh) / safe**2) * self.step
+        whole = np.where(small, 1 + lh / 2 + lh**2 / 6, (e - 1) / safe) * self.step
+        return np.asarray(e), np.asarray(whole - end), np.asarray(end)
+
+
+def run_loop(
+    loop: Loop,
+    x_free: Real,
+    v_free: Real,
+    laws: Sequence[StepLaw],
+) -> tuple[Real, Real, Real]:
+    """Restoring forces, displacements and velocities of all cases.
+
+    Parameters
+    ----------
+    loop : Loop
+    x_free, v_free : (p, cases, N) arrays
+        Motion across the places under the measured forces alone.
+    laws : sequence of StepLaw
+        One a place.
+
+    Returns
+    -------
+    s, x, v : (p, cases, N) arrays
+    """
+    places, cases, n = x_free.shape
+    e, c0, c1 = loop.kernels()
+    damped = loop.poles.imag
+    # x = Im(z)/ω_d, v = Im(λz)/ω_d for z' = λz + u.
+    out_x = loop.shapes / damped
+    out_v = out_x * loop.poles
+    powers = e[None, :] ** np.arange(1, BLOCK + 1)[:, None]
+    # Free motion from the state over a block, and the response to unit samples of force within it.
+    state_x = np.stack([np.concatenate([(out_x * p).imag, (out_x * p).real], axis=1) for p in powers])
+    state_v = np.stack([np.concatenate([(out_v * p).imag, (out_v * p).real], axis=1) for p in powers])
+    drive = loop.shapes
+    first_x = np.einsum("pn,qn,jn->jpq", out_x, drive, powers / e * c0).imag
+    last_x = np.einsum("pn,qn,jn->jpq", out_x, drive, powers / e * c1).imag
+    first_v = np.einsum("pn,qn,jn->jpq", out_v, drive, powers / e * c0).imag
+    last_v = np.einsum("pn,qn,jn->jpq", out_v, drive, powers / e * c1).imag
+    z = np.zeros((loop.poles.size, cases), complex)
+    s_all, x_all, v_all = np.zeros((3, places, cases, n))
+    s = np.zeros((places, cases))
+    for p, law in enumerate(laws):
+        s[p] = law.begin(x_free[p, :, 0], v_free[p, :, 0])
+        s_all[p, :, 0], x_all[p, :, 0], v_all[p, :, 0] = s[p], x_free[p, :, 0], v_free[p, :, 0]
+    near_x, near_v = last_x[0], last_v[0]
+    single = places == 1
+    # Within a block: force samples s_0 (block start) … s_j; weights of each at step j.
+    block_x = np.zeros((BLOCK + 1, BLOCK + 1, places, places))
+    block_v = np.zeros_like(block_x)
+    for j in range(1, BLOCK + 1):
+        for i in range(1, j + 1):  # force between i−1 and i seen at j
+            block_x[j, i - 1] += first_x[j - i]
+            block_x[j, i] += last_x[j - i]
+            block_v[j, i - 1] += first_v[j - i]
+            block_v[j, i] += last_v[j - i]
+    done = 0
+    gains = (block_x[:, :, 0, 0], block_v[:, :, 0, 0])
+    while done < n - 1:
+        count = min(BLOCK, n - 1 - done)
+        stacked = np.concatenate([z.real, z.imag])
+        xs = x_free[:, :, done + 1 : done + 1 + count].transpose(2, 0, 1) + state_x[:count] @ stacked
+        vs = v_free[:, :, done + 1 : done + 1 + count].transpose(2, 0, 1) + state_v[:count] @ stacked
+        inside = np.zeros((count + 1, places, cases))
+        inside[0] = s
+        for j in range(1, count + 1):
+            if single:
+                past = inside[:j, 0]
+                s1, xs[j - 1, 0], vs[j - 1, 0] = laws[0].solve(
+                    xs[j - 1, 0] - gains[0][j, :j] @ past, vs[j - 1, 0] - gains[1][j, :j] @ past, near_x[0, 0], near_v[0, 0]
+                )
+                inside[j, 0] = s1
+                continue
+            x = xs[j - 1] - np.einsum("ipq,iqc->pc", block_x[j, :j], inside[:j])
+            v = vs[j - 1] - np.einsum("ipq,iqc->pc", block_v[j, :j], inside[:j])
+            s_new = inside[j - 1].copy()
+            for turn in range(3):
+                for p, law in enumerate(laws):
+                    others = s_new.copy()
+                    others[p] = 0
+                    s_new[p], xs[j - 1, p], vs[j - 1, p] = law.solve(
+                        x[p] - near_x[p] @ others, v[p] - near_v[p] @ others, near_x[p, p], near_v[p, p], commit=turn == 2
+                    )
+            inside[j] = s_new
+        u = drive.T @ inside.transpose(1, 0, 2).reshape(places, -1)
+        u = u.reshape(-1, count + 1, cases)
+        back = powers[count - 1 :: -1] if count else powers[:0]
+        z = z * (e**count)[:, None] - np.einsum("jn,njc->nc", back / e * c0, u[:, :-1]) - np.einsum("jn,njc->nc", back / e * c1, u[:, 1:])
+        s = inside[count]
+        span = slice(done + 1, done + 1 + count)
+        s_all[:, :, span] = inside[1:].transpose(1, 2, 0)
+        x_all[:, :, span] = xs.transpose(1, 2, 0)
+        v_all[:, :, span] = vs.transpose(1, 2, 0)
+        done += count
+    return s_all, x_all, v_all
+
+
+class StepLaw:
+    """A restoring force solved for at the end of each step.
+
+    Parameters
+    ----------
+    force : callable
+        (x, v) → s, each (cases,); must not fall with x or v by more than the structure can bear.
+    """
+
+    def __init__(self, force: Law) -> None:
+        self.force = force
+        self._last: Real | None = None
+
+    def begin(self, x: Real, v: Real) -> Real:
+        """Force at the first sample."""
+        self._last = np.asarray(self.force(x, v), float)
+        return self._last
+
+    def solve(self, x: Real, v: Real, near_x: float, near_v: float, commit: bool = True) -> tuple[Real, Real, Real]:
+        """s with s = force(x − near_x·s, v − near_v·s), and the motion then: secant steps from the last force."""
+        assert self._last is not None
+        # A short step leaves little to solve: two substitutions usually do; secant steps where the contact is stiff for the step.
+        a = self.force(x - near_x * self._last, v - near_v * self._last)
+        b = self.force(x - near_x * a, v - near_v * a)
+        gap = np.abs(b - a)
+        if gap.max() > 1e-4 * (np.abs(b).max() + 1e-300):
+            fa, fb = b - a, self.force(x - near_x * b, v - near_v * b) - b
+            for _ in range(4):
+                slope = fb - fa
+                flat = np.abs(slope) < 1e-30
+                c = np.where(flat, b, b - fb * (b - a) / np.where(flat, 1.0, slope))
+                a, fa, b = b, fb, c
+                fb = self.force(x - near_x * b, v - near_v * b) - b
+                if np.abs(fb).max() <= 1e-6 * (np.abs(b).max() + 1e-300):
+                    break
+        if commit:
+            self._last = b
+        return b, x - near_x * b, v - near_v * b
+
+
+class FrictionLaw(StepLaw):
+    """Dry friction F·sign(v): sticks where the force needed to hold is below F.
+
+    Parameters
+    ----------
+    level : (cases,) array
+        F [N].
+    """
+
+    def __init__(self, level: Real) -> None:
+        super().__init__(lambda x, v: level * np.sign(v))
+        self.level = level
+
+    def solve(self, x: Real, v: Real, near_x: float, near_v: float, commit: bool = True) -> tuple[Real, Real, Real]:
+        b = np.clip(v / near_v, -self.level, self.level)
+        return b, x - near_x * b, v - near_v * b
+
+
+class MemoryLaw(StepLaw):
+    """Bouc–Wen hysteresis with its internal z, by the displacement's step (rate-independent).
+
+    Parameters
+    ----------
+    stiffness, yield_force, exponent, ratio : (cases,) arrays
+    slope : callable
+        (z, step, exponent) → dz/d(x/reach).
+    """
+
+    def __init__(self, stiffness: Real, yield_force: Real, exponent: Real, ratio: Real, slope: Callable[[Real, Real, Real], Real]) -> None:
+        super().__init__(lambda x, v: ratio * stiffness * x)
+        self.stiffness, self.yield_force, self.exponent, self.ratio, self.slope = stiffness, yield_force, exponent, ratio, slope
+        self.z = np.zeros_like(stiffness)
+        self.x = np.zeros_like(stiffness)
+
+    def begin(self, x: Real, v: Real) -> Real:
+        self.z, self.x = np.zeros_like(x), np.array(x)
+        return super().begin(x, v)
+
+    def _next(self, x: Real) -> Real:
+        h = (x - self.x) * self.stiffness / self.yield_force
+        first = h * self.slope(self.z, h, self.exponent)
+        return np.clip(self.z + 0.5 * (first + h * self.slope(np.clip(self.z + first, -1, 1), h, self.exponent)), -1, 1)
+
+    def solve(self, x: Real, v: Real, near_x: float, near_v: float, commit: bool = True) -> tuple[Real, Real, Real]:
+        def force(at: Real, _: Real) -> Real:
+            return self.ratio * self.stiffness * at + (1 - self.ratio) * self.yield_force * self._next(at)
+
+        self.force = force
+        b, x1, v1 = super().solve(x, v, near_x, near_v, commit)
+        if commit:
+            self.z, self.x = self._next(x1), np.array(x1)
+        return b, x1, v1

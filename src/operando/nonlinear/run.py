@@ -1,0 +1,258 @@
+"""One record with measured force against the idle model: spectra of the whole record, free decays, and what the model leaves.
+
+The running structure is the idle one under one force more: X = H0·(F − b·S) + T + noise, where S is the transform of the restoring
+force s of the effect along b and T the free decays that the states at the beginning and the end of the record leave. The idle model
+is linear and known, so this holds on every line of an unwindowed record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as sfft
+
+from operando.data import ModalModel, TimeRecord
+from operando.dof import match_dofs
+from operando.errors import DataError
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+START_NOISE = 0.003
+"""Noise over rms of a response assumed before anything is known of it."""
+
+VARIANCE_LINES = 48
+"""Lines over which the noise is taken to be even."""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The idle model as arrays: poles λ (n,) [rad/s], shapes (m, n), and which modes ring visibly at the sampling rate."""
+
+    hz: Real
+    zeta: Real
+    phi: Real
+
+    @classmethod
+    def of(cls, idle: ModalModel) -> Modes:
+        """All modes, residual ones included."""
+        return cls(np.asarray(idle.frequencies_hz), np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float))
+
+    @property
+    def poles(self) -> Complex:
+        """λ = −ζω + iω√(1−ζ²) [rad/s]."""
+        w = 2 * np.pi * self.hz
+        return np.asarray(w * (-self.zeta + 1j * np.sqrt(1 - self.zeta**2)))
+
+    def receptance_kernel(self, hz: Real) -> Complex:
+        """1/(ω_r² − ω² + 2iζ_r ω_r ω), (n, L)."""
+        w, w0 = 2 * np.pi * hz[None, :], 2 * np.pi * self.hz[:, None]
+        return np.asarray(1 / (w0**2 - w**2 + 2j * self.zeta[:, None] * w0 * w))
+
+    def ringing(self, sampling_hz: float) -> NDArray[np.int_]:
+        """Modes whose free decay the record can show: below its Nyquist frequency, not of zero frequency."""
+        return np.flatnonzero((self.hz < 0.49 * sampling_hz) & (self.hz > 1e-3))
+
+
+@dataclass(frozen=True)
+class Run:
+    """A record in the frequency domain, all senses as in the idle model.
+
+    Parameters
+    ----------
+    name : str
+    sampling_hz : float
+    n_samples : int
+    rows : (q,) int array
+        Rows of the idle model that were measured.
+    forces_at : tuple of int
+        Rows of the idle model that were driven with a measured force.
+    directions : (k, m) array
+        Weights of the DOFs that each force acts along; restoring forces that are already known stand behind the measured forces.
+    forces : (k, N//2+1) complex array
+        Force spectra on all lines.
+    responses : (q, N//2+1) complex array
+        Accelerations on all lines.
+    lines : (L,) int array
+        Lines compared with the model.
+    hz : (L,) array
+    kernel : (n, L) complex array
+        Receptance kernels of the modes on these lines.
+    error : (q, L) complex array
+        X − H0·F: what the idle model leaves, transients still in it.
+    variance : (q, L) array
+        E|noise|² of each line.
+    decays : (2r, L) complex array
+        Free decays (two real amplitudes a ringing mode) in modal acceleration.
+    decay_shapes : (q, 2r) array
+    force_level : float
+        rms of all forces [N].
+    """
+
+    name: str
+    sampling_hz: float
+    n_samples: int
+    rows: NDArray[np.int_]
+    forces_at: tuple[int, ...]
+    directions: Real
+    forces: Complex
+    responses: Complex
+    lines: NDArray[np.int_]
+    hz: Real
+    kernel: Complex
+    error: Complex
+    variance: Real
+    decays: Complex
+    decay_shapes: Real
+    force_level: float
+
+    @property
+    def all_hz(self) -> Real:
+        """Frequencies of all lines [Hz]."""
+        return np.asarray(sfft.rfftfreq(self.n_samples, 1 / self.sampling_hz))
+
+    @property
+    def omega(self) -> Real:
+        """Angular frequencies of the lines compared [rad/s]."""
+        return 2 * np.pi * self.hz
+
+    def on(self, keep: NDArray[Any] | slice) -> Run:
+        """The run on some of its lines."""
+        return replace(
+            self,
+            lines=self.lines[keep],
+            hz=self.hz[keep],
+            kernel=self.kernel[:, keep],
+            error=self.error[:, keep],
+            variance=self.variance[:, keep],
+            decays=self.decays[:, keep],
+        )
+
+    def drive(self, modes: Modes) -> Complex:
+        """Modal forces on all lines, (n, N//2+1)."""
+        return np.asarray((self.directions @ modes.phi).T @ self.forces)
+
+    def with_force(self, modes: Modes, b: Real, accelerance: Complex, force: Complex) -> Run:
+        """The run with one more known force along b: its spectrum on all lines, and the accelerances (q, L) it acts through."""
+        return replace(
+            self,
+            directions=np.concatenate([self.directions, b[None]]),
+            forces=np.concatenate([self.forces, force[None]]),
+            error=self.error - accelerance * force[self.lines],
+        )
+
+    def spectrum(self, signal: Real) -> Complex:
+        """Transform of signals (…, N) on the lines compared."""
+        return np.asarray(sfft.rfft(signal, axis=-1)[..., self.lines])
+
+    def accelerance(self, modes: Modes, b: Real) -> Complex:
+        """Accelerations of the measured rows per unit force along b, (q, L)."""
+        gain = self.kernel * (modes.phi.T @ b)[:, None]
+        return np.asarray(-(self.omega**2) * (modes.phi[self.rows] @ gain))
+
+
+def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[float, float]) -> Run:
+    """Spectra of one record and what the idle model leaves of its responses.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        Forces and accelerations (velocities and displacements are brought to accelerations by powers of iω).
+    idle : ModalModel
+        Of unit modal mass.
+    modes : Modes
+        The same as arrays.
+    band : (float, float)
+        Lines compared [Hz].
+
+    Raises
+    ------
+    DataError
+        If there is no force or response that the idle model knows.
+    """
+    known = {(d.node, d.axis) for d in idle.dofs}
+    where = record.name or None
+
+    def usable(rows: list[int]) -> list[int]:
+        return [i for i in rows if (d := record.channels[i].dof) is not None and (d.node, d.axis) in known]
+
+    driven, measured = usable(record.force_indices), usable(record.response_indices)
+    if not driven or len(driven) < len(record.force_indices):
+        raise DataError("a force of the record is not at a DOF of the idle model", where=where, hint="measure the drive point at rest, too")
+    if not measured:
+        raise DataError("no response of the record is a DOF of the idle model", where=where)
+    n = record.n_samples
+    if n / record.sampling_hz * (band[1] - band[0]) < 100:
+        raise DataError(f"{record.duration_s:g} s are too short for a diagnosis in {band[0]:g} … {band[1]:g} Hz", where=where)
+    while sfft.next_fast_len(n, real=True) != n:
+        n -= 1
+    data = np.asarray(record.data[:, :n], float)
+    rows, signs = match_dofs(tuple(d for i in measured if (d := record.channels[i].dof) is not None), idle.dofs)
+    at, force_signs = match_dofs(tuple(d for i in driven if (d := record.channels[i].dof) is not None), idle.dofs)
+    forces = sfft.rfft(data[driven] * np.asarray(force_signs, float)[:, None], axis=1)
+    responses = sfft.rfft(data[measured] * np.asarray(signs, float)[:, None], axis=1)
+    hz = sfft.rfftfreq(n, 1 / record.sampling_hz)
+    power = {"acceleration": 0, "velocity": 1, "displacement": 2}
+    for k, i in enumerate(measured):
+        responses[k] *= (2j * np.pi * hz) ** power[record.channels[i].quantity]
+    lines = np.flatnonzero((hz >= max(band[0], 1.5 * hz[1])) & (hz <= min(band[1], 0.47 * record.sampling_hz)))
+    f = hz[lines]
+    kernel = modes.receptance_kernel(f)
+    rows_ = np.asarray(rows)
+    directions = np.zeros((len(at), len(idle.dofs)))
+    directions[np.arange(len(at)), np.asarray(at)] = 1.0
+    drive = (directions @ modes.phi).T @ forces[:, lines]
+    error = responses[:, lines] + (2 * np.pi * f) ** 2 * (modes.phi[rows_] @ (kernel * drive))
+    ringing = modes.ringing(record.sampling_hz)
+    decays = free_decays(f, modes.poles[ringing], 1 / record.sampling_hz)
+    shapes = modes.phi[np.ix_(rows_, ringing)]
+    level = np.mean(np.abs(responses[:, lines]) ** 2, axis=1, keepdims=True)
+    return Run(
+        record.name,
+        record.sampling_hz,
+        n,
+        rows_,
+        tuple(int(i) for i in at),
+        directions,
+        forces,
+        responses,
+        lines,
+        f,
+        kernel,
+        error,
+        np.repeat(START_NOISE**2 * level, f.size, axis=1),
+        decays,
+        np.concatenate([shapes, shapes], axis=1),
+        float(np.sqrt(np.mean(data[driven] ** 2))),
+    )
+
+
+def free_decays(hz: Real, poles: Complex, step: float) -> Complex:
+    """Transforms of sampled free decays: for amplitude a + ib the decay is a·first + b·second; (2r, L), first ones first."""
+    z = np.exp(-2j * np.pi * hz * step)[None, :]
+    up, down = 1 / (1 - np.exp(poles * step)[:, None] * z), 1 / (1 - np.exp(poles.conj() * step)[:, None] * z)
+    return np.concatenate([up + down, 1j * (up - down)])
+
+
+def decay_in_time(poles: Complex, amplitudes: Complex, n: int, step: float) -> Real:
+    """The same decays as n samples: Σ 2 Re a·exp(λt)/(1 − exp(λ n step)), any number of rows of amplitudes (…, r)."""
+    # exp(λ t) in two factors: a table of n exponentials for each mode would cost more than everything else.
+    block = int(np.ceil(np.sqrt(n)))
+    coarse = np.exp(poles[:, None] * step * block * np.arange(-(-n // block)))
+    fine = np.exp(poles[:, None] * step * np.arange(block))
+    scaled = amplitudes / (1 - np.exp(poles * n * step))
+    table = np.einsum("...r,rc,rf->...cf", scaled, coarse, fine, optimize=True)
+    return np.asarray(2 * table.real.reshape(*amplitudes.shape[:-1], -1)[..., :n])
+
+
+def smoothed_variance(residual: Complex, floor: Real, freedom: float) -> Real:
+    """Noise of each line from residuals (q, L): mean square over neighbours, corrected for what was fitted, above a floor (q, 1)."""
+    power = np.abs(residual) ** 2 / freedom
+    width = min(VARIANCE_LINES, max(8, power.shape[1] // 12))
+    total = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
+    index = np.arange(power.shape[1])
+    low, high = np.maximum(index - width // 2, 0), np.minimum(index + width // 2 + 1, power.shape[1])
+    return np.maximum((total[:, high] - total[:, low]) / (high - low), floor)

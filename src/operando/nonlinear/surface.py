@@ -1,0 +1,102 @@
+"""The restoring-force surface: force seen in the data over the motion across a place, and how well a law runs through it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import fft as sfft
+
+from operando.nonlinear.laws import LawFit, Motion
+from operando.nonlinear.run import Complex, Real
+
+BINS = 41
+
+
+def seen_force(motion: Motion) -> Real:
+    """Restoring force in time as the data show it, (N,): the lines of the band where the data decide."""
+    run = motion.along.run
+    spectrum = np.zeros(run.n_samples // 2 + 1, complex)
+    spectrum[run.lines] = motion.force * (motion.taken > 0.5)
+    return finely(motion, spectrum)
+
+
+def finely(motion: Motion, spectrum: Complex) -> Real:
+    """A spectrum on the record's lines in time, on the fine grid of the motion."""
+    n, fine = motion.x.size, motion.crossing.fine
+    full = np.zeros(n // 2 + 1, complex)
+    full[: spectrum.size] = spectrum * fine
+    return np.asarray(sfft.irfft(full, n))
+
+
+def same_lines(motion: Motion, force: Real) -> Real:
+    """A force in time with only the lines that :func:`seen_force` keeps."""
+    run = motion.along.run
+    kept = np.zeros(run.n_samples // 2 + 1, complex)
+    kept[run.lines] = motion.spectra(force) * (motion.taken > 0.5)
+    return finely(motion, kept)
+
+
+def binned(x: Real, s: Real, bins: int = BINS) -> tuple[Real, Real, Real, Real]:
+    """Mean and standard error of s in even bins of x: centre, mean, error, count; bins of fewer than 8 samples are left out."""
+    edges = np.linspace(x.min(), x.max(), bins + 1)
+    which = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
+    count = np.bincount(which, minlength=bins).astype(float)
+    total = np.bincount(which, s, bins)
+    square = np.bincount(which, s**2, bins)
+    use = count >= 8
+    mean = total[use] / count[use]
+    spread = np.sqrt(np.maximum(square[use] / count[use] - mean**2, 0) / count[use])
+    return (edges[1:] + edges[:-1])[use] / 2, mean, spread, count[use]
+
+
+def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) -> dict[str, Any]:
+    """Picture of the restoring force at a place.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        Runs, the one with the largest motion is drawn.
+    law : LawFit or None
+    points : int
+        Samples of the cloud.
+
+    Returns
+    -------
+    dict
+        ``displacement``, ``velocity``, ``force`` (a cloud of samples), ``binned`` {displacement, force, force_std, law}: both brought
+        to the lines that the data decide, so that they can be compared; ``law_curve`` {displacement, force} as it stands.
+    """
+    motion = max(motions, key=lambda m: float(np.max(np.abs(m.x))))
+    edge = max(8, motion.x.size // 50)
+    inner = slice(edge, -edge)
+    s = seen_force(motion)
+    x, v = motion.x[inner], motion.v[inner]
+    pick = np.linspace(0, x.size - 1, min(points, x.size)).astype(int)
+    centre, mean, spread, _ = binned(x, s[inner])
+    out: dict[str, Any] = {
+        "displacement": x[pick].tolist(),
+        "velocity": v[pick].tolist(),
+        "force": s[inner][pick].tolist(),
+        "binned": {"displacement": centre.tolist(), "force": mean.tolist(), "force_std": spread.tolist()},
+    }
+    if law is not None:
+        whole = law.force(motion.x, motion.v, motion.step)
+        out["binned"]["law"] = binned(x, same_lines(motion, whole)[inner])[1].tolist()
+        out["law_samples"] = whole[inner][pick].tolist()
+        out["goodness"] = goodness(motions, law)
+    return out
+
+
+def goodness(motions: Sequence[Motion], law: LawFit) -> float:
+    """Share of the restoring force seen in the data that a law explains, on the lines where the data decide; 1 is all of it."""
+    rest, total = 0.0, 0.0
+    for m in motions:
+        good = m.taken > 0.5
+        if m.along.run.lines.size != m.force.size:
+            continue
+        expected = m.spectra(law.force(m.x, m.v, m.step))
+        rest += float(np.sum(np.abs(m.force - expected)[good] ** 2))
+        total += float(np.sum(np.abs(m.force)[good] ** 2))
+    return 1 - rest / total if total > 0 else 0.0
