@@ -22,12 +22,6 @@ from operando.synthesis import synthesise
 UPPER = (1.05, 1.12, 1.2, 1.3, 1.45, 1.7, 2.1, 2.8, 4.0, 8.0)
 LOWER = (0.02, 0.02, 0.02, 0.6)
 LOCAL = 2.0
-PRIOR = 0.5
-"""Size of the pseudo-modes' shape values in the prior over the median rms of the in-band ones: smaller ones err less at undriven DOFs."""
-
-DOUBT = 2.0
-"""What the posterior standard deviation of undriven DOFs is multiplied by: the prior is sized by the driven ones."""
-
 LOCAL_SHAPE, LOCAL_SPREAD = 0.55, 0.9
 """Mean and standard deviation of the local shape value of an undriven DOF over that which would make up a drive point's compliance."""
 
@@ -82,7 +76,7 @@ def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, 
     scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
     # The driven columns tell how much there is outside at all (products of two shape values, hence the root).
     expected = np.sqrt(np.sum((std[: len(UPPER), None] ** 2 * g[: len(UPPER)]) ** 2, axis=0))
-    std = PRIOR * std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
+    std = std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
     inside = synthesise(f, theta.hz, theta.zeta, theta.shapes, theta.shapes[refs])
     floor = NEGLIGIBLE * np.sqrt(np.mean(np.abs(inside) ** 2, axis=(0, 1)))
     weight = 1 / np.sqrt((TOLERANCE * scale) ** 2 + floor**2 + _noise(runs, fit, f))
@@ -102,9 +96,6 @@ def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, 
     rest = np.setdiff1d(np.arange(m_dofs), core)
     for p in range(hz.size):
         covariance[p, rest, p, rest] = variance[rest, p]
-    doubt = np.full(m_dofs, DOUBT)
-    doubt[refs] = 1.0
-    covariance *= doubt[None, :, None, None] * doubt
     size = hz.size * m_dofs
     return _with_local(hz, shapes, covariance.reshape(size, size), refs, target, known, top, f)
 
