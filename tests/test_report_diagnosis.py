@@ -480,6 +480,19 @@ def test_effect_that_depends_on_the_level_draws_no_frf(whole):
     assert "an effect depends on the level" in made["diagnosis"]
 
 
+def test_effect_between_sensors_is_named_by_its_position(whole):
+    between = {k: v for k, v in MASS.items() if k != "location"} | {"location": [], "position": [0.45, 0.0, 0.0], "direction": "+Z"}
+    found = document(effects=(between,))
+    found["picture"]["dynamic_stiffness"][0]["location"] = []
+    assert "(0.45, 0, 0) m, +Z" in diagnosis_words(found).found[0]
+    made = sections(replace(whole, diagnosis=found))
+    assert "(0.45, 0, 0) m, +Z" in text_of(made["missing"][made["missing"].index("<figure>") :])
+    assert "(0.45, 0, 0) m, +Z: point mass 0.200 ± 0.002 kg" in text_of(made["diagnosis"])
+    assert "acts on the whole" not in made["diagnosis"]
+    everywhere = {"kind": "global_stiffness", "location": [], "parameters": {"change": {"value": 0.01, "unit": "", "std": 1e-4}}}
+    assert "acts on the whole" in sections(replace(whole, diagnosis=document(effects=(everywhere,))))["diagnosis"]
+
+
 def test_covariance_of_other_effects_is_not_used(whole):
     model = derive_diagnosis.effect_model(replace(whole, effect_covariance=np.eye(3)))
     assert model is not None

@@ -133,7 +133,7 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> No
             f"{'×' if worse else '÷'}{number(float(f'{ratio:.2g}'), 2)}",
             float(np.sqrt(max(before, 1e-300) * max(after, 1e-300))),
         )
-    if words in ("+0.00 dB", "×1.0", "÷1.0"):
+    if abs(after - before) < 0.05 * max(before, after):
         return
     ends = axes.transData.transform([(0, before), (0, after)])[:, 1]
     short = abs(ends[1] - ends[0]) < 16 * axes.figure.dpi / 72

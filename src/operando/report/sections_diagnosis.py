@@ -12,6 +12,7 @@ from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import decibel, esc, finite, fixed, listing, number
 from operando.report.words_diagnosis import (
     DiagnosisWords,
+    EffectWords,
     diagnosis_words,
     effect_key,
     effect_words,
@@ -169,10 +170,7 @@ def _picture(found: Mapping[str, Any], numbering: Numbering, words: DiagnosisWor
     shown = [p for p in picture.get("dynamic_stiffness") or [] if p.get("frequency_hz") and p.get("real")][:3]
     if shown:
         effects = [_at_place(p, found, k) for k, p in enumerate(shown)]
-        titles = [
-            listing(p.get("location") or []) + (f": {e.name}{' (taken away)' if e.removed else ''} {e.size}" if e is not None else "")
-            for p, e in zip(shown, effects, strict=True)
-        ]
+        titles = [_title(p, e) for p, e in zip(shown, effects, strict=True)]
         laws = dict.fromkeys(e.name for e in effects if e is not None)
         said = [f"{name}: {text}" for name in laws for end, text in HOW_TO_READ.items() if name.endswith(end)][:3]
         how = "How to read it: a spring is flat, a mass goes with −ω², a damper with iω, an absorber resonates. "
@@ -194,11 +192,18 @@ def _picture(found: Mapping[str, Any], numbering: Numbering, words: DiagnosisWor
         best, top = " and ".join(map(str, places[0]["location"])), 100 * (1 - float(places[0]["remains"]))
         caption = f"Places ranked without asking for a kind: one free force at {best} explains {fixed(top, 1)} % of the idle model's error."
         caption += " Green: where the effects found act." if any(frozenset(map(str, p["location"])) in here for p in places[:10]) else ""
+        if here and not any(e.get("location") or e.get("position") for e in found_by_itself(found)):
+            caption += " No single place does: what was found acts on the whole."
         out.append(numbering.figure(figures_diagnosis.places_figure(places, here), esc(caption)))
     return "".join(out)
 
 
-def _at_place(picture: Mapping[str, Any], found: Mapping[str, Any], k: int) -> Any:
+def _title(picture: Mapping[str, Any], effect: EffectWords | None) -> str:
+    place = listing(picture.get("location") or []) or (effect.place if effect is not None else "") or "the place found"
+    return place if effect is None else f"{place}: {effect.name}{' (taken away)' if effect.removed else ''} {effect.size}"
+
+
+def _at_place(picture: Mapping[str, Any], found: Mapping[str, Any], k: int) -> EffectWords | None:
     """The accepted effect a picture belongs to: the one named in it, else the k-th with this place."""
     here = list(map(str, picture.get("location") or ()))
     same = [e for e in found_by_itself(found) if list(map(str, e.get("location") or ())) == here]
