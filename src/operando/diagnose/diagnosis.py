@@ -20,6 +20,7 @@ from operando.diagnose.places import candidates as all_candidates
 from operando.diagnose.problem import EARNED, Problem, Tried, choose, step
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
+from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import FIT, JUDGE, LEVEL_LIMIT, SELECT, CheckLines, split_lines
 from operando.diagnose.verdict import ambiguous_with, separates, verdict_of
 from operando.effects import Effect
@@ -155,7 +156,7 @@ def diagnose(
         )
     with threadpool_limits(1, "blas"):
         problem = make_problem(idle, check, kinds, places, band or idle.band_hz, progress)
-        return _search(problem, check, geometry, band or idle.band_hz)
+        return _search(problem, check, operating, geometry, band or idle.band_hz)
 
 
 def make_problem(
@@ -192,7 +193,13 @@ def idle_variance(idle: ModalModel, lines: CheckLines) -> Array:
     return np.moveaxis(made.variance, 2, 0)[back]
 
 
-def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | None, band: tuple[float, float] | None) -> Diagnosis:
+def _search(
+    problem: Problem,
+    check: Sequence[CheckRun],
+    operating: ModalModel | None,
+    geometry: Geometry | None,
+    band: tuple[float, float] | None,
+) -> Diagnosis:
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
     search = greedy(problem, problem.empty(), MAX_EFFECTS if one_system else 1)
     if len(search.history) > 1:
@@ -202,7 +209,9 @@ def _search(problem: Problem, check: Sequence[CheckRun], geometry: Geometry | No
         fits, history = search.fits, search.history
     before, last, further = search.before, search.last, search.further
     final = [problem.joint(f.terms, f.q, (FIT, SELECT), f) if f.terms else f for f in fits]
-    effects = tuple(effects_of(final[-1]))
+    sensors = of_a_sensor(problem, final[-1], operating, geometry)
+    final = [renamed(f, sensors) for f in final]
+    effects = tuple(effects_of(final[-1], problem.idle.dofs))
     rows = ladder(problem, final)
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)

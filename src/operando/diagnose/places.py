@@ -65,7 +65,7 @@ def candidates(
         seen = tuple(d for d in seen if (d.node, d.axis) in wanted)
     out: list[Term] = []
     for name, kind in catalogue().items():
-        if (kinds is not None and name not in kinds) or kind.level_dependent or kind.acts in ("excitation", "added_mode"):
+        if (kinds is not None and name not in kinds) or kind.level_dependent or kind.acts == "excitation":
             continue
         if kind.kind == "sensor_mass":
             continue  # one run cannot tell it from a mass on the structure: weighed at the end

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
+from operando.diagnose.missing_mode import missing_mode_candidate
 from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
 from operando.diagnose.refit import Fit, effect_dofs, mean_misfit, predicted, refit, shape_prior, weights
 from operando.diagnose.scan import Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
@@ -157,6 +158,10 @@ def scan(problem: Problem, fit: Fit) -> list[Candidate]:
             out.append(found)
     out += channel_candidates([t for t in fresh if t.kind.acts == "sensor_map"], right, model, data, weight)
     out += [c for t in fresh if t.kind.acts == "modal_change" for c in [global_candidate(problem, t, fit, lines, weight)] if c]
+    for t in fresh:
+        if t.kind.acts == "added_mode":
+            one = missing_mode_candidate(t, problem.arrays.phi.shape[0], right, data - model, weight)
+            out += [one] if one else []
     return sorted(out, key=lambda c: c.cost)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from operando.data import Geometry
 from operando.diagnose.predict import Term
+from operando.diagnose.sets import SELECT
 
 if TYPE_CHECKING:
     from operando.diagnose.problem import Problem, Tried
@@ -19,6 +20,10 @@ GOOD = 1.5
 
 ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
 """Alike: selection misfit within 2 %, or paired-block z below 2 and within 15 %."""
+
+
+ONE_MODE = 0.1
+"""With one mode in band kinds differ only by what lies outside of it: whatever explains all but this part counts as alike."""
 
 
 def separates(new: float, old: float, part: float) -> bool:
@@ -102,11 +107,15 @@ def distance(a: Term, b: Term, geometry: Geometry | None) -> float:
 def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]], geometry: Geometry | None) -> tuple[list[Tried], bool]:
     """Candidates as good as an accepted one, and whether one of them is another kind or more than a sensor spacing away."""
     out, other = [], False
+    idle = problem.idle
+    one_mode = int(np.sum(np.asarray(idle.in_band) & ~np.asarray(idle.residual))) <= 1
+    start = problem.misfit(SELECT, problem.empty()) if one_mode else 0.0
     limit = spacing(geometry) * 1.05
     accepted = [best.term.key for best, _ in history]
     for best, tried in history:
         for t in tried:
-            if t.term.key in accepted or not alike(best, t) or nested(best.term, t.term):
+            as_good = alike(best, t) or (one_mode and t.selection < ONE_MODE * start)
+            if t.term.key in accepted or not as_good or nested(best.term, t.term):
                 continue
             out.append(t)
             if t.term.kind.kind != best.term.kind.kind or distance(best.term, t.term, geometry) > limit:
