@@ -139,7 +139,7 @@ class _Run:
         upstream = [self.keys[name] for name in stage.upstream]
         if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
             upstream.append(self.keys["ema"])  # its band is that of the idle modes
-        if stage.name == "oma" and not test.check:
+        if stage.name == "oma" and test.idle and not test.check:
             upstream.append("halves")  # for the diagnosis from operating modes alone
         return key_of(stage.name, code_hash(stage.rooms), files, reading, settings, upstream)
 

@@ -181,7 +181,7 @@ def operational_modes(work: Work) -> dict[str, Any]:
         second_opinion=analysis.second_opinion or None,
     )
     operating = fit_oma(records, **keywords)
-    if not work.test.check:
+    if work.test.idle and not work.test.check:
         # The diagnosis from operating modes chooses on one half of the record and is judged on the other.
         operating = replace(operating, details=replace(operating.details, halves=fit_halves(records, operating)))
     return {"operating": operating, "findings": findings}
