@@ -1,0 +1,147 @@
+"""Structures with a level-dependent effect, integrated by a Runge-Kutta method of their own. Shares no code with operando.nonlinear."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+
+from operando.data import Channel, ModalModel, TimeRecord
+from operando.dof import Dof
+
+RATE = 512.0
+
+
+class Strip:
+    """A strip with smooth shapes: ``count`` modes, ``sensors`` DOFs along it, unit modal mass, some damping."""
+
+    def __init__(self, sensors=8, count=14, first=7.0, mass=2.0, seed=0):
+        rng = np.random.default_rng(seed)
+        r = np.arange(1, count + 1)
+        self.hz = first * r**1.25 * (1 + 0.03 * rng.uniform(-1, 1, count))
+        self.zeta = rng.uniform(0.006, 0.012, count)
+        self.at = np.sort(np.linspace(0.06, 0.97, sensors) + rng.uniform(-0.03, 0.03, sensors))
+        tilt = rng.uniform(-0.25, 0.25, count)
+        self.phi = np.sin(np.pi * np.outer(self.at, r) + tilt) * np.sqrt(2 / mass)
+
+    def idle(self, top=95.0, residual=True):
+        """What an identification would hand over: modes to a little above the band, and pseudo-modes for what lies beyond."""
+        inside = self.hz < 1.2 * top
+        keep = inside | residual
+        dofs = tuple(Dof(i + 1, "Z", 1) for i in range(len(self.at)))
+        return ModalModel(
+            self.hz[keep],
+            self.zeta[keep],
+            self.phi[:, keep],
+            dofs,
+            "unit_modal_mass",
+            residual=~inside[keep],
+            in_band=(self.hz < top)[keep],
+            band_hz=(0.6 * self.hz[0], top),
+        )
+
+
+def band_force(rng, samples, low=3.0, high=180.0, rms=10.0):
+    """A random force that is nothing outside a band; periodic over the record and its run-in."""
+    f = fft.rfftfreq(samples, 1 / RATE)
+    spectrum = np.where((f > low) & (f < high), 1.0, 0.0) * np.exp(2j * np.pi * rng.uniform(size=f.size))
+    x = fft.irfft(spectrum, samples)
+    return x * rms / x.std()
+
+
+def law_of(kind, p):
+    """Restoring force of (x, v, z) and rate of z, from the contract's table."""
+    zero = lambda x, v, z: 0.0 * x  # noqa: E731
+    table = {
+        "none": (zero, zero),
+        "ground_spring": (lambda x, v, z: p["stiffness"] * x, zero),
+        "ground_damper": (lambda x, v, z: p["damping"] * v, zero),
+        "cubic_stiffness": (lambda x, v, z: p["coefficient"] * x**3, zero),
+        "quadratic_stiffness": (lambda x, v, z: p["coefficient"] * x**2, zero),
+        "quintic": (lambda x, v, z: p["coefficient"] * x**5, zero),
+        "quadratic_damping": (lambda x, v, z: p["coefficient"] * v * np.abs(v), zero),
+        "coulomb_friction": (lambda x, v, z: p["force"] * np.tanh(v / p["speed"]), zero),
+        "clearance": (lambda x, v, z: p["stiffness"] * (x - np.clip(x, -p["gap"], p["gap"])), zero),
+        "one_sided_contact": (lambda x, v, z: p["stiffness"] * np.maximum(x - p["gap"], 0), zero),
+        "bilinear_stiffness": (lambda x, v, z: p["stiffness"] * np.maximum(x, 0), zero),
+        "saturating_spring": (lambda x, v, z: p["stiffness"] * p["knee"] * np.tanh(x / p["knee"]), zero),
+        "hysteresis": (
+            lambda x, v, z: p["ratio"] * p["stiffness"] * x + (1 - p["ratio"]) * p["yield_force"] * z,
+            lambda x, v, z: (
+                p["stiffness"]
+                / p["yield_force"]
+                * (v - 0.5 * (np.abs(v) * np.abs(z) ** (p["exponent"] - 1) * z + v * np.abs(z) ** p["exponent"]))
+            ),
+        ),
+    }
+    return table[kind]
+
+
+def respond(strip, drive_at, forces, effects, fine=8):
+    """Accelerations (runs, m, N) to forces (runs, N), each at one DOF; effects are (b, kind, parameters). Classical Runge-Kutta."""
+    effects = effects or [(np.zeros(len(strip.at)), "none", {})]
+    runs, n = forces.shape
+    step = 1 / (RATE * fine)
+    # Forces at half steps, band-limited interpolation.
+    spectrum = fft.rfft(forces, axis=1)
+    full = np.zeros((runs, n * fine * 2 // 2 + 1), complex)
+    full[:, : spectrum.shape[1]] = spectrum * fine * 2
+    f = fft.irfft(full, n * fine * 2, axis=1)
+    phi_f = strip.phi[list(drive_at)].T  # (n_modes, runs)
+    w = 2 * np.pi * strip.hz[:, None]
+    c, k = 2 * strip.zeta[:, None] * w, w**2
+    rows = [strip.phi.T @ b for b, _, _ in effects]
+    laws = [law_of(kind, p) for _, kind, p in effects]
+
+    def rate(q, v, z, force):
+        a = phi_f * force - c * v - k * q
+        dz = []
+        for row, (s, ds), zi in zip(rows, laws, z, strict=True):
+            x, xv = row @ q, row @ v
+            a = a - np.outer(row, s(x, xv, zi))
+            dz.append(ds(x, xv, zi))
+        return v, a, np.array(dz)
+
+    q, v, z = np.zeros((len(strip.hz), runs)), np.zeros((len(strip.hz), runs)), np.zeros((len(effects), runs))
+    out = np.empty((runs, len(strip.at), n))
+    for i in range(n):
+        for j in range(fine):
+            at = 2 * (i * fine + j)
+            f0, f1, f2 = f[:, at], f[:, at + 1], f[:, (at + 2) % f.shape[1]]
+            a1 = rate(q, v, z, f0)
+            if j == 0:
+                out[:, :, i] = (strip.phi @ a1[1]).T
+            a2 = rate(q + step / 2 * a1[0], v + step / 2 * a1[1], z + step / 2 * a1[2], f1)
+            a3 = rate(q + step / 2 * a2[0], v + step / 2 * a2[1], z + step / 2 * a2[2], f1)
+            a4 = rate(q + step * a3[0], v + step * a3[1], z + step * a3[2], f2)
+            q = q + step / 6 * (a1[0] + 2 * a2[0] + 2 * a3[0] + a4[0])
+            v = v + step / 6 * (a1[1] + 2 * a2[1] + 2 * a3[1] + a4[1])
+            z = z + step / 6 * (a1[2] + 2 * a2[2] + 2 * a3[2] + a4[2])
+    return out
+
+
+def measure(strip, effects, seconds=24.0, drive_at=(1, 5), levels=(1.0, 0.25), rms=10.0, noise=0.003, seed=1, run_in=4.0, fine=8):
+    """Records at each level and drive point, noisy, cut after a run-in so that they begin while the structure moves."""
+    rng = np.random.default_rng(seed)
+    lead, n = int(run_in * RATE), int(seconds * RATE)
+    cases = [(d, level) for level in levels for d in drive_at]
+    forces = np.stack([band_force(rng, lead + n, rms=rms * level) for _, level in cases])
+    moved = respond(strip, [d for d, _ in cases], forces, effects, fine)[:, :, lead:]
+    records = []
+    for (d, level), f, a in zip(cases, forces[:, lead:], moved, strict=True):
+        measured = a + noise * a.std(axis=1, keepdims=True) * rng.standard_normal(a.shape)
+        f = f + 0.001 * f.std() * rng.standard_normal(f.shape)
+        channels = (
+            Channel(Dof(d + 1, "Z", 1), "force", "N"),
+            *(Channel(Dof(i + 1, "Z", 1), "acceleration", "m/s2") for i in range(len(strip.at))),
+        )
+        records.append(TimeRecord(np.vstack([f, measured]), RATE, channels, name=f"at {d + 1}, level {level:g}"))
+    return records
+
+
+def place(strip, *rows):
+    """b of one DOF, or of the difference of two."""
+    b = np.zeros(len(strip.at))
+    b[rows[0]] = 1
+    if len(rows) == 2:
+        b[rows[1]] = -1
+    return b
