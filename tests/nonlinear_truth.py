@@ -77,7 +77,10 @@ def law_of(kind, p):
 
 
 def respond(strip, drive_at, forces, effects, fine=8):
-    """Accelerations (runs, m, N) to forces (runs, N), each at one DOF; effects are (b, kind, parameters). Classical Runge-Kutta."""
+    """Accelerations (runs, m, N) to forces (runs, N), each at one DOF. Classical Runge-Kutta.
+
+    Effects are (b, kind, parameters), b (m,) or, where each run has effects of its own, (m, runs).
+    """
     effects = effects or [(np.zeros(len(strip.at)), "none", {})]
     runs, n = forces.shape
     step = 1 / (RATE * fine)
@@ -89,15 +92,15 @@ def respond(strip, drive_at, forces, effects, fine=8):
     phi_f = strip.phi[list(drive_at)].T  # (n_modes, runs)
     w = 2 * np.pi * strip.hz[:, None]
     c, k = 2 * strip.zeta[:, None] * w, w**2
-    rows = [strip.phi.T @ b for b, _, _ in effects]
+    rows = [strip.phi.T @ (b if b.ndim == 2 else np.repeat(b[:, None], runs, axis=1)) for b, _, _ in effects]
     laws = [law_of(kind, p) for _, kind, p in effects]
 
     def rate(q, v, z, force):
         a = phi_f * force - c * v - k * q
         dz = []
         for row, (s, ds), zi in zip(rows, laws, z, strict=True):
-            x, xv = row @ q, row @ v
-            a = a - np.outer(row, s(x, xv, zi))
+            x, xv = (row * q).sum(axis=0), (row * v).sum(axis=0)
+            a = a - row * s(x, xv, zi)
             dz.append(ds(x, xv, zi))
         return v, a, np.array(dz)
 
@@ -119,22 +122,34 @@ def respond(strip, drive_at, forces, effects, fine=8):
     return out
 
 
-def measure(strip, effects, seconds=24.0, drive_at=(1, 5), levels=(1.0, 0.25), rms=10.0, noise=0.003, seed=1, run_in=4.0, fine=8):
-    """Records at each level and drive point, noisy, cut after a run-in so that they begin while the structure moves."""
+def measure(strip, effects, **how):
+    """Records of one structure, see :func:`measure_many`."""
+    return measure_many(strip, {"": effects}, **how)[""]
+
+
+def measure_many(strip, cases, seconds=24.0, drive_at=(1, 5), levels=(1.0, 0.25), rms=10.0, noise=0.003, seed=1, run_in=4.0, fine=8):
+    """Records of each case (name → effects) at each level and drive point, all integrated side by side.
+
+    They are noisy, and cut after a run-in, so that they begin while the structure moves.
+    """
     rng = np.random.default_rng(seed)
     lead, n = int(run_in * RATE), int(seconds * RATE)
-    cases = [(d, level) for level in levels for d in drive_at]
-    forces = np.stack([band_force(rng, lead + n, rms=rms * level) for _, level in cases])
-    moved = respond(strip, [d for d, _ in cases], forces, effects, fine)[:, :, lead:]
-    records = []
-    for (d, level), f, a in zip(cases, forces[:, lead:], moved, strict=True):
+    runs = [(name, d, level) for name in cases for level in levels for d in drive_at]
+    forces = np.stack([band_force(rng, lead + n, rms=rms * level) for _, _, level in runs])
+    effects = []
+    for name, own in cases.items():
+        mine = np.array([other == name for other, _, _ in runs], float)
+        effects += [(np.outer(b, mine), kind, p) for b, kind, p in own]
+    moved = respond(strip, [d for _, d, _ in runs], forces, effects, fine)[:, :, lead:]
+    records = {name: [] for name in cases}
+    for (name, d, level), f, a in zip(runs, forces[:, lead:], moved, strict=True):
         measured = a + noise * a.std(axis=1, keepdims=True) * rng.standard_normal(a.shape)
         f = f + 0.001 * f.std() * rng.standard_normal(f.shape)
         channels = (
             Channel(Dof(d + 1, "Z", 1), "force", "N"),
             *(Channel(Dof(i + 1, "Z", 1), "acceleration", "m/s2") for i in range(len(strip.at))),
         )
-        records.append(TimeRecord(np.vstack([f, measured]), RATE, channels, name=f"at {d + 1}, level {level:g}"))
+        records[name].append(TimeRecord(np.vstack([f, measured]), RATE, channels, name=f"at {d + 1}, level {level:g}"))
     return records
 
 

@@ -34,6 +34,10 @@ FINALISTS = 5
 FLOOR, NEARLY = 3.0, 0.01
 """Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do."""
 
+ONE_PLACE, SAME_PLACE = 1.5, 0.5
+"""Where one force at the place found leaves no more than this misfit nothing acts elsewhere; a second law at the same place must leave less
+than this part of the misfit, for errors of the motion look like one."""
+
 GOOD_LAW = 0.5
 """A law without a formula that leaves less than this part of the named law's misfit says that the name is wrong."""
 
@@ -153,7 +157,7 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
             break
         best = choose(step.tried)
         further = best.selection / step.base_select
-        if not earns(step, best):
+        if not earns(step, best, accepted):
             further = max(further, 1 - EARNED)
             break
         accepted.append(best)
@@ -161,6 +165,8 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
         if len(accepted) == MAX_EFFECTS or best.judge < 1.5:
             break
         case = with_law(case, best)
+        if best.spot.free < ONE_PLACE:
+            case = replace(case, places=(best.spot.place,))
         if say:
             say(f"{best.law.kind} accepted, look for more")
     return conclude(first, steps, accepted, further, detection, geometry)
@@ -274,9 +280,10 @@ def choose(tried: Sequence[Tried]) -> Tried:
     return min(near, key=lambda t: (t.law.size, len(t.spot.place), t.selection))
 
 
-def earns(step: Step, best: Tried) -> bool:
+def earns(step: Step, best: Tried, before: Sequence[Tried] = ()) -> bool:
     """Whether the law lowers the misfit, and a level-dependent one more than any linear law at the same place could."""
-    if not best.selection < (1 - EARNED) * step.base_select:
+    again = any(set(b.spot.place) == set(best.spot.place) for b in before)
+    if not best.selection < (SAME_PLACE if again else 1 - EARNED) * step.base_select:
         return False
     if not best.judge < step.base_judge:
         return False
