@@ -1,0 +1,154 @@
+"""What the search found in words and figures: effects with sizes, ladder, verdict, alternatives, the measurement that would decide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from operando.data import Geometry
+from operando.effects import Effect
+from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
+from operando.nonlinear.laws import free_law
+from operando.nonlinear.result import NonlinearDiagnosis
+from operando.nonlinear.search import Case
+from operando.nonlinear.steps import Step, Tried, alike, nested
+from operando.nonlinear.surface import goodness, surface
+
+GOOD_LAW = 0.5
+"""A law without a formula that leaves less than this part of the named law's misfit says that the name is wrong."""
+
+
+def effect_of(case: Case, tried: Tried) -> Effect:
+    """The law as an effect; a one-sided law towards the other side turns its place round."""
+    law, place = tried.law, tried.spot.place
+    dofs = [case.idle.dofs[i] for i in place]
+    name = law.kind
+    if len(dofs) == 2 and name.startswith("ground_"):
+        name = name.replace("ground_", "coupling_")
+    if law.side < 0:
+        dofs = [d.opposite for d in dofs] if len(dofs) == 1 else dofs[::-1]
+    return Effect(name, tuple(dofs), dict(law.values), std_of(tried))
+
+
+def std_of(tried: Tried) -> dict[str, float]:
+    """Standard deviations from the curvature of the misfit, for errors that stay together over some lines."""
+    law, motions = tried.law, tried.spot.fit
+    names = [n for n in law.values if law.values[n] > 0 and n != "slip_speed"]
+    gram = np.zeros((len(names), len(names)))
+    cost, count = 0.0, 0
+    for m in motions:
+        base = m.spectra(law.force(m.x, m.v, m.step))
+        moved = [m.spectra(replace(law, values=law.values | {n: law.values[n] * 1.01}).force(m.x, m.v, m.step)) - base for n in names]
+        g, r, total = m.along.normal(np.stack([base, *moved]))
+        gram += g[1:, 1:] / 0.01**2
+        cost += total - 2 * float(r[0]) + float(g[0, 0])
+        count += 2 * m.along.weighted.error.size
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram)) * cost / count * 2, 0))
+    return {n: float(law.values[n] * np.hypot(8 * s, 0.005)) for n, s in zip(names, spread, strict=True)}
+
+
+def candidate_row(case: Case, tried: Tried, base: float) -> dict[str, Any]:
+    """One entry of ``candidates``."""
+    fall = 100 * (1 - tried.selection / base)
+    return effect_of(case, tried).to_dict() | {
+        "selection_misfit": tried.selection,
+        "evidence": f"misfit on lines the fit has not seen {base:.4g} → {tried.selection:.4g} ({fall:.1f} % lower)",
+    }
+
+
+def conclude(
+    first: Case,
+    steps: list[Step],
+    accepted: list[Tried],
+    further: float,
+    detection: dict[str, Any],
+    geometry: Geometry | None,
+) -> NonlinearDiagnosis:
+    """Verdict, ladder and words."""
+    last = steps[-1].case
+    notes: list[str] = []
+    rows = [ladder_row(0, None, last, [r.error for r in (*first.fitted, *first.judged)])]
+    effects = []
+    alternatives: list[Tried] = []
+    other = False
+    for k, best in enumerate(accepted):
+        effect = effect_of(first, best)
+        effects.append(effect)
+        errors = []
+        for run, m in zip((*steps[k].case.fitted, *steps[k].case.judged), best.spot.whole, strict=True):
+            corrected = m.along.weighted.error / m.along.weighted.root
+            errors.append(corrected + m.along.h * m.spectra(best.law.force(m.x, m.v, m.step)))
+            del run
+        rows.append(ladder_row(k + 1, effect, last, errors))
+        for t in steps[k].tried:
+            if t.key != best.key and not nested(best, t) and alike(best, t):
+                alternatives.append(t)
+                other = other or t.law.kind != best.law.kind or not neighbours(first, best, t, geometry)
+    judged = [r["heldout_misfit"] for r in rows]
+    verdict = verdict_of(judged, bool(accepted), other, further)
+    picture: dict[str, Any] = {}
+    if accepted:
+        best = accepted[0]
+        n = len(first.fitted)
+        picture = surface(best.spot.whole[:n], best.law)
+        share = goodness(best.spot.whole[:n], best.law)
+        picture["place"] = [str(d) for d in effects[0].location]
+        if len(accepted) == 1 and best.selection > 2.0:
+            count = sum(m.along.weighted.error.size for m in best.spot.select)
+            unnamed = free_law(best.spot.fit, best.spot.select) / count
+            if unnamed < GOOD_LAW * best.selection and verdict in ("explained", "ambiguous"):
+                verdict = "partial"
+                notes.append(
+                    f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
+                    "the place is right, the law is none of the catalogue"
+                )
+        notes.append(f"the law explains {100 * share:.1f} % of the restoring force seen at its place")
+    if not first.judged:
+        notes.append("one level alone: a third of the blocks of lines judges; a second level would show what scales")
+    step = steps[0]
+    return NonlinearDiagnosis(
+        verdict,
+        tuple(effects),
+        tuple(effect_of(first, t) for t in alternatives),
+        proposal(effects, alternatives, first),
+        tuple(rows),
+        tuple(candidate_row(first, t, step.base_select) for t in step.tried),
+        where_it_fails(last, [r.error for r in (*first.fitted, *first.judged)]),
+        rows[0].get("noise_floor_db"),
+        detection,
+        picture,
+        {},
+        tuple(notes),
+    )
+
+
+def neighbours(case: Case, a: Tried, b: Tried, geometry: Geometry | None) -> bool:
+    """Whether two places lie within one sensor spacing of each other."""
+    if len(a.spot.place) != len(b.spot.place):
+        return False
+    if set(a.spot.place) == set(b.spot.place):
+        return True
+    if geometry is None:
+        return False
+    x = geometry.coordinates
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    limit = 1.05 * float(np.median(apart.min(axis=1)))
+    dofs = case.idle.dofs
+    one = [p for i in a.spot.place if (p := geometry.position(dofs[i].node)) is not None]
+    two = [p for i in b.spot.place if (p := geometry.position(dofs[i].node)) is not None]
+    if len(one) != len(two) or len(one) != len(a.spot.place):
+        return False
+    orders = [two, two[::-1]]
+    return min(max(float(np.linalg.norm(np.subtract(p, q))) for p, q in zip(one, o, strict=True)) for o in orders) <= limit
+
+
+def proposal(effects: Sequence[Effect], alternatives: Sequence[Tried], case: Case) -> str | None:
+    """The measurement that would decide."""
+    if alternatives and effects:
+        rival = effect_of(case, alternatives[0])
+        return f"to tell {effects[0].kind} at {effects[0].place} from {rival.kind} at {rival.place}: {rival.confirm}"
+    return effects[0].confirm if effects else None

@@ -1,0 +1,226 @@
+"""The steps of the search: laws at the best places, what counts as better, what cannot be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from operando.effects import kind_of
+from operando.nonlinear.judge import residual
+from operando.nonlinear.laws import LawFit, fit_law, law_cost, linear_law
+from operando.nonlinear.outside import Outside, force_columns, look
+from operando.nonlinear.run import Real, Run, smoothed_variance
+from operando.nonlinear.search import NOISE_FLOOR, WITHIN, Case, Field, Spot, examine, rank_places, settled
+
+EARNED, PARSIMONY = 0.10, 0.03
+"""An effect lowers the selection misfit by more than this part; within this part of the best the fewest parameters win."""
+
+ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
+KEPT = 4
+"""Places at which laws are fitted."""
+
+FINALISTS = 5
+FLOOR, NEARLY = 3.0, 0.01
+"""Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do."""
+
+SAME_PLACE = 0.5
+"""A second law at the same place must leave less than this part of the misfit: errors of the motion look like one."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A law at a place, its motions settled.
+
+    Parameters
+    ----------
+    spot : Spot
+    law : LawFit
+    selection, judge : float
+        Misfits.
+    """
+
+    spot: Spot
+    law: LawFit
+    selection: float
+    judge: float
+
+    @property
+    def key(self) -> tuple[tuple[int, ...], str, float]:
+        """Place, kind, side."""
+        return self.spot.place, self.law.kind, self.law.side
+
+
+@dataclass
+class Step:
+    """One step of the search: what was tried, and the errors of the runs before it."""
+
+    case: Case
+    base_select: float
+    base_judge: float
+    tried: list[Tried]
+    free: float
+
+
+def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None, at_first: float | None) -> Step:
+    """Rank the places, weigh the lines by what the best one leaves (at first), fit all laws at the best places."""
+    ranked = rank_places(case, case.places, say)
+    if at_first is None:
+        case = weighed(case, ranked[0][1])
+        stage = Field.of(case)
+        ranked = rank_places(case, [p for _, p in ranked[:8]])
+    stage = Field.of(case)
+    base_select, base_judge = baseline(stage)
+    near = [p for misfit, p in ranked if misfit <= WITHIN * ranked[0][0]][:KEPT]
+    singles = [p for _, p in ranked if len(p) == 1]
+    if singles and singles[0] not in near:
+        near.append(singles[0])
+    spots = [examine(stage, p) for p in near]
+    rough: list[tuple[float, Spot, LawFit]] = []
+    for spot in spots:
+        if say:
+            say(f"fit laws at {place_name(case, spot.place)}")
+        for name in kinds:
+            if name == "hysteresis":
+                continue
+            for side in sides(name):
+                law = fit_law(spot.fit, name, side)
+                if law is not None:
+                    cost, count = law_cost(law, spot.select)
+                    rough.append((cost / count, spot, law))
+    rough.sort(key=lambda r: r[0])
+    tried = [settle_law(stage, spot, law) for _, spot, law in rough[:FINALISTS]]
+    floor = min((s.free for s in spots), default=1.0)
+    best = min((t.selection for t in tried), default=np.inf)
+    if "hysteresis" in kinds and spots and best > max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select)):
+        for spot in spots[:1]:
+            law = fit_law(spot.fit, "hysteresis")
+            if law is not None:
+                tried.append(settle_law(stage, spot, law, turns=1))
+    tried.sort(key=lambda t: t.selection)
+    return Step(case, base_select, base_judge, tried, floor)
+
+
+def sides(kind: str) -> tuple[float, ...]:
+    """Both sides for a law that is not odd."""
+    return (1.0,) if getattr(kind_of(kind), "odd", True) else (1.0, -1.0)
+
+
+def place_name(case: Case, place: tuple[int, ...]) -> str:
+    """DOFs of a place in words."""
+    return ", ".join(str(case.idle.dofs[i]) for i in place)
+
+
+def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 2) -> Tried:
+    """The law refitted with motions that it makes itself where the data say nothing."""
+    best, here = law, spot
+    cost, count = law_cost(law, spot.select)
+    for _ in range(turns):
+        moved = settled(here, stage, best)
+        again = fit_law(moved.fit, law.kind, law.side)
+        if again is None:
+            break
+        new, _ = law_cost(again, moved.select)
+        if not new < 1.02 * cost:
+            break
+        better = new < 0.98 * cost
+        here, best, cost = moved, again, new
+        if not better:
+            break
+    judged, n = law_cost(best, here.judge)
+    return Tried(here, best, cost / count, judged / n)
+
+
+def baseline(stage: Field) -> tuple[float, float]:
+    """Misfits on the select and judge sets of the idle model with what lies outside the band, and nothing at any place."""
+    case = stage.case
+    none = Outside.none([w.run for w in stage.fit], case.n_dofs, case.band[1])
+    nowhere = np.zeros(case.n_dofs)
+    zero = [np.zeros(w.run.hz.size, complex) for w in stage.fit]
+    seen = look(stage.fit, case.modes, nowhere, case.prior, none, 2, zero)
+    out = []
+    for weights in (stage.select, stage.judge):
+        cost, count = 0.0, 0
+        for w in weights:
+            known = next((seen.outside.forces[i] for i, r in enumerate(case.fitted) if r.forces_at == w.run.forces_at), None)
+            error = w.run.error if known is None else w.run.error - known @ force_columns(w.run, case.band[1])
+            cost += w.with_error(error).ringing()[1]
+            count += error.size
+        out.append(cost / count)
+    return out[0], out[1]
+
+
+def weighed(case: Case, place: tuple[int, ...]) -> Case:
+    """The case with the noise of each line from what no force at the place explains; never more than before."""
+    stage = Field.of(case)
+    spot = examine(stage, place)
+    runs = []
+    for run, m in zip([*case.fitted, *case.judged], spot.whole, strict=True):
+        rest = residual(m, m.force) * np.sqrt(run.variance)
+        floor = NOISE_FLOOR**2 * np.mean(np.abs(run.responses[:, run.lines]) ** 2, axis=1, keepdims=True)
+        q = run.rows.size
+        runs.append(replace(run, variance=smoothed_variance(rest, floor, max((q - 1) / q, 0.5))))
+    n = len(case.fitted)
+    return replace(case, fitted=tuple(runs[:n]), judged=tuple(runs[n:]))
+
+
+def choose(tried: Sequence[Tried]) -> Tried:
+    """Parsimony: within 3 % of the best the fewest parameters, then one DOF before two."""
+    near = [t for t in tried if t.selection <= (1 + PARSIMONY) * tried[0].selection]
+    return min(near, key=lambda t: (t.law.size, len(t.spot.place), t.selection))
+
+
+def earns(step: Step, best: Tried, before: Sequence[Tried] = ()) -> bool:
+    """Whether the law lowers the misfit, and a level-dependent one more than any linear law at the same place could."""
+    again = any(set(b.spot.place) == set(best.spot.place) for b in before)
+    if not best.selection < (SAME_PLACE if again else 1 - EARNED) * step.base_select:
+        return False
+    if not best.judge < step.base_judge:
+        return False
+    if not kind_of(best.law.kind).level_dependent:
+        return True
+    count = sum(m.along.weighted.error.size for m in best.spot.select)
+    linear = linear_law(best.spot.fit, best.spot.select) / count
+    return best.selection < (1 - EARNED) * linear
+
+
+def with_law(case: Case, best: Tried) -> Case:
+    """The case with the restoring force of an accepted law as one more known force."""
+    runs: list[Run] = []
+    for run, m in zip([*case.fitted, *case.judged], best.spot.whole, strict=True):
+        force = -m.crossing.lines(best.law.force(m.x, m.v, m.step))
+        runs.append(run.with_force(case.modes, best.spot.b, m.along.h, force))
+    n = len(case.fitted)
+    return replace(case, fitted=tuple(runs[:n]), judged=tuple(runs[n:]))
+
+
+def block_misfits(tried: Tried, blocks: int = 18) -> Real:
+    """Misfit on each block of the select set."""
+    out = []
+    for m in tried.spot.select:
+        r = residual(m, m.spectra(tried.law.force(m.x, m.v, m.step)))
+        part = np.minimum(m.along.run.lines * blocks // (m.along.run.lines[-1] + 1), blocks - 1)
+        power = np.mean(np.abs(r) ** 2, axis=0)
+        out += [float(np.mean(power[part == b])) for b in np.unique(part)]
+    return np.array(out)
+
+
+def alike(best: Tried, other: Tried) -> bool:
+    """Whether the select set cannot tell two laws apart."""
+    ratio = other.selection / best.selection - 1
+    if ratio < ALIKE:
+        return True
+    if ratio >= ALIKE_AT_MOST:
+        return False
+    d = block_misfits(other) - block_misfits(best)
+    error = float(np.std(d, ddof=1) / np.sqrt(d.size)) if d.size > 1 else np.inf
+    return error == 0 or float(np.mean(d)) / error < ALIKE_Z
+
+
+def nested(a: Tried, b: Tried) -> bool:
+    """Whether one kind contains the other at the same place, or one is the other turned round."""
+    if set(a.spot.place) != set(b.spot.place):
+        return False
+    one, two = kind_of(a.law.kind), kind_of(b.law.kind)
+    return one.kind in two.contains or two.kind in one.contains or one.kind == two.kind
