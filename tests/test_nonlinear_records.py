@@ -11,7 +11,7 @@ from tests.nonlinear_truth import Strip, measure_many, place
 
 from operando.dof import Dof
 from operando.errors import DataError, MissingError
-from operando.nonlinear import diagnose_records
+from operando.nonlinear import diagnose_records, linear_effects
 
 STRIP = Strip()
 CASES = {
@@ -57,7 +57,8 @@ def test_cubic_stiffness_is_named_placed_and_sized():
 
 def test_dry_friction_between_two_points():
     kind, location, values = first("coulomb")
-    assert kind == "coulomb_friction" and sorted(location) == ["4+Z", "7+Z"]
+    assert kind == "coulomb_friction"
+    assert sorted(location) == ["4+Z", "7+Z"]
     assert values["force"] == pytest.approx(1.0, rel=0.02)
     assert found("coulomb").verdict in ("explained", "partial")
     assert len(found("coulomb").effects) == 1
@@ -94,10 +95,21 @@ def test_the_document_is_plain_json():
     document = found("clearance").to_dict()
     assert json.loads(json.dumps(document, allow_nan=False))["schema"] == "operando/diagnosis/1"
     assert document["data"] == ["check_records"]
-    picture = document["picture"]
-    assert picture["place"] == ["5+Z"]
+    (picture,) = document["picture"]["restoring_force"]
+    assert picture["location"] == ["5+Z"]
     assert picture["goodness"] > 0.95
     assert len(picture["binned"]["force"]) == len(picture["binned"]["law"])
+
+
+def test_a_clearance_is_stiffer_at_higher_levels_and_friction_damps_less():
+    (picture,) = found("clearance").picture["restoring_force"]
+    stiffness = [row["stiffness"] for row in picture["equivalent"]]
+    assert stiffness[0] < stiffness[-1] < 6e3
+    (picture,) = found("coulomb").picture["restoring_force"]
+    damping = [row["damping"] for row in picture["equivalent"]]
+    assert damping[0] > 2 * damping[-1] > 0
+    springs = linear_effects(found("clearance").effects[0], picture["equivalent"][0])
+    assert {e.kind for e in springs} == {"ground_spring", "ground_damper"}
 
 
 def test_a_place_and_kinds_can_be_asked_for():

@@ -1,6 +1,7 @@
 """Level-dependent effects from records with measured force: reverse path with the idle model known, closed-loop simulation."""
 
+from operando.nonlinear.equivalent import linear_effects
 from operando.nonlinear.records import diagnose_records
 from operando.nonlinear.result import NonlinearDiagnosis
 
-__all__ = ["NonlinearDiagnosis", "diagnose_records"]
+__all__ = ["NonlinearDiagnosis", "diagnose_records", "linear_effects"]

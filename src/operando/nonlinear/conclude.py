@@ -10,12 +10,13 @@ import numpy as np
 
 from operando.data import Geometry
 from operando.effects import Effect
+from operando.nonlinear.equivalent import equivalents
 from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
 from operando.nonlinear.laws import free_law
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case
 from operando.nonlinear.steps import Step, Tried, alike, nested
-from operando.nonlinear.surface import goodness, surface
+from operando.nonlinear.surface import surface
 
 GOOD_LAW = 0.5
 """A law without a formula that leaves less than this part of the named law's misfit says that the name is wrong."""
@@ -89,23 +90,29 @@ def conclude(
                 other = other or t.law.kind != best.law.kind or not neighbours(first, best, t, geometry)
     judged = [r["heldout_misfit"] for r in rows]
     verdict = verdict_of(judged, bool(accepted), other, further)
-    picture: dict[str, Any] = {}
-    if accepted:
-        best = accepted[0]
+    pictures = []
+    for effect, best in zip(effects, accepted, strict=True):
+        if not effect.definition.level_dependent:
+            continue
         n = len(first.fitted)
-        picture = surface(best.spot.whole[:n], best.law)
-        share = goodness(best.spot.whole[:n], best.law)
-        picture["place"] = [str(d) for d in effects[0].location]
-        if len(accepted) == 1 and best.selection > 2.0:
-            count = sum(m.along.weighted.error.size for m in best.spot.select)
-            unnamed = free_law(best.spot.fit, best.spot.select) / count
-            if unnamed < GOOD_LAW * best.selection and verdict in ("explained", "ambiguous"):
-                verdict = "partial"
-                notes.append(
-                    f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
-                    "the place is right, the law is none of the catalogue"
-                )
-        notes.append(f"the law explains {100 * share:.1f} % of the restoring force seen at its place")
+        levels = [r.force_level for r in (*first.fitted, *first.judged)]
+        drawn = surface(best.spot.whole[:n], best.law) | {
+            "kind": effect.kind,
+            "location": [str(d) for d in effect.location],
+            "equivalent": equivalents(best.law, best.spot.whole, levels),
+        }
+        pictures.append(drawn)
+        notes.append(f"{effect.kind} explains {100 * drawn['goodness']:.1f} % of the restoring force seen at {effect.place}")
+    if len(accepted) == 1 and accepted[0].selection > 2.0:
+        best = accepted[0]
+        count = sum(m.along.weighted.error.size for m in best.spot.select)
+        unnamed = free_law(best.spot.fit, best.spot.select) / count
+        if unnamed < GOOD_LAW * best.selection and verdict in ("explained", "ambiguous"):
+            verdict = "partial"
+            notes.append(
+                f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
+                "the place is right, the law is none of the catalogue"
+            )
     if not first.judged:
         notes.append("one level alone: a third of the blocks of lines judges; a second level would show what scales")
     step = steps[0]
@@ -119,7 +126,7 @@ def conclude(
         where_it_fails(last, [r.error for r in (*first.fitted, *first.judged)]),
         rows[0].get("noise_floor_db"),
         detection,
-        picture,
+        {"restoring_force": pictures} if pictures else {},
         {},
         tuple(notes),
     )

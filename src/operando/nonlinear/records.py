@@ -31,6 +31,7 @@ def diagnose_records(
     kinds: Sequence[str] | None = None,
     places: Sequence[Any] | None = None,
     band: tuple[float, float] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
     progress: Callable[[str], None] | None = None,
 ) -> NonlinearDiagnosis:
     """Name the level-dependent effect that the idle model lacks in records of the running state with measured force.
@@ -50,6 +51,8 @@ def diagnose_records(
         Look only for these; a place is a DOF or a pair of DOFs.
     band : (float, float), optional
         Lines used [Hz]; default the idle model's band, and up to its last mode.
+    exclude_bands : sequence of (float, float)
+        Lines left out [Hz], as those of a rotor's orders.
     progress : callable, optional
         Told what is being done.
 
@@ -67,7 +70,7 @@ def diagnose_records(
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so it predicts no response to fail", hint="give the units of force and acceleration")
     with threadpool_limits(1, "blas"):
-        case = make_case(idle, records, band, None if places is None else place_rows(idle, places))
+        case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands)
         wanted = wanted_kinds(kinds)
         return _diagnose(case, wanted, geometry, progress)
 

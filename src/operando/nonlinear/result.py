@@ -31,7 +31,8 @@ class NonlinearDiagnosis:
     detection : dict
         What was seen before anything was named: homogeneity over levels, even share, coherence.
     picture : dict
-        Restoring force over displacement and velocity at the first effect's place, with the law over it.
+        ``restoring_force``: for each level-dependent effect the force over displacement and velocity at its place, with the law over it,
+        and the spring and damper it is equivalent to at each level.
     simulation : dict
         The model with its effects in the closed loop against the judge record.
     notes : tuple of str

@@ -77,8 +77,9 @@ def make_case(
     records: Sequence[TimeRecord],
     band: tuple[float, float] | None = None,
     places: Sequence[Sequence[int]] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
 ) -> Case:
-    """Runs, levels and sets.
+    """Runs, levels and sets; lines inside ``exclude_bands`` [Hz] are not used.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def make_case(
     # Modes identified above the analysis band help: the motion across a contact does not end at the band.
     every = idle.frequencies_hz[~np.asarray(idle.residual)]
     band = (band[0], max(band[1], 1.04 * float(every.max())))
-    runs = [make_run(r, idle, modes, band) for r in records]
+    runs = [without(make_run(r, idle, modes, band), exclude_bands) for r in records]
     driven: dict[tuple[int, ...], list[Run]] = {}
     for run in runs:
         driven.setdefault(run.forces_at, []).append(run)
@@ -109,6 +110,14 @@ def make_case(
     everywhere = [(i,) for i in measured] + list(combinations(measured, 2))
     wanted = everywhere if places is None else [tuple(int(i) for i in p) for p in places]
     return Case(idle, modes, tuple(fitted), tuple(judged), band, kernel_prior(modes, np.asarray(idle.in_band, bool)), tuple(wanted))
+
+
+def without(run: Run, bands: Sequence[tuple[float, float]]) -> Run:
+    """The run without the lines inside the bands [Hz]."""
+    keep = np.ones(run.hz.size, bool)
+    for low, high in bands:
+        keep &= (run.hz < low) | (run.hz > high)
+    return run if keep.all() else run.on(keep)
 
 
 def strided(run: Run, lines: int) -> slice:

@@ -81,6 +81,7 @@ def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) ->
         "force": s[inner][pick].tolist(),
         "binned": {"displacement": centre.tolist(), "force": mean.tolist(), "force_std": spread.tolist()},
     }
+    out["goodness"] = None
     if law is not None:
         whole = law.force(motion.x, motion.v, motion.step)
         out["binned"]["law"] = binned(x, same_lines(motion, whole)[inner])[1].tolist()
