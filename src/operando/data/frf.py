@@ -177,13 +177,16 @@ class Frf:
         )
 
     def to_quantity(self, quantity: str) -> Frf:
-        """Convert between receptance, mobility and accelerance by powers of iω (a line at 0 Hz becomes NaN if divided)."""
+        """Convert between receptance, mobility and accelerance by powers of iω (a line at 0 Hz becomes NaN if divided).
+
+        FRFs under an exponential window of rate β are H(iω + β), so the powers are those of iω + β.
+        """
         if quantity not in QUANTITIES:
             raise DataError(f"quantity {quantity!r} is none of {', '.join(QUANTITIES)}")
         power = QUANTITIES.index(quantity) - QUANTITIES.index(self.quantity)
         if power == 0:
             return self
-        s = 2j * np.pi * self.frequencies_hz
+        s = 2j * np.pi * self.frequencies_hz + self.exponential_window_rate
         with np.errstate(divide="ignore", invalid="ignore"):
             factor = s**power
         factor[~np.isfinite(factor)] = np.nan

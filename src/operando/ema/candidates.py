@@ -78,6 +78,7 @@ def candidate_poles(
     *,
     modes_per_fit: int | None = None,
     max_damping: float = 0.15,
+    window_rate: float = 0.0,
 ) -> list[Candidate]:
     """Poles that the linear fits of a band and of its parts agree on, by rising frequency.
 
@@ -94,6 +95,8 @@ def candidate_poles(
         Poles at the largest order of the fit of the whole band, default 90; parts of the band get 45 % of it.
     max_damping : float
         Poles above it are left out.
+    window_rate : float
+        Rate β [1/s] of the exponential window the FRFs carry.
 
     Returns
     -------
@@ -127,7 +130,14 @@ def candidate_poles(
         for weight, constraint in _weightings(fp, hp, gp):
             try:
                 orders = plscf(
-                    fp, hp, max_order=order, weights=weight, constraint=constraint, max_damping=max_damping, step=1 + order // 24
+                    fp,
+                    hp,
+                    max_order=order,
+                    weights=weight,
+                    constraint=constraint,
+                    max_damping=max_damping,
+                    step=1 + order // 24,
+                    window_rate=window_rate,
                 )
             except IdentificationError:
                 continue
@@ -279,6 +289,7 @@ def stabilization_diagram(
     tolerances: Tolerances | None = None,
     select_hz: Sequence[float] = (),
     reject_hz: Sequence[float] = (),
+    window_rate: float = 0.0,
 ) -> Stabilization:
     """The diagram of one fit over the band, with automatic selection and the CMIF behind it.
 
@@ -286,7 +297,7 @@ def stabilization_diagram(
     ----------
     frequencies_hz : (n_lines,) array
     H : (n_resp, n_ref, n_lines) complex array
-    max_order, weights, band
+    max_order, weights, band, window_rate
         As in :func:`operando.ema.plscf.plscf`.
     tolerances, select_hz, reject_hz
         As in :func:`operando.stabilization.select_modes`.
@@ -297,7 +308,7 @@ def stabilization_diagram(
     """
     f = np.asarray(frequencies_hz, float)
     low, high = (float(f[0]), float(f[-1])) if band is None else band
-    orders = plscf(f, H, max_order=max_order, weights=weights, frequency_range=(low, high))
+    orders = plscf(f, H, max_order=max_order, weights=weights, frequency_range=(low, high), window_rate=window_rate)
     part = (f >= low) & (f <= high)
     return select_modes(
         _table(orders, tolerances or Tolerances(), False),

@@ -143,7 +143,7 @@ def _fit(
     runs, fit_band = _runs(frf, dofs, band, records)
     weights = _weights(frf)
     data = np.nan_to_num(frf.data)
-    candidates = candidate_poles(frf.frequencies_hz, data, weights, fit_band)
+    candidates = candidate_poles(frf.frequencies_hz, data, weights, fit_band, window_rate=frf.exponential_window_rate)
     start = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > MIN_SUPPORT]
     for wanted in select_hz:
         near = min(candidates, key=lambda c: abs(c.frequency_hz - wanted), default=None)
@@ -350,7 +350,8 @@ def _diagram(
     n_in = min(data.shape[:2])
     order = max_order or int(np.clip(np.ceil(6 * final.parameters.hz.size / n_in), 10, 80))
     try:
-        diagram = stabilization_diagram(frf.frequencies_hz, data, max_order=order, weights=weights, band=fit_band)
+        rate = frf.exponential_window_rate
+        diagram = stabilization_diagram(frf.frequencies_hz, data, max_order=order, weights=weights, band=fit_band, window_rate=rate)
     except IdentificationError:
         return None
     hz, zeta = final.parameters.hz, final.parameters.zeta
@@ -387,9 +388,7 @@ def _model(
     sign = np.sign(theta.shapes[np.argmax(np.abs(theta.shapes), axis=0), np.arange(n)])
     sign[sign == 0] = 1
     shapes = np.concatenate([theta.shapes * sign, outside.shapes], axis=1)
-    hz, zeta = theta.hz, theta.zeta.copy()
-    if frf.exponential_window_rate > 0 and not from_records:
-        zeta = np.maximum(zeta - frf.exponential_window_rate / (2 * np.pi * hz), 1e-6)
+    hz, zeta = theta.hz, theta.zeta
     covariance = _model_covariance(final, sign, outside, zeta, max(1.0, misfit if np.isfinite(misfit) else 1.0))
     residual = np.concatenate([(hz > fit_band[1]) | (hz < 0.8 * fit_band[0]), np.ones(p, bool)])
     in_band = np.concatenate([(hz >= band[0]) & (hz <= band[1]), np.zeros(p, bool)]) & ~residual
@@ -438,8 +437,6 @@ def _opinion(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:
     from operando.ema.second_opinion import second_opinion
 
     proper = model.modes_proper()
-    return tuple(
-        second_opinion(
-            frf.frequencies_hz, frf.data, proper.frequencies_hz, proper.damping_ratios, references=[str(r) for r in frf.references]
-        )
-    )
+    # That program knows nothing of the window: it is compared with the damping that the FRFs carry.
+    damping = proper.damping_ratios + frf.exponential_window_rate / (2 * np.pi * proper.frequencies_hz)
+    return tuple(second_opinion(frf.frequencies_hz, frf.data, proper.frequencies_hz, damping, references=[str(r) for r in frf.references]))

@@ -77,6 +77,7 @@ def plscf(
     arc: float = 0.9,
     numerator_extra: int = 12,
     step: int = 1,
+    window_rate: float = 0.0,
 ) -> list[OrderPoles]:
     """Poles and participation vectors of every order from ``min_order`` to ``max_order``.
 
@@ -110,6 +111,8 @@ def plscf(
         closer than without.
     step : int
         Step between orders.
+    window_rate : float
+        Rate β [1/s] of the exponential window the FRFs carry; each pole is moved back by it.
 
     Returns
     -------
@@ -152,6 +155,7 @@ def plscf(
             poles = np.log(z) / interval + 2j * np.pi * shift_hz
             keep = (poles.imag > 0) & ((z.imag > 0) if real else np.ones(z.size, bool))
             z, poles = z[keep], poles[keep]
+            poles = poles + window_rate
             rising = np.argsort(np.abs(poles))
             z, poles = z[rising], poles[rising]
             hz, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)

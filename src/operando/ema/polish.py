@@ -15,11 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.blas import dsyrk
 
 from operando.ema.polish_model import (
     Complex,
     Parameters,
     Real,
+    kernels,
     n_local,
     n_nuisance,
     parameter_map,
@@ -136,11 +138,26 @@ def _band_grams(stack: Complex, variance: Real) -> NDArray[np.float64]:
             out += (part @ part.T)[None] / variance[:, start, None, None]
         return out
     out = np.empty((m, stack.shape[0], stack.shape[0]))
+    real = np.ascontiguousarray(np.concatenate([stack.real, stack.imag], axis=1))
     for j in range(m):
-        part = stack / np.sqrt(variance[j])
-        part_real = np.concatenate([part.real, part.imag], axis=1)
-        out[j] = part_real @ part_real.T
+        weighted = real * np.tile(1 / np.sqrt(variance[j]), 2)
+        half = dsyrk(1.0, weighted.T, trans=1)  # half the work of a product
+        out[j] = half + np.triu(half, 1).T
     return out
+
+
+def _grams(run: RunSpectra, theta: Parameters, stack: Complex) -> NDArray[np.float64]:
+    """Gram matrices of the basis; an FRF column has Q = φ_k·G·F there beside G·F, and each function is used once."""
+    n = theta.hz.size
+    if run.step_s is not None or run.forces.shape[0] != 1:
+        return _band_grams(stack, run.response_variance)
+    drive = theta.shapes[run.force_rows[0]]
+    g = kernels(run.frequencies_hz, theta.hz, theta.zeta, run.window_rate)
+    base = np.concatenate([part * run.forces for part in g])
+    of = np.concatenate([np.arange(3 * n), np.arange(n), np.arange(3 * n, stack.shape[0] - n)])
+    factor = np.concatenate([drive, drive, drive, np.ones(stack.shape[0] - 3 * n)])
+    grams = _band_grams(np.concatenate([base, stack[4 * n :]]), run.response_variance)
+    return np.asarray(grams[:, of[:, None], of[None, :]] * np.outer(factor, factor))
 
 
 def _common_rows(run: RunSpectra, theta: Parameters, stack: Complex, rows: Complex, n_all: int) -> Real:
@@ -187,7 +204,7 @@ def normal_equations(run: RunSpectra, theta: Parameters, index: int) -> tuple[Re
     n_all = n_global + n_nuisance(run, n, theta.outside_hz.size)
     positions, factors = parameter_map(run, theta, n_global)
     normal = np.zeros((n_all, n_all))
-    grams = _band_grams(basis.stack, run.response_variance)
+    grams = _grams(run, theta, basis.stack)
     for j in range(run.response_rows.size):
         np.add.at(normal, (positions[j][:, None], positions[j][None, :]), grams[j] * np.outer(factors[j], factors[j]))
     products = np.real(state.whitened @ basis.stack.conj().T)  # (m, K)

@@ -60,13 +60,16 @@ class RunBasis:
     outside: Complex  # G_q (q, L)
 
 
-def kernels(f: Real, hz: Real, zeta: Real) -> tuple[Complex, Complex, Complex]:
-    """Accelerance kernels and their derivatives with respect to ln f_r and ln ζ_r, each (n, L)."""
-    w = 2 * np.pi * f[None, :]
+def kernels(f: Real, hz: Real, zeta: Real, rate: float = 0.0) -> tuple[Complex, Complex, Complex]:
+    """Accelerance kernels s²/(s² + 2ζω₀s + ω₀²) and their derivatives with respect to ln f_r and ln ζ_r, each (n, L).
+
+    s = iω + β: an exponential window of rate β moves the numerator with the poles.
+    """
+    s = 2j * np.pi * f[None, :] + rate
     w0 = 2 * np.pi * hz[:, None]
-    damping = 2j * zeta[:, None] * w0 * w
-    denominator = w0**2 - w**2 + damping
-    g = -(w**2) / denominator
+    damping = 2 * zeta[:, None] * w0 * s
+    denominator = w0**2 + s**2 + damping
+    g = s**2 / denominator
     ratio = g / denominator
     return np.asarray(g), np.asarray(-ratio * (2 * w0**2 + damping)), np.asarray(-ratio * damping)
 
@@ -133,11 +136,11 @@ def run_basis(run: RunSpectra, theta: Parameters, index: int, forces: Complex) -
         stack rows: Q (n), ∂Q/∂ln f (n), ∂Q/∂ln ζ (n), G·F_k (k·n), t1 (n), t2 (n) where there is a transient, local functions.
     """
     f = run.frequencies_hz
-    g, gf, gz = kernels(f, theta.hz, theta.zeta)
+    g, gf, gz = kernels(f, theta.hz, theta.zeta, run.window_rate)
     drive = theta.shapes[run.force_rows].T @ forces  # (n, L)
     modal, qf, qz = g * drive, gf * drive, gz * drive
     parts = [modal, qf, qz, *(g * force for force in forces)]
-    outside = kernels(f, theta.outside_hz, np.full(theta.outside_hz.size, OUTSIDE_DAMPING))[0]
+    outside = kernels(f, theta.outside_hz, np.full(theta.outside_hz.size, OUTSIDE_DAMPING), run.window_rate)[0]
     local = [outside * force for force in forces]
     if run.step_s is not None:
         t1, t2, f1, f2, z1, z2 = decays(f, theta.hz, theta.zeta, run.step_s)

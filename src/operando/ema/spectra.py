@@ -42,6 +42,8 @@ class RunSpectra:
     name : str
     top_hz : float
         Last line of the fitted band [Hz]; kept when lines are taken out.
+    window_rate : float
+        Rate β [1/s] of the exponential window that forces and responses carry: X and F are those at s = iω + β.
     """
 
     frequencies_hz: NDArray[np.float64]
@@ -56,6 +58,7 @@ class RunSpectra:
     step_s: float | None
     name: str = ""
     top_hz: float = 0.0
+    window_rate: float = 0.0
 
     def __post_init__(self) -> None:
         if self.top_hz <= 0:
@@ -188,6 +191,7 @@ def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> lis
                 np.zeros((1, f.size)),
                 None,
                 f"column {reference}",
+                window_rate=part.exponential_window_rate,
             )
         )
     if not out:

@@ -37,7 +37,8 @@ def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside_hz
     n = hz.size
     for run in runs:
         f = run.frequencies_hz
-        g = kernels(f, np.concatenate([hz, outside_hz]), np.concatenate([zeta, np.full(outside_hz.size, OUTSIDE_DAMPING)]))[0]
+        all_hz, all_zeta = np.concatenate([hz, outside_hz]), np.concatenate([zeta, np.full(outside_hz.size, OUTSIDE_DAMPING)])
+        g = kernels(f, all_hz, all_zeta, run.window_rate)[0]
         parts = [g[:n] * force for force in run.forces] + [g[n:] * force for force in run.forces]
         if run.step_s is not None:
             t1, t2 = decays(f, hz, zeta, run.step_s)[:2]
@@ -168,7 +169,7 @@ def mode_gain(runs: Sequence[RunSpectra], errors: Sequence[Complex], hz: Real, z
     """
     total = np.zeros(hz.size)
     for run, error in zip(runs, errors, strict=True):
-        g = kernels(run.frequencies_hz, hz, np.full(hz.size, zeta))[0]
+        g = kernels(run.frequencies_hz, hz, np.full(hz.size, zeta), run.window_rate)[0]
         for force in run.forces:
             basis = g * force
             top = np.real((error / run.response_variance) @ basis.conj().T)
