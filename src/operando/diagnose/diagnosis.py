@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
@@ -115,6 +115,9 @@ def diagnose(
     places: Sequence[Any] | None = None,
     band: tuple[float, float] | None = None,
     progress: Callable[[str], None] | None = None,
+    records: Sequence[TimeRecord] = (),
+    idle_frf: Frf | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
 ) -> Diagnosis:
     """Name the physical effect that the idle model lacks, where it acts and how large it is.
 
@@ -136,6 +139,12 @@ def diagnose(
         Lines used [Hz]; default the idle model's band.
     progress : callable, optional
         Told what is being done.
+    records : sequence of TimeRecord, optional
+        The check's records, force and responses: where the running structure is not linear they are looked at.
+    idle_frf : Frf, optional
+        FRFs at rest: how much of the responses is not proportional to the force there.
+    exclude_bands : sequence of (float, float)
+        Lines of the records left out [Hz].
 
     Raises
     ------
@@ -146,6 +155,12 @@ def diagnose(
     """
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so it predicts no FRF to fail", hint="give the units of force and acceleration")
+    if records:
+        from operando.diagnose.from_records import diagnose_levels
+
+        asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "progress": progress}
+        linear = (lambda: diagnose(idle, check=check, operating=operating, hybrid=hybrid, **asked)) if check else None
+        return diagnose_levels(linear, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
     if not check:
         if operating is None:
             raise MissingError("neither check FRFs nor operational modes to diagnose from")

@@ -56,17 +56,19 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
 def effect_model(results: Results) -> Any:
     """The second route to the operational FRFs: the idle model with the accepted effects, channel faults left out.
 
+    An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
+
     Raises
     ------
     MissingError
         If there is no diagnosis.
     """
     from operando.diagnose import Model
-    from operando.effects import Effect
+    from operando.diagnose.from_records import standing
 
     if results.diagnosis is None or results.idle is None:
         raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
-    effects = tuple(Effect.from_dict(e) for e in results.diagnosis["effects"])
+    effects = tuple(standing(results.diagnosis))
     return Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance).structure()
 
 

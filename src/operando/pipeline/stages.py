@@ -281,6 +281,9 @@ def missing_physics(work: Work) -> dict[str, Any]:
         places=work.analysis.places or None,
         band=analysis_band(work),
         progress=work.say,
+        records=work.inputs.records(work.test.check, force=True) if runs and work.test.check.records else (),
+        idle_frf=results.idle_frf,
+        exclude_bands=work.analysis.exclude_bands,
     )
     document = found.to_dict()
     comparison = results.comparison
@@ -391,7 +394,7 @@ STEPS: tuple[Stage, ...] = (
         missing_physics,
         no_evidence,
         ("ema", "oma", "ofrf", "check", "compare"),
-        ("diagnose", "effects", "compare", "pipeline/stages"),
+        ("diagnose", "effects", "nonlinear", "compare", "pipeline/stages"),
         ("band", "exclude_bands", "kinds", "places"),
         optional=True,
     ),

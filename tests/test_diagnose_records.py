@@ -1,0 +1,106 @@
+"""When the diagnosis turns from FRFs to records, and what it says then."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.test_nonlinear_records import STRIP, records
+
+from operando.diagnose import diagnose
+from operando.diagnose.from_records import DISTORTION, standing, suspicion
+from operando.frf import estimate_frf
+from operando.pipeline.levels import check_frfs
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared"
+BAND = (5.0, 95.0)
+
+
+@cache
+def frfs(name):
+    return tuple(check_frfs(records()[name], lambda part: estimate_frf(part, estimator="lrm")))
+
+
+@cache
+def at_rest():
+    return estimate_frf(records()["none"], estimator="lrm")
+
+
+@cache
+def found(name):
+    return diagnose(
+        STRIP.idle(),
+        check=list(frfs(name)),
+        records=records()[name],
+        idle_frf=at_rest(),
+        band=BAND,
+        kinds=["ground_spring", "clearance", "cubic_stiffness", "coulomb_friction"],
+    )
+
+
+def test_levels_that_disagree_are_suspicious():
+    assert "level" in suspicion(frfs("clearance"))
+    assert suspicion(frfs("spring"), at_rest()) is None
+    assert suspicion(frfs("none"), at_rest()) is None
+
+
+def test_distortion_is_suspicious_even_where_levels_agree():
+    (run,) = frfs("none")
+    loud = type(run)(run.name, run.level, type(run.frf)(**{**run.frf.__dict__, "variance": 3 * DISTORTION * run.frf.variance}))
+    assert "proportional" in suspicion([loud], at_rest())
+    assert suspicion([loud]) is None
+
+
+def test_a_clearance_is_found_from_the_records():
+    made = found("clearance")
+    assert [e.kind for e in made.effects] == ["clearance"]
+    assert made.data == ("check_frf", "check_records")
+    assert made.verdict == "explained"
+    assert {row["dof"] for row in made.where["by_dof"]} == {str(d) for d in STRIP.idle().dofs}
+    document = json.loads(json.dumps(made.to_dict(), allow_nan=False))
+    assert document["picture"]["restoring_force"][0]["kind"] == "clearance"
+    assert document["detection"]["level_dependent"]
+
+
+def test_the_linear_model_holds_the_equivalent_of_a_clearance():
+    made = found("clearance")
+    assert {e.kind for e in made.model.effects} == {"ground_spring", "ground_damper"}
+    again = standing(json.loads(json.dumps(made.to_dict())))
+    assert [e.kind for e in again] == [e.kind for e in made.model.effects]
+    lowest = next(run.frf for run in frfs("clearance"))
+    hz = lowest.frequencies_hz
+    inside = (hz > BAND[0]) & (hz < BAND[1])
+    with_it = made.model.frf(hz[inside], lowest.responses, lowest.references, "accelerance", variance=False).data
+    without = STRIP.idle().frf(hz[inside], lowest.responses, lowest.references, "accelerance", variance=False).data
+    measured = lowest.data[:, :, inside]
+    assert np.linalg.norm(with_it - measured) < 0.7 * np.linalg.norm(without - measured)
+
+
+def test_a_linear_spring_is_left_to_the_frfs():
+    made = found("spring")
+    assert made.data == ("check_frf",)
+    assert [e.kind for e in made.effects] == ["ground_spring"]
+
+
+def test_records_alone_will_do():
+    made = diagnose(STRIP.idle(), records=records()["cubic"], kinds=["cubic_stiffness"], places=["3+Z"])
+    assert made.data == ("check_records",)
+    assert [e.kind for e in made.effects] == ["cubic_stiffness"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (SHARED / "cases" / "p2").is_dir(), reason="the practice cases are not here")
+def test_the_practice_case_with_a_clearance_from_raw_files(tmp_path):
+    from operando.pipeline import run
+
+    results = run(SHARED / "cases" / "p2" / "test.toml", tmp_path)
+    (effect,) = results.diagnosis["effects"]
+    assert (effect["kind"], effect["location"]) == ("clearance", ["546+Z"])
+    assert effect["parameters"]["stiffness"]["value"] == pytest.approx(25_000, rel=0.05)
+    assert effect["parameters"]["gap"]["value"] == pytest.approx(4e-4, rel=0.03)
+    assert results.diagnosis["verdict"] == "explained"
+    assert (tmp_path / "ofrf_effect.uff").is_file()
+    assert not [f for f in results.findings if f.severity == "error"]
