@@ -20,7 +20,7 @@ from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
+from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra, rings_from_one_hit
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
@@ -100,7 +100,7 @@ def fit_ema(
     max_order : int, optional
         Order of the linear fit shown in the stabilisation diagram.
     records : sequence of TimeRecord, optional
-        Raw runs behind the FRFs: forces and responses.
+        Raw runs behind the FRFs: forces and responses. Runs with a single hit are fitted through their FRFs.
     select_hz, reject_hz : sequences of float
         Modes chosen or refused by hand [Hz].
     second_opinion : bool
@@ -140,6 +140,9 @@ def _fit(
     frf = frf.to_quantity("accelerance")
     dofs = model_dofs(frf)
     band = _analysis_band(frf, band)
+    if records and any(rings_from_one_hit(record) for record in records):
+        # Transients free in each mode look like the response to a single hit; the FRF starts from rest.
+        records = None
     runs, fit_band = _runs(frf, dofs, band, records)
     weights = _weights(frf)
     data = np.nan_to_num(frf.data)
@@ -233,7 +236,10 @@ def _weights(frf: Frf) -> Real | None:
     missing = ~np.isfinite(frf.data)
     if frf.variance is None:
         return np.where(missing, 0.0, 1.0) if missing.any() else None
-    std = np.sqrt(np.where(np.isfinite(frf.variance) & (frf.variance > 0), frf.variance, np.inf))
+    known = np.isfinite(frf.variance) & (frf.variance > 0)
+    if not known.any():
+        return np.where(missing, 0.0, 1.0) if missing.any() else None
+    std = np.sqrt(np.where(known, frf.variance, np.inf))
     floor = 1e-4 * np.sqrt(np.mean(np.abs(frf.data[~missing]) ** 2))
     return np.where(missing, 0.0, 1 / np.maximum(std, max(float(floor), 1e-300)))
 

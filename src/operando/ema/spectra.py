@@ -13,6 +13,7 @@ from scipy import fft as sfft
 from operando.data import Frf, TimeRecord
 from operando.dof import Dof, match_dofs
 from operando.errors import DataError, IdentificationError
+from operando.frf.hits import find_hits, is_impact
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,15 @@ def record_spectra(record: TimeRecord, dofs: Sequence[Dof], band: tuple[float, f
         1 / record.sampling_hz,
         record.name,
     )
+
+
+def rings_from_one_hit(record: TimeRecord) -> bool:
+    """Whether the force of a record is one impact."""
+    rows = record.force_indices
+    if len(rows) != 1:
+        return False
+    force = np.asarray(record.data[rows[0]], float)
+    return is_impact(force) and find_hits(force, record.sampling_hz).pulses.size == 1
 
 
 def excited_limit(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> float:

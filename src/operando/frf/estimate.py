@@ -16,7 +16,8 @@ from operando.frf.hits import is_impact
 from operando.frf.impact import ImpactBlocks, impact_blocks, impact_spectra, overlap_finding
 from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
-from operando.frf.runs import RunEstimate, merge_runs
+from operando.frf.rational import roughness_variance
+from operando.frf.runs import RunEstimate, coherence_of, merge_runs
 from operando.frf.spectra import CrossSpectra, cross_spectra
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
@@ -59,7 +60,7 @@ def estimate_frf(
     overlap : float, optional
         Overlap of blocks, default 0.5 with a Hann window, 0 with a rectangular one.
     window : {"hann", "rectangular"}, or for hammer hits {"rectangular", "force", "exponential", "force_exponential"}
-        Default: Hann; hammer: rectangular. An exponential window adds damping: ``Frf.exponential_window_rate`` says how much.
+        Default: Hann; hammer: rectangular, but exponential where one hit still rings at the end of its record. An exponential window adds damping: ``Frf.exponential_window_rate`` says how much.
     hits : {"auto", "all", "off"}
         Hammer records: use consistent single hits, all hits, or treat the record as continuous.
     band : (low, high), optional
@@ -130,7 +131,8 @@ def estimate_frf(
         else:
             assert averaged is not None
             estimates = [
-                replace(e, findings=(*e.findings, *_hit_findings(r, b, False))) for e, r, b in zip(averaged, runs, impacts, strict=True)
+                replace(e, findings=(*e.findings, *_hit_findings(r, b, False, e.exponential_window_rate)))
+                for e, r, b in zip(averaged, runs, impacts, strict=True)
             ]
             extra = []
         return merge_runs(estimates, wanted).with_findings(extra)
@@ -189,7 +191,7 @@ def _averaged_run(
     lines = _lines(band, record.sampling_hz, block)
     rate = 0.0
     if blocks is not None:
-        window = window or "rectangular"
+        window = window or ("exponential" if blocks.single and blocks.overlapping else "rectangular")
         responses = run.finite(run.responses)
         spectra, rate = impact_spectra(record, run.forces[0], responses, blocks, window=window, end=end, lines=lines, bad=run.bad)
         run = replace(run, responses=tuple(responses))
@@ -202,6 +204,9 @@ def _averaged_run(
         )
         how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
     h, variance, coherence, condition = estimate(spectra, estimator)
+    if spectra.averages <= len(run.forces):
+        variance = roughness_variance(h)
+        coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
     inverse, _ = inverse_force_matrix(spectra.force)
     with np.errstate(divide="ignore"):
         gain = spectra.averages / np.real(np.einsum("jjl->jl", inverse))
@@ -240,7 +245,9 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
                 "warning",
                 file=run.name,
                 dof=dof,
-                consequence="coherence and variance are uncertain" if enough else "coherence says nothing and there is no variance",
+                consequence="coherence and variance are uncertain"
+                if enough
+                else "coherence and variance are only those of what is not smooth from line to line",
                 action="measure longer, use shorter blocks or more hits",
             )
         )
@@ -261,21 +268,21 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
     return out
 
 
-def _hit_findings(run: RunInput, blocks: ImpactBlocks | None, whole_record: bool) -> list[Finding]:
+def _hit_findings(run: RunInput, blocks: ImpactBlocks | None, whole_record: bool, rate: float = 0.0) -> list[Finding]:
     """Findings of a hammer run: hits that are not used, and overlap. The whole record uses every hit."""
     if blocks is None:
         return []
     dof = str(run.references[0])
     out = [] if whole_record else blocks.hits.findings(run.name, dof)
     if blocks.overlapping:
-        out.append(overlap_finding(blocks, run.name, dof, whole_record))
+        out.append(overlap_finding(blocks, run.name, dof, whole_record, rate))
     return out
 
 
 def _leakage_reason(averaged: Sequence[RunEstimate], impacts: Sequence[ImpactBlocks | None]) -> tuple[str, Peak | None]:
     """Why averaging over blocks would leak, empty where it would not; and the sharpest peak."""
     for blocks in impacts:
-        if blocks is not None and blocks.overlapping:
+        if blocks is not None and blocks.overlapping and not blocks.single:
             return f"hits overlap: {100 * blocks.remaining:.2g} % of the amplitude is left at {blocks.remaining_hz:.4g} Hz", None
     peaks = []
     for estimate_, blocks in zip(averaged, impacts, strict=True):

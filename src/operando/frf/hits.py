@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ DOUBLE = 0.05
 RINGING = 0.25
 """Largest side lobe of a band-limited pulse over its highest sample (the peak may fall between two samples)."""
 RINGING_SAMPLES = 10
+RISE = 0.01
+"""Part of its peak from which a pulse counts as begun."""
 FINDING_KINDS = {
     "double_hit": "its force spectrum has notches",
     "weak_hit": "its responses are close to the noise",
@@ -49,6 +51,8 @@ class Hits:
     offset : float
         Median of the force.
     sampling_hz : float
+    lead : (n,) array of int
+        Samples from where each pulse begins to rise to its peak.
     """
 
     indices: NDArray[np.intp]
@@ -59,6 +63,7 @@ class Hits:
     noise: float
     offset: float
     sampling_hz: float
+    lead: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -156,7 +161,17 @@ def find_hits(force: ArrayLike, sampling_hz: float, *, threshold: float | None =
             message = f"second pulse of {100 * f[second] / level:.0f} % of the level, {1000 * gap:.0f} ms apart"
         reasons.append(reason)
         messages.append(message)
-    return Hits(hits, levels, tuple(reasons), tuple(messages), pulses, noise, offset, sampling_hz)
+    lead = np.array([_lead(f, int(hit), noise) for hit in hits], np.intp)
+    return Hits(hits, levels, tuple(reasons), tuple(messages), pulses, noise, offset, sampling_hz, lead)
+
+
+def _lead(f: Array, peak: int, noise: float) -> int:
+    """Samples from the last one before a pulse that is no part of it to its peak."""
+    floor = max(RISE * f[peak], 3 * noise)
+    k = peak
+    while k > 0 and f[k] > floor:
+        k -= 1
+    return peak - k
 
 
 def _pulses(f: Array, floor: float) -> NDArray[np.intp]:
@@ -241,6 +256,10 @@ def hit_blocks(hits: Hits, n_samples: int, block_seconds: float | None = None) -
     enough = usable[usable >= 0.7 * np.median(usable)]
     block = int(min(enough.min() - 1, limit))
     pre = int(np.clip(round(0.02 * block), min(8, block // 4), max(8, round(0.1 * hits.sampling_hz))))
+    first = int(np.flatnonzero(hits.used)[0])
+    if hits.lead.size and hits.lead[hits.used].max() <= hits.indices[first] < pre:
+        # A record that the hit itself triggered: nothing of the pulse is missing.
+        pre = int(hits.indices[first])
     starts = []
     for i in np.flatnonzero(hits.used):
         start = int(hits.indices[i]) - pre

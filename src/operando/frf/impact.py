@@ -47,8 +47,13 @@ class ImpactBlocks:
 
     @property
     def overlapping(self) -> bool:
-        """Whether the response still rings when the next hit comes."""
+        """Whether the response still rings when the next hit comes or the record ends."""
         return self.remaining > REMAINING
+
+    @property
+    def single(self) -> bool:
+        """Whether the record holds one pulse only: on whole-record spectra its response and a transient look alike."""
+        return self.hits.pulses.size == 1
 
 
 def impact_blocks(
@@ -205,8 +210,26 @@ def impact_spectra(
     return spectra, rate
 
 
-def overlap_finding(blocks: ImpactBlocks, name: str | None, dof: str, whole_record: bool) -> Finding:
-    """The finding ``overlapping_hits``."""
+def overlap_finding(blocks: ImpactBlocks, name: str | None, dof: str, whole_record: bool, window_rate: float = 0.0) -> Finding:
+    """The finding ``overlapping_hits``, or ``truncated_response`` for one hit that rings beyond the end of the record."""
+    if blocks.single:
+        seconds = blocks.block / blocks.hits.sampling_hz
+        at_end = blocks.remaining * np.exp(-window_rate * seconds)
+        fades = at_end < REMAINING
+        return Finding(
+            "truncated_response",
+            f"at {blocks.remaining_hz:.4g} Hz the response keeps {100 * blocks.remaining:.2g} % of its amplitude at the end of the record "
+            f"({seconds:.3g} s after the hit)",
+            "info" if fades or whole_record else "warning",
+            file=name,
+            dof=dof,
+            consequence=f"an exponential window of {window_rate:.3g} 1/s leaves {100 * at_end:.2g} %; its damping is taken off the modes again"
+            if fades
+            else "FRFs need an exponential window"
+            if whole_record
+            else "the FRF leaks",
+            action="record for longer after a hit" if fades or whole_record else "use an exponential window, or record for longer",
+        )
     return Finding(
         "overlapping_hits",
         f"at {blocks.remaining_hz:.4g} Hz the response keeps {100 * blocks.remaining:.2g} % of its amplitude until the next hit "

@@ -87,6 +87,7 @@ def local_rational(
     order: int = 2,
     passes: int = 2,
     chunk: int = 128,
+    transient: bool = True,
 ) -> LocalRational:
     """Local rational estimate of H at chosen lines of the DFT of a whole record.
 
@@ -110,6 +111,8 @@ def local_rational(
         Passes that find the denominator and the noise, before the last one.
     chunk : int
         Centres handled at once (bounds the memory).
+    transient : bool
+        Whether the spectra hold a transient; FRFs themselves, with a force of 1, do not.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def local_rational(
         If a window has too few lines for the parameters.
     """
     n_f, n_x = force.shape[0], response.shape[0]
-    p = (order + 1) * (n_f + 1)
+    p = (order + 1) * (n_f + transient)
     dof = n_lines - p - order / n_x
     if dof < 1:
         raise DataError(f"{n_lines} lines are too few for a local model with {p} numerator and transient coefficients")
@@ -128,7 +131,7 @@ def local_rational(
     def gather(s: slice) -> _Windows:
         columns = np.searchsorted(lines, windows[s])
         r = (windows[s] - centres[s, None]) / (n_lines // 2)
-        return _prepare(np.moveaxis(force[:, columns], 0, -1), np.moveaxis(response[:, columns], 0, -1), r, order)
+        return _prepare(np.moveaxis(force[:, columns], 0, -1), np.moveaxis(response[:, columns], 0, -1), r, order, transient)
 
     noise = np.empty((n_x, n_c))
     denominators = np.empty((n_c, order + 1), complex)
@@ -140,6 +143,26 @@ def local_rational(
     for s in parts:
         h[:, :, s], variance[:, :, s], gain[:, s] = _last_pass(gather(s), denominators[s], noise[:, s].T)
     return LocalRational(h, variance, gain, noise, dof)
+
+
+def roughness_variance(h: Array, n_lines: int = 17) -> Array:
+    """E|ΔH|² of FRFs without averages: what a local rational model, common to all responses of a reference, leaves of each.
+
+    Parameters
+    ----------
+    h : (n_responses, n_references, n_lines) complex array
+    n_lines : int
+        Lines a window; with fewer lines in all the variance is NaN.
+    """
+    count = h.shape[2]
+    out = np.full(h.shape, np.nan)
+    lines = np.arange(count)
+    for k in range(h.shape[1]):
+        rows = np.flatnonzero(np.isfinite(h[:, k]).all(axis=1) & np.any(h[:, k] != 0, axis=1))
+        if count >= n_lines and rows.size:
+            force = np.ones((1, count), complex)
+            out[rows, k] = local_rational(force, h[rows, k], lines, lines.astype(float), n_lines=n_lines, transient=False).noise
+    return out
 
 
 def smooth(values: Array, width: int) -> Array:
@@ -162,7 +185,7 @@ class _Windows:
     x_scale: Array
 
 
-def _prepare(f: Array, x: Array, r: Array, order: int) -> _Windows:
+def _prepare(f: Array, x: Array, r: Array, order: int, transient: bool) -> _Windows:
     """Windows f (c, n, n_forces), x (c, n, n_responses), r (c, n), scaled to unit rms."""
     c, n, _ = f.shape
     tiny = np.finfo(float).tiny
@@ -170,7 +193,7 @@ def _prepare(f: Array, x: Array, r: Array, order: int) -> _Windows:
     x_scale = np.sqrt(np.mean(np.abs(x) ** 2, axis=1)) + tiny
     powers = r[:, :, None] ** np.arange(order + 1)
     # Transient polynomial last, so that row j·(order+1) of the solution is N_j(0).
-    inputs = np.concatenate([f / f_scale[:, None, :], np.ones((c, n, 1))], axis=2)
+    inputs = np.concatenate([f / f_scale[:, None, :], np.ones((c, n, int(transient)))], axis=2)
     basis = (inputs[:, :, :, None] * powers[:, :, None, :]).reshape(c, n, -1)
     z = (x / x_scale[:, None, :])[:, :, None, :] * powers[:, :, :, None]
     return _Windows(basis, z, powers, f_scale, x_scale)
