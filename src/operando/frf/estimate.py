@@ -60,7 +60,8 @@ def estimate_frf(
     overlap : float, optional
         Overlap of blocks, default 0.5 with a Hann window, 0 with a rectangular one.
     window : {"hann", "rectangular"}, or for hammer hits {"rectangular", "force", "exponential", "force_exponential"}
-        Default: Hann; hammer: rectangular, but exponential where one hit still rings at the end of its record. An exponential window adds damping: ``Frf.exponential_window_rate`` says how much.
+        Default: Hann; hammer: rectangular, but exponential where one hit still rings at the end of its record. An exponential
+        window adds damping: ``Frf.exponential_window_rate`` says how much.
     hits : {"auto", "all", "off"}
         Hammer records: use consistent single hits, all hits, or treat the record as continuous.
     band : (low, high), optional

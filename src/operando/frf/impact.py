@@ -223,7 +223,7 @@ def overlap_finding(blocks: ImpactBlocks, name: str | None, dof: str, whole_reco
             "info" if fades or whole_record else "warning",
             file=name,
             dof=dof,
-            consequence=f"an exponential window of {window_rate:.3g} 1/s leaves {100 * at_end:.2g} %; its damping is taken off the modes again"
+            consequence=f"an exponential window ({window_rate:.3g} 1/s) leaves {100 * at_end:.2g} %; the EMA takes its damping off"
             if fades
             else "FRFs need an exponential window"
             if whole_record
