@@ -108,7 +108,7 @@ def test_a_clearance_is_stiffer_at_higher_levels_and_friction_damps_less():
     (picture,) = found("coulomb").picture["restoring_force"]
     damping = [row["damping"] for row in picture["equivalent"]]
     assert damping[0] > 2 * damping[-1] > 0
-    springs = linear_effects(found("clearance").effects[0], picture["equivalent"][0])
+    springs = linear_effects(found("clearance").effects[0], picture["equivalent"])
     assert {e.kind for e in springs} == {"ground_spring", "ground_damper"}
 
 

@@ -19,6 +19,7 @@ from operando.report import assumptions, derive, derive_diagnosis, render_report
 from operando.report.assessment import RECIPROCITY
 from operando.report.canvas import ORANGE_PURPLE, YELLOW_BROWN, Canvas, shades
 from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
+from operando.report.figures_records import force_figure, level_figure
 from operando.report.maps import value_maps
 from operando.report.parts import Numbering
 from operando.report.sections import build
@@ -478,6 +479,38 @@ def test_effect_that_depends_on_the_level_draws_no_frf(whole):
     made = sections(results)
     assert "cubic stiffness" in made["missing"]
     assert "an effect depends on the level" in made["diagnosis"]
+
+
+def restoring(kind="cubic_stiffness"):
+    x = np.linspace(-1e-3, 1e-3, 30)
+    rows = {"force": (1e9 * x**3).tolist(), "force_std": [0.01] * 30, "law": (1e9 * x**3).tolist()}
+    levels = [
+        {"force_n": f, "displacement_m": 1e-4 * f, "velocity_m_s": 0.1, "stiffness": 100 * f * f, "damping": 0.0, "explains": 0.9}
+        for f in (1.0, 4.0)
+    ]
+    cloud = {"displacement": x.tolist(), "velocity": (100 * x[::-1]).tolist(), "force": (1e9 * x**3).tolist(), "goodness": 0.987}
+    return cloud | {
+        "kind": kind, "location": ["103+Z"], "binned": rows | {"displacement": x.tolist()},
+        "binned_velocity": rows | {"velocity": (100 * x).tolist()}, "equivalent": levels,
+    }  # fmt: skip
+
+
+def test_restoring_force_is_drawn_with_its_law_and_levels(whole):
+    cubic = Effect("cubic_stiffness", ("103+Z",)).to_dict()
+    found = document("explained", (cubic,)) | {"detection": {"levels_n": [1.0, 4.0], "coherence": [0.9, 0.5], "inhomogeneity": 12.0}}
+    found["picture"] = found["picture"] | {"restoring_force": [restoring()]}
+    results = replace(whole, diagnosis=found)
+    model = derive_diagnosis.effect_model(results)
+    (spring,) = model.effects
+    assert spring.kind == "ground_spring"
+    assert spring.values["stiffness"] == pytest.approx(100)
+    made = sections(results)
+    assert "98.70 % of the force" in made["diagnosis"]
+    assert "differ by 12" in made["diagnosis"]
+    assert made["diagnosis"].count("Restoring force that the records ask for") == 1
+    text = text_of(level_figure(restoring()["equivalent"], "103+Z: cubic stiffness"))
+    assert "1.00 N" in text
+    assert force_figure(restoring() | {"binned_velocity": {}}, "103+Z").startswith("<svg")
 
 
 def test_effect_between_sensors_is_named_by_its_position(whole):

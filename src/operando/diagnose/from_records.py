@@ -12,7 +12,7 @@ from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
 from operando.diagnose.model import Model
 from operando.effects import Effect
-from operando.errors import OperandoError
+from operando.errors import MissingError, OperandoError
 from operando.nonlinear import NonlinearDiagnosis, diagnose_records, linear_effects
 from operando.results import CheckRun
 
@@ -176,7 +176,13 @@ def merged(
 
 
 def standing(document: Mapping[str, Any]) -> list[Effect]:
-    """The effects of ``diagnosis.json`` as a linear model knows them: of a level-dependent one its equivalent at the lowest level."""
+    """The effects of ``diagnosis.json`` as a linear model knows them: of a level-dependent one its equivalent at the lowest level.
+
+    Raises
+    ------
+    MissingError
+        If the document holds no equivalent of a level-dependent effect, as of one added by hand.
+    """
     rows = (document.get("picture") or {}).get("restoring_force") or []
     out: list[Effect] = []
     for stated in document.get("effects") or []:
@@ -185,8 +191,11 @@ def standing(document: Mapping[str, Any]) -> list[Effect]:
             out.append(effect)
             continue
         here = [str(d) for d in effect.location]
-        for row in rows:
-            if row.get("kind") == effect.kind and list(row.get("location") or ()) == here and row.get("equivalent"):
-                out += linear_effects(effect, row["equivalent"][0])
-                break
+        found = [r["equivalent"] for r in rows if r.get("kind") == effect.kind and list(r.get("location") or ()) == here]
+        if not found or not found[0]:
+            raise MissingError(
+                f"{effect.kind} at {effect.place} depends on the level: without records it has no FRF",
+                hint="run the diagnosis with the check's records",
+            )
+        out += linear_effects(effect, found[0])
     return out

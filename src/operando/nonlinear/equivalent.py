@@ -11,8 +11,8 @@ from operando.effects import Effect
 from operando.nonlinear.laws import LawFit, Motion
 from operando.nonlinear.run import Real
 
-LEAST = 1e-9
-"""Share of a force below which a part of it is left out."""
+ONE_LEVEL = 1.4
+"""Forces within this factor count as one level."""
 
 
 def slopes(s: Real, x: Real, v: Real) -> tuple[float, float]:
@@ -69,11 +69,14 @@ def equivalents(law: LawFit, motions: Sequence[Motion], levels: Sequence[float])
     return sorted(rows, key=lambda r: r["force_n"])
 
 
-def linear_effects(effect: Effect, row: dict[str, Any]) -> list[Effect]:
-    """The spring and the damper of a row of :func:`equivalents`, as effects at the place of the level-dependent one."""
+def linear_effects(effect: Effect, rows: Sequence[dict[str, Any]]) -> list[Effect]:
+    """Spring and damper at the place of a level-dependent effect: the mean of its equivalents in the records of the lowest level."""
+    lowest = min(r["force_n"] for r in rows)
+    same = [r for r in rows if r["force_n"] <= ONE_LEVEL * lowest]
     name = "coupling" if len(effect.location) == 2 else "ground"
     out = []
-    for kind, parameter, size in ((f"{name}_spring", "stiffness", row["stiffness"]), (f"{name}_damper", "damping", row["damping"])):
-        if abs(size) > LEAST * (1 if parameter == "stiffness" else 1e-3):
+    for kind, parameter in ((f"{name}_spring", "stiffness"), (f"{name}_damper", "damping")):
+        size = float(np.mean([r[parameter] for r in same]))
+        if size != 0:
             out.append(Effect(kind, effect.location, {parameter: abs(size)}, removed=size < 0))
     return out

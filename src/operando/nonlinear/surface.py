@@ -65,8 +65,9 @@ def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) ->
     Returns
     -------
     dict
-        ``displacement``, ``velocity``, ``force`` (a cloud of samples), ``binned`` {displacement, force, force_std, law}: both brought
-        to the lines that the data decide, so that they can be compared; ``law_curve`` {displacement, force} as it stands.
+        ``displacement``, ``velocity``, ``force`` (a cloud of samples), ``binned`` {displacement, force, force_std, law} and
+        ``binned_velocity`` {velocity, …}: force and law brought to the lines that the data decide, so that they can be compared;
+        ``law_samples``: the law as it stands at the samples of the cloud; ``goodness``, see :func:`goodness`.
     """
     motion = max(motions, key=lambda m: float(np.max(np.abs(m.x))))
     edge = max(8, motion.x.size // 50)
@@ -74,20 +75,27 @@ def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) ->
     s = seen_force(motion)
     x, v = motion.x[inner], motion.v[inner]
     pick = np.linspace(0, x.size - 1, min(points, x.size)).astype(int)
-    centre, mean, spread, _ = binned(x, s[inner])
+    same = None if law is None else same_lines(motion, law.force(motion.x, motion.v, motion.step))[inner]
     out: dict[str, Any] = {
         "displacement": x[pick].tolist(),
         "velocity": v[pick].tolist(),
         "force": s[inner][pick].tolist(),
-        "binned": {"displacement": centre.tolist(), "force": mean.tolist(), "force_std": spread.tolist()},
+        "binned": averages("displacement", x, s[inner], same),
+        "binned_velocity": averages("velocity", v, s[inner], same),
     }
     out["goodness"] = None
     if law is not None:
         whole = law.force(motion.x, motion.v, motion.step)
-        out["binned"]["law"] = binned(x, same_lines(motion, whole)[inner])[1].tolist()
         out["law_samples"] = whole[inner][pick].tolist()
         out["goodness"] = goodness(motions, law)
     return out
+
+
+def averages(name: str, over: Real, force: Real, law: Real | None) -> dict[str, list[float]]:
+    """Binned force, and the binned law on the same bins."""
+    centre, mean, spread, _ = binned(over, force)
+    out = {name: centre.tolist(), "force": mean.tolist(), "force_std": spread.tolist()}
+    return out if law is None else out | {"law": binned(over, law)[1].tolist()}
 
 
 def goodness(motions: Sequence[Motion], law: LawFit) -> float:

@@ -25,18 +25,16 @@ DECIBEL = 8.685889638065035
 def effect_model(results: Results) -> Any:
     """The idle model with the effects now in the diagnosis (an ``operando.diagnose.Model``); None where it cannot be made.
 
-    An effect that depends on the level has no FRF of its own, so there is none either with one of those.
+    An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
     """
     from operando.diagnose import Model
-    from operando.effects import Effect
+    from operando.diagnose.from_records import standing
 
     base = results.effect_idle or derive.scaled_idle(results)
     if results.diagnosis is None or base is None:
         return None
     try:
-        effects = tuple(Effect.from_dict(e) for e in results.diagnosis.get("effects") or [])
-        if any(e.definition.acts == "pseudo_force" for e in effects):
-            return None
+        effects = tuple(standing(results.diagnosis))
         try:
             return Model(base, effects, results.geometry, results.effect_covariance)
         except OperandoError:  # a covariance of other effects

@@ -9,6 +9,7 @@ import numpy as np
 
 from operando.report import derive, derive_diagnosis, figures_compare, figures_diagnosis, figures_frf, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
+from operando.report.sections_records import restoring_forces
 from operando.report.text import decibel, esc, finite, fixed, listing, number
 from operando.report.words_diagnosis import (
     DiagnosisWords,
@@ -167,6 +168,8 @@ HOW_TO_READ = {
 def _picture(found: Mapping[str, Any], numbering: Numbering, words: DiagnosisWords) -> str:
     picture = found.get("picture") or {}
     out = []
+    if picture.get("restoring_force"):
+        out.append(restoring_forces(found, numbering))
     shown = [p for p in picture.get("dynamic_stiffness") or [] if p.get("frequency_hz") and p.get("real")][:3]
     if shown:
         effects = [_at_place(p, found, k) for k, p in enumerate(shown)]
@@ -180,6 +183,8 @@ def _picture(found: Mapping[str, Any], numbering: Numbering, words: DiagnosisWor
         )
         caption += ", and the law fitted. " + how
         out.append(numbering.figure(figures_diagnosis.stiffness_figure(shown, titles), esc(caption)))
+    elif out:
+        pass
     elif words.output_only:
         out.append(missing("Operating modes alone give no dynamic stiffness δz(ω): it takes a check measurement with a known force."))
     elif words.effects:

@@ -1,0 +1,98 @@
+"""Figures of diagnoses from records: the restoring force at the place found, what it is equivalent to at each level, the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from operando.report.svg import GREEN, GREY, IDLE, MEASURED, SKY, dots, drawn, new_figure
+from operando.report.text import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LENGTHS = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+"""SI prefixes of small sizes."""
+
+
+def force_figure(picture: Mapping[str, Any], title: str) -> str:
+    """SVG: restoring force at a place over displacement and over velocity, as the records show it, with the fitted law.
+
+    Parameters
+    ----------
+    picture : dict
+        One entry of ``picture.restoring_force`` in ``diagnosis.json``.
+    title : str
+    """
+    return _force_figure(picture, title)
+
+
+@drawn
+def _force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
+    figure = new_figure(10.2, 3.3)
+    force = np.asarray(picture["force"], float)
+    for k, (name, unit) in enumerate((("displacement", "m"), ("velocity", "m/s"))):
+        axes = figure.add_axes((0.085 + 0.495 * k, 0.155, 0.4, 0.66))
+        over = np.asarray(picture[name], float)
+        factor, prefix = _prefix(float(np.max(np.abs(over))))
+        rows = picture.get("binned" if k == 0 else "binned_velocity") or {}
+        at, mean, spread = (np.asarray(rows.get(key) or [], float) for key in (name, "force", "force_std"))
+        axes.axhline(0, color=GREY, lw=0.8)
+        dots(axes, over / factor, force, SKY, 2.0, "from the records, sample by sample")
+        axes.errorbar(
+            at / factor, mean, 2 * spread, color=MEASURED, lw=0, elinewidth=0.9, marker="o", ms=3, label="mean, ± 2 standard errors"
+        )
+        if rows.get("law"):
+            axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted, mean")
+        axes.set_xlabel(f"{name.capitalize()} [{prefix}{unit}]")
+        axes.set_ylabel("Restoring force [N]")
+        axes.set_title(title if k == 0 else "", fontsize=9.5)
+        axes.grid(True)
+        if k == 0:
+            figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
+    return figure, f"Restoring force over displacement and velocity with the fitted law: {title}"
+
+
+def _prefix(size: float) -> tuple[float, str]:
+    return next(((f, p) for f, p in LENGTHS if size >= f), LENGTHS[-1])
+
+
+def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> str:
+    """SVG: spring and damper that a level-dependent effect is equivalent to, over the motion across its place.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        ``equivalent`` of a picture in ``diagnosis.json``.
+    title : str
+    """
+    return _level_figure(rows, title)
+
+
+@drawn
+def _level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure, str]:
+    figure = new_figure(10.2, 2.5)
+    order = sorted(rows, key=lambda r: r["displacement_m"])
+    x = np.array([r["displacement_m"] for r in order])
+    factor, prefix = _prefix(float(x.max()))
+    for k, (name, unit, color) in enumerate((("stiffness", "N/m", GREEN), ("damping", "N s/m", IDLE))):
+        axes: Axes = figure.add_axes((0.085 + 0.495 * k, 0.2, 0.4, 0.64))
+        axes.plot(x / factor, [r[name] for r in order], color=color, marker="o", ms=4, lw=1.2)
+        for r in order:
+            axes.annotate(
+                f"{number(r['force_n'], 3)} N", (r["displacement_m"] / factor, r[name]), (4, 5), textcoords="offset points", fontsize=8
+            )
+        axes.axhline(0, color=GREY, lw=0.8)
+        axes.margins(0.12, 0.2)
+        if name == "damping":  # an elastic law damps nothing: its figures are rounding beside what its stiffness would make of velocity
+            least = 0.1 * max(abs(r["stiffness"]) * r["displacement_m"] / max(r["velocity_m_s"], 1e-300) for r in order)
+            low, high = axes.get_ylim()
+            axes.set_ylim(min(low, -least), max(high, least))
+        axes.set_xlabel(f"Displacement across the place, rms [{prefix}m]")
+        axes.set_ylabel(f"Equivalent {name} [{unit}]")
+        axes.set_title(title if k == 0 else "", fontsize=9.5)
+        axes.grid(True)
+    return figure, f"Equivalent stiffness and damping at each level: {title}"
