@@ -5,6 +5,7 @@ SHELL := /bin/bash
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO ?= demo-results
+PAPER ?= paper-results
 WORKERS ?= 2
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
@@ -18,7 +19,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
-.PHONY: help demo test lint types tests slow wheel example clean
+.PHONY: help demo test lint types tests slow wheel example paper clean
 
 help:
 	@echo "make demo   install into $(VENV) and run the example, from raw files to the report in $(DEMO)/"
@@ -26,6 +27,7 @@ help:
 	@echo "make slow   the longer studies among the tests"
 	@echo "make wheel  build dist/operando-*.whl"
 	@echo "make example  make data/example again from benchmarks/example_data/make.py"
+	@echo "make paper  reproduce the paper's simulation example: tables, figures and raw files through operando, in $(PAPER)/paper.html"
 	@echo "make clean  remove the environment and what was built"
 
 demo: $(VENV)/.installed
@@ -54,8 +56,11 @@ wheel: $(VENV)/.installed
 example: $(VENV)/.installed
 	$(BIN)/python benchmarks/example_data/make.py
 
+paper: $(VENV)/.installed
+	$(BIN)/python benchmarks/paper/reproduce.py $(PAPER)
+
 clean:
-	rm -rf $(VENV) $(DEMO) build dist .pytest_cache .ruff_cache .mypy_cache
+	rm -rf $(VENV) $(DEMO) $(PAPER) build dist .pytest_cache .ruff_cache .mypy_cache
 
 # Stamps: a second call installs nothing as long as pyproject.toml is unchanged.
 $(VENV)/bin/python:

@@ -14,6 +14,7 @@ sys.path.append(str(ROOT / "benchmarks" / "paper"))
 import elements  # noqa: E402
 import exact  # noqa: E402
 import published  # noqa: E402
+import raw  # noqa: E402
 import tripod  # noqa: E402
 
 from operando.scaling import scale_operational  # noqa: E402
@@ -167,6 +168,19 @@ def test_exact_modes_as_oma_gives_them_have_no_scale_to_borrow(coarse):
     idle = exact.idle_model(original, band)
     shapes = [scale_operational(idle, exact.operating_model(target, band, seed), 0.75, "eq15").modal.shapes for seed in (1, 2)]
     np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_raw_files_of_case_2(coarse, tmp_path):
+    """From one hit of 5 s a corner and an output-only record: all modes, and the scaling chosen is no worse than the best."""
+    found = raw.study(tmp_path, coarse["original"], coarse["case 2"], "case 2", (6.0, 222.0), lambda text: None)
+    for state in ("idle", "operating"):
+        assert min(likeness for _, row, likeness in found.found[state] if row >= 0) > 0.98
+        assert sum(row < 0 for _, row, _ in found.found[state]) == 0
+    for errors in found.errors.values():
+        assert errors["auto"] <= min(errors.values()) + 0.2
+        assert errors["auto"] <= errors["msf_all"]
+        assert errors["auto"] < errors["idle_shapes"] - 1
 
 
 @pytest.mark.skipif(not REFERENCE.exists(), reason="the reference modes of the layout study are not here (../shared/reference)")

@@ -1,7 +1,7 @@
 """Raw measurements of the structure as the paper made them, as universal files, and the test files that name them.
 
 - At rest: one hammer pulse at each of the four corners in turn, 5 s at steps of 1 ms. The plate still moves when the record ends, so the
-  FRFs need an exponential window.
+  FRFs need an exponential window, which operando takes by itself.
 - In operation: white forces at the four corners at once, steps of 1 ms; the forces are not recorded.
 - Check: the exact FRFs of the target, which only the comparison reads.
 
@@ -107,7 +107,15 @@ def operating_record(modes: Modes, noise: float, seed: int, seconds: int = OPERA
 
 
 def write_case(
-    folder: Path, idle: Modes, target: Modes, name: str, epsilon: float, noise: float = 0.0, hits: int = 1, seed: int = 1
+    folder: Path,
+    idle: Modes,
+    target: Modes,
+    name: str,
+    epsilon: float,
+    noise: float = 0.0,
+    hits: int = 1,
+    seed: int = 1,
+    band: tuple[float, float] = BAND,
 ) -> Path:
     """Writes the test of one case and returns its test file."""
     from operando.data import FrequencyAxis, Frf
@@ -134,6 +142,6 @@ def write_case(
         '[operating]                    # white forces at the corners, unknown\nrecords = ["operating/*.uff"]\n\n'
         '[check]                        # exact FRFs from A and O\nfrfs = ["check/*.uff"]\n\n'
         '[geometry]\nfile = "geometry.uff"\nunits = "m"\n\n'
-        f'[analysis]\nband = [{BAND[0]}, {BAND[1]}]            # Hz\nestimator = "h1"\nwindow = "exponential"\nthreshold = {epsilon}\n'
+        f"[analysis]\nband = [{band[0]}, {band[1]}]            # Hz\nthreshold = {epsilon}\n"
     )
     return test
