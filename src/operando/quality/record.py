@@ -230,7 +230,7 @@ def _check_hits(record: TimeRecord, force: int, responses: list[int]) -> list[Fi
     except DataError as error:
         return [Finding("weak_hit", error.message, "error", file=record.name or None, dof=label, action="repeat the measurement")]
     out = blocks.hits.findings(record.name or None, label)
-    if blocks.overlapping:
+    if blocks.overlapping and not blocks.single:  # what one hit needs is said by the FRF, which knows its window
         out.append(overlap_finding(blocks, record.name or None, label, True))
     return out
 
