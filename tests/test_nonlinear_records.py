@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from tests.nonlinear_truth import Strip, measure_many, place
 
@@ -110,6 +111,18 @@ def test_a_clearance_is_stiffer_at_higher_levels_and_friction_damps_less():
     assert damping[0] > 2 * damping[-1] > 0
     springs = linear_effects(found("clearance").effects[0], picture["equivalent"])
     assert {e.kind for e in springs} == {"ground_spring", "ground_damper"}
+
+
+def test_the_closed_loop_follows_the_record_that_judges():
+    for name in ("clearance", "cubic", "coulomb"):
+        made = found(name).simulation
+        assert made["gain_db"] > 8
+        assert {r["name"] for r in made["records"]} == {r.name for r in records()[name] if "0.25" in r.name}
+        figure = made["figure"]
+        assert len(figure["time_s"]) == len(figure["measured"]) == len(figure["simulated"]) == len(figure["idle"])
+        away = {k: np.std(np.subtract(figure[k], figure["measured"])) for k in ("idle", "simulated")}
+        assert away["simulated"] < 0.5 * away["idle"]
+    assert found("spring").simulation == {}
 
 
 def test_a_place_and_kinds_can_be_asked_for():

@@ -3,5 +3,6 @@
 from operando.nonlinear.equivalent import linear_effects
 from operando.nonlinear.records import diagnose_records
 from operando.nonlinear.result import NonlinearDiagnosis
+from operando.nonlinear.simulate import simulate
 
-__all__ = ["NonlinearDiagnosis", "diagnose_records", "linear_effects"]
+__all__ = ["NonlinearDiagnosis", "diagnose_records", "linear_effects", "simulate"]

@@ -1,51 +1,90 @@
-"""Laws in the closed loop: what the model with its law does under a measured force, and values refitted to that.
+"""Laws in the closed loop: the model with its laws makes the motion itself, only the measured force and a first state come from the record.
 
-A regression on the measured motion is bent by the noise of that motion. In the closed loop the model makes the motion itself: only the
-measured force and the state at the beginning come from the record.
+Stops make a lightly damped structure forget its state: two histories that differ by 1e-4 of the force part within seconds. A whole record
+cannot be followed then, however right the model. So the loop is closed over windows, each from the state that the reverse path
+gives at its beginning; all windows of all records run side by side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft as sfft
 from scipy.optimize import nnls
 
 from operando.effects import kind_of
+from operando.errors import DataError
 from operando.nonlinear.laws import LawFit, law_force
 from operando.nonlinear.loop import FrictionLaw, Loop, MemoryLaw, StepLaw, run_loop
 from operando.nonlinear.outside import DAMPING, FACTORS, Outside
-from operando.nonlinear.place import Along
 from operando.nonlinear.run import Complex, Modes, Real, Run, decay_in_time
 
-STEP_SHARE = 0.005
-"""Relative change of a value for a difference quotient."""
-
-PER_CYCLE = 7.0
+PER_CYCLE = 8.0
 """Steps in a period of the highest frequency compared, at least."""
+
+SHARE, FINEST = 0.8, 100
+"""Part of a radian that a body moves on the steepest part of a law in a step, at most; steps a sample, at most."""
 
 
 @dataclass(frozen=True)
-class Free:
-    """Motion across places that a run's force alone makes from its first state, on a fine grid.
+class Track:
+    """What a run needs to be followed from any of its samples.
 
     Parameters
     ----------
+    n_samples : int
+    sampling_hz : float
+    loop : Loop
+    fine : int
+        Steps a sample.
     x, v : (p, N·fine) arrays
+        Motion across the places under the measured force alone, periodic over the record.
+    q, dq : (n, N) arrays
+        Modal displacements and velocities that the restoring forces and the state at the beginning add.
+    memory : (p, N) array
+        Internal state of laws that remember.
     """
 
+    n_samples: int
+    sampling_hz: float
+    loop: Loop
+    fine: int
     x: Real
     v: Real
+    q: Real
+    dq: Real
+    memory: Real
 
 
-def fineness(run: Run) -> int:
-    """Steps a sample."""
-    return max(1, int(np.ceil(PER_CYCLE * run.hz[-1] / run.sampling_hz)))
+def fineness(top_hz: float, sampling_hz: float, steepest: float = 0.0) -> int:
+    """Steps a sample for lines up to ``top_hz`` and laws as steep as ``steepest`` [rad/s]: the frequency a body would have on them alone.
+
+    Raises
+    ------
+    DataError
+        If it would take too many.
+    """
+    fine = max(1, int(np.ceil(PER_CYCLE * top_hz / sampling_hz)), int(np.ceil(steepest / (SHARE * sampling_hz))))
+    if fine > FINEST:
+        raise DataError(f"so stiff a law takes {fine} steps a sample to be simulated", hint="give the force at a higher sampling rate")
+    return fine
 
 
-def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None], run: Run) -> Loop:
+def steepness(law: LawFit, shape: Real, reach: float) -> float:
+    """√(k·Σφ²) [rad/s] of a law's greatest slope k within a reach [m] at a place with shape values φ."""
+    x = np.linspace(-reach, reach, 201)
+    if kind_of(law.kind).acts != "pseudo_force":
+        slope = abs(law.values.get("stiffness", 0.0))
+    elif law.kind == "hysteresis":
+        slope = law.values["stiffness"]
+    else:
+        slope = float(np.max(np.abs(np.diff(law.force(x, np.zeros_like(x), 1.0)) / (x[1] - x[0])), initial=0.0))
+    return float(np.sqrt(slope * np.sum(shape**2)))
+
+
+def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None], run: Run, step: float) -> Loop:
     """Response across the places to forces along them; for one place with what lies outside the band made passive.
 
     Parameters
@@ -55,76 +94,94 @@ def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None],
     outside : sequence of Outside or None
         Corrections, used where there is one place.
     run : Run
-        For its lines and sampling.
+        For its lines.
+    step : float
+        [s].
     """
     shapes = np.stack([modes.phi.T @ b for b in bs])
     poles = modes.poles
-    step = 1 / (run.sampling_hz * fineness(run))
+    keep = modes.hz > 1e-3
+    poles, shapes = poles[keep], shapes[:, keep]
     if len(bs) == 1 and outside[0] is not None:
         top = outside[0].top_hz
         hz = run.hz[:: max(1, run.hz.size // 200)]
-        above = modes.hz > top
-        wanted = (shapes[0, above] ** 2) @ modes.receptance_kernel(hz)[above] + outside[0].compliance(hz, bs[0])
+        above = modes.hz[keep] > top
         extra_hz = np.array(FACTORS) * top
         extra = Modes(extra_hz, np.full(extra_hz.size, DAMPING), np.zeros((1, extra_hz.size)))
+        wanted = (shapes[0, above] ** 2) @ modes.receptance_kernel(hz)[keep][above] + outside[0].compliance(hz, bs[0])
         table = extra.receptance_kernel(hz).real.T
         scale = np.max(np.abs(table))
         weights, _ = nnls(table / scale, wanted.real / scale)
         poles = np.concatenate([poles[~above], extra.poles])
         shapes = np.concatenate([shapes[:, ~above], np.sqrt(weights)[None]], axis=1)
-    keep = np.any(shapes != 0, axis=0)
-    return Loop(poles[keep], shapes[:, keep], step)
+    return Loop(poles, shapes, step)
 
 
-def first_state(run: Run, modes: Modes, drive: Complex, amplitudes: Real) -> tuple[Real, Real]:
-    """Modal displacements and velocities (n,) at the first sample under modal forces ``drive`` (n, N//2+1) with free decays."""
-    hz = run.all_hz
-    weight = np.full(hz.size, 2.0)
-    weight[0] = 1.0
-    if run.n_samples % 2 == 0:
-        weight[-1] = 1.0
-    q = modes.receptance_kernel(hz) * drive * (weight / run.n_samples)
+def track(run: Run, modes: Modes, loop: Loop, base: Complex, places: Sequence[tuple[Real, Complex, Real]], amplitudes: Real) -> Track:
+    """A run ready to be followed.
+
+    Parameters
+    ----------
+    run : Run
+    modes : Modes
+    loop : Loop
+    base : (p, N//2+1) complex array
+        Displacement across the places under the measured force.
+    places : sequence of (b, spectrum, memory)
+        Restoring force on all lines, and internal state of its law at each sample, for each place.
+    amplitudes : (J,) array
+        Of the free decays.
+    """
+    fine = round(1 / (run.sampling_hz * loop.step))
+    n, hz = run.n_samples, run.all_hz
+    top = int(run.lines[-1]) + 1
+    w = 2 * np.pi * hz
+    # Above the last line compared the model knows nothing of a place that was not driven.
+    spectra = np.zeros((2, len(places), n * fine // 2 + 1), complex)
+    spectra[0, :, :top] = base[:, :top] * fine
+    spectra[1, :, :top] = spectra[0, :, :top] * 1j * w[:top]
+    x, v = sfft.irfft(spectra, n * fine, axis=-1)
+    force = np.stack([s for _, s, _ in places])
+    poles = loop.poles
+    # Modes above the sampling rate follow the force: their state matters as much.
+    modal = np.zeros((2, poles.size, hz.size), complex)
+    modal[0] = -(loop.shapes.T @ force) / (np.abs(poles[:, None]) ** 2 - w**2 - 2j * poles.real[:, None] * w)
+    modal[1] = modal[0] * 1j * w
+    q, dq = sfft.irfft(modal, n, axis=-1)
     ringing = modes.ringing(run.sampling_hz)
-    poles = modes.poles[ringing]
-    c = amplitudes[: ringing.size] + 1j * amplitudes[ringing.size :]
-    c = c / poles**2 / (1 - np.exp(poles * run.n_samples / run.sampling_hz))
-    x, v = np.sum(q.real, axis=1), np.sum(-(2 * np.pi * hz) * q.imag, axis=1)
-    x[ringing] += 2 * c.real
-    v[ringing] += 2 * (c * poles).real
-    return x, v
+    own = modes.poles[ringing]
+    weights = (amplitudes[: ringing.size] + 1j * amplitudes[ringing.size :]) / own**2
+    decays = decay_in_time(own, np.stack([weights, weights * own]), n, 1 / run.sampling_hz, apart=True)
+    for k, pole in enumerate(own):
+        same = np.flatnonzero(np.abs(poles - pole) < 1e-9 * abs(pole))
+        if same.size:
+            q[same[0]] += decays[0, k]
+            dq[same[0]] += decays[1, k]
+    return Track(n, run.sampling_hz, loop, fine, x, v, q, dq, np.stack([z for _, _, z in places]))
 
 
-def free_motion(run: Run, modes: Modes, bs: Sequence[Real], state: tuple[Real, Real] | None) -> Free:
-    """Motion across the places under the measured force from a first state (at rest where None), on the fine grid."""
-    fine = fineness(run)
-    total = run.n_samples * fine
-    hz = run.all_hz
-    drive = run.drive(modes)
-    shapes = np.stack([modes.phi.T @ b for b in bs])
-    q = modes.receptance_kernel(hz) * drive
-    spectra = np.zeros((2, len(bs), total // 2 + 1), complex)
-    spectra[0, :, : hz.size] = shapes @ q * fine
-    spectra[1] = spectra[0] * 2j * np.pi * sfft.rfftfreq(total, 1 / (run.sampling_hz * fine))
-    moved = sfft.irfft(spectra, total, axis=-1)
-    x0, v0 = first_state(run, modes, drive, np.zeros(2 * modes.ringing(run.sampling_hz).size))
-    want_x, want_v = (np.zeros_like(x0), np.zeros_like(v0)) if state is None else state
-    dx, dv = want_x - x0, want_v - v0
-    ringing = modes.ringing(run.sampling_hz)
-    poles = modes.poles[ringing]
-    c = dx[ringing] / 2 + 1j * (poles.real * dx[ringing] - dv[ringing]) / (2 * poles.imag)
-    step = 1 / (run.sampling_hz * fine)
-    # decay_in_time divides by 1 − exp(λT), which belongs to periodic sums; here the decay starts at once.
-    scaled = shapes[:, ringing] * c * (1 - np.exp(poles * total * step))
-    return Free(moved[0] + decay_in_time(poles, scaled, total, step), moved[1] + decay_in_time(poles, scaled * poles, total, step))
+def windows(t: Track, seconds: float) -> tuple[Real, Real, Real]:
+    """Motion across the places without restoring forces in each window, (p, windows, W) twice, and the laws' memories (p, windows)."""
+    size = min(max(8, round(seconds * t.sampling_hz)), t.n_samples)
+    starts = np.arange(0, t.n_samples, size)
+    index = np.minimum(starts[:, None] * t.fine + np.arange(size * t.fine + 1), t.x.shape[1] - 1)
+    poles = t.loop.poles
+    q, dq = t.q[:, starts], t.dq[:, starts]
+    c = q / 2 + 1j * (poles.real[:, None] * q - dq) / (2 * poles.imag[:, None])
+    ring = np.exp(poles[:, None] * t.loop.step * np.arange(size * t.fine + 1))
+    decays = 2 * np.real(np.einsum("pn,nw,nk->pwk", t.loop.shapes, c, ring, optimize=True))
+    moving = 2 * np.real(np.einsum("pn,nw,nk->pwk", t.loop.shapes, c * poles[:, None], ring, optimize=True))
+    return t.x[:, index] + decays, t.v[:, index] + moving, t.memory[:, starts]
 
 
-def step_law(fits: Sequence[LawFit], step: float) -> StepLaw:
+def step_law(fits: Sequence[LawFit], step: float, memory: Real) -> StepLaw:
     """One law with values of its own for each case."""
     first = fits[0]
     kind, side = kind_of(first.kind), first.side
     values = {name: np.array([f.values[name] for f in fits]) for name in first.values}
     if first.kind == "hysteresis":
-        return MemoryLaw(values["stiffness"], values["yield_force"], values["exponent"], values["ratio"], kind._slope)  # type: ignore[attr-defined]
+        slope = kind._slope  # type: ignore[attr-defined]
+        return MemoryLaw(values["stiffness"], values["yield_force"], values["exponent"], values["ratio"], slope, memory)
     if first.kind == "coulomb_friction":
         level, speed = values["force"], values.get("slip_speed", np.zeros(len(fits)))
         if np.all(speed <= 0):
@@ -133,91 +190,45 @@ def step_law(fits: Sequence[LawFit], step: float) -> StepLaw:
     return StepLaw(lambda x, v: side * law_force(kind, side * x, side * v, values, step))
 
 
-def simulate_runs(loops: Loop, free: Sequence[Free], laws: Sequence[Sequence[LawFit]]) -> tuple[Real, Real, Real]:
-    """Restoring forces and motions (p, cases, N) of cases side by side; ``laws[p][case]``."""
-    longest = max(f.x.shape[1] for f in free)
-    pad = lambda a: np.pad(a, ((0, 0), (0, longest - a.shape[1])), mode="edge")  # noqa: E731
-    x = np.stack([pad(f.x) for f in free], axis=1)
-    v = np.stack([pad(f.v) for f in free], axis=1)
-    return run_loop(loops, x, v, [step_law(list(per), loops.step) for per in laws])
-
-
-def coarse(run: Run, fine_force: Real) -> Complex:
-    """Spectrum on the run's lines of a force on the fine grid."""
-    fine = fineness(run)
-    return np.asarray(sfft.rfft(fine_force[: run.n_samples * fine])[run.lines] / fine)
-
-
-@dataclass(frozen=True)
-class Refitted:
-    """Values from the closed loop.
+def follow(tracks: Sequence[Track], laws: Sequence[Sequence[LawFit]], seconds: float) -> list[list[Real]]:
+    """Restoring forces that the closed loop makes over windows, put together.
 
     Parameters
     ----------
-    fit : LawFit
-    std : dict
-        Standard deviation of each value from the misfit that is left.
-    cost : float
-    iterations : int
-    converged : bool
+    tracks : sequence of Track
+        Runs of one sampling rate.
+    laws : sequence of sequences of LawFit
+        Variants; each holds one law a place.
+    seconds : float
+        Length of a window; infinite follows each run as a whole.
+
+    Returns
+    -------
+    list of list of (p, N·fine) arrays
+        One a variant and run.
     """
+    seconds = min(seconds, max(t.n_samples / t.sampling_hz for t in tracks))
+    parts = [windows(t, seconds) for t in tracks]
+    longest = max(p[0].shape[2] for p in parts)
+    pad = lambda a: np.pad(a, ((0, 0), (0, 0), (0, longest - a.shape[2])), mode="edge")  # noqa: E731
+    x = np.concatenate([pad(p[0]) for p in parts], axis=1)
+    v = np.concatenate([pad(p[1]) for p in parts], axis=1)
+    memory = np.concatenate([p[2] for p in parts], axis=1)
+    count, many = x.shape[1], len(laws)
+    loop = tracks[0].loop
+    made = [step_law([law[p] for law in laws for _ in range(count)], loop.step, np.tile(memory[p], many)) for p in range(len(x))]
+    s, _, _ = run_loop(loop, np.tile(x, (1, many, 1)), np.tile(v, (1, many, 1)), made)
+    out: list[list[Real]] = []
+    for k in range(many):
+        rows, at = [], k * count
+        for t, part in zip(tracks, parts, strict=True):
+            w, size = part[0].shape[1], part[0].shape[2] - 1
+            rows.append(s[:, at : at + w, :size].reshape(len(x), -1)[:, : t.n_samples * t.fine])
+            at += w
+        out.append(rows)
+    return out
 
-    fit: LawFit
-    std: dict[str, float]
-    cost: float
-    iterations: int
-    converged: bool
 
-
-def refit_closed(
-    fit: LawFit, alongs: Sequence[Along], free: Sequence[Free], loop: Loop, names: Sequence[str], turns: int = 3, tolerance: float = 2e-3
-) -> Refitted:
-    """Gauss–Newton on the logarithms of a law's values through the closed loop, free decays eliminated.
-
-    Parameters
-    ----------
-    fit : LawFit
-        Start.
-    alongs : sequence of Along
-        Runs on the lines to fit.
-    free : sequence of Free
-        Motion of the same runs under their force alone.
-    loop : Loop
-    names : sequence of str
-        Values that move.
-    turns : int
-    tolerance : float
-        Largest relative change at which it stops.
-    """
-    current, best_cost = fit, np.inf
-    move = np.zeros(len(names))
-    best = fit
-    covariance = np.zeros((len(names), len(names)))
-    errors = sum(2 * a.weighted.error.size for a in alongs)
-    turn = 0
-    for turn in range(turns + 1):
-        variants = [current, *(replace(current, values=current.values | {n: current.values[n] * (1 + STEP_SHARE)}) for n in names)]
-        cases = [(i, v) for v in variants for i in range(len(alongs))]
-        s, _, _ = simulate_runs(loop, [free[i] for i, _ in cases], [[v for _, v in cases]])
-        gram, right, cost = np.zeros((len(names),) * 2), np.zeros(len(names)), 0.0
-        for i, along in enumerate(alongs):
-            spectra = [coarse(along.run, s[0, k * len(alongs) + i]) for k in range(len(variants))]
-            columns = np.stack([spectra[0], *((c - spectra[0]) / np.log1p(STEP_SHARE) for c in spectra[1:])])
-            g, r, total = along.normal(columns)
-            cost += total - 2 * float(r[0]) + float(g[0, 0])
-            gram += g[1:, 1:]
-            right += r[1:] - g[1:, 0]
-        if not np.isfinite(cost):
-            break
-        if cost < best_cost:
-            best, best_cost = current, cost
-            covariance = np.linalg.pinv(gram) * cost * 2 / errors
-            move = np.clip(np.linalg.lstsq(gram, right, rcond=1e-12)[0], -0.3, 0.3)
-        else:
-            # Went too far: half way back from the best.
-            move = 0.5 * move
-        if turn == turns or np.max(np.abs(move)) < tolerance:
-            break
-        current = replace(best, values=best.values | {n: best.values[n] * float(np.exp(m)) for n, m in zip(names, move, strict=True)})
-    std = {n: float(best.values[n] * np.sqrt(max(covariance[k, k], 0))) for k, n in enumerate(names)}
-    return Refitted(replace(best, cost=best_cost), std, best_cost, turn, bool(best_cost < np.inf))
+def on_lines(run: Run, fine: int, force: Real) -> Complex:
+    """Spectrum on the run's lines of a force on the fine grid, (..., L)."""
+    return np.asarray(sfft.rfft(force, axis=-1)[..., run.lines] / fine)

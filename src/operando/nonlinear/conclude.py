@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from operando.data import Geometry
-from operando.effects import Effect
+from operando.effects import Effect, kind_of
+from operando.errors import DataError
 from operando.nonlinear.equivalent import equivalents
 from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
 from operando.nonlinear.laws import free_law
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case
+from operando.nonlinear.simulate import against_records
 from operando.nonlinear.steps import Step, Tried, alike, nested
 from operando.nonlinear.surface import surface
 
@@ -127,9 +129,20 @@ def conclude(
         rows[0].get("noise_floor_db"),
         detection,
         {"restoring_force": pictures} if pictures else {},
-        {},
+        simulated(steps[0].case, accepted, notes),
         tuple(notes),
     )
+
+
+def simulated(case: Case, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
+    """The closed loop against the records that judge, where a level-dependent law was accepted."""
+    if not any(kind_of(t.law.kind).level_dependent for t in accepted):
+        return {}
+    try:
+        return against_records(case, accepted)
+    except DataError as error:
+        notes.append(f"not simulated: {error.message}")
+        return {}
 
 
 def neighbours(case: Case, a: Tried, b: Tried, geometry: Geometry | None) -> bool:

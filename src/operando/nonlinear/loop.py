@@ -166,20 +166,33 @@ class StepLaw:
         # A short step leaves little to solve: two substitutions usually do; secant steps where the contact is stiff for the step.
         a = self.force(x - near_x * self._last, v - near_v * self._last)
         b = self.force(x - near_x * a, v - near_v * a)
-        gap = np.abs(b - a)
-        if gap.max() > 1e-4 * (np.abs(b).max() + 1e-300):
-            fa, fb = b - a, self.force(x - near_x * b, v - near_v * b) - b
-            for _ in range(4):
-                slope = fb - fa
-                flat = np.abs(slope) < 1e-30
-                c = np.where(flat, b, b - fb * (b - a) / np.where(flat, 1.0, slope))
-                a, fa, b = b, fb, c
-                fb = self.force(x - near_x * b, v - near_v * b) - b
-                if np.abs(fb).max() <= 1e-6 * (np.abs(b).max() + 1e-300):
-                    break
+        if np.abs(b - a).max() > 1e-4 * (np.abs(b).max() + 1e-300):
+            b = self._bracketed(x, v, near_x, near_v)
         if commit:
             self._last = b
         return b, x - near_x * b, v - near_v * b
+
+    def _bracketed(self, x: Real, v: Real, near_x: float, near_v: float) -> Real:
+        """Root of s − force(x − near_x·s, v − near_v·s) between 0 and force(x, v), where it lies for a force that grows with x and v.
+
+        False position with the Illinois rule: a stop stiffer than the structure within a step does not throw it out.
+        """
+        low = np.zeros_like(x)
+        high = np.asarray(self.force(x, v), float)
+        f_low, f_high = -high, high - self.force(x - near_x * high, v - near_v * high)
+        s = high
+        for _ in range(40):
+            span = f_high - f_low
+            s = np.where(np.abs(span) > 1e-300, low - f_low * (high - low) / np.where(np.abs(span) > 1e-300, span, 1.0), low)
+            f = s - self.force(x - near_x * s, v - near_v * s)
+            if np.all(np.abs(f) <= 1e-7 * (np.abs(s) + 1e-12 * np.abs(high).max())) or not np.any(low != high):
+                break
+            same = f * f_high > 0
+            # The end that stays counts half.
+            f_low = np.where(same, 0.5 * f_low, f_high)
+            low = np.where(same, low, high)
+            high, f_high = s, f
+        return np.asarray(s)
 
 
 class FrictionLaw(StepLaw):
@@ -208,17 +221,23 @@ class MemoryLaw(StepLaw):
     stiffness, yield_force, exponent, ratio : (cases,) arrays
     slope : callable
         (z, step, exponent) → dz/d(x/reach).
+    start : (cases,) array
+        z at the beginning.
     """
 
-    def __init__(self, stiffness: Real, yield_force: Real, exponent: Real, ratio: Real, slope: Callable[[Real, Real, Real], Real]) -> None:
+    def __init__(
+        self, stiffness: Real, yield_force: Real, exponent: Real, ratio: Real, slope: Callable[[Real, Real, Real], Real], start: Real
+    ) -> None:
         super().__init__(lambda x, v: ratio * stiffness * x)
         self.stiffness, self.yield_force, self.exponent, self.ratio, self.slope = stiffness, yield_force, exponent, ratio, slope
-        self.z = np.zeros_like(stiffness)
-        self.x = np.zeros_like(stiffness)
+        self.start = start
+        self.z = np.array(start, float)
+        self.x = np.zeros_like(self.z)
 
     def begin(self, x: Real, v: Real) -> Real:
-        self.z, self.x = np.zeros_like(x), np.array(x)
-        return super().begin(x, v)
+        self.z, self.x = np.array(self.start, float), np.array(x)
+        self._last = self.ratio * self.stiffness * x + (1 - self.ratio) * self.yield_force * self.z
+        return self._last
 
     def _next(self, x: Real) -> Real:
         h = (x - self.x) * self.stiffness / self.yield_force

@@ -237,15 +237,15 @@ def free_decays(hz: Real, poles: Complex, step: float) -> Complex:
     return np.concatenate([up + down, 1j * (up - down)])
 
 
-def decay_in_time(poles: Complex, amplitudes: Complex, n: int, step: float) -> Real:
-    """The same decays as n samples: Σ 2 Re a·exp(λt)/(1 − exp(λ n step)), any number of rows of amplitudes (…, r)."""
+def decay_in_time(poles: Complex, amplitudes: Complex, n: int, step: float, apart: bool = False) -> Real:
+    """The same decays as n samples: Σ 2 Re a·exp(λt)/(1 − exp(λ n step)), any number of rows of amplitudes (…, r); or each mode apart."""
     # exp(λ t) in two factors: a table of n exponentials for each mode would cost more than everything else.
     block = int(np.ceil(np.sqrt(n)))
     coarse = np.exp(poles[:, None] * step * block * np.arange(-(-n // block)))
     fine = np.exp(poles[:, None] * step * np.arange(block))
     scaled = amplitudes / (1 - np.exp(poles * n * step))
-    table = np.einsum("...r,rc,rf->...cf", scaled, coarse, fine, optimize=True)
-    return np.asarray(2 * table.real.reshape(*amplitudes.shape[:-1], -1)[..., :n])
+    table = np.einsum("...r,rc,rf->...rcf" if apart else "...r,rc,rf->...cf", scaled, coarse, fine, optimize=True)
+    return np.asarray(2 * table.real.reshape(*table.shape[:-2], -1)[..., :n])
 
 
 def smoothed_variance(residual: Complex, floor: Real, freedom: float) -> Real:
