@@ -19,7 +19,7 @@ from operando.report import assumptions, derive, derive_diagnosis, render_report
 from operando.report.assessment import RECIPROCITY
 from operando.report.canvas import ORANGE_PURPLE, YELLOW_BROWN, Canvas, shades
 from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
-from operando.report.figures_records import force_figure, level_figure
+from operando.report.figures_records import force_figure, level_figure, simulation_figure
 from operando.report.maps import value_maps
 from operando.report.parts import Numbering
 from operando.report.sections import build
@@ -499,6 +499,11 @@ def test_restoring_force_is_drawn_with_its_law_and_levels(whole):
     cubic = Effect("cubic_stiffness", ("103+Z",)).to_dict()
     found = document("explained", (cubic,)) | {"detection": {"levels_n": [1.0, 4.0], "coherence": [0.9, 0.5], "inhomogeneity": 12.0}}
     found["picture"] = found["picture"] | {"restoring_force": [restoring()]}
+    time = np.linspace(0, 1, 50)
+    wave = np.sin(20 * time)
+    figure = {"record": "low", "dof": "103+Z", "time_s": time.tolist()}
+    figure |= {name: (f * wave).tolist() for name, f in (("measured", 1), ("idle", 2), ("simulated", 1.1))}
+    found["simulation"] = {"gain_db": 12.3, "horizon_s": 0.5, "records": [{"name": "low", "gain_db": 12.3}], "figure": figure}
     results = replace(whole, diagnosis=found)
     model = derive_diagnosis.effect_model(results)
     (spring,) = model.effects
@@ -508,6 +513,8 @@ def test_restoring_force_is_drawn_with_its_law_and_levels(whole):
     assert "98.70 % of the force" in made["diagnosis"]
     assert "differ by 12" in made["diagnosis"]
     assert made["diagnosis"].count("Restoring force that the records ask for") == 1
+    assert "falls by 12.3 dB" in made["diagnosis"]
+    assert "Acceleration at 103+Z" in text_of(simulation_figure(figure))
     text = text_of(level_figure(restoring()["equivalent"], "103+Z: cubic stiffness"))
     assert "1.00 N" in text
     assert force_figure(restoring() | {"binned_velocity": {}}, "103+Z").startswith("<svg")

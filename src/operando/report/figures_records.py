@@ -96,3 +96,37 @@ def _level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)
     return figure, f"Equivalent stiffness and damping at each level: {title}"
+
+
+def simulation_figure(figure: Mapping[str, Any]) -> str:
+    """SVG: measured and simulated response side by side, the idle model's beside them.
+
+    Parameters
+    ----------
+    figure : dict
+        ``simulation.figure`` of ``diagnosis.json``: ``time_s``, ``measured``, ``idle``, ``simulated`` [m/s²], ``dof``, ``record``.
+    """
+    return _simulation_figure(figure)
+
+
+@drawn
+def _simulation_figure(figure: Mapping[str, Any]) -> tuple[Figure, str]:
+    sheet = new_figure(10.2, 3.8)
+    time = np.asarray(figure["time_s"], float)
+    measured = np.asarray(figure["measured"], float)
+    span = 1.1 * float(np.max(np.abs(measured)))
+    for k, (name, color, words) in enumerate((("idle", IDLE, "idle model"), ("simulated", GREEN, "idle model with the effects"))):
+        axes = sheet.add_axes((0.075, 0.53 - 0.4 * k, 0.91, 0.35))
+        axes.plot(time, measured, color=MEASURED, lw=1.5, label="measured")
+        axes.plot(time, np.asarray(figure[name], float), color=color, lw=1.1, ls=(0, (4, 2)), label=words)
+        axes.set_xlim(time[0], time[-1])
+        axes.set_ylim(-span, span)
+        axes.set_ylabel("[m/s²]")
+        axes.grid(True)
+        axes.legend(loc="upper right", ncols=2)
+        if k == 0:
+            axes.set_title(f"Acceleration at {figure['dof']}", fontsize=9.5)
+            axes.tick_params(labelbottom=False)
+        else:
+            axes.set_xlabel("Time in the record [s]")
+    return sheet, f"Measured and simulated acceleration at {figure['dof']}, without and with the effects"

@@ -28,7 +28,26 @@ def restoring_forces(found: Mapping[str, Any], numbering: Numbering) -> str:
             caption = "The spring and the damper that come nearest to the law in the mean square at the level of each record (its force "
             caption += "at the dot): what a linear model would find there. FRFs of the model with effects use the lowest level."
             out.append(numbering.figure(figures_records.level_figure(picture["equivalent"], title), esc(caption)))
+    out.append(_simulation(found.get("simulation") or {}, numbering))
     return "".join(out)
+
+
+def _simulation(simulation: Mapping[str, Any], numbering: Numbering) -> str:
+    """The closed loop against the record that judges."""
+    figure = simulation.get("figure") or {}
+    if not figure.get("time_s") or not finite(simulation.get("gain_db")):
+        return ""
+    records = ", ".join(f"{r['name']}: {number(r['gain_db'], 3)} dB" for r in simulation.get("records") or [])
+    text = (
+        "Simulated in the closed loop, the model with the effects makes the motion itself: only the measured force, and the state at the "
+    )
+    text += (
+        f"beginning of each window of {number(simulation['horizon_s'], 3)} s, come from the record. Over all responses the error falls by "
+    )
+    text += f"{number(simulation['gain_db'], 3)} dB against the idle model ({records})."
+    caption = f"Measured and simulated side by side on {figure['record']}, which nothing was fitted to unless it is the only level; "
+    caption += "in the band compared, around the largest response."
+    return paragraph(text) + numbering.figure(figures_records.simulation_figure(figure), esc(caption))
 
 
 def _seen(detection: Mapping[str, Any]) -> str:
