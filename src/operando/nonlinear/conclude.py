@@ -14,6 +14,7 @@ from operando.errors import DataError
 from operando.nonlinear.equivalent import equivalents
 from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
 from operando.nonlinear.laws import free_law
+from operando.nonlinear.place import Weighted
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case
 from operando.nonlinear.simulate import against_records
@@ -73,7 +74,10 @@ def conclude(
     """Verdict, ladder and words."""
     last = steps[-1].case
     notes: list[str] = []
-    rows = [ladder_row(0, None, last, [r.error for r in (*first.fitted, *first.judged)])]
+    weighted = [Weighted.of(r) for r in (*last.fitted, *last.judged)]
+    idle_errors = [r.error for r in (*first.fitted, *first.judged)]
+    n = len(first.fitted)
+    rows = [ladder_row(0, None, weighted, n, idle_errors)]
     effects = []
     alternatives: list[Tried] = []
     other = False
@@ -81,11 +85,10 @@ def conclude(
         effect = effect_of(first, best)
         effects.append(effect)
         errors = []
-        for run, m in zip((*steps[k].case.fitted, *steps[k].case.judged), best.spot.whole, strict=True):
+        for m in best.spot.whole:
             corrected = m.along.weighted.error / m.along.weighted.root
             errors.append(corrected + m.along.h * m.spectra(best.law.force(m.x, m.v, m.step)))
-            del run
-        rows.append(ladder_row(k + 1, effect, last, errors))
+        rows.append(ladder_row(k + 1, effect, weighted, n, errors))
         for t in steps[k].tried:
             if t.key != best.key and not nested(best, t) and alike(best, t):
                 alternatives.append(t)
@@ -96,7 +99,6 @@ def conclude(
     for effect, best in zip(effects, accepted, strict=True):
         if not effect.definition.level_dependent:
             continue
-        n = len(first.fitted)
         levels = [r.force_level for r in (*first.fitted, *first.judged)]
         drawn = surface(best.spot.whole[:n], best.law) | {
             "kind": effect.kind,
@@ -125,7 +127,7 @@ def conclude(
         proposal(effects, alternatives, first),
         tuple(rows),
         tuple(candidate_row(first, t, step.base_select) for t in step.tried),
-        where_it_fails(last, [r.error for r in (*first.fitted, *first.judged)]),
+        where_it_fails(last, weighted, idle_errors),
         rows[0].get("noise_floor_db"),
         detection,
         {"restoring_force": pictures} if pictures else {},

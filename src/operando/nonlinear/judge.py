@@ -10,7 +10,7 @@ import numpy as np
 from operando.effects import Effect
 from operando.nonlinear.laws import Motion
 from operando.nonlinear.place import Weighted
-from operando.nonlinear.run import Complex, Real, Run
+from operando.nonlinear.run import Complex
 
 if TYPE_CHECKING:
     from operando.nonlinear.search import Case
@@ -34,11 +34,11 @@ def decayed(weighted: Weighted) -> Complex:
     return np.asarray(weighted.error - (run.decay_shapes @ (amplitudes[:, None] * run.decays)) * weighted.root)
 
 
-def figures(runs: Sequence[Run], errors: Sequence[Complex], grams: Sequence[Real | None]) -> dict[str, float]:
+def figures(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, float]:
     """Misfit, error in dB and noise floor of runs with given errors (q, L)."""
     power, count, squares, floor, n = 0.0, 0, 0.0, 0.0, 0
-    for run, error, gram in zip(runs, errors, grams, strict=True):
-        rest = decayed(Weighted.of(run, error, gram))
+    for w, error in zip(weighted, errors, strict=True):
+        run, rest = w.run, decayed(w.with_error(error))
         power += float(np.sum(np.abs(rest) ** 2))
         count += rest.size
         measured = run.responses[:, run.lines]
@@ -55,15 +55,10 @@ def figures(runs: Sequence[Run], errors: Sequence[Complex], grams: Sequence[Real
     }
 
 
-def ladder_row(step: int, added: Effect | None, case: Case, errors: Sequence[Complex]) -> dict[str, Any]:
-    """One row of the ladder: all runs, and the judge set alone (the last third of the lines where there is one level)."""
-    runs = [*case.fitted, *case.judged]
-    everything = figures(runs, errors, [None] * len(runs))
-    n = len(case.fitted)
-    if case.judged:
-        held = figures(runs[n:], errors[n:], [None] * (len(runs) - n))
-    else:
-        held = everything
+def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fitted: int, errors: Sequence[Complex]) -> dict[str, Any]:
+    """One row of the ladder: all runs, and those that judge, which stand behind the ``fitted`` ones (all where there is one level)."""
+    everything = figures(weighted, errors)
+    held = figures(weighted[fitted:], errors[fitted:]) if len(weighted) > fitted else everything
     number = lambda v: float(v) if np.isfinite(v) else None  # noqa: E731
     return {
         "step": step,
@@ -76,16 +71,16 @@ def ladder_row(step: int, added: Effect | None, case: Case, errors: Sequence[Com
     }
 
 
-def where_it_fails(case: Case, errors: Sequence[Complex]) -> dict[str, Any]:
+def where_it_fails(case: Case, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """``by_dof`` and ``by_band`` of the idle model on the judge runs."""
     n = len(case.fitted)
-    pairs = list(zip([*case.fitted, *case.judged], errors, strict=True))
+    pairs = list(zip(weighted, errors, strict=True))
     pairs = pairs[n:] or pairs
     by_row: dict[int, list[float]] = {}
     edges = np.geomspace(max(case.band[0], 1e-3), case.band[1], 9)
     bands: list[list[float]] = [[] for _ in range(8)]
-    for run, error in pairs:
-        rest = np.abs(decayed(Weighted.of(run, error))) ** 2
+    for w, error in pairs:
+        run, rest = w.run, np.abs(decayed(w.with_error(error))) ** 2
         for row, power in zip(run.rows, rest, strict=True):
             by_row.setdefault(int(row), []).append(float(np.mean(power)))
         which = np.clip(np.digitize(run.hz, edges) - 1, 0, 7)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -56,11 +57,7 @@ class Weighted:
         right = np.sum(run.decays.real * pulled.real + run.decays.imag * pulled.imag, axis=1)
         if gram is None:
             j = run.decays.shape[0]
-            gram = np.zeros((j, j))
-            for shape, r in zip(run.decay_shapes, root, strict=True):
-                d = run.decays * r
-                both = np.concatenate([d.real, d.imag], axis=1)
-                gram += (both @ both.T) * np.outer(shape, shape)
+            gram = decay_gram(run.decays, run.decay_shapes, root)
             gram[np.diag_indices(j)] *= 1 + 1e-10
             gram[np.diag_indices(j)] += 1e-300
         return cls(run, root, weighted, gram, right, float(np.sum(np.abs(weighted) ** 2)))
@@ -73,6 +70,25 @@ class Weighted:
         """Amplitudes of the free decays alone, and Σ|error/σ|² with them."""
         amplitudes = cho_solve(cho_factor(self.gram), self.right)
         return amplitudes, self.total - float(self.right @ amplitudes)
+
+
+def decay_gram(decays: Complex, shapes: Real, root: Real) -> Real:
+    """Normal matrix Σ Re(d_j·d_k*)·Σ_i φ_ij·φ_ik/σ_i² of free decays (J, L) with shapes (q, J) and weights 1/σ (q, L)."""
+    j, count = decays.shape
+    # Where the noise is even over some lines they share the sum over responses.
+    edges = np.concatenate([[0], 1 + np.flatnonzero(np.any(np.diff(root, axis=1) != 0, axis=0)), [count]])
+    gram = np.zeros((j, j))
+    if edges.size - 1 < count / 4:
+        for a, b in pairwise(edges):
+            d = np.concatenate([decays[:, a:b].real, decays[:, a:b].imag], axis=1)
+            weighted = shapes * root[:, a, None]
+            gram += (d @ d.T) * (weighted.T @ weighted)
+        return gram
+    for shape, r in zip(shapes, root, strict=True):
+        d = decays * r
+        both = np.concatenate([d.real, d.imag], axis=1)
+        gram += (both @ both.T) * np.outer(shape, shape)
+    return gram
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ Complex = NDArray[np.complex128]
 START_NOISE = 0.003
 """Noise over rms of a response assumed before anything is known of it."""
 
-VARIANCE_LINES = 48
-"""Lines over which the noise is taken to be even."""
+VARIANCE_LINES, EVEN_LINES = 48, 16
+"""Lines over which the noise is averaged, and over which it is even."""
 
 
 @dataclass(frozen=True)
@@ -255,4 +255,8 @@ def smoothed_variance(residual: Complex, floor: Real, freedom: float) -> Real:
     total = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
     index = np.arange(power.shape[1])
     low, high = np.maximum(index - width // 2, 0), np.minimum(index + width // 2 + 1, power.shape[1])
-    return np.maximum((total[:, high] - total[:, low]) / (high - low), floor)
+    smooth = np.maximum((total[:, high] - total[:, low]) / (high - low), floor)
+    # Even over a few lines: then the normal equations of the free decays are cheap.
+    starts = np.arange(0, power.shape[1], EVEN_LINES)
+    size = np.diff(np.append(starts, power.shape[1]))
+    return np.asarray(np.repeat(np.add.reduceat(smooth, starts, axis=1) / size, size, axis=1))
