@@ -171,9 +171,10 @@ def test_exact_modes_as_oma_gives_them_have_no_scale_to_borrow(coarse):
 
 
 @pytest.mark.slow
-def test_raw_files_of_case_2(coarse, tmp_path):
+def test_raw_files_of_case_2(tmp_path):
     """From one hit of 5 s a corner and an output-only record: all modes, and the scaling chosen is no worse than the best."""
-    found = raw.study(tmp_path, coarse["original"], coarse["case 2"], "case 2", (6.0, 222.0), lambda text: None)
+    idle, target = (tripod.modes_of(tripod.DESIGNS[name]) for name in ("original", "case 2"))
+    found = raw.study(tmp_path, idle, target, "case 2", (6.0, 222.0), lambda text: None)
     for state in ("idle", "operating"):
         assert min(likeness for _, row, likeness in found.found[state] if row >= 0) > 0.98
         assert sum(row < 0 for _, row, _ in found.found[state]) == 0

@@ -1,9 +1,11 @@
-"""Prior-weighted expansion: operational shapes as mixtures of all idle modes, weighted by what a local change can do.
+"""Prior-weighted expansion: operational shapes as mixtures of all idle modes, weighted by what a change can do.
 
 A change of stiffness or mass at some place b mixes idle mode k into an operational mode at ω_o by q_k ∝ φ_k(b)/(ω_k² − ω_o²)
 (method.md, "What the paper leaves open"). Where b is not known, φ_k(b) is of the size of the others: so q has a prior with
-standard deviations ∝ 1/|ω_k² − ω_o²|, and its posterior mean follows from the shape and its noise. All idle modes take part,
-residual ones too, however few sensors there are, and noise is smoothed where the prior leaves no room for it. The scale then
+standard deviations ∝ √(δ_j·δ_k)/|ω_k² − ω_o²|, δ the relative shifts of ω² that operation made: modes that do not move do not
+mix. How far shapes really follow, one width for all with some scatter, is the most likely; its posterior mean follows from the
+shape and its noise. All idle modes take part, residual ones too, however few sensors there are, and noise is smoothed where the
+prior leaves no room for it: where nothing changed, the idle shapes remain. The scale then
 follows from the modal mass qᵀq = 1 if mass is the same at rest and in operation (assumption 3 of Shen & Lu 2024, Eq 13 in
 another basis), or from the modal stiffness qᵀΩ²q = ω_o² if stiffness is; which of the two holds is seen from the
 orthogonality of the operational modes.
@@ -20,13 +22,31 @@ from numpy.typing import NDArray
 from operando.errors import IdentificationError
 
 DEFAULT_NOISE = 0.02
-"""Relative noise of an operational shape where no covariance is given."""
+"""Relative noise of an operational shape where no covariance is given and none can be told."""
 
 NOISE_FLOOR = 0.003
 """Least relative noise: idle shapes are not better than this."""
 
-WIDTHS = (0.3, 1.0, 3.0, 10.0, 30.0)
-"""Trial widths of the prior; the evidence of each shape chooses."""
+WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Trial widths of the prior, 1 being what the frequency shifts let expect; the evidence of each shape chooses."""
+
+WIDTH_SPREAD = 0.7
+"""Standard deviation of the logarithm of the width of a shape about the centre common to all shapes."""
+
+CENTRE_SPREAD = 3.0
+"""Standard deviation of that centre about 0, a width of 1."""
+
+HZ_NOISE = 5e-4
+"""Least relative deviation of a frequency that says nothing."""
+
+ISOTROPIC = 0.2
+"""Part of the variance of a shape that is put down to noise of any direction: covariances of an OMA are too sure of some directions."""
+
+NOISE_FACTORS = (1.0, 3.0, 10.0)
+"""Trial factors on the stated noise of a shape: now and then an OMA is far too sure of a mode."""
+
+FACTOR_PRICE = 2.0
+"""Power with which the likelihood of a factor falls."""
 
 NOT_ORTHOGONAL = 0.02
 """Non-orthogonality of close modes that is put down to the change, not to noise."""
@@ -52,14 +72,15 @@ class Prior:
     participation : (n_idle, n_operating) array
         Of q, for operational shapes of unit length.
     remainder : (n_operating,) array
-        Of the part of a shape, at each DOF, that lies outside the span of the idle modes.
+        Of the part of a shape, at each DOF, that the idle modes do not explain.
     noise : (n_operating, m, m) array
         Covariance of the shape values.
     mixing : (n_operating, n_operating) array
         Part of the non-orthogonality of modes s and r that is taken out of r, between 0 and 1: large where little is known
         about how much of s there is in r, as for close modes.
     outside : (m, m) array
-        Projector on what lies outside the span of the idle modes; zero with at least as many modes as DOFs.
+        Where that part may lie: the projector on what is outside the span of the idle modes (zero with at least as many modes as
+        DOFs), or everything for shapes without stated noise.
     """
 
     participation: NDArray[np.float64]
@@ -81,6 +102,7 @@ def make_prior(
     damping: NDArray[np.float64],
     partners: NDArray[np.int_],
     noise: NDArray[np.float64] | None = None,
+    hz_noise: NDArray[np.float64] | None = None,
 ) -> Prior:
     """Prior of each operational shape; its width and remainder are the most likely of a small grid (empirical Bayes).
 
@@ -93,34 +115,121 @@ def make_prior(
     partners : (n_operating,) int array
         Idle partner or −1.
     noise : (n_operating, m, m) array, optional
-        Covariance of each column of ``unit_shapes``.
+        Covariance of each column of ``unit_shapes``; without it the shapes count as nearly exact.
+    hz_noise : (n_operating,) array, optional
+        Relative standard deviation of the operational frequencies.
     """
     m, n = unit_shapes.shape
     each = np.eye(m) / m
-    cov = np.repeat(DEFAULT_NOISE**2 * each[None], n, axis=0) if noise is None else noise + NOISE_FLOOR**2 * each
-    width = np.zeros((idle.shape[1], n))
-    remainder = np.zeros(n)
-    size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
     outside = np.eye(m) - idle @ np.linalg.pinv(idle) if idle.shape[1] < m else np.zeros((m, m))
+    shift = frequency_shifts(idle_hz, operating_hz, partners, hz_noise)
+    if noise is not None:
+        own = np.trace(noise, axis1=1, axis2=2)[:, None, None]
+        cov = noise + (ISOTROPIC * own + NOISE_FLOOR**2) * each
+    else:
+        # Nothing is known of the noise: what the idle modes do not explain is taken for part of the shape.
+        cov, outside = np.repeat(NOISE_FLOOR**2 * each[None], n, axis=0), np.eye(m)
+    tables = []
     for r in range(n):
-        # Damping keeps the weight finite where frequencies meet: what lies within a bandwidth may mix freely.
-        reach = 1 / np.hypot(1 - (idle_hz / operating_hz[r]) ** 2, 2 * damping[r] + 1e-4)
-        j = int(partners[r]) if partners[r] >= 0 else int(np.argmax(reach))
-        relative = reach / max(reach[j], 1e-12) / size[j]
-        best = -np.inf
-        for t in WIDTHS:
-            std = np.minimum(t * relative, 3 / size)
-            std[j] = 3 / size[j]
-            spread = (idle * std**2) @ idle.T
-            for rest in REMAINDERS if idle.shape[1] < m else REMAINDERS[:1]:
-                tau = rest * float(np.sqrt(np.trace(cov[r]) / m))
-                factor = np.linalg.cholesky(spread + cov[r] + tau**2 * outside)
-                white = np.linalg.solve(factor, unit_shapes[:, r])
-                evidence = -0.5 * float(white @ white) - float(np.sum(np.log(np.diag(factor))))
-                if evidence > best + 1e-9:
-                    best, width[:, r], remainder[r] = evidence, std, tau
-    found = Prior(width, remainder, cov, np.zeros((n, n)), outside)
+        relative, j = _relative(idle, idle_hz, operating_hz[r], damping[r], int(partners[r]), shift[0][r], shift[1])
+        tables.append(_trials(idle, relative, j, unit_shapes[:, r], cov[r], outside))
+    chosen = _common_width(np.array([[trial.evidence for trial in table] for table in tables]))
+    taken = [tables[r][k] for r, k in enumerate(chosen)]
+    louder = np.array([trial.noise_factor for trial in taken])
+    found = Prior(
+        np.array([trial.width for trial in taken]).T,
+        np.array([trial.remainder for trial in taken]),
+        cov * louder[:, None, None] ** 2,
+        np.zeros((n, n)),
+        outside,
+    )
     return replace(found, mixing=_mixing(idle, unit_shapes, found, operating_hz))
+
+
+def _common_width(evidence: NDArray[np.float64]) -> list[int]:
+    """Trial of each shape (rows) that is most likely with its neighbours: one change made them all, so widths scatter about one centre."""
+    log_width = np.log(WIDTHS)
+    best, chosen = -np.inf, np.zeros(len(evidence), int)
+    for centre in np.linspace(log_width[0], log_width[-1], 25):
+        each = evidence - 0.5 * ((log_width - centre) / WIDTH_SPREAD) ** 2
+        total = float(np.sum(np.max(each, axis=1))) - 0.5 * (centre / CENTRE_SPREAD) ** 2
+        if total > best + 1e-9:
+            best, chosen = total, np.argmax(each, axis=1)
+    return [int(k) for k in chosen]
+
+
+def frequency_shifts(
+    idle_hz: NDArray[np.float64], operating_hz: NDArray[np.float64], partners: NDArray[np.int_], hz_noise: NDArray[np.float64] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Relative change of ω² that operation made in each operational and each idle mode, never below what its noise could hide.
+
+    A change of one sign has |ΔK_jk| ≤ √(ΔK_jj·ΔK_kk), and ΔK_jj shows as the shift of mode j: modes that do not move do not mix.
+    Modes without a partner get the rms of the others.
+    """
+    std = np.full(operating_hz.size, HZ_NOISE) if hz_noise is None else np.maximum(hz_noise, HZ_NOISE)
+    paired = np.flatnonzero(partners >= 0)
+    own = np.full(operating_hz.size, np.nan)
+    own[paired] = 2 * np.hypot(np.log(operating_hz[paired] / idle_hz[partners[paired]]), std[paired])
+    typical = float(np.sqrt(np.mean(own[paired] ** 2))) if paired.size else 1.0
+    of_idle = np.full(idle_hz.size, typical)
+    of_idle[partners[paired]] = own[paired]
+    return np.where(np.isfinite(own), own, typical), of_idle
+
+
+def _relative(
+    idle: NDArray[np.float64],
+    idle_hz: NDArray[np.float64],
+    hz: float,
+    damping: float,
+    partner: int,
+    shift: float,
+    idle_shifts: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], int]:
+    """Expected size of the participation of each idle mode in a shape of unit length, and the mode that leads it."""
+    # Damping keeps the weight finite where frequencies meet: what lies within a bandwidth may mix freely.
+    reach = 1 / np.hypot(1 - (idle_hz / hz) ** 2, 2 * damping + 1e-4)
+    j = partner if partner >= 0 else int(np.argmax(reach))
+    size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
+    return np.sqrt(shift * idle_shifts) * reach / size[j], j
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Log evidence of a width of the prior, with the best remainder and noise factor."""
+
+    evidence: float
+    width: NDArray[np.float64]
+    remainder: float
+    noise_factor: float
+
+
+def _trials(
+    idle: NDArray[np.float64],
+    relative: NDArray[np.float64],
+    leading: int,
+    shape: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    outside: NDArray[np.float64],
+) -> list[_Trial]:
+    """Each trial width with its best remainder and noise factor."""
+    m = shape.size
+    size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
+    out = []
+    for t in WIDTHS:
+        std = np.minimum(t * relative, 3 / size)
+        std[leading] = 3 / size[leading]
+        spread = (idle * std**2) @ idle.T
+        best = _Trial(-np.inf, std, 0.0, 1.0)
+        for louder in NOISE_FACTORS:
+            for rest in REMAINDERS if np.any(outside) else REMAINDERS[:1]:
+                tau = rest * float(np.sqrt(np.trace(noise) / m))
+                factor = np.linalg.cholesky(spread + louder**2 * noise + tau**2 * outside)
+                white = np.linalg.solve(factor, shape)
+                evidence = -0.5 * float(white @ white) - float(np.sum(np.log(np.diag(factor)))) - FACTOR_PRICE * np.log(louder)
+                if evidence > best.evidence + 1e-9:
+                    best = _Trial(evidence, std, tau, louder)
+        out.append(best)
+    return out
 
 
 def _mixing(idle: NDArray[np.float64], unit_shapes: NDArray[np.float64], prior: Prior, hz: NDArray[np.float64]) -> NDArray[np.float64]:

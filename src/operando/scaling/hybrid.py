@@ -85,7 +85,14 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         np.asarray(idle.frequencies_hz),
         np.asarray(proper.frequencies_hz),
         make_prior(
-            e, idle.frequencies_hz, turned, proper.frequencies_hz, proper.damping_ratios, partners, None if noise is None else noise[0]
+            e,
+            idle.frequencies_hz,
+            turned,
+            proper.frequencies_hz,
+            proper.damping_ratios,
+            partners,
+            None if noise is None else noise[0],
+            _hz_noise(proper),
         ),
     )
     shapes, refused = _all_methods(method, e, o, task)
@@ -167,6 +174,14 @@ def _noise(
         real[r] = a * a * re + b * b * im - a * b * (both + both.T)
         imag[:, r] = np.sqrt(np.maximum(np.diag(b * b * re + a * a * im + a * b * (both + both.T)), 0))
     return real, imag
+
+
+def _hz_noise(operating: ModalModel) -> NDArray[np.float64] | None:
+    """Relative standard deviation of the operational frequencies."""
+    covariance = covariance_of(operating)
+    if covariance is None:
+        return None
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance)[: operating.n_modes], 0)) / operating.frequencies_hz)
 
 
 def _scale_std(modal: ModalModel, n: int) -> NDArray[np.float64] | None:
