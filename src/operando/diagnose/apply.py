@@ -17,7 +17,6 @@ from operando.diagnose.predict import Term
 from operando.diagnose.problem import Problem, choose, scan, step
 from operando.diagnose.refit import Fit
 from operando.diagnose.result import model_of
-from operando.diagnose.sets import FIT, SELECT
 from operando.effects import Effect, parse_effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
@@ -109,7 +108,7 @@ def apply_effects(
             if progress:
                 progress(f"refit with {term.kind.kind}")
             terms[k], begin = best_start(problem, fits[-1], term, start[k])
-            fits.append(problem.joint(terms[: k + 1], [*q, begin], (FIT, SELECT)))
+            fits.append(problem.settled(problem.joint(terms[: k + 1], [*q, begin])))
             q = list(fits[-1].q)
         rows = ladder(problem, fits)
         for k, fit in enumerate(fits[1:], 1):
@@ -117,7 +116,7 @@ def apply_effects(
             if rows[k]["heldout_misfit"] > ENOUGH and rows[k - 1]["heldout_misfit"] > ENOUGH:
                 tried, _ = step(problem, fits[k - 1])
                 if tried:
-                    best = problem.joint(choose(tried).fit.terms, choose(tried).fit.q, (FIT, SELECT))
+                    best = problem.settled(choose(tried).fit)
                     other = ladder(problem, [problem.empty(), best])[1]["heldout_misfit"]
                     if other < 0.5 * rows[k]["heldout_misfit"]:
                         words.append(

@@ -17,28 +17,21 @@ from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
 from operando.diagnose.places import candidates as all_candidates
-from operando.diagnose.problem import EARNED, Problem, Tried, choose, step
+from operando.diagnose.problem import Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
+from operando.diagnose.search import MAX_EFFECTS, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
-from operando.diagnose.sets import FIT, JUDGE, LEVEL_LIMIT, SELECT, CheckLines, split_lines
-from operando.diagnose.verdict import ambiguous_with, separates, verdict_of
+from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
+from operando.diagnose.verdict import ambiguous_with, verdict_of
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
 
 Array = NDArray[Any]
 
-MAX_EFFECTS = 3
-
-SWAPPED = 0.03
-"""What replaces an accepted effect must lower the selection misfit by more than this part."""
-
 WHERE_LINES = 600
 """Lines of a run on which failure by DOF and band is judged."""
-
-DONE = 1.2
-"""Selection misfit at which the data allow no better and nothing more is looked for."""
 
 
 @dataclass(frozen=True)
@@ -216,14 +209,9 @@ def _search(
     band: tuple[float, float] | None,
 ) -> Diagnosis:
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
-    search = greedy(problem, problem.empty(), MAX_EFFECTS if one_system else 1)
-    if len(search.history) > 1:
-        search = from_each(problem, search)
-        fits, history = swap(problem, search.fits, search.history)
-    else:
-        fits, history = search.fits, search.history
-    before, last, further = search.before, search.last, search.further
-    final = [problem.joint(f.terms, f.q, (FIT, SELECT), f) if f.terms else f for f in fits]
+    found = search(problem, MAX_EFFECTS if one_system else 1)
+    fits, history, before, last, further = found.fits, found.history, found.before, found.last, found.further
+    final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
     final = [renamed(f, sensors) for f in final]
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
@@ -255,138 +243,6 @@ def _search(
         problem.idle,
         model_of(problem, final[-1], geometry),
     )
-
-
-@dataclass
-class Search:
-    """Effects accepted one after the other.
-
-    Parameters
-    ----------
-    fits : list of Fit
-        The start, then one a step.
-    history : list
-        Accepted candidate and all tried, a step each.
-    before : list of float
-        Selection misfit before each step and after the last, by the variance of the model then.
-    last : list of Tried
-        Candidates of the last step tried.
-    further : float
-        Selection misfit with the best further candidate over that without it.
-    """
-
-    fits: list[Fit]
-    history: list[tuple[Tried, list[Tried]]]
-    before: list[float]
-    last: list[Tried] = field(default_factory=list)
-    further: float = 1.0
-
-
-def allowing(problem: Problem, fit: Fit) -> Problem:
-    """The problem with the own variance of the model with these effects: a further one must beat that."""
-    own = model_variance(problem.idle, problem.arrays, problem.lines, fit)
-    return problem.with_own(np.maximum(problem.own, own))
-
-
-def greedy(problem: Problem, start: Fit, most: int) -> Search:
-    """Add the best effect as long as each earns its place."""
-    fit, here = start, problem
-    if fit.terms:
-        here = allowing(problem, fit)
-    found = Search([fit], [], [here.misfit(SELECT, fit)])
-    while len(fit.terms) < most:
-        if fit.terms and found.before[-1] < DONE:
-            break
-        tried, _ = step(here, fit)
-        found.last = tried
-        if not tried:
-            break
-        best = choose(tried)
-        found.further = best.selection / found.before[-1]
-        if not separates(best.selection, found.before[-1], EARNED) or not earns(here, fit, best):
-            found.further = max(found.further, 1 - EARNED)
-            break
-        found.history.append((best, tried))
-        fit, found.further = best.fit, 1.0
-        found.fits.append(fit)
-        here = allowing(problem, fit)
-        found.before.append(here.misfit(SELECT, fit))
-    return found
-
-
-def from_each(problem: Problem, found: Search) -> Search:
-    """Search again from each later effect by itself.
-
-    The first place goes to the candidate that mends most while everything else is missing; it may only have stood in for others.
-    """
-    best, then = found, problem.misfit(SELECT, found.fits[-1])
-    last = found.fits[-1]
-    for term, q in zip(last.terms[1:], last.q[1:], strict=True):
-        first = problem.tried(problem.joint([term], [q]))
-        again = greedy(problem, first.fit, MAX_EFFECTS)
-        now = problem.misfit(SELECT, again.fits[-1])
-        if separates(now, then, SWAPPED):
-            then = now
-            history = [(first, [first]), *again.history]
-            best = Search([problem.empty(), *again.fits], history, [found.before[0], *again.before], again.last, again.further)
-    return best
-
-
-def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Tried]]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
-    """Take each effect out in turn and look what fits best in its stead; then drop what no longer earns its place.
-
-    The first effect of several was found while the others were still missing, so it is the likeliest to be wrong.
-    """
-    best = problem.tried(fits[-1])
-    alternatives = {t.term.key: tried for t, tried in history}
-    changed = False
-    for _ in range(2):
-        moved = False
-        for k in range(len(best.fit.terms)):
-            rest = problem.joint([t for i, t in enumerate(best.fit.terms) if i != k], [v for i, v in enumerate(best.fit.q) if i != k])
-            tried, _ = step(problem, rest)
-            if tried and choose(tried).term.key != best.fit.terms[k].key and separates(choose(tried).selection, best.selection, SWAPPED):
-                best = choose(tried)
-                alternatives[best.term.key] = tried
-                moved = changed = True
-                break
-        if not moved:
-            break
-    for k in reversed(range(len(best.fit.terms))):
-        if len(best.fit.terms) < 2:
-            break
-        rest = problem.joint([t for i, t in enumerate(best.fit.terms) if i != k], [v for i, v in enumerate(best.fit.q) if i != k])
-        if not separates(best.selection, problem.misfit(SELECT, rest), EARNED):
-            best, changed = problem.tried(rest), True
-    if not changed:
-        return fits, history
-    # The ladder in the order in which each lowers the misfit most.
-    terms, q = list(best.fit.terms), list(best.fit.q)
-    ordered: list[Fit] = [problem.empty()]
-    told: list[tuple[Tried, list[Tried]]] = []
-    while terms:
-        options = [problem.joint([*ordered[-1].terms, t], [*ordered[-1].q, v]) for t, v in zip(terms, q, strict=True)]
-        k = int(np.argmin([problem.misfit(SELECT, f) for f in options]))
-        ordered.append(options[k])
-        one = problem.tried(options[k])
-        told.append((one, alternatives.get(one.term.key, [one]) if len(terms) == 1 else [one]))
-        del terms[k], q[k]
-    return ordered, told
-
-
-def earns(problem: Problem, fit: Fit, best: Tried) -> bool:
-    """Whether the effect itself lowers the misfit, and not the shape values that were freed with it."""
-    # The same shapes and other effects without this one: if that is as good, the shapes did it.
-    without = Fit(best.fit.terms[:-1], best.fit.q[:-1], best.fit.phi, best.fit.prior)
-    if not separates(best.selection, problem.misfit(SELECT, without), EARNED):
-        return False
-    if best.selection < 0.5 * problem.misfit(SELECT, fit):
-        return True
-    from operando.diagnose.refit import effect_dofs, refit, shape_prior
-
-    prior = shape_prior(problem.idle, effect_dofs(best.fit.terms))
-    freed = refit(problem.arrays, problem.sets[FIT], problem.owns[FIT], fit.terms, fit.q, prior)
-    return separates(best.selection, problem.misfit(SELECT, freed), EARNED)
 
 
 def flat(lines: CheckLines, own: Array, data: Array) -> Lines:

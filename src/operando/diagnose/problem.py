@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from operando.data import ModalModel
 from operando.diagnose.missing_mode import missing_mode_candidate
 from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
-from operando.diagnose.refit import Fit, effect_dofs, mean_misfit, predicted, refit, shape_prior, weights
+from operando.diagnose.refit import Fit, effect_dofs, honest, mean_misfit, model_variance, predicted, refit, settled, weights
 from operando.diagnose.scan import Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
 from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines
+from operando.diagnose.shapes import shape_prior
 
 Array = NDArray[Any]
 
 SHORT_LIST = 14
 """Candidates of the scan that are refitted."""
 
-REFITTED, NEAR = 7, 30.0
+REFITTED, NEAR = 5, 15.0
 """At most so many of them are refitted with the shapes at their places, and only within this factor of the best."""
 
 EARNED = 0.10
@@ -74,6 +75,8 @@ class Problem:
     templates: list[Term]
     say: Callable[[str], None] | None = None
     arrays: IdleArrays = field(init=False)
+    _allowing: dict[int, Problem] = field(init=False, default_factory=dict, repr=False)
+    _kept: Fit | None = field(init=False, default=None, repr=False)
 
     def __post_init__(self) -> None:
         self.arrays = IdleArrays.of(self.idle)
@@ -104,7 +107,24 @@ class Problem:
         prior = start.prior if start is not None else shape_prior(self.idle, effect_dofs(terms) if shapes else np.zeros(0, int))
         mask = np.isin(self.lines.group, groups)
         z = start.z if start is not None else None
-        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z, 12 if shapes else 6)
+        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z, 12 if start is not None else 7)
+
+    def settled(self, fit: Fit) -> Fit:
+        """The last fit, on the fit and select lines, with the covariance that its errors have."""
+        mask = np.isin(self.lines.group, (FIT, SELECT))
+        return settled(self.idle, self.arrays, self.lines.where(mask), self.joint(fit.terms, fit.q, (FIT, SELECT), fit))
+
+    def allowing(self, fit: Fit) -> Problem:
+        """The problem with the own variance of the model with these effects: what is added, or competes, is judged by that."""
+        known = self._allowing.get(id(fit))
+        if known is None:
+            fitted = honest(self.idle, self.arrays, self.sets[FIT], self.owns[FIT], fit)
+            own = model_variance(self.idle, self.arrays, self.lines, fitted)
+            known = self.with_own(np.maximum(self.own, own))
+            self._allowing.clear()
+            self._allowing[id(fit)] = known
+            self._kept = fit  # the id stays its own as long as this lives
+        return known
 
     def with_own(self, own: Array) -> Problem:
         """The same problem judged with another variance of the model."""
@@ -201,10 +221,16 @@ def shortlist(found: Sequence[Candidate], count: int = SHORT_LIST) -> list[Candi
     return [c for c in out if c.cost < 100 * found[0].cost + 10]
 
 
-def step(problem: Problem, fit: Fit) -> tuple[list[Tried], list[Candidate]]:
+def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
     """One more effect: scan, refit the short list with all accepted ones, rank by the select set.
 
     Sizes are refitted first on the idle model's shapes; only what then comes near the best is refitted with its shapes.
+
+    Returns
+    -------
+    tried : list of Tried
+    judged_by : Problem
+        That with the variance by which all of them were judged.
     """
     found = scan(problem, fit)
     first = []
@@ -218,7 +244,11 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], list[Candidate]]:
                 problem.say(f"refit {f.terms[-1].kind.kind} at {', '.join(map(str, f.terms[-1].dofs)) or 'no place'}")
             f = problem.joint(f.terms, f.q)
         tried.append(problem.tried(f))
-    return sorted(tried, key=lambda t: t.selection), found
+    if not tried:
+        return [], problem
+    # All by one variance, that of the model with the best of them: the idle model's own says too little of columns never driven.
+    here = problem.allowing(min(tried, key=lambda t: t.selection).fit)
+    return sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection), here
 
 
 def choose(tried: Sequence[Tried]) -> Tried:

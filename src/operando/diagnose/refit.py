@@ -7,7 +7,7 @@ uncertainty is in the idle model's covariance; here it is the prior under which 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,54 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, by_shapes, predict
+from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, predict
 from operando.diagnose.sets import CheckLines
+from operando.diagnose.shapes import ShapePrior, by_directions, told_by
 
 Array = NDArray[Any]
 
-KEPT = 1e-10
-"""Directions of the prior below this share of the largest variance of one DOF are left out: they are known."""
-
-
-@dataclass(frozen=True)
-class ShapePrior:
-    """Shape values that a refit may move.
-
-    Parameters
-    ----------
-    dofs : (d,) int array
-        Rows of the idle model.
-    modes : (r,) int array
-        Modes whose shape values move.
-    root : (d·r, k) array
-        Square root of their covariance; δφ = root @ z with z of unit variance.
-    """
-
-    dofs: Array
-    modes: Array
-    root: Array
-
-    def moved(self, phi: Array, z: Array) -> Array:
-        """Shapes of the idle model with these values moved."""
-        out = phi.copy()
-        out[np.ix_(self.dofs, self.modes)] += (self.root @ z).reshape(self.dofs.size, -1)
-        return out
-
-
-def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
-    """Prior of the shape values of the modes outside the band at some DOFs, from the idle model's covariance (none without one).
-
-    The shapes of modes in the band are known at every DOF from the drive points, to far better than any effect could tell.
-    """
-    dofs = np.asarray(dofs, int)
-    n, m = idle.n_modes, len(idle.dofs)
-    modes = np.flatnonzero(np.asarray(idle.residual) | ~np.asarray(idle.in_band))
-    if idle.covariance is None or dofs.size == 0 or modes.size == 0:
-        return ShapePrior(dofs[:0], modes, np.zeros((0, 0)))
-    index = (2 * n + modes[None, :] * m + dofs[:, None]).ravel()
-    values, vectors = np.linalg.eigh(idle.covariance[np.ix_(index, index)])
-    keep = values > KEPT * max(float(values[-1]), 1e-300)
-    return ShapePrior(dofs, modes, vectors[:, keep] * np.sqrt(values[keep]))
+COLUMN_DOUBT = 0.05
+"""Part of an effect's trace that columns never driven may have wrong (3–13 % seen): allowed for until their shapes are fitted."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +43,8 @@ class Fit:
         Of [all q, z].
     cost : float
         2·Σ|e|²/var + |z|² on the fitted lines.
+    excess : float
+        Misfit of the last fit where it is above 1: what the numbers' variances are told larger by, the covariance not.
     """
 
     terms: tuple[Term, ...]
@@ -92,11 +54,16 @@ class Fit:
     z: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     cost: float = np.inf
+    excess: float = 1.0
 
     @property
     def std(self) -> tuple[Array, ...]:
         """Standard deviation of each term's moving numbers on the search scale."""
-        diagonal = np.sqrt(np.maximum(np.diag(self.covariance), 0)) if self.covariance.size else np.zeros(sum(v.size for v in self.q))
+        diagonal = (
+            np.sqrt(np.maximum(np.diag(self.covariance), 0) * self.excess)
+            if self.covariance.size
+            else np.zeros(sum(v.size for v in self.q))
+        )
         out, start = [], 0
         for v in self.q:
             out.append(diagonal[start : start + v.size])
@@ -124,7 +91,9 @@ def split(vector: Array, terms: Sequence[Term]) -> tuple[Array, ...]:
     return tuple(vector[a:b] for a, b in pairwise(edges))
 
 
-def jacobian(arrays: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Sequence[Array], prior: ShapePrior, p: Prediction) -> Array:
+def jacobian(
+    arrays: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Sequence[Array], prior: ShapePrior, z: Array, p: Prediction
+) -> Array:
     """∂H/∂[q, z] (parameters, lines, responses, references)."""
     rows = []
     for i, term in enumerate(terms):
@@ -136,11 +105,9 @@ def jacobian(arrays: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Se
             same = None if term.kind.acts in ("modal_change", "added_mode") else p.kernel
             rows.append((predict(arrays, lines, terms, moved, same).data - p.data) / step)
     own = np.array(rows).reshape(len(rows), *p.data.shape)
-    if not prior.dofs.size:
+    if not prior.size:
         return own
-    by = by_shapes(p, lines, prior.dofs, prior.modes)
-    flat = prior.root.T @ by.reshape(by.shape[0], -1)
-    return np.concatenate([own, flat.reshape(-1, *p.data.shape)])
+    return np.concatenate([own, by_directions(p, lines, prior.slope(z))])
 
 
 def refit(
@@ -153,10 +120,12 @@ def refit(
     z: Array | None = None,
     steps: int = 12,
 ) -> Fit:
-    """Levenberg–Marquardt over all effects' numbers and the shape values at their DOFs, on the given lines.
+    """Levenberg–Marquardt over all effects' numbers and the shapes of the idle model at their DOFs, on the given lines.
 
-    Sizes first: far from the answer the shapes must not move to make up for a wrong size. Where the shapes then move by more than
-    their prior allows on average, the prior was too sure of itself (it is a linearised covariance) and is widened by that factor.
+    Sizes first, with an allowance for columns that were never driven: far from the answer the shapes must not move to make up for a
+    wrong size. Then the directions of the shapes that the lines say something about, first with, then without that allowance. Where
+    the shapes move by more than their prior allows on average, the prior was too sure of itself (it is a linearised covariance) and
+    is widened by that factor.
 
     Parameters
     ----------
@@ -168,26 +137,38 @@ def refit(
     terms, q : sequences
         Effects and start of their moving numbers.
     prior : ShapePrior
+        Of no direction: sizes alone, with the allowance.
     z : array, optional
-        Start of the shape values, in units of the prior as given.
+        Start of the shapes, in units of the prior as given: then nothing but the last stage is done.
     steps : int
         Iterations at most, of each pass.
     """
     root_w = np.sqrt(weights(lines, own))
-    start = np.concatenate([np.zeros(0), *q])
-    n_q, k = start.size, prior.root.shape[1]
-    bare = ShapePrior(prior.dofs[:0], prior.modes, np.zeros((0, 0)))
-    if k and n_q and z is None:
-        start = _levenberg(arrays, lines, root_w, terms, start, np.zeros(0), bare, steps, 1e-3)[0]
-    x, normal, cost = _levenberg(arrays, lines, root_w, terms, start, np.zeros(k) if z is None else z, prior, steps, 1e-4)
+    x = np.concatenate([np.zeros(0), *q])
+    n_q = x.size
+    none = np.zeros(0)
+    if z is None:
+        doubt = (COLUMN_DOUBT * np.abs(lines.data - predict(arrays, lines, (), ()).data)) ** 2
+        soft = np.sqrt(weights(lines, own + doubt))
+        x, normal, cost = _levenberg(arrays, lines, soft, terms, x, none, prior.bare(), steps, 1e-3)
+        if not prior.size:
+            return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
+        whole, back = prior, np.zeros((prior.size, 0))
+        for weight, most, tolerance in ((soft, min(steps, 5), 1e-2), (root_w, steps, 1e-3)):
+            p = predict(arrays.with_phi(prior.moved(x[n_q:]) if x.size > n_q else arrays.phi), lines, terms, split(x[:n_q], terms))
+            slope = by_directions(p, lines, whole.root) * weight
+            prior, turn = told_by(whole, slope.reshape(whole.size, -1))
+            x, normal, cost = _levenberg(arrays, lines, weight, terms, x[:n_q], turn.T @ back @ x[n_q:], prior, most, tolerance)
+            back = turn
+    else:
+        x, normal, cost = _levenberg(arrays, lines, root_w, terms, x, z, prior, steps, 1e-4)
     for _ in range(2):
-        wide = float(np.sqrt(np.mean(x[n_q:] ** 2))) if k else 0.0
+        wide = float(np.sqrt(np.mean(x[n_q:] ** 2))) if x.size > n_q else 0.0
         if wide <= 1.2:
             break
-        prior = ShapePrior(prior.dofs, prior.modes, prior.root * wide)
-        x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-4)
-    phi = prior.moved(arrays.phi, x[n_q:]) if k else arrays.phi
-    return Fit(tuple(terms), split(x[:n_q], terms), phi, prior, x[n_q:], _inverse(normal), cost)
+        prior = prior.widened(wide)
+        x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
+    return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], _inverse(normal), cost)
 
 
 def _levenberg(
@@ -210,7 +191,7 @@ def _levenberg(
     x = np.clip(np.r_[q, z], low, high)
 
     def state(x: Array) -> tuple[IdleArrays, Prediction, Array, float]:
-        here = arrays.with_phi(prior.moved(arrays.phi, x[n_q:])) if k else arrays
+        here = arrays.with_phi(prior.moved(x[n_q:])) if k else arrays
         p = predict(here, lines, terms, split(x[:n_q], terms), base)
         error = root_w * (lines.data - p.data)
         return here, p, error, 2 * float(np.sum(np.abs(error) ** 2)) + float(x[n_q:] @ x[n_q:])
@@ -221,7 +202,7 @@ def _levenberg(
         return x, normal, cost
     damping = 1e-5
     for _ in range(steps):
-        jac = jacobian(here, lines, terms, split(x[:n_q], terms), prior, p) * root_w
+        jac = jacobian(here, lines, terms, split(x[:n_q], terms), prior, x[n_q:], p) * root_w
         flat = jac.reshape(x.size, -1)
         stacked = np.concatenate([flat.real, flat.imag], axis=1)
         normal = 2 * stacked @ stacked.T
@@ -273,7 +254,7 @@ def model_variance(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit:
     """Variance E|ΔH|² of the predicted receptance, the idle model's own and that of what was refitted.
 
     The refitted numbers carry their covariance after the fit; all other modal parameters that of the idle model given the refitted
-    shape values, carried through the exact update (first order).
+    directions of the shapes, carried through the exact update (first order).
 
     Returns
     -------
@@ -281,14 +262,43 @@ def model_variance(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit:
     """
     here = arrays.with_phi(fit.phi)
     p = predict(here, lines, fit.terms, fit.q)
+    total, _ = carried(idle, arrays, lines, fit, p)
+    if fit.covariance.size and idle.covariance is not None:
+        jac = jacobian(here, lines, fit.terms, fit.q, fit.prior, fit.z, p).reshape(fit.covariance.shape[0], -1)
+        total += np.real(np.sum(np.conj(jac) * (fit.covariance @ jac), axis=0)).reshape(total.shape)
+    return np.maximum(total, 0)
+
+
+def carried(
+    idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit: Fit, p: Prediction, weighted: Array | None = None
+) -> tuple[Array, Array]:
+    """Variance of the predicted receptance from what the fit left of the idle model's uncertainty, and how it reaches a fit.
+
+    Parameters
+    ----------
+    idle : ModalModel
+    arrays : IdleArrays
+    lines : CheckLines
+    fit : Fit
+    p : Prediction
+        Of the fit on these lines.
+    weighted : (k, lines, responses, references) array, optional
+        Derivatives of the receptance times the weights of a fit.
+
+    Returns
+    -------
+    variance : (lines, responses, references) array
+    reach : (k, n_parameters) array
+        2 Re Σ conj(weighted)·∂H/∂θ: what an error of θ does to the gradient of the fit; empty without ``weighted``.
+    """
     total = np.zeros(p.data.shape)
+    n, m = idle.n_modes, len(idle.dofs)
+    reach = np.zeros((0 if weighted is None else len(weighted), idle.n_parameters))
     if idle.covariance is None:
-        return total
+        return total, reach
     from operando.diagnose.result import given_shapes
 
-    n, m = idle.n_modes, len(idle.dofs)
-    prior = fit.prior
-    covariance, _ = given_shapes(idle, fit)
+    covariance = given_shapes(idle, fit)
     changed = arrays.model
     for t, q in zip(fit.terms, fit.q, strict=True):
         if t.kind.acts == "modal_change":
@@ -299,15 +309,50 @@ def model_variance(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit:
     for a, i in enumerate(lines.responses[p.order]):
         for b, j in enumerate(lines.references):
             dofs = np.unique(np.r_[at, i, j]).astype(int)
-            gradient = np.concatenate([hz[:, :, a, b], zeta[:, :, a, b], _by_shapes_of_pair(p, lines, dofs, n, a, b)])
+            gradient = np.concatenate([hz[:n, :, a, b], zeta[:n, :, a, b], _by_shapes_of_pair(p, lines, dofs, n, a, b)])
             index = np.concatenate([modes, n + modes, (2 * n + modes[None, :] * m + dofs[:, None]).ravel()])
             block = covariance[np.ix_(index, index)]
             for g in (gradient.real, gradient.imag):
                 total[:, a, b] += np.einsum("kl,kl->l", g, block @ g)
-    if fit.covariance.size:
-        jac = jacobian(here, lines, fit.terms, fit.q, prior, p).reshape(fit.covariance.shape[0], -1)
-        total += np.real(np.sum(np.conj(jac) * (fit.covariance @ jac), axis=0)).reshape(total.shape)
-    return np.maximum(total, 0)
+            if weighted is not None:
+                reach[:, index] += 2 * np.real(np.conj(weighted[:, :, a, b]) @ gradient.T)
+    return np.maximum(total, 0), reach
+
+
+def settled(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit: Fit) -> Fit:
+    """The last fit: lines weighted by what the model with its effects is worth there, and the covariance that its errors have."""
+    if not fit.terms:
+        return fit
+    own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
+    return honest(idle, arrays, lines, own, refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z))
+
+
+def honest(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit) -> Fit:
+    """The fit with the covariance that its errors have.
+
+    The fit takes errors of lines for independent. Noise is shared by neighbouring lines, and what the idle model does not know is
+    common to all of them; with A the normal matrix, J the derivatives and W the weights the numbers have the covariance
+    A⁻¹ (Jᵀ W Σ W J) A⁻¹, Σ that of the lines from noise (its correlation over lines) and from the idle model's parameters.
+    """
+    if not fit.covariance.size:
+        return fit
+    here = arrays.with_phi(fit.phi)
+    p = predict(here, lines, fit.terms, fit.q)
+    jac = jacobian(here, lines, fit.terms, fit.q, fit.prior, fit.z, p)
+    w = weights(lines, own)
+    _, reach = carried(idle, arrays, lines, fit, p, jac * w)
+    size = len(jac)
+    flat = jac.reshape(size, -1)
+    noise = np.where(w > 0, w**2 * np.where(np.isfinite(lines.variance), lines.variance, 0), 0).ravel()
+    n_q = sum(v.size for v in fit.q)
+    prior = np.diag(np.r_[np.zeros(n_q), np.ones(size - n_q)])
+    inverse = _inverse(2 * np.real((flat * w.ravel()).conj() @ flat.T) + prior)
+    middle = 2 * lines.shared * np.real((flat * noise).conj() @ flat.T) + prior
+    if idle.covariance is not None:
+        from operando.diagnose.result import given_shapes
+
+        middle += reach @ given_shapes(idle, fit) @ reach.T
+    return replace(fit, covariance=inverse @ middle @ inverse, excess=max(1.0, mean_misfit(lines, own, p.data)))
 
 
 def _by_shapes_of_pair(p: Prediction, lines: CheckLines, dofs: Array, n_modes: int, a: int, b: int) -> Array:
@@ -330,7 +375,7 @@ def predicted(arrays: IdleArrays, lines: CheckLines, fit: Fit, variance: bool = 
     p = predict(here, lines, fit.terms, fit.q)
     if not variance or not fit.covariance.size:
         return p.data, None
-    jac = jacobian(here, lines, fit.terms, fit.q, fit.prior, p).reshape(fit.covariance.shape[0], -1)
+    jac = jacobian(here, lines, fit.terms, fit.q, fit.prior, fit.z, p).reshape(fit.covariance.shape[0], -1)
     spread = np.real(np.sum(np.conj(jac) * (fit.covariance @ jac), axis=0))
     return p.data, np.maximum(spread, 0).reshape(p.data.shape)
 

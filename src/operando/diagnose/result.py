@@ -21,18 +21,6 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-SHARED_LINES = 2.8
-"""Lines of a local rational estimate share data with their neighbours (17-line windows on every other line): √8 fewer independent ones."""
-
-SIZE_FLOOR = 1.5e-3
-"""Relative standard deviation from what the idle model does not know of itself; the first hidden cases were off by 0.12 % in the median."""
-
-
-def stated_std(fitted: float, value: float) -> float:
-    """Standard deviation of a size as told to the user: correlated lines and the idle model's own error added."""
-    return float(np.hypot(SHARED_LINES * fitted, SIZE_FLOOR * value))
-
-
 def effects_of(fit: Fit, dofs: Sequence[Dof] = ()) -> list[Effect]:
     """The fitted terms as effects with values and standard deviations; an added mode's shape needs the idle model's DOFs."""
     out = []
@@ -40,8 +28,7 @@ def effects_of(fit: Fit, dofs: Sequence[Dof] = ()) -> list[Effect]:
         values = term.values(q)
         shape = values.pop("shape", None)
         std = {
-            name: stated_std(float(abs(term.kind.parameter(name).slope(float(values[name])) * s)), float(values[name]))
-            for name, s in zip(term.moving, spread, strict=False)
+            name: float(abs(term.kind.parameter(name).slope(float(values[name])) * s)) for name, s in zip(term.moving, spread, strict=False)
         }
         out.append(
             Effect(
@@ -60,18 +47,23 @@ def effects_of(fit: Fit, dofs: Sequence[Dof] = ()) -> list[Effect]:
     return out
 
 
-def given_shapes(idle: ModalModel, fit: Fit) -> tuple[Array, Array]:
-    """Covariance of θ given the refitted shape values (those rows 0), and the rows of θ that were refitted."""
-    assert idle.covariance is not None
+def moves_of(idle: ModalModel, fit: Fit) -> Array:
+    """Move of θ for unit z of what was fitted, (n_parameters, k)."""
     n, m = idle.n_modes, len(idle.dofs)
+    root = np.zeros((idle.n_parameters, fit.prior.size))
+    root[2 * n : 2 * n + n * m] = np.moveaxis(fit.prior.slope(fit.z), 1, 0).reshape(n * m, -1)
+    return root
+
+
+def given_shapes(idle: ModalModel, fit: Fit) -> Array:
+    """Covariance of θ given the directions of the shapes that were fitted."""
+    assert idle.covariance is not None
     covariance = np.array(idle.covariance)
-    moved = (2 * n + fit.prior.modes[None, :] * m + fit.prior.dofs[:, None]).ravel().astype(int)
-    if moved.size:
-        across = covariance[:, moved]
-        covariance -= across @ np.linalg.pinv(covariance[np.ix_(moved, moved)], rcond=1e-10, hermitian=True) @ across.T
-        covariance[moved, :] = 0
-        covariance[:, moved] = 0
-    return covariance, moved
+    if fit.prior.size:
+        across = covariance[:, 2 * idle.n_modes :] @ fit.prior.told
+        own = fit.prior.told.T @ across[2 * idle.n_modes :]
+        covariance -= across @ np.linalg.pinv(own, rcond=1e-10, hermitian=True) @ across.T
+    return covariance
 
 
 def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Model:
@@ -81,11 +73,10 @@ def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Mo
     updated = replace(idle, shapes=fit.phi)
     if idle.covariance is None or not fit.covariance.size:
         return Model(updated, effects, geometry)
-    covariance, moved = given_shapes(idle, fit)
+    covariance = given_shapes(idle, fit)
     n_q = sum(v.size for v in fit.q)
-    root = fit.prior.root
-    if moved.size:
-        covariance[np.ix_(moved, moved)] = root @ fit.covariance[n_q:, n_q:] @ root.T
+    root = moves_of(idle, fit)
+    covariance += root @ fit.covariance[n_q:, n_q:] @ root.T
     # Rows of the values: all parameters of each effect, those held with no variance.
     size = sum(len(e.definition.parameters) for e in effects)
     lift = np.zeros((size, n_q))
@@ -100,8 +91,7 @@ def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Mo
     joint = np.zeros((p + size, p + size))
     joint[:p, :p] = covariance
     joint[p:, p:] = lift @ fit.covariance[:n_q, :n_q] @ lift.T
-    if moved.size:
-        across = root @ fit.covariance[n_q:, :n_q] @ lift.T
-        joint[np.ix_(moved, np.arange(p, p + size))] = across
-        joint[np.ix_(np.arange(p, p + size), moved)] = across.T
+    across = root @ fit.covariance[n_q:, :n_q] @ lift.T
+    joint[:p, p:] = across
+    joint[p:, :p] = across.T
     return Model(replace(updated, covariance=covariance), effects, geometry, joint)

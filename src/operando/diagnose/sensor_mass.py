@@ -66,8 +66,9 @@ def of_a_sensor(problem: Problem, fit: Fit, operating: ModalModel | None, geomet
         Operational modes.
     geometry : Geometry or None
     """
-    if operating is None or not operating.n_modes:
-        return []
+    proper = np.asarray(problem.idle.in_band) & ~np.asarray(problem.idle.residual)
+    if operating is None or not operating.n_modes or proper.sum() < 2:
+        return []  # one frequency may err, and the mass with it
     out = []
     effects = effects_of(fit, problem.idle.dofs)
     updated = replace(problem.idle, shapes=fit.phi, covariance=None, std=None)

@@ -20,6 +20,9 @@ BLOCKS = 18
 MAX_LINES = 560
 """Lines kept of one run: enough for some on every peak, few enough for a scan of all pairs of places."""
 
+SHARED, MOST_SHARED = 8.0, 16.0
+"""Lines worth one independent line where no two runs tell (a local rational estimate of 17-line windows, every other line), and at most."""
+
 LEVEL_LIMIT = 2.0
 """Runs whose difference exceeds this many times the variance expected from noise are not one linear system."""
 
@@ -48,6 +51,8 @@ class CheckLines:
         What was left out, and why; which set is what.
     disagreement : float
         Squared difference of the runs over the variance expected (1 if they are one linear system); NaN with one run.
+    shared : float
+        Lines kept that are worth one independent line, because estimates at neighbouring lines share data.
     """
 
     hz: NDArray[np.float64]
@@ -62,6 +67,7 @@ class CheckLines:
     stride: int
     notes: tuple[str, ...] = ()
     disagreement: float = float("nan")
+    shared: float = SHARED
 
     @property
     def omega(self) -> NDArray[np.float64]:
@@ -83,6 +89,7 @@ class CheckLines:
             self.stride,
             self.notes,
             self.disagreement,
+            self.shared,
         )
 
 
@@ -175,7 +182,8 @@ def split_lines(
         notes.append(f"judged on {names[0]}, which nothing is fitted to; blocks of the other lines are fitted and selected on in turn")
     else:
         notes.append(f"{BLOCKS} contiguous blocks of lines: fit, select and judge in turn")
-    return _stack(parts, tuple(notes), _disagreement(frfs))
+    stride = max(p.stride for p in parts)
+    return _stack(parts, tuple(notes), *_disagreement(frfs, stride))
 
 
 def _aligned(run: CheckRun, idle: ModalModel, notes: list[str]) -> Frf:
@@ -237,9 +245,17 @@ def _filled(frf: Frf, index: NDArray[np.int_]) -> tuple[NDArray[np.complex128], 
     return np.where(good, data, 0), np.where(good, np.maximum(np.where(good, variance, 0), floor), np.inf)
 
 
-def _disagreement(frfs: list[Frf]) -> float:
-    """Mean squared difference between the first run and each other over the sum of their variances; the largest; NaN without a pair."""
-    worst = float("nan")
+def _disagreement(frfs: list[Frf], stride: int) -> tuple[float, float]:
+    """Squared difference between the first run and each other over the sum of their variances, and how long it stays alike.
+
+    Returns
+    -------
+    disagreement : float
+        The largest mean; NaN without a pair.
+    shared : float
+        1 + 2 Σ ρ_k over lines ``stride`` apart: lines worth one independent line.
+    """
+    worst, shared = float("nan"), []
     for other in frfs[1:]:
         refs = tuple(d for d in frfs[0].references if d in other.references)
         responses = tuple(d for d in frfs[0].responses if d in other.responses)
@@ -252,11 +268,31 @@ def _disagreement(frfs: list[Frf]) -> float:
         total = one.variance + two.variance
         good = np.isfinite(total) & (total > 0) & np.isfinite(one.data) & np.isfinite(two.data)
         if np.any(good):
-            worst = float(np.nanmax([worst, np.mean(np.abs(one.data - two.data)[good] ** 2 / total[good])]))
-    return worst
+            unit = np.where(good, (one.data - two.data) / np.sqrt(np.where(good, total, 1)), 0)
+            worst = float(np.nanmax([worst, np.sum(np.abs(unit) ** 2) / np.sum(good)]))
+            shared.append(lines_alike(unit[:, :, stride // 2 :: stride]))
+    return worst, float(np.mean(shared)) if shared else SHARED
 
 
-def _stack(parts: list[CheckLines], notes: tuple[str, ...], disagreement: float) -> CheckLines:
+def lines_alike(unit: NDArray[np.complex128]) -> float:
+    """1 + 2 Σ ρ_k of noise along the last axis, the sum ending where ρ falls below 0.05; at most ``MOST_SHARED``.
+
+    Parameters
+    ----------
+    unit : (..., n_lines) array
+        Noise over its standard deviation.
+    """
+    power = float(np.mean(np.abs(unit) ** 2))
+    total = 1.0
+    for k in range(1, min(unit.shape[-1] - 1, 24)):
+        rho = float(np.mean(np.real(np.conj(unit[..., :-k]) * unit[..., k:]))) / max(power, 1e-300)
+        if rho < 0.05:
+            break
+        total += 2 * rho
+    return min(total, MOST_SHARED)
+
+
+def _stack(parts: list[CheckLines], notes: tuple[str, ...], disagreement: float, shared: float) -> CheckLines:
     first = parts[0]
 
     def join(name: str) -> NDArray:
@@ -275,4 +311,5 @@ def _stack(parts: list[CheckLines], notes: tuple[str, ...], disagreement: float)
         max(p.stride for p in parts),
         notes,
         disagreement,
+        shared,
     )

@@ -1,0 +1,216 @@
+"""The search for effects: one after the other, from several first ones, each exchanged in turn, the simplest that does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
+from operando.diagnose.refit import Fit, effect_dofs, refit
+from operando.diagnose.sets import FIT, SELECT
+from operando.diagnose.shapes import shape_prior
+from operando.diagnose.verdict import separates
+from operando.effects import catalogue
+
+MAX_EFFECTS = 3
+
+SWAPPED = 0.03
+"""What replaces an accepted effect must lower the selection misfit by more than this part."""
+
+DONE = 1.2
+"""Selection misfit at which the data allow no better and nothing more is looked for."""
+
+FIRSTS, POOR = 3, 2.5
+"""First effects from which the search starts again where it ends with a selection misfit above this."""
+
+
+@dataclass
+class Search:
+    """Effects accepted one after the other.
+
+    Parameters
+    ----------
+    fits : list of Fit
+        The start, then one a step.
+    history : list
+        Accepted candidate and all tried, a step each.
+    before : list of float
+        Selection misfit before each step and after the last, by the variance of the model then.
+    last : list of Tried
+        Candidates of the last step tried.
+    further : float
+        Selection misfit with the best further candidate over that without it.
+    """
+
+    fits: list[Fit]
+    history: list[tuple[Tried, list[Tried]]]
+    before: list[float]
+    last: list[Tried] = field(default_factory=list)
+    further: float = 1.0
+
+    @property
+    def done(self) -> bool:
+        """Whether the data allow no better."""
+        return self.before[-1] < DONE
+
+
+def search(problem: Problem, most: int = MAX_EFFECTS) -> Search:
+    """The effects that explain the lines best, at most so many."""
+    found = greedy(problem, problem.empty(), most)
+    if not found.history or most < 2:
+        return simplified(problem, found)
+    if found.before[-1] > POOR:
+        found = from_others(problem, found, most)
+    if len(found.history) > 1:
+        fits, history = swap(problem, found.fits, found.history)
+        found = replace(found, fits=fits, history=history)
+    return simplified(problem, found)
+
+
+def greedy(problem: Problem, start: Fit, most: int) -> Search:
+    """Add the best effect as long as each earns its place."""
+    fit, here = start, problem
+    if fit.terms:
+        here = problem.allowing(fit)
+    found = Search([fit], [], [here.misfit(SELECT, fit)])
+    while len(fit.terms) < most:
+        if fit.terms and found.done:
+            break
+        tried, judged = step(here, fit)
+        found.last = tried
+        if not tried:
+            break
+        best = choose(tried)
+        now = judged.misfit(SELECT, fit)
+        found.further = best.selection / now
+        if not separates(best.selection, now, EARNED) or not earns(judged, fit, best):
+            found.further = max(found.further, 1 - EARNED)
+            break
+        found.history.append((best, tried))
+        fit, found.further = best.fit, 1.0
+        found.fits.append(fit)
+        here = problem.allowing(fit)
+        found.before.append(here.misfit(SELECT, fit))
+    return found
+
+
+def from_others(problem: Problem, found: Search, most: int) -> Search:
+    """Search again from other first effects: what mends most while everything else is missing may only have stood in for several."""
+    best, then = found, problem.misfit(SELECT, found.fits[-1])
+    last = found.fits[-1]
+    most = min(most, max(2, len(last.terms)))
+    starts = [(t, q) for t, q in zip(last.terms[1:], last.q[1:], strict=True)]
+    seen = {found.history[0][0].term.dofs, *(t.dofs for t, _ in starts)}
+    for other in found.history[0][1]:
+        if len(starts) < FIRSTS and other.term.dofs not in seen:
+            seen.add(other.term.dofs)
+            starts.append((other.term, other.fit.q[-1]))
+    for term, q in starts:
+        first = problem.tried(problem.joint([term], [q]))
+        again = greedy(problem, first.fit, most)
+        now = problem.misfit(SELECT, again.fits[-1])
+        # One more effect must earn its place here as anywhere.
+        more = len(again.fits[-1].terms) - len(best.fits[-1].terms)
+        if separates(now, then, max(SWAPPED, EARNED * more)):
+            then = now
+            history = [(first, found.history[0][1]), *again.history]
+            best = Search([problem.empty(), *again.fits], history, [found.before[0], *again.before], again.last, again.further)
+            if best.done:
+                break
+    return best
+
+
+def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Tried]]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
+    """Take each effect out in turn and look what fits best in its stead; then drop what no longer earns its place.
+
+    The first effect of several was found while the others were still missing, so it is the likeliest to be wrong.
+    """
+    best = problem.tried(fits[-1])
+    alternatives = {t.term.key: tried for t, tried in history}
+    changed = False
+    for _ in range(2):
+        moved = False
+        for k in range(len(best.fit.terms)):
+            rest = problem.joint(*_without(best.fit, k))
+            tried, _ = step(problem, rest)
+            raw = [problem.tried(t.fit) for t in tried[:1]]
+            if raw and raw[0].term.key != best.fit.terms[k].key and separates(raw[0].selection, best.selection, SWAPPED):
+                best = raw[0]
+                alternatives[best.term.key] = tried
+                moved = changed = True
+                break
+        if not moved:
+            break
+    for k in reversed(range(len(best.fit.terms))):
+        if len(best.fit.terms) < 2:
+            break
+        rest = problem.joint(*_without(best.fit, k))
+        if not separates(best.selection, problem.misfit(SELECT, rest), EARNED):
+            best, changed = problem.tried(rest), True
+    return in_order(problem, best.fit, alternatives) if changed else (fits, history)
+
+
+def in_order(problem: Problem, fit: Fit, alternatives: dict[Any, list[Tried]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
+    """The ladder in the order in which each effect lowers the misfit most."""
+    terms, q = list(fit.terms), list(fit.q)
+    ordered: list[Fit] = [problem.empty()]
+    told: list[tuple[Tried, list[Tried]]] = []
+    while terms:
+        options = [problem.joint([*ordered[-1].terms, t], [*ordered[-1].q, v]) for t, v in zip(terms, q, strict=True)]
+        k = int(np.argmin([problem.misfit(SELECT, f) for f in options]))
+        ordered.append(options[k])
+        one = problem.tried(options[k])
+        told.append((one, alternatives.get(one.term.key, [one]) if len(terms) == 1 else [one]))
+        del terms[k], q[k]
+    return ordered, told
+
+
+def simplified(problem: Problem, found: Search) -> Search:
+    """Each effect as the simplest kind it contains that does as well: a hysteretic spring without loss is a spring."""
+    fit = found.fits[-1]
+    for k, term in enumerate(fit.terms):
+        for name in term.kind.contains:
+            kind = catalogue().get(name)
+            if kind is None or len(kind.parameters) >= term.size:
+                continue
+            simple = replace(term, kind=kind, constants={}, fixed={})
+            values = term.values(fit.q[k])
+            if any(p.name not in values for p in kind.parameters):
+                continue
+            terms = [simple if i == k else t for i, t in enumerate(fit.terms)]
+            q = [simple.inward(values) if i == k else v for i, v in enumerate(fit.q)]
+            here = problem.allowing(fit)
+            other = problem.joint(terms, q)
+            if here.misfit(SELECT, other) <= (1 + PARSIMONY) * here.misfit(SELECT, fit):
+                fit = other
+                break
+    if fit is found.fits[-1]:
+        return found
+    step_of = {t.key: (best, tried) for (best, tried), t in zip(found.history, found.fits[-1].terms, strict=True)}
+    told = [step_of.get(t.key) for t in fit.terms]
+    fits, history = [found.fits[0]], []
+    for k in range(len(fit.terms)):
+        fits.append(problem.joint(fit.terms[: k + 1], fit.q[: k + 1]) if k + 1 < len(fit.terms) else fit)
+        one = problem.tried(fits[-1])
+        was = told[k]
+        history.append(was if was is not None else (one, [one, *found.history[k][1]]))
+    return replace(found, fits=fits, history=history)
+
+
+def _without(fit: Fit, k: int) -> tuple[list, list]:
+    return [t for i, t in enumerate(fit.terms) if i != k], [v for i, v in enumerate(fit.q) if i != k]
+
+
+def earns(problem: Problem, fit: Fit, best: Tried) -> bool:
+    """Whether the effect itself lowers the misfit, and not the shape values that were freed with it."""
+    # The same shapes and other effects without this one: if that is as good, the shapes did it.
+    without = Fit(best.fit.terms[:-1], best.fit.q[:-1], best.fit.phi, best.fit.prior)
+    if not separates(best.selection, problem.misfit(SELECT, without), EARNED):
+        return False
+    if best.selection < 0.5 * problem.misfit(SELECT, fit):
+        return True
+    prior = shape_prior(problem.idle, effect_dofs(best.fit.terms))
+    freed = refit(problem.arrays, problem.sets[FIT], problem.owns[FIT], fit.terms, fit.q, prior)
+    return separates(best.selection, problem.misfit(SELECT, freed), EARNED)

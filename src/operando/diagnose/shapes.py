@@ -1,0 +1,176 @@
+"""What the idle model does not know about the places of effects: directions in which its shapes may move when effects are fitted.
+
+The undriven columns H0[:, b] of a place b hang on shape values that no drive point has seen: those of modes outside the band, and
+those of modes in the band up to a factor that the driven columns leave open (a mode hardly seen from the reference: shape large, drive
+point small, or the other way round). Both stand in the idle model's covariance. A direction moves the shapes at the place, and all
+other shape values as they are expected to move with them, so that what the driven columns have shown stays as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import ModalModel
+from operando.diagnose.predict import Prediction
+from operando.diagnose.sets import CheckLines
+
+Array = NDArray[Any]
+
+KEPT = 1e-10
+"""Directions of the prior below this share of the largest variance of one DOF are left out: they are known."""
+
+TOLD = 0.1
+"""Directions whose variance the lines would lower by less than about this part are not fitted."""
+
+MOST = 36
+"""Directions fitted at most."""
+
+RELATIVE = 1.5
+"""Shape values known to better than one part in so many move by a factor, which keeps products of two of them; others by a sum."""
+
+
+@dataclass(frozen=True)
+class ShapePrior:
+    """Directions in which shapes may move.
+
+    Parameters
+    ----------
+    base : (n_dofs, n_modes) array
+        Shapes of the idle model.
+    root : (n_dofs, n_modes, k) array
+        Move of each shape value for unit z; z has unit variance before the fit.
+    told : (n_dofs·n_modes, k) array
+        z of given errors of the shapes (mode by mode, as in the covariance): z = toldᵀ δφ.
+    relative : (n_dofs, n_modes) bool array
+        Values that move by the factor exp(δ/φ) instead of the sum φ + δ.
+    scale : float
+        What ``root`` was widened by where the covariance had proved too sure of itself.
+    """
+
+    base: Array
+    root: Array
+    told: Array
+    relative: Array
+    scale: float = 1.0
+
+    @property
+    def size(self) -> int:
+        """Number of directions."""
+        return int(self.root.shape[2])
+
+    def _factor(self, z: Array) -> tuple[Array, Array]:
+        move = self.root @ z
+        share = np.divide(move, self.base, out=np.zeros_like(move), where=self.relative)
+        return move, np.exp(np.clip(share, -2, 2))
+
+    def moved(self, z: Array) -> Array:
+        """Shapes with these directions moved."""
+        if not self.size:
+            return self.base
+        move, factor = self._factor(z)
+        return np.where(self.relative, self.base * factor, self.base + move)
+
+    def slope(self, z: Array) -> Array:
+        """∂φ/∂z, (n_dofs, n_modes, k)."""
+        if not self.size:
+            return self.root
+        _, factor = self._factor(z)
+        return np.where(self.relative, factor, 1.0)[:, :, None] * self.root
+
+    def widened(self, by: float) -> ShapePrior:
+        """Directions of larger spread."""
+        return replace(self, root=self.root * by, scale=self.scale * by)
+
+    def turned(self, matrix: Array) -> ShapePrior:
+        """Other orthonormal directions (columns of ``matrix``) of the same spread."""
+        return replace(self, root=self.root @ matrix, told=self.told @ matrix)
+
+    def bare(self) -> ShapePrior:
+        """No directions at all."""
+        return replace(self, root=self.root[:, :, :0], told=self.told[:, :0])
+
+
+def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
+    """Directions of the shapes at some DOFs, from the idle model's covariance (none without one).
+
+    Parameters
+    ----------
+    idle : ModalModel
+    dofs : int array
+        Rows of the idle model that effects act at.
+    """
+    dofs = np.asarray(dofs, int)
+    n, m = idle.n_modes, len(idle.dofs)
+    base = np.array(idle.shapes)
+    if idle.covariance is None or dofs.size == 0:
+        return ShapePrior(base, np.zeros((m, n, 0)), np.zeros((m * n, 0)), np.zeros((m, n), bool))
+    shapes = idle.covariance[2 * n :, 2 * n :]
+    index = (np.arange(n)[None, :] * m + dofs[:, None]).ravel()
+    values, vectors = np.linalg.eigh(shapes[np.ix_(index, index)])
+    keep = values > KEPT * max(float(values[-1]), 1e-300)
+    told = np.zeros((n * m, int(keep.sum())))
+    told[index] = vectors[:, keep] / np.sqrt(values[keep])
+    root = (shapes @ told).reshape(n, m, -1).transpose(1, 0, 2)
+    spread = np.sqrt(np.maximum(np.diag(shapes), 0)).reshape(n, m).T
+    return ShapePrior(base, np.ascontiguousarray(root), told, np.abs(base) > RELATIVE * spread)
+
+
+def by_directions(p: Prediction, lines: CheckLines, slope: Array) -> Array:
+    """∂H/∂z for moves of all shapes together, (k, lines, responses, references).
+
+    With A = I − H0_·B·T·Bᵀ on the left and its mirror image on the right, dH = A·dH0·A'.
+    """
+    _, n, size = slope.shape
+    count, n_o, n_j = lines.hz.size, lines.responses.size, lines.references.size
+    at = p.rows @ p.phi[:, :n]
+    psi = (p.phi[lines.responses, :n][None] - p.left @ at) * p.kernel[:, None, :n]
+    chi = (p.phi[lines.references, :n].T[None] - at.T @ p.right) * p.kernel[:, :n, None]
+    # A differs from I by as many terms as the effects have coordinates: the products over modes are real matrix products of
+    # what moves at the responses (or references) and at these coordinates.
+    at_rows = np.tensordot(p.rows, slope, 1)
+    moved_o = np.concatenate([slope[lines.responses], at_rows])
+    moved_j = np.concatenate([slope[lines.references], at_rows])
+    over_o = _product(moved_o.transpose(0, 2, 1).reshape(-1, n), chi.transpose(1, 0, 2).reshape(n, -1))
+    over_o = over_o.reshape(n_o + len(at_rows), size, count, n_j)
+    over_j = _product(psi.reshape(-1, n), moved_j.transpose(1, 0, 2).reshape(n, -1)).reshape(count, n_o, len(moved_j), size)
+    out = np.ascontiguousarray(over_o[:n_o].transpose(1, 2, 0, 3))
+    out += over_j[:, :, :n_j].transpose(3, 0, 1, 2)
+    left, right = p.left.astype(np.complex64), p.right.astype(np.complex64)
+    for c in range(len(at_rows)):
+        out -= left[None, :, :, c, None] * over_o[n_o + c][:, :, None, :]
+        out -= over_j[:, :, n_j + c].transpose(2, 0, 1)[..., None] * right[None, :, c][:, :, None, :]
+    if not np.array_equal(p.order, np.arange(p.order.size)):
+        out = out[:, :, p.order]
+    return out if p.factor is None else out * p.factor.astype(np.complex64)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """a @ b of one real and one complex matrix, as one real product in single precision: these are steps of a search."""
+    rows, columns = a.shape[0], b.shape[1]
+    out = np.empty((rows, columns), np.complex64)
+    if np.iscomplexobj(a):
+        both = np.concatenate([a.real, a.imag]).astype(np.float32) @ b.astype(np.float32)
+        out.real, out.imag = both[:rows], both[rows:]
+    else:
+        both = a.astype(np.float32) @ np.concatenate([b.real, b.imag], axis=1).astype(np.float32)
+        out.real, out.imag = both[:, :columns], both[:, columns:]
+    return out
+
+
+def told_by(prior: ShapePrior, weighted: Array) -> tuple[ShapePrior, Array]:
+    """The directions that the lines say something about, and the matrix that turned them.
+
+    Parameters
+    ----------
+    prior : ShapePrior
+    weighted : (k, n) complex array
+        ∂H/∂z over the standard deviation of each line.
+    """
+    information = 2 * np.real(weighted.conj() @ weighted.T)
+    values, vectors = np.linalg.eigh(information)
+    keep = np.flatnonzero(values > TOLD)[::-1][:MOST]
+    return prior.turned(vectors[:, keep]), vectors[:, keep]
