@@ -33,7 +33,7 @@ LEAP = 1.5
 """Largest move of a floating shape value in one step, in standard deviations: a shape value of either sign is the same mode, and a longer
 move could end on the wrong side."""
 
-SAMPLED = 1.15
+SAMPLED = 1.25
 """Factor on standard deviations of sizes: weights from a sample covariance of less than a hundred blocks fit its own errors."""
 
 LOST = 2
@@ -268,12 +268,20 @@ def fit(
         covariance, left_out = _left_out(r, j, use, eta, k, shared(target, white))
         # Too few modes to leave one out: what is left has to say it.
         by_mode = left_out if len(r) >= FOLDS else by_mode
+        # Residuals or moves larger than their standard deviations say: the sizes are wrong by as much more (Birge 1932).
+        wider = np.r_[np.full(k, excess(mean_square(r, use)) * excess(float(eta @ eta) / max(q, 1))), np.ones(q)]
+        covariance = covariance * wider[:, None] * wider
         std = np.sqrt(np.maximum(np.diag(covariance)[:k], 0))
         # What the floating shapes had to move is paid for: together both are the residual against the marginal covariance.
         by_mode = by_mode + float(eta @ eta) / len(r)
         selection = float(by_mode.sum() / max(counts(use).sum(), 1.0))
     misfit = mean_square(r, use) + float(eta @ eta) / float(max(counts(use).sum(), 1.0))
     return Fit(actions, sizes, std, eta, prior, covariance, r, selection, by_mode, misfit, modes, index)
+
+
+def excess(misfit: float) -> float:
+    """Factor on standard deviations for a mean squared standardised value: its root where it exceeds one."""
+    return float(np.sqrt(max(misfit, 1.0)))
 
 
 def _left_out(r: Real, j: Real, use: NDArray[np.bool_], eta: Real, k: int, common: Real) -> tuple[Real, Real]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.output_only_fit import Fit, Prior, fit, jacobian, mean_square
+from operando.diagnose.output_only_fit import Fit, Prior, counts, fit, jacobian, mean_square
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, solve
 from operando.diagnose.output_only_residuals import Target, compress, compress_slope, residuals, whiteners
 from operando.dof import parse_dofs
@@ -23,7 +24,12 @@ GRID = (0.003, 0.03, 0.2, 1.0)
 
 POLISHED, OF_EACH = 120, 24
 """Candidates whose size is polished after the coarse grid: so many of all, and so many of each kind. Where modes are known well, a size
-that is wrong by a factor of two looks worse than none, and the grid ranks the right place among the last."""
+that is wrong by a factor of two looks worse than none, and the grid ranks the right place among the last. Half as many once an effect is
+accepted: what is left is small."""
+
+REMOVED = 4.6
+"""Added to the summed squared residuals of an effect taken away (a mass, a spring to ground, …): odds of ten to one that something was
+added, which decide between candidates that fit alike."""
 
 REFINED = 20
 """Places refined with floating shapes, after the scan."""
@@ -149,7 +155,8 @@ def scan(
             coarse.append(best)
     coarse.sort(key=lambda item: item[0])
     fine = []
-    for _, action, size in best_of(coarse, POLISHED, OF_EACH):
+    share = 2 if accepted else 1
+    for _, action, size in best_of(coarse, POLISHED // share, OF_EACH // share):
         near = basis.touched(np.vstack([*rows, action.rows]))
         found = fit(target, near, [*accepted, action], [*sizes, size], use, floating=False, own_variance=False, iterations=6, folds=False)
         if found is not None and _allowed(action, float(found.sizes[-1])):
@@ -176,11 +183,13 @@ def refine(
     short: list[tuple[float, Action, float]],
     use: NDArray[np.bool_],
 ) -> list[Fit]:
-    """Exact fits with floating shapes of all effects, ranked by misfit, moves of the shapes included."""
+    """Exact fits with floating shapes of all effects, ranked by misfit, moves of the shapes (and ``REMOVED``) included."""
     out = []
     for _, action, size in short:
         rows = np.vstack([*(a.rows for a in accepted), action.rows])
         found = fit(target, basis.touched(rows), [*accepted, action], [*sizes, size], use)
         if found is not None and all(_allowed(a, float(s)) for a, s in zip(found.actions, found.sizes, strict=True)):
+            if action.effect.definition.removable and found.sizes[-1] < 0:
+                found = replace(found, misfit=found.misfit + REMOVED / float(counts(use).sum()))
             out.append(found)
     return sorted(out, key=lambda f: f.misfit)
