@@ -13,6 +13,7 @@ from operando.data import Finding, ModalModel
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
+from operando.scaling.carried import CommonShift, common_shift
 from operando.scaling.condensed import CondensedBasis, condensed_basis
 from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import make_prior
@@ -101,8 +102,12 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         findings += choice.findings
     else:
         choice = Choice(method, f"asked for: {IN_WORDS[method]}", {})
-    carried, text = _carried_over(idle, real_idle, pairing, findings)
-    models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried) for name, s in shapes.items()}
+    alike = [p for p in pairing.pairs if p.idle is not None and p.kind != "changed"]
+    shift = common_shift(
+        np.array([idle.frequencies_hz[real_idle[p.idle]] for p in alike]), np.array([proper.frequencies_hz[p.operating] for p in alike])
+    )
+    carried, text = _carried_over(idle, real_idle, pairing, shift, findings)
+    models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, shift) for name, s in shapes.items()}
     covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
     modal = replace(models[choice.method], covariance=covariance)
     models[choice.method] = modal
@@ -274,8 +279,10 @@ def _outside(idle: NDArray[np.float64], turned: NDArray[np.float64], basis: Cond
     return np.linalg.norm(rest, axis=0) / np.linalg.norm(turned, axis=0)
 
 
-def _carried_over(idle: ModalModel, real_idle: NDArray[np.int_], pairing: Pairing, findings: list[Finding]) -> tuple[NDArray[np.int_], str]:
-    """Idle modes that stand in the OFRF as they are: residual modes, and modes no operational mode was found for."""
+def _carried_over(
+    idle: ModalModel, real_idle: NDArray[np.int_], pairing: Pairing, shift: CommonShift, findings: list[Finding]
+) -> tuple[NDArray[np.int_], str]:
+    """Idle modes that stand in the OFRF: residual modes, and modes no operational mode was found for; moved as the others moved."""
     residual = np.flatnonzero(np.asarray(idle.residual))
     alone = real_idle[pairing.idle_without_partner]
     inside = np.asarray(idle.in_band)[alone]
@@ -291,11 +298,14 @@ def _carried_over(idle: ModalModel, real_idle: NDArray[np.int_], pairing: Pairin
                 "mode_not_found",
                 "no operational mode was found for the idle modes at " + _hz(idle, alone[inside]),
                 "warning",
-                consequence="they stand in the operational FRFs as they are at rest",
+                consequence="they stand in the operational FRFs as they are at rest, but for a shift common to all modes",
                 action="look at the stabilisation diagram of the OMA; measure longer or excite them",
             )
         )
-    text = "carried over as at rest: " + "; ".join(parts) if parts else "none: the idle model has no residual modes"
+    moved = "as at rest"
+    if shift.logarithm:
+        moved = f"with frequencies times {shift.factor:.4f}, as the {shift.pairs} highest pairs moved"
+    text = f"carried over {moved}: " + "; ".join(parts) if parts else "none: the idle model has no residual modes"
     return np.concatenate([residual, alone]).astype(int), text
 
 
@@ -310,10 +320,11 @@ def _assemble(
     rows: list[int],
     shapes: NDArray[np.float64],
     carried: NDArray[np.int_],
+    shift: CommonShift,
 ) -> ModalModel:
     n, k = operating.n_modes, carried.size
     return ModalModel(
-        np.concatenate([operating.frequencies_hz, idle.frequencies_hz[carried]]),
+        np.concatenate([operating.frequencies_hz, idle.frequencies_hz[carried] * shift.factor]),
         np.concatenate([operating.damping_ratios, idle.damping_ratios[carried]]),
         np.concatenate([shapes, np.asarray(idle.shapes)[rows][:, carried]], axis=1),
         dofs,

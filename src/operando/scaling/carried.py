@@ -1,0 +1,64 @@
+"""Idle modes that stand in the OFRF because operation did not show them: how far they have moved, by the modes that it did show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+NEIGHBOURS = 8
+"""Highest pairs that speak for the modes above them."""
+
+LEAST = 4
+"""Pairs needed."""
+
+SURE = 2.0
+"""Standard errors below which a common shift counts as none."""
+
+
+@dataclass(frozen=True)
+class CommonShift:
+    """What operation does to modes it does not show.
+
+    Parameters
+    ----------
+    logarithm : float
+        Expected change of ln f; 0 where the pairs do not agree on one.
+    spread : float
+        Standard deviation of ln f of one mode about it.
+    pairs : int
+        Pairs behind it.
+    """
+
+    logarithm: float
+    spread: float
+    pairs: int
+
+    @property
+    def factor(self) -> float:
+        """Factor on the frequencies."""
+        return float(np.exp(self.logarithm))
+
+
+def common_shift(idle_hz: NDArray[np.float64], operating_hz: NDArray[np.float64]) -> CommonShift:
+    """Common shift of the highest pairs.
+
+    A change of a part (a spring, a mass) moves some modes and not others: the mean shift is then within its error, and nothing is
+    assumed. A change of the whole (material, temperature, thickness) moves all alike; the modes above follow.
+
+    Parameters
+    ----------
+    idle_hz, operating_hz : (n,) arrays
+        Frequencies of paired modes of like shape.
+    """
+    highest = np.argsort(idle_hz)[-NEIGHBOURS:]
+    shift = np.log(operating_hz[highest] / idle_hz[highest])
+    n = shift.size
+    if n < LEAST:
+        return CommonShift(0.0, 0.0, int(n))
+    mean, scatter = float(np.mean(shift)), float(np.std(shift, ddof=1))
+    error = scatter / np.sqrt(n)
+    # Positive-part shrinkage (James & Stein 1961) with SURE² in the place of one.
+    kept = max(0.0, 1 - (SURE * error / mean) ** 2) if mean else 0.0
+    return CommonShift(kept * mean, float(np.hypot(scatter, error) if kept else np.sqrt(np.mean(shift**2))), int(n))

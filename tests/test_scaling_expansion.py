@@ -1,0 +1,87 @@
+"""What the expansion makes of shapes by what the frequencies say, and what becomes of modes that operation did not show."""
+
+import numpy as np
+import pytest
+
+from operando.data import ModalModel
+from operando.dof import Dof
+from operando.scaling import scale_operational
+from operando.scaling.carried import common_shift
+from structures import Chain, modified
+
+N = 10
+DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, N + 1))
+
+
+def model(chain, count=N, shapes=None, covariance=None, hz=None, scaling="unit_modal_mass"):
+    phi = chain.phi[:, :count] if shapes is None else shapes
+    return ModalModel(chain.hz[:count] if hz is None else hz, chain.zeta[:count], phi, DOFS, scaling, covariance=covariance, si=True)
+
+
+def noisy(chain, sigma, rng, hz_std=3e-4):
+    """Operational modes with shape noise of relative size sigma, and the covariance that says so."""
+    unit = chain.phi / np.linalg.norm(chain.phi, axis=0)
+    rough = sigma / np.sqrt(2 * N) * (rng.standard_normal(unit.shape) + 1j * rng.standard_normal(unit.shape))
+    hz = chain.hz * (1 + hz_std * rng.standard_normal(N))
+    variance = np.concatenate([(hz_std * hz) ** 2, (0.03 * chain.zeta) ** 2, np.full(2 * N * N, sigma**2 / (2 * N))])
+    return model(chain, shapes=unit + rough, covariance=np.diag(variance), hz=hz, scaling="unscaled")
+
+
+def shape_error(hybrid, truth):
+    found = np.asarray(hybrid.modal.shapes)[:, : truth.shape[1]]
+    found = found * np.sign(np.sum(found * truth, axis=0))
+    return np.linalg.norm(found - truth, axis=0) / np.linalg.norm(truth, axis=0)
+
+
+def test_where_nothing_changed_the_idle_shapes_remain():
+    """Frequencies that did not move say so, whatever the noise of the operational shapes."""
+    chain = Chain(N, spread=0.3, seed=1)
+    hybrid = scale_operational(model(chain), noisy(chain, 0.05, np.random.default_rng(2)))
+    assert hybrid.method == "expansion"
+    assert np.max(shape_error(hybrid, chain.phi)) < 0.012
+    msf = np.asarray(hybrid.alternative_models["msf_all"].shapes)[:, :N]
+    assert np.median(np.linalg.norm(msf - chain.phi, axis=0) / np.linalg.norm(chain.phi, axis=0)) > 0.025
+
+
+@pytest.mark.parametrize("change", [{"spring": (3, 1.5e5)}, {"mass": (6, 0.5)}, {"coupling": (2, 7, 1e5)}])
+def test_where_frequencies_moved_the_shapes_follow(change):
+    chain = Chain(N, spread=0.3, seed=1)
+    target = modified(chain, **change)
+    hybrid = scale_operational(model(chain), noisy(target, 0.02, np.random.default_rng(3)))
+    error = shape_error(hybrid, target.phi)
+    assert np.median(error) < 0.02
+    assert np.max(error) < 0.06
+
+
+def test_shapes_without_a_stated_noise_are_taken_as_they_are():
+    """Eight of ten idle modes cannot make up the shape of a strong local change: it is kept, not smoothed."""
+    chain = Chain(N, spread=0.3, seed=1)
+    target = modified(chain, spring=(3, 4e5))
+    idle = model(chain, 8)
+    running = ModalModel(target.hz[:8], target.zeta[:8], target.phi[:, :8] * 3j, DOFS, "unscaled")
+    found = np.asarray(scale_operational(idle, running).modal.shapes)[:, :8]
+    mac = np.sum(found * target.phi[:, :8], axis=0) ** 2 / np.sum(found**2, axis=0) / np.sum(target.phi[:, :8] ** 2, axis=0)
+    assert np.min(mac) > 0.999
+
+
+def test_common_shift_is_taken_where_pairs_agree():
+    rng = np.random.default_rng(4)
+    hz = np.linspace(20, 120, 10)
+    softer = common_shift(hz, 0.95 * hz * (1 + 0.003 * rng.standard_normal(10)))
+    assert softer.factor == pytest.approx(0.95, abs=0.003)
+    assert 0.001 < softer.spread < 0.006
+    local = common_shift(hz, hz * (1 + np.where(np.arange(10) % 4 == 0, 0.03, 0.0)))
+    assert abs(local.logarithm) < 0.004
+    assert local.spread > 0.01
+    assert common_shift(hz[:3], 0.9 * hz[:3]).logarithm == 0
+
+
+def test_modes_that_operation_did_not_show_move_with_the_others():
+    chain = Chain(N, spread=0.3, seed=1)
+    target = modified(chain, global_stiffness=-0.12)
+    running = ModalModel(target.hz[:6], target.zeta[:6], target.phi[:, :6] + 0j, DOFS, "unscaled")
+    in_band = np.arange(N) < 6
+    idle = ModalModel(chain.hz, chain.zeta, chain.phi, DOFS, "unit_modal_mass", in_band=in_band, si=True)
+    hybrid = scale_operational(idle, running)
+    assert "as the 6 highest pairs moved" in hybrid.residuals
+    np.testing.assert_allclose(hybrid.modal.frequencies_hz[6:], target.hz[6:], rtol=1e-3)
