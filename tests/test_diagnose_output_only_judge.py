@@ -23,7 +23,7 @@ DRIVEN = (0, 4)
 
 def out_of_band(model, s, rows=slice(None), columns=slice(None)):
     """Receptance of the modes above the band at ω = s."""
-    up = np.asarray(model.residual)
+    up = model.frequencies_hz > model.band_hz[1]
     w = 2 * np.pi * model.frequencies_hz[up]
     phi = np.asarray(model.shapes)[:, up]
     return ((phi / (w**2 - s**2)) @ phi.T)[rows, columns]
@@ -50,7 +50,9 @@ def badly_completed(c):
         shapes,
         DOFS,
         scaling="unit_modal_mass",
-        residual=np.arange(n) >= IN_BAND,
+        # The first mode above the band has been identified.
+        residual=np.arange(n) > IN_BAND,
+        in_band=np.arange(n) < IN_BAND,
         covariance=np.diag(np.r_[np.full(2 * n, 1e-8), (std**2).ravel()]),
         band_hz=true.band_hz,
     )
@@ -69,13 +71,27 @@ def test_settled_keeps_what_was_driven_and_bounds_what_was_not():
         ratio = np.diag(after)[u] / np.diag(exact)[u]
         assert ratio.min() > 0.2
         assert ratio.max() < 6
-    np.testing.assert_allclose(calm.shapes[:, :IN_BAND], bad.shapes[:, :IN_BAND])
+    np.testing.assert_allclose(calm.shapes[:, : IN_BAND + 1], bad.shapes[:, : IN_BAND + 1])
     assert np.linalg.eigvalsh(calm.covariance).min() > -1e-12
     # The local modes say how little is known there: as much again, or nothing.
     local = np.count_nonzero(calm.shapes, axis=0) == 1
     k = int(np.flatnonzero(local)[0])
     assert calm.shape_std[:, k].max() == pytest.approx(np.abs(calm.shapes[:, k]).max())
     assert np.all(calm.shape_std[list(DRIVEN)][:, local] == 0)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_an_identified_mode_the_drive_points_hardly_see_stays_if_it_is_known(known):
+    _, bad = badly_completed(chain())
+    n, m = bad.n_modes, len(bad.dofs)
+    shapes = np.array(bad.shapes)
+    shapes[list(DRIVEN), IN_BAND] *= 0.05
+    covariance = np.array(bad.covariance)
+    at = 2 * n + IN_BAND * m + np.arange(m)
+    covariance[at, at] = (1e-3 if known else 0.6) ** 2 * np.mean(shapes[:, IN_BAND] ** 2)
+    calm = settled(replace(bad, shapes=shapes, covariance=covariance, std=None))
+    stays = np.any(np.abs(calm.frequencies_hz - bad.frequencies_hz[IN_BAND]) < 1e-9)
+    assert stays == known
 
 
 def test_settled_leaves_models_alone_that_have_no_local_modes():

@@ -18,8 +18,12 @@ from operando.data import ModalModel
 Real = NDArray[np.float64]
 
 SOLID = (0.3, 4.0, 0.5)
-"""A mode outside the band stays as it is when its largest driven shape value exceeds this part of its rms over all DOFs, and its rms and
+"""A mode outside the band is solid when its largest driven shape value exceeds this part of its rms over all DOFs, and its rms and
 standard deviation stay below these multiples of the typical rms of modes in the band."""
+
+IDENTIFIED = 0.2
+"""A mode identified outside the band (with a frequency of its own) stays as it is when its shape's standard deviation lies below this part
+of its rms, however little the drive points see of it."""
 
 CAP = 3.0
 """Largest out-of-band compliance taken for an undriven DOF, over the largest one measured."""
@@ -28,12 +32,16 @@ LOCAL_SHARE, LOCAL_SPREAD, CROSS_SPREAD = 0.5, 1.0, 0.4
 """Local compliance expected beyond the completion, in parts of the typical measured one; standard deviation of the local mode's shape value
 at its DOF and at other undriven ones, over that value."""
 
+NEAR, MIDDLE, FAR = 0.3, 0.6, 0.9
+"""Frequencies, over the band's end, at which pools must agree with what they stand for: diagonals at the first and the last, columns at the
+middle one."""
+
 COLUMN_SPREAD = 0.05
 """Relative standard deviation of the pooled part of the driven columns."""
 
 
 def settled(idle: ModalModel) -> ModalModel:
-    """Idle model whose far residual modes are pooled and completed anew at undriven DOFs, with a wide covariance there.
+    """Idle model whose residual modes are pooled and completed anew at undriven DOFs, with a wide covariance there.
 
     With few driven DOFs R (all DOFs × all DOFs) is known in its driven columns only; the smallest positive completion is
     R_uu = R_ud·R_dd⁻¹·R_du (Schur complement zero). A local mode at each undriven DOF stands for what it may lack.
@@ -57,19 +65,22 @@ def settled(idle: ModalModel) -> ModalModel:
     rms, std = np.sqrt(np.mean(shapes**2, axis=0)), np.sqrt(np.mean(np.asarray(idle.shape_std) ** 2, axis=0))
     typical_rms = float(np.median(rms[~outside & ~local]))
     solid = (np.abs(shapes[driven]).max(axis=0) > SOLID[0] * rms) & (rms < SOLID[1] * typical_rms) & (std < SOLID[2] * typical_rms)
-    pooled = outside & (omega > top) & ~solid
-    kept = np.flatnonzero(~local & ~pooled)
-    # Two frequencies in the band fix the pool's own: the driven diagonals must agree at both.
-    near, far = 0.3 * top, 0.9 * top
-    columns = [(shapes[:, pooled] / (omega[pooled] ** 2 - s**2)) @ shapes[driven][:, pooled].T for s in (near, far)]
-    trace = [float(np.trace(c[driven])) for c in columns]
-    if not pooled.any() or trace[0] <= 0:
+    solid |= ~residual & (std < IDENTIFIED * rms)
+    above = outside & (omega > top)
+    # Solid pseudo-modes of given frequencies stand for modes just above the band, the others for all beyond: two pools.
+    pools, kept_too = [], np.zeros(n, bool)
+    for part in (above & solid & residual, above & ~solid):
+        found = _pool(shapes, omega, part, driven, top)
+        if found is None:
+            kept_too |= part
+        else:
+            pools.append(found)
+    if not pools:
         return idle
-    ratio = min(max(trace[1] / trace[0], 1.01), 2.5)
-    own = float(np.sqrt((ratio * far**2 - near**2) / (ratio - 1)))
-    middle = 0.6 * top
-    column = (shapes[:, pooled] / (omega[pooled] ** 2 - middle**2)) @ shapes[driven][:, pooled].T * (own**2 - middle**2)
-    completed = completion(column, driven)
+    kept = np.flatnonzero(~local & (~above | (solid & ~residual) | kept_too))
+    completed = np.concatenate([phi for phi, _ in pools], axis=1)
+    own = np.concatenate([np.full(phi.shape[1], w) for phi, w in pools])
+    middle = MIDDLE * top
     at = lambda phi, w: (phi**2 / (w**2 - middle**2)).sum(axis=1)  # noqa: E731
     compliance = at(shapes[:, kept[omega[kept] > top]], omega[kept[omega[kept] > top]]) + at(completed, own)
     typical = float(np.exp(np.mean(np.log(np.maximum(compliance[driven], 1e-300)))))
@@ -81,7 +92,7 @@ def settled(idle: ModalModel) -> ModalModel:
     extra = np.zeros((m, rows.size))
     extra[rows, np.arange(rows.size)] = amplitude
     q = completed.shape[1]
-    hz = np.r_[idle.frequencies_hz[kept], np.full(q, own / 2 / np.pi), np.full(rows.size, local_omega / 2 / np.pi)]
+    hz = np.r_[idle.frequencies_hz[kept], own / 2 / np.pi, np.full(rows.size, local_omega / 2 / np.pi)]
     new = np.concatenate([shapes[:, kept], completed, extra], axis=1)
     size = hz.size
     total = np.zeros((size * (2 + m),) * 2)
@@ -99,13 +110,26 @@ def settled(idle: ModalModel) -> ModalModel:
     return replace(
         idle,
         frequencies_hz=hz,
-        damping_ratios=fill(idle.damping_ratios, float(np.median(idle.damping_ratios[pooled]))),
+        damping_ratios=fill(idle.damping_ratios, float(np.median(idle.damping_ratios[above]))),
         shapes=new,
         residual=fill(residual, True).astype(bool),
         in_band=fill(np.asarray(idle.in_band), False).astype(bool),
         covariance=total,
         std=None,
     )
+
+
+def _pool(shapes: Real, omega: Real, part: NDArray[np.bool_], driven: NDArray[np.bool_], top: float) -> tuple[Real, float] | None:
+    """As many modes of one frequency as DOFs are driven, with the same driven columns, and that frequency; None with nothing to pool."""
+    near, middle, far = (share * top for share in (NEAR, MIDDLE, FAR))
+    columns = [(shapes[:, part] / (omega[part] ** 2 - s**2)) @ shapes[driven][:, part].T for s in (near, middle, far)]
+    trace = [float(np.trace(c[driven])) for c in columns]
+    if not part.any() or trace[0] <= 0:
+        return None
+    # Two frequencies in the band fix the pool's own: the driven diagonals must agree at both.
+    ratio = min(max(trace[2] / trace[0], 1.01), 2.5)
+    own = float(np.sqrt((ratio * far**2 - near**2) / (ratio - 1)))
+    return completion(columns[1] * (own**2 - middle**2), driven), own
 
 
 def completion(column: Real, driven: NDArray[np.bool_]) -> Real:
