@@ -85,3 +85,43 @@ def test_modes_that_operation_did_not_show_move_with_the_others():
     hybrid = scale_operational(idle, running)
     assert "as the 6 highest pairs moved" in hybrid.residuals
     np.testing.assert_allclose(hybrid.modal.frequencies_hz[6:], target.hz[6:], rtol=1e-3)
+
+
+def test_band_holds_what_real_shapes_leave_out():
+    """A ground damper makes shapes complex: real parts are off by more than the covariances of the modes say, and the band shows it."""
+    chain = Chain(N, spread=0.3, seed=1)
+    f = np.linspace(20, 130, 600)
+    w, damper = 2 * np.pi * f, np.zeros((N, N))
+    damper[4, 4] = 60.0
+    modal_damping = np.linalg.inv(chain.phi.T) @ np.diag(2 * chain.zeta * 2 * np.pi * chain.hz) @ np.linalg.inv(chain.phi)
+    c = modal_damping + damper
+    exact = np.stack([-(x**2) * np.linalg.inv(chain.K - x**2 * chain.M + 1j * x * c) for x in w], axis=-1)
+    inverse = np.linalg.inv(chain.M)
+    state = np.block([[np.zeros((N, N)), np.eye(N)], [-inverse @ chain.K, -inverse @ c]])
+    value, vector = np.linalg.eig(state)
+    order = [i for i in np.argsort(np.abs(value)) if value[i].imag > 0]
+    pole, shapes = value[order], vector[:N, order]
+    shapes = shapes / np.linalg.norm(shapes, axis=0)
+    small = np.full(N * (2 + N), 1e-10)
+    both = np.full(N * (2 + 2 * N), 1e-10)
+    idle = model(chain, covariance=np.diag(small))
+    running = ModalModel(np.abs(pole) / 2 / np.pi, -pole.real / np.abs(pole), shapes, DOFS, "unscaled", covariance=np.diag(both))
+    frf = scale_operational(idle, running, method="expansion").frf(f)
+    ratio = np.abs(frf.data - exact) ** 2 / frf.variance
+    assert np.max(np.abs(frf.data - exact) / np.abs(exact)) > 0.2
+    assert np.mean(ratio < -np.log(0.05)) > 0.9
+
+
+def test_modes_carried_over_are_as_uncertain_as_the_others_moved():
+    chain = Chain(N, spread=0.3, seed=1)
+    target = modified(chain, spring=(3, 2e5))
+    in_band = np.arange(N) < 6
+    small = np.full(N * (2 + N), 1e-10)
+    idle = ModalModel(chain.hz, chain.zeta, chain.phi, DOFS, "unit_modal_mass", in_band=in_band, covariance=np.diag(small), si=True)
+    running = ModalModel(
+        target.hz[:6], target.zeta[:6], target.phi[:, :6] + 0j, DOFS, "unscaled", covariance=np.diag(np.full(6 * (2 + 2 * N), 1e-10))
+    )
+    modal = scale_operational(idle, running).modal
+    spread = np.sqrt(np.diag(modal.covariance)[6:10]) / modal.frequencies_hz[6:]
+    moved = np.abs(np.log(target.hz[:6] / chain.hz[:6]))
+    assert np.all((spread > 0.3 * moved.max()) & (spread < 2 * moved.max()))

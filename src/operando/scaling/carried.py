@@ -62,3 +62,18 @@ def common_shift(idle_hz: NDArray[np.float64], operating_hz: NDArray[np.float64]
     # Positive-part shrinkage (James & Stein 1961) with SURE² in the place of one.
     kept = max(0.0, 1 - (SURE * error / mean) ** 2) if mean else 0.0
     return CommonShift(kept * mean, float(np.hypot(scatter, error) if kept else np.sqrt(np.mean(shift**2))), int(n))
+
+
+def shape_change(idle: NDArray[np.float64], operating: NDArray[np.float64]) -> float:
+    """Relative rms change of the highest paired shapes, what a change of size alone makes left aside.
+
+    Parameters
+    ----------
+    idle, operating : (m, n) real arrays
+        Paired shapes by rising frequency, the operational ones freed of noise.
+    """
+    if idle.shape[1] == 0:
+        return 0.0
+    a, b = idle[:, -NEIGHBOURS:], operating[:, -NEIGHBOURS:]
+    likeness = np.sum(a * b, axis=0) ** 2 / np.maximum(np.sum(a**2, axis=0) * np.sum(b**2, axis=0), 1e-300)
+    return float(np.sqrt(np.mean(np.maximum(1 - likeness, 0))))

@@ -13,7 +13,7 @@ from operando.data import Finding, ModalModel
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
-from operando.scaling.carried import CommonShift, common_shift
+from operando.scaling.carried import CommonShift, common_shift, shape_change
 from operando.scaling.condensed import CondensedBasis, condensed_basis
 from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import make_prior
@@ -21,7 +21,7 @@ from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scale
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes
 from operando.scaling.reciprocity import complexity, reciprocity_finding
-from operando.scaling.uncertainty import covariance_of, scaled_covariance, shape_block
+from operando.scaling.uncertainty import covariance_of, scaled_covariance, shape_block, with_unseen_change
 
 KAPPA_LARGE = 100.0
 """κ from which sensors are said to be badly placed."""
@@ -109,9 +109,13 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     carried, text = _carried_over(idle, real_idle, pairing, shift, findings)
     models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, shift) for name, s in shapes.items()}
     covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
+    out = shapes[choice.method]
+    if covariance is not None:
+        imaginary = _unexplained_imaginary(o, out, None if noise is None else noise[1])
+        change = shape_change(e[:, [real_idle[p.idle] for p in alike]], out[:, [p.operating for p in alike]])
+        covariance = with_unseen_change(covariance, models[choice.method], proper.n_modes, imaginary, shift.spread, change)
     modal = replace(models[choice.method], covariance=covariance)
     models[choice.method] = modal
-    out = shapes[choice.method]
     found = complexity(o, modal.frequencies_hz, modal.damping_ratios, modal.shapes, None if noise is None else noise[1])
     skew = reciprocity_finding(found, proper.frequencies_hz)
     if skew is not None:
@@ -135,6 +139,16 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         evidence={**choice.evidence, "refused": refused},
         findings=tuple(findings),
     )
+
+
+def _unexplained_imaginary(operating: NDArray[Any], scaled: NDArray[np.float64], noise: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Imaginary part (m, n) of the operational shapes on their principal axis, at the scale found, shrunk by what noise explains."""
+    turned = operating * real_shapes(operating)[1]
+    imaginary = turned.imag
+    if noise is not None:
+        own, expected = np.sum(imaginary**2, axis=0), np.sum(noise**2, axis=0)
+        imaginary = imaginary * np.sqrt(np.maximum(1 - expected / np.maximum(own, 1e-300), 0))
+    return np.asarray(imaginary * np.linalg.norm(scaled, axis=0) / np.linalg.norm(turned.real, axis=0))
 
 
 def _all_methods(

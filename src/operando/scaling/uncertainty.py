@@ -132,6 +132,45 @@ def scaled_covariance(
     return (out + out.T) / 2
 
 
+def with_unseen_change(
+    covariance: NDArray[np.float64],
+    modal: ModalModel,
+    n: int,
+    imaginary: NDArray[np.float64],
+    frequency_spread: float,
+    shape_change: float,
+) -> NDArray[np.float64]:
+    """Covariance with what no identification can know: what real shapes leave out, and how operation changed the modes it did not show.
+
+    Parameters
+    ----------
+    covariance : (p, p) array
+        Of ``modal``.
+    modal : ModalModel
+        Operational modes, then the idle modes carried over.
+    n : int
+        Operational modes.
+    imaginary : (m, n) array
+        Imaginary part of each operational shape at its scale, as far as noise does not explain it: an error of the real shape that
+        shows in the FRF with the same size.
+    frequency_spread : float
+        Relative standard deviation of the frequencies carried over.
+    shape_change : float
+        Relative size of the change of their shapes.
+    """
+    out = np.array(covariance)
+    total, m = modal.n_modes, len(modal.dofs)
+    for r in range(n):
+        at = slice(2 * total + r * m, 2 * total + (r + 1) * m)
+        out[at, at] += np.outer(imaginary[:, r], imaginary[:, r])
+    carried = np.arange(n, total)
+    out[carried, carried] += (frequency_spread * modal.frequencies_hz[carried]) ** 2
+    mean_square = np.mean(np.asarray(modal.shapes)[:, carried] ** 2, axis=0)
+    diagonal = 2 * total + carried[:, None] * m + np.arange(m)
+    out[diagonal, diagonal] += shape_change**2 * mean_square[:, None]
+    return out
+
+
 def _slope(
     method: str,
     idle: NDArray[np.float64],
