@@ -17,12 +17,14 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from contacts import NONLINEAR, Contact, hide_contact
+from contacts import RESPONSE_NOISE as CONTACT_NOISE
 from families import FAMILIES, Structure, draw
 from hidden import LINEAR, OUTSIDE, SENSOR, Hidden, change_db, hide, hide_between, idle
-from records import Logger, forced_run, geometry, operating_run, through_faults
+from records import Logger, contact_runs, forced_run, geometry, operating_run, through_faults
 
 SPECIAL = ("none", "orders", "two", "unmeasured", "outside", "one_mode")
-KINDS = (*LINEAR, *SENSOR, *SPECIAL)
+KINDS = (*LINEAR, *SENSOR, *SPECIAL, *NONLINEAR)  # new ones behind: the number of a kind seeds its cases
 PAIRABLE = (
     "point_mass",
     "ground_spring",
@@ -70,6 +72,7 @@ class Truth:
     state: Hidden
     band: tuple[float, float]
     orders: tuple[tuple[float, float], ...]
+    contact: Contact | None = None
 
 
 def truth(spec: Spec) -> Truth:
@@ -79,7 +82,7 @@ def truth(spec: Spec) -> Truth:
     structure = draw(spec.family, spec.seed)
     rng = np.random.default_rng([spec.seed, FAMILIES.index(spec.family), KINDS.index(spec.kind), 77])
     references = _references(structure, spec.references)
-    band = structure.band
+    band, contact = structure.band, None
     if spec.kind == "two":
         first, second = (PAIRABLE[i] for i in rng.choice(len(PAIRABLE), 2, replace=False))
         if "sensor_gain" in (first, second) and not spec.check:
@@ -95,10 +98,14 @@ def truth(spec: Spec) -> Truth:
         state = hide(("ground_spring", "point_mass")[spec.seed % 2], narrow, references, rng)
     elif spec.kind in ("none", "orders"):
         state = idle(structure)
+    elif spec.kind in NONLINEAR:
+        if spec.excitation != "shaker" or not spec.check or spec.orders:
+            raise ValueError(f"{spec.kind} needs a shaker, a check and no orders")
+        state, contact = hide_contact(spec.kind, structure, references, rng, FORCE_RMS)
     else:
         state = hide(spec.kind, structure, references, rng)
     orders = _orders(state, band, rng) if spec.orders or spec.kind == "orders" else ()
-    return Truth(structure, references, state, band, orders)
+    return Truth(structure, references, state, band, orders, contact)
 
 
 def _with_band(structure: Structure, band: tuple[float, float]) -> Structure:
@@ -144,7 +151,7 @@ def write(spec: Spec, folder: Path, case: Path | None = None) -> Path:
         [spec.seed, FAMILIES.index(spec.family), KINDS.index(spec.kind), spec.references, spec.excitation == "hammer", 99]
     )
     units = (("m/s^2", "N"), ("g", "N"), ("g", "lbf"))[int(rng.choice(3, p=[0.6, 0.25, 0.15]))]
-    logger = Logger(structure, rng, units)
+    logger = Logger(structure, rng, units, CONTACT_NOISE if known.contact else None)
     seconds = 48 if spec.excitation == "hammer" else 40
     rest = idle(structure)
     files = {"geometry.uff": geometry(structure), "test.toml": _test_file(spec, known.band).encode()}
@@ -153,8 +160,21 @@ def write(spec: Spec, folder: Path, case: Path | None = None) -> Path:
         files[f"idle/run{i}.uff"] = forced_run(
             logger, rest, reference, spec.excitation, seconds, FORCE_RMS, f"at rest, {spec.excitation} at {at}"
         )
-    files["operating/run1.uff"] = operating_run(logger, state, 140, known.orders)
-    if spec.check:
+    if known.contact is not None:
+        driven = _check_references(known)
+        runs = contact_runs(
+            logger,
+            state,
+            known.contact,
+            [r for r in driven for _ in "ab"],
+            [FORCE_RMS * share for _ in driven for share in (1.0, 0.25)],
+            40,
+        )
+        names = [f"check/run{i}{level}.uff" for i in range(1, len(driven) + 1) for level in "ab"]
+        files |= dict(zip([*names, "operating/run1.uff"], runs, strict=True))
+    else:
+        files["operating/run1.uff"] = operating_run(logger, state, 140, known.orders)
+    if spec.check and known.contact is None:
         for i, reference in enumerate(_check_references(known), start=1):
             for level, share in (("a", 1.0), ("b", 0.25)):
                 name = f"running state, {spec.excitation} at {structure.sensors[reference].name}, level {level}"
@@ -167,6 +187,8 @@ def write(spec: Spec, folder: Path, case: Path | None = None) -> Path:
         target.write_bytes(content)
     answers.mkdir(parents=True, exist_ok=True)
     (answers / f"{spec.name}.json").write_text(json.dumps(answer(spec, known), indent=1) + "\n")
+    if known.contact is not None:
+        return case  # no FRFs of its own: they depend on the level
     hz = np.linspace(*known.band, 400)
     exact = state.system.accelerance(hz, state.rows, state.rows).astype(np.complex64)
     np.savez(answers / f"{spec.name}.npz", f=hz, H=exact, dofs=[s.name for s in structure.sensors])
@@ -197,7 +219,9 @@ def answer(spec: Spec, known: Truth) -> dict:
         "check": spec.check,
         "harmonics_hz": [f for f, _ in known.orders],
         "effects": list(state.effects),
-        "change_db": change_db(_with_band(structure, known.band), state, known.references, system=state.check_system),
+        "change_db": None
+        if known.contact is not None
+        else change_db(_with_band(structure, known.band), state, known.references, system=state.check_system),
         "band_hz": list(known.band),
         "sensor_spacing_m": structure.spacing,
         "dofs": [s.name for s in structure.sensors],

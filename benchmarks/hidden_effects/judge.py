@@ -10,7 +10,7 @@ import numpy as np
 from hidden import SENSOR
 
 SKEW = ("gyroscopic", "circulatory")
-PRIMARY = ("mass", "stiffness", "damping", "coefficient", "change", "gain", "delay", "frequency")
+PRIMARY = ("mass", "stiffness", "damping", "coefficient", "change", "gain", "delay", "force", "frequency")
 
 
 def judge(answer: dict, results: Path, exact=None) -> dict:
@@ -206,6 +206,8 @@ def compare_diagnosis(answer: dict, diagnosis: dict) -> dict:
         "false_alarm": not truth and (diagnosis["verdict"] != "no_misfit" or bool(effects)),
         "extra": len(effects) - len(truth),
     }
+    if diagnosis.get("simulation"):
+        row["closed_loop_gain_db"] = diagnosis["simulation"].get("gain_db")
     if truth:
         row["kind_top"] = bool(effects) and effects[0]["kind"] in [t["kind"] for t in truth]
         row["right"] = [any(matches(e, t, answer) for e in effects) for t in truth]

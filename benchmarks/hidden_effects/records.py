@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from contacts import LEAD, Contact, added
 from families import Structure
 from hidden import Hidden, System
 from scipy import fft
@@ -82,8 +83,8 @@ def faults(state: Hidden, spectra: np.ndarray, period: int) -> np.ndarray:
 class Logger:
     """Adds noise and writes runs in given units."""
 
-    def __init__(self, structure: Structure, rng: np.random.Generator, units: tuple[str, str]) -> None:
-        self.structure, self.rng, self.units = structure, rng, units
+    def __init__(self, structure: Structure, rng: np.random.Generator, units: tuple[str, str], noise: float | None = None) -> None:
+        self.structure, self.rng, self.units, self.noise = structure, rng, units, noise
 
     def run(self, acceleration: np.ndarray, force: np.ndarray | None, reference: int | None, name: str) -> bytes:
         sensors, (a_unit, f_unit) = self.structure.sensors, self.units
@@ -93,8 +94,9 @@ class Logger:
             noisy = force + FORCE_NOISE * force.std() * self.rng.standard_normal(force.shape)
             scale = POUND if f_unit == "lbf" else 1.0
             traces.append(Trace(f"force {s.name}", s.label, s.sense * (s.axis + 1), "force", f_unit, noisy / scale))
+        share = RESPONSE_NOISE if self.noise is None else self.noise
         for s, row in zip(sensors, acceleration, strict=True):
-            noisy = row + RESPONSE_NOISE * row.std() * self.rng.standard_normal(row.shape)
+            noisy = row + share * row.std() * self.rng.standard_normal(row.shape)
             scale = GRAVITY if a_unit == "g" else 1.0
             traces.append(Trace(f"acceleration {s.name}", s.label, s.sense * (s.axis + 1), "acceleration", a_unit, noisy / scale))
         return time_record(traces, RATE, name, DATE)
@@ -148,6 +150,36 @@ def operating_run(logger: Logger, state: Hidden, seconds: float, orders: tuple[t
             waves.append(np.real(through_faults(state, gain, f)[:, None] * amplitude * phase))
         acceleration = acceleration + sum(waves)
     return logger.run(acceleration, None, None, "running")
+
+
+def contact_runs(
+    logger: Logger, state: Hidden, contact: Contact, references: list[int], levels: list[float], seconds: float
+) -> list[bytes]:
+    """Runs with a measured random force each, then one without (forces at 24 places), of a state with a level-dependent effect."""
+    rng = logger.rng
+    samples = int(seconds * RATE)
+    period = fft.next_fast_len(samples + int((LEAD + 20) * RATE), real=True)
+    period += period % 2
+    size = np.abs(state.shapes).max(axis=1)
+    places = rng.choice(np.flatnonzero(size > 0.05 * size.max()), 24, replace=False)
+    drives = [(random_force(rng, period, np.array([v]), 3.0, 190.0), state.rows[[r]]) for r, v in zip(references, levels, strict=True)]
+    # Together they shake the machine about as much as the shaker does.
+    drives.append((random_force(rng, period, rng.uniform(0.2, 0.6, places.size) * max(levels) / 12, 3.0, 190.0), state.shapes[places]))
+    hz = lines(period)
+    away = np.where(hz > 0, -1 / np.maximum(2 * np.pi * hz, 1e-9) ** 2, 0)
+    at_place = np.array([steady(state.system, contact.row[None], columns, forces, period)[0] * away for forces, columns in drives])
+    start = int(LEAD * RATE)
+    starts = np.full(len(drives), start)
+    more = added(logger.structure, state.rows, contact, at_place, period, starts, samples, RATE, anti_alias)
+    out = []
+    for k, (forces, columns) in enumerate(drives):
+        # Exact for forces within the filter's band, as they are.
+        linear = fft.irfft(steady(state.system, state.rows, columns, forces, period), period)[:, start : start + samples]
+        driven = k < len(references)
+        measured = fft.irfft(forces[0], period)[start : start + samples] if driven else None
+        name = f"running state, shaker at {logger.structure.sensors[references[k]].name}" if driven else "running"
+        out.append(logger.run(linear + more[k], measured, references[k] if driven else None, name))
+    return out
 
 
 def through_faults(state: Hidden, gain: np.ndarray, hz: float) -> np.ndarray:

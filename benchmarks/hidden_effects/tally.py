@@ -174,9 +174,8 @@ def wrong(rows: list[dict]) -> str:
         if bad:
             true = " + ".join(t["kind"] + "@" + ",".join(t["location"]) for t in r["truth"]) or "nothing"
             found = " + ".join(d["effects"]) or f"(first candidate {d['candidate']})"
-            out.append(
-                f"  {r['case']}: {true} ({r['change_db']:.1f} dB); {d['verdict']}: {found}" + (" [in the set]" if d.get("in_set") else "")
-            )
+            change = "" if r["change_db"] is None else f" ({r['change_db']:.1f} dB)"
+            out.append(f"  {r['case']}: {true}{change}; {d['verdict']}: {found}" + (" [in the set]" if d.get("in_set") else ""))
     return f"Not right ({len(out)})\n" + "\n".join(out)
 
 
