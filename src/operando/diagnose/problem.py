@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from operando.data import ModalModel
 from operando.diagnose.missing_mode import missing_mode_candidate
 from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
-from operando.diagnose.refit import Fit, effect_dofs, honest, mean_misfit, model_variance, predicted, refit, settled, weights
+from operando.diagnose.refit import Fit, effect_dofs, foreseen, honest, mean_misfit, model_variance, predicted, refit, settled, weights
 from operando.diagnose.scan import Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
 from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines
 from operando.diagnose.shapes import shape_prior
@@ -21,6 +21,12 @@ Array = NDArray[Any]
 
 SHORT_LIST = 14
 """Candidates of the scan that are refitted."""
+
+ELSEWHERE = 4.0
+"""The best candidate of a place is on the short list where its scan is within this factor of the best of all."""
+
+CLEAR = 1.5
+"""Mean misfit, columns never driven allowed for, below which sizes alone decide what is refitted with its shapes."""
 
 REFITTED, NEAR = 5, 15.0
 """At most so many of them are refitted with the shapes at their places, and only within this factor of the best."""
@@ -209,14 +215,19 @@ def global_candidate(problem: Problem, term: Term, fit: Fit, lines: CheckLines, 
 
 
 def shortlist(found: Sequence[Candidate], count: int = SHORT_LIST) -> list[Candidate]:
-    """The best of the scan, and the best of each kind that is not far off."""
+    """The best of the scan, and the best of each kind and at each place that is not far off."""
     if not found:
         return []
     out = list(found[:count])
     kinds = {c.term.kind.kind for c in out}
+    places = {c.term.dofs for c in out}
     for c in found[count:]:
-        if c.term.kind.kind not in kinds and c.cost < 30 * found[0].cost + 1:
+        new = c.term.kind.kind not in kinds or (
+            c.term.kind.places == 1 and c.term.dofs not in places and c.cost < ELSEWHERE * found[0].cost
+        )
+        if new and c.cost < 30 * found[0].cost + 1:
             kinds.add(c.term.kind.kind)
+            places.add(c.term.dofs)
             out.append(c)
     return [c for c in out if c.cost < 100 * found[0].cost + 10]
 
@@ -233,22 +244,39 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
         That with the variance by which all of them were judged.
     """
     found = scan(problem, fit)
-    first = []
-    for c in shortlist(found):
-        first.append(problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False))
+    first = [problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False) for c in shortlist(found)]
+    lines, own = problem.sets[FIT], problem.owns[FIT]
     first.sort(key=lambda f: f.cost)
+    clear = not first or first[0].cost < 2 * CLEAR * lines.data.size
+    if not clear:
+        # Nothing fits with the columns as they are: which could, if what the idle model leaves open about its place were free?
+        costs = {id(f): foreseen(problem.arrays, lines, own, f, shape_prior(problem.idle, effect_dofs(f.terms))) for f in first}
+        first.sort(key=lambda f: costs[id(f)])
+        first = [replace(f, cost=costs[id(f)]) for f in first]
     tried = []
     for k, f in enumerate(first):
         if k < REFITTED and (k < 2 or f.cost < NEAR * first[0].cost):
-            if problem.say:
-                problem.say(f"refit {f.terms[-1].kind.kind} at {', '.join(map(str, f.terms[-1].dofs)) or 'no place'}")
-            f = problem.joint(f.terms, f.q)
+            f = with_shapes(problem, f)
         tried.append(problem.tried(f))
     if not tried:
         return [], problem
+    best = min(tried, key=lambda t: t.selection)
+    if not clear and best.term.kind.places == 1:
+        # Kinds at one place differ by little where its column is hardly known: each gets its chance there.
+        have = {t.term.kind.kind for t in tried if t.term.dofs == best.term.dofs and t.fit.prior.size}
+        same = [c for c in found if c.term.dofs == best.term.dofs and c.term.kind.places == 1 and c.term.kind.kind not in have]
+        tried = [t for t in tried if t.term.dofs != best.term.dofs or t.term.kind.kind in have]
+        tried += [problem.tried(with_shapes(problem, problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False))) for c in same]
     # All by one variance, that of the model with the best of them: the idle model's own says too little of columns never driven.
     here = problem.allowing(min(tried, key=lambda t: t.selection).fit)
     return sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection), here
+
+
+def with_shapes(problem: Problem, fit: Fit) -> Fit:
+    """A fit of sizes refitted with the shapes at its places."""
+    if problem.say:
+        problem.say(f"refit {fit.terms[-1].kind.kind} at {', '.join(map(str, fit.terms[-1].dofs)) or 'no place'}")
+    return problem.joint(fit.terms, fit.q)
 
 
 def choose(tried: Sequence[Tried]) -> Tried:

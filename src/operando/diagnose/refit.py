@@ -148,8 +148,7 @@ def refit(
     n_q = x.size
     none = np.zeros(0)
     if z is None:
-        doubt = (COLUMN_DOUBT * np.abs(lines.data - predict(arrays, lines, (), ()).data)) ** 2
-        soft = np.sqrt(weights(lines, own + doubt))
+        soft = np.sqrt(soft_weights(arrays, lines, own))
         x, normal, cost = _levenberg(arrays, lines, soft, terms, x, none, prior.bare(), steps, 1e-3)
         if not prior.size:
             return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
@@ -169,6 +168,32 @@ def refit(
         prior = prior.widened(wide)
         x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
     return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], _inverse(normal), cost)
+
+
+def foreseen(arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit, prior: ShapePrior) -> float:
+    """What the cost of a fit of sizes alone would fall to with the shapes at its places, to first order.
+
+    Lines are weighted as in the fit of sizes, with the allowance for columns that were never driven.
+    """
+    p = predict(arrays, lines, fit.terms, fit.q)
+    root = np.sqrt(soft_weights(arrays, lines, own))
+    error = root * (lines.data - p.data)
+    bare = jacobian(arrays, lines, fit.terms, fit.q, prior.bare(), np.zeros(0), p)
+    both = np.concatenate([bare, by_directions(p, lines, prior.root)]) * root
+    if not len(both):
+        return fit.cost
+    flat = both.reshape(len(both), -1)
+    normal = 2 * np.real(flat.conj() @ flat.T)
+    n_q = len(bare)
+    normal[np.arange(n_q, len(both)), np.arange(n_q, len(both))] += 1
+    slope = 2 * np.real(flat.conj() @ error.ravel())
+    return 2 * float(np.sum(np.abs(error) ** 2)) - float(slope @ _solve(normal, slope))
+
+
+def soft_weights(arrays: IdleArrays, lines: CheckLines, own: Array) -> Array:
+    """Weights with an allowance for columns that were never driven, by what the idle model lacks there."""
+    doubt = (COLUMN_DOUBT * np.abs(lines.data - predict(arrays, lines, (), ()).data)) ** 2
+    return weights(lines, own + doubt)
 
 
 def _levenberg(

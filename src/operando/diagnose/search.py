@@ -6,13 +6,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from operando.diagnose.predict import Term
 from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
 from operando.diagnose.refit import Fit, effect_dofs, refit
 from operando.diagnose.sets import FIT, SELECT
 from operando.diagnose.shapes import shape_prior
-from operando.diagnose.verdict import separates
+from operando.diagnose.verdict import one_mode, separates
 from operando.effects import catalogue
+
+Array = NDArray[Any]
 
 MAX_EFFECTS = 3
 
@@ -58,6 +62,8 @@ class Search:
 
 def search(problem: Problem, most: int = MAX_EFFECTS) -> Search:
     """The effects that explain the lines best, at most so many."""
+    if one_mode(problem.idle):
+        most = 1  # two effects on one mode are one
     found = greedy(problem, problem.empty(), most)
     if not found.history or most < 2:
         return simplified(problem, found)
@@ -168,8 +174,13 @@ def in_order(problem: Problem, fit: Fit, alternatives: dict[Any, list[Tried]]) -
 
 
 def simplified(problem: Problem, found: Search) -> Search:
-    """Each effect as the simplest kind it contains that does as well: a hysteretic spring without loss is a spring."""
+    """Each effect as the simplest kind it contains that does as well, and none of no size: a spring without loss is a spring."""
     fit = found.fits[-1]
+    while len(fit.terms) > 1:
+        small = [k for k, (t, q) in enumerate(zip(fit.terms, fit.q, strict=True)) if vanished(t, q)]
+        if not small:
+            break
+        fit = problem.joint(*_without(fit, small[0]))
     for k, term in enumerate(fit.terms):
         for name in term.kind.contains:
             kind = catalogue().get(name)
@@ -188,15 +199,24 @@ def simplified(problem: Problem, found: Search) -> Search:
                 break
     if fit is found.fits[-1]:
         return found
-    step_of = {t.key: (best, tried) for (best, tried), t in zip(found.history, found.fits[-1].terms, strict=True)}
-    told = [step_of.get(t.key) for t in fit.terms]
+    was = {t.dofs: (best, tried) for (best, tried), t in zip(found.history, found.fits[-1].terms, strict=True)}
     fits, history = [found.fits[0]], []
-    for k in range(len(fit.terms)):
+    for k, term in enumerate(fit.terms):
         fits.append(problem.joint(fit.terms[: k + 1], fit.q[: k + 1]) if k + 1 < len(fit.terms) else fit)
-        one = problem.tried(fits[-1])
-        was = told[k]
-        history.append(was if was is not None else (one, [one, *found.history[k][1]]))
+        best, tried = was[term.dofs]
+        if best.term.key != term.key:
+            best = problem.tried(fits[-1])
+            tried = [best, *tried]
+        history.append((best, tried))
     return replace(found, fits=fits, history=history)
+
+
+def vanished(term: Term, q: Array) -> bool:
+    """Whether the size of an effect stands at its lower bound."""
+    first = term.kind.parameters[0] if term.kind.parameters else None
+    if first is None or first.name not in term.moving or first.transform != "log":
+        return False
+    return bool(q[term.moving.index(first.name)] <= term.bounds()[0][term.moving.index(first.name)] + 0.1)
 
 
 def _without(fit: Fit, k: int) -> tuple[list, list]:

@@ -12,6 +12,7 @@ from operando.data import Geometry, ModalModel
 from operando.diagnose.model import Model
 from operando.diagnose.refit import Fit
 from operando.diagnose.result import effects_of
+from operando.diagnose.verdict import one_mode
 from operando.effects import catalogue
 
 if TYPE_CHECKING:
@@ -66,8 +67,7 @@ def of_a_sensor(problem: Problem, fit: Fit, operating: ModalModel | None, geomet
         Operational modes.
     geometry : Geometry or None
     """
-    proper = np.asarray(problem.idle.in_band) & ~np.asarray(problem.idle.residual)
-    if operating is None or not operating.n_modes or proper.sum() < 2:
+    if operating is None or not operating.n_modes or one_mode(problem.idle):
         return []  # one frequency may err, and the mass with it
     out = []
     effects = effects_of(fit, problem.idle.dofs)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from operando.data import Geometry
+from operando.data import Geometry, ModalModel
 from operando.diagnose.predict import Term
 from operando.diagnose.sets import SELECT
 
@@ -104,17 +104,22 @@ def distance(a: Term, b: Term, geometry: Geometry | None) -> float:
     return min(ways, default=0.0)
 
 
+def one_mode(idle: ModalModel) -> bool:
+    """Whether no more than one mode lies in the band."""
+    return int(np.sum(np.asarray(idle.in_band) & ~np.asarray(idle.residual))) <= 1
+
+
 def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]], geometry: Geometry | None) -> tuple[list[Tried], bool]:
     """Candidates as good as an accepted one, and whether one of them is another kind or more than a sensor spacing away."""
     out, other = [], False
     idle = problem.idle
-    one_mode = int(np.sum(np.asarray(idle.in_band) & ~np.asarray(idle.residual))) <= 1
-    start = problem.misfit(SELECT, problem.empty()) if one_mode else 0.0
+    alone = one_mode(idle)
+    start = problem.misfit(SELECT, problem.empty()) if alone else 0.0
     limit = spacing(geometry) * 1.05
     accepted = [best.term.key for best, _ in history]
     for best, tried in history:
         for t in tried:
-            as_good = alike(best, t) or (one_mode and t.selection < ONE_MODE * start)
+            as_good = alike(best, t) or (alone and t.selection < ONE_MODE * start)
             if t.term.key in accepted or not as_good or nested(best.term, t.term):
                 continue
             out.append(t)
