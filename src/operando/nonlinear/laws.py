@@ -24,7 +24,10 @@ STEEPEST = 60.0
 SMOOTHINGS = (3.0, 10.0, 30.0, 100.0)
 """Rms velocity over the smoothing speed of dry friction."""
 
-REACHES, EXPONENTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8), (1.0, 2.0, 5.0)
+REACHES, EXPONENTS = (0.03, 0.1, 0.25, 0.6), (1.0, 2.5)
+SLIP_TURNS, EASY = 4, 1.03
+STEP = float(np.log(EASY))
+"""Hysteresis: grid over the largest deflection and exponents, Gauss–Newton steps, relative change of a value for a difference quotient."""
 
 
 @dataclass(frozen=True)
@@ -191,45 +194,61 @@ def fit_friction(motions: Sequence[Motion]) -> LawFit | None:
 
 
 def fit_hysteresis(motions: Sequence[Motion]) -> LawFit | None:
-    """Bouc–Wen: grid over how far it moves before it slips and how sharply, the two forces by regression; then refined."""
-    kind = kind_of("hysteresis")
+    """Bouc–Wen: a coarse grid over how far it moves before it slips and how sharply, then Gauss–Newton; the forces by regression."""
     reach = max(float(np.max(np.abs(m.x))) for m in motions)
-    best: tuple[float, float, float, Real] | None = None
-    tried: set[tuple[float, float]] = set()
-    reaches, exponents = [reach * r for r in REACHES], list(EXPONENTS)
-    for _ in range(3):
-        pairs = [(a, n) for a in reaches for n in exponents if (a, n) not in tried]
-        tried.update(pairs)
-        z = memories(motions, kind, pairs)
-        for number, (a, n) in enumerate(pairs):
-            gram, right, total = pooled(motions, [np.stack([m.x, zm[number]]) for m, zm in zip(motions, z, strict=True)])
-            both = np.linalg.solve(gram + 1e-12 * np.diag(np.diag(gram)), right)
-            if both[0] < 0:
-                both = np.array([0.0, right[1] / gram[1, 1]])
-            cost = total - float(both @ right) if both[0] > 0 else total - float(both[1] * right[1])
-            if both[1] > 0 and (best is None or cost < best[2]):
-                best = (a, n, cost, np.asarray(both, float))
-        if best is None:
-            return None
-        a, n = best[:2]
-        spread = 1.35 if len(tried) < 25 else 1.12
-        reaches, exponents = [a / spread, a, a * spread], [n / spread, n, n * spread]
-    assert best is not None
-    a, n, cost, (after, force) = best
+    best = min(
+        (f for r in REACHES for n in EXPONENTS if (f := _slip_fit(motions, reach * r, n)) is not None), key=lambda f: f[0], default=None
+    )
+    if best is None:
+        return None
+    for _ in range(SLIP_TURNS):
+        cost, a, n, (after, force) = best
+        z = _memories(motions, a, n)
+        slopes = [[(up - now) / STEP for now, up in zip(z, _memories(motions, *v), strict=True)] for v in ((a * EASY, n), (a, n * EASY))]
+        x = [_on_lines(m, m.x[:: m.crossing.fine]) for m in motions]
+        columns = [np.stack(rows) for rows in zip(x, z, *slopes, strict=True)]
+        gram, right, _ = summed([m.along.normal(c) for m, c in zip(motions, columns, strict=True)])
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        found = np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale
+        move = np.clip(found[2:] / (found[1] if found[1] > 0 else force), -0.5, 0.5)
+        ends = [(a * float(np.exp(f * move[0])), float(np.clip(n * np.exp(f * move[1]), 0.5, 10))) for f in (1, 0.4)]
+        trials = [_slip_fit(motions, *end) for end in ends]
+        better = min((t for t in trials if t is not None), key=lambda f: f[0], default=best)
+        if not better[0] < cost:
+            break
+        best = better
+        if np.max(np.abs(move)) < 0.01:
+            break
+    cost, a, n, (after, force) = best
     # f = r·k·x + (1−r)·F_y·z with F_y = k·a: after = r·k, force = (1−r)·k·a.
     stiffness = after + force / a
     values = {"stiffness": stiffness, "yield_force": stiffness * a, "exponent": n, "ratio": min(after / stiffness, 0.95)}
     return LawFit("hysteresis", 1.0, {k: float(v) for k, v in values.items()}, cost, 4)
 
 
-def memories(motions: Sequence[Motion], kind: EffectKind, pairs: Sequence[tuple[float, float]]) -> list[Real]:
-    """Internal z of each run for each (reach, exponent), all in one walk through time; (pairs, N) a run."""
-    longest = max(m.x.size for m in motions)
-    x = np.stack([np.pad(m.x, (0, longest - m.x.size), mode="edge") for m in motions])  # (runs, N)
-    reach, exponent = (np.array(v)[:, None] for v in zip(*pairs, strict=True))
-    values = {"stiffness": 1.0 / reach, "yield_force": np.ones_like(reach), "exponent": exponent}
-    z = kind.memory(np.broadcast_to(x, (len(pairs), *x.shape)), values)  # type: ignore[attr-defined]
-    return [z[:, i, : m.x.size] for i, m in enumerate(motions)]
+def _memories(motions: Sequence[Motion], reach: float, exponent: float) -> list[Complex]:
+    """Transform of the internal z of each run, walked at the record's own rate."""
+    kind = kind_of("hysteresis")
+    values = {"stiffness": 1.0 / reach, "yield_force": 1.0, "exponent": exponent}
+    return [_on_lines(m, kind.memory(m.x[:: m.crossing.fine], values)) for m in motions]  # type: ignore[attr-defined]
+
+
+def _on_lines(m: Motion, signal: Real) -> Complex:
+    """Transform of a signal at the record's own rate, on the lines."""
+    return np.asarray(sfft.rfft(signal)[m.along.run.lines])
+
+
+def _slip_fit(motions: Sequence[Motion], reach: float, exponent: float) -> tuple[float, float, float, tuple[float, float]] | None:
+    """Cost, reach, exponent and the two forces' factors; None where the memory would have to push."""
+    z = _memories(motions, reach, exponent)
+    columns = [np.stack([_on_lines(m, m.x[:: m.crossing.fine]), zm]) for m, zm in zip(motions, z, strict=True)]
+    gram, right, total = summed([m.along.normal(c) for m, c in zip(motions, columns, strict=True)])
+    both = np.linalg.solve(gram + 1e-12 * np.diag(np.diag(gram)), right)
+    if both[0] < 0:
+        both = np.array([0.0, right[1] / gram[1, 1]])
+    if both[1] <= 0:
+        return None
+    return total - 2 * float(both @ right) + float(both @ gram @ both), reach, exponent, (float(both[0]), float(both[1]))
 
 
 def fit_general(motions: Sequence[Motion], kind: EffectKind, side: float = 1.0) -> LawFit | None:

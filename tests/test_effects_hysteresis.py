@@ -1,0 +1,34 @@
+"""The internal state of hysteresis: one displacement in plain numbers is the same as arrays, and it follows its differential equation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from operando.effects import kind_of
+
+
+def test_one_displacement_walks_as_many_do():
+    kind = kind_of("hysteresis")
+    x = np.cumsum(np.random.default_rng(0).standard_normal(2000)) * 1e-4
+    values = {"stiffness": 1e4, "yield_force": 3.0, "exponent": 1.7, "ratio": 0.2}
+    one = kind.memory(x, values, 0.3)
+    many = kind.memory(np.stack([x, -x]), values, np.array([0.3, -0.3]))
+    np.testing.assert_allclose(one, many[0], atol=1e-14)
+    np.testing.assert_allclose(-one, many[1], atol=1e-14)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.3])
+def test_walk_follows_bouc_and_wen(exponent):
+    kind = kind_of("hysteresis")
+    values = {"stiffness": 2e3, "yield_force": 4.0, "exponent": exponent, "ratio": 0.1}
+    reach, amplitude, w = 2e-3, 6e-3, 2 * np.pi * 3.0
+    time = np.linspace(0, 1, 4001)
+
+    def rate(t, z):
+        v = amplitude * w * np.cos(w * t)
+        return (v - 0.5 * (abs(v) * np.abs(z) ** (exponent - 1) * z + v * np.abs(z) ** exponent)) / reach
+
+    exact = solve_ivp(rate, (0, 1), [0.0], t_eval=time, rtol=1e-9, atol=1e-11, max_step=1e-3).y[0]
+    np.testing.assert_allclose(kind.memory(amplitude * np.sin(w * time), values), exact, atol=2e-3)
