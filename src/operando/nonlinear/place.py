@@ -21,6 +21,10 @@ FINE_BELOW = 8.0
 """Motions are brought to twice the rate where a record has fewer samples than this in a period of the last line."""
 
 
+SLOPE_STEP = 0.01
+"""Relative change of the motion for the slope of a law."""
+
+
 @dataclass(frozen=True)
 class Weighted:
     """A run with its weights, and the normal equations of its free decays.
@@ -284,7 +288,7 @@ def settle(
     taken: Real,
     law: Callable[[Real, Real], Real],
     start: tuple[Real, Real],
-    turns: int = 6,
+    turns: int = 12,
 ) -> tuple[Real, Real]:
     """Motion where the law stands in for the restoring force on the lines the data say nothing about (the mean among them).
 
@@ -311,16 +315,24 @@ def settle(
     share[along.run.lines[-1] + 1 :] = 1.0
     seen = np.zeros(crossing.base.size, complex)
     seen[along.run.lines] = force
+    relax, last = 1.0, np.inf
     for _ in range(turns):
         s = law(x, v)
-        stiffness = float(x @ s) / max(float(x @ x), 1e-300)
-        # Newton's step with the law's mean stiffness: the plain substitution diverges where the contact is stiffer than the structure.
-        damping = 1 / (1 + crossing.compliance * (1 - share) * stiffness)
+        # Newton's step with the law's slope, weighted with the motion: the plain substitution diverges where the contact is stiffer
+        # than the structure.
+        slope = float(x @ (law(x * (1 + SLOPE_STEP), v) - s)) / SLOPE_STEP / max(float(x @ x), 1e-300)
+        damping = relax / (1 + crossing.compliance * (1 - share) * max(slope, 0.0))
         target = crossing.base - crossing.compliance * (share * seen + (1 - share) * crossing.lines(s))
         now = crossing.lines(x - crossing.fall_x)
+        miss = float(np.sum(np.abs(target - now) ** 2))
+        if miss > last:
+            # Went too far: half as fast, from where it was.
+            relax *= 0.5
+            damping = 0.5 * damping
+        last = miss
         change = damping * (target - now)
         x, v = crossing.in_time(now + change)
         x, v = x + crossing.fall_x, v + crossing.fall_v
-        if np.sum(np.abs(change) ** 2) < 1e-7 * np.sum(np.abs(now) ** 2):
+        if miss < 1e-8 * np.sum(np.abs(now) ** 2):
             break
     return x, v

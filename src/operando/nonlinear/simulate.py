@@ -163,6 +163,12 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
     return loop_of(case.modes, [t.spot.b for t in accepted], [t.spot.outside for t in accepted], run, step)
 
 
+def lowest_hz(case: Case) -> float:
+    """Lowest frequency of a mode that moves under its stiffness [Hz]."""
+    hz = case.idle.frequencies_hz[~np.asarray(case.idle.residual)]
+    return float(np.min(hz[hz > 1e-3]))
+
+
 def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
     """The model with its laws in the closed loop against the records that judge (the fitted ones where there is one level).
 
@@ -184,7 +190,7 @@ def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
     if len({runs[i].sampling_hz for i in (0, *picked)}) > 1:
         return {}
     loop = loop_for(case, accepted)
-    lowest = float(np.min(case.idle.frequencies_hz[~np.asarray(case.idle.residual)]))
+    lowest = lowest_hz(case)
     horizon = PERIODS / lowest
     tracks = [tracks_of(case, accepted, i, loop) for i in picked]
     forces = follow(tracks, [[t.law for t in accepted]], horizon)[0]

@@ -9,7 +9,7 @@ import numpy as np
 
 from operando.effects import kind_of
 from operando.nonlinear.judge import residual
-from operando.nonlinear.laws import LawFit, fit_law, law_cost, linear_law
+from operando.nonlinear.laws import LawFit, fit_law, law_cost, linear_law, turned
 from operando.nonlinear.outside import Outside, force_columns, look
 from operando.nonlinear.run import Real, Run, smoothed_variance
 from operando.nonlinear.search import NOISE_FLOOR, WITHIN, Case, Field, Spot, examine, rank_places, settled
@@ -24,6 +24,9 @@ KEPT = 4
 FINALISTS = 5
 FLOOR, NEARLY = 3.0, 0.01
 """Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do."""
+
+UNSETTLED = 0.02
+"""Relative change of a value that is still swinging."""
 
 SAME_PLACE = 0.5
 """A second law at the same place must leave less than this part of the misfit: errors of the motion look like one."""
@@ -90,14 +93,20 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
                     cost, count = law_cost(law, spot.select)
                     rough.append((cost / count, spot, law))
     rough.sort(key=lambda r: r[0])
-    tried = [settle_law(stage, spot, law) for _, spot, law in rough[:FINALISTS]]
+    finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
+    have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
+    # Without the mean deflection an even law may seem to act towards the other side.
+    finalists += [
+        (spot, turned(law)) for spot, law in finalists if len(sides(law.kind)) > 1 and (spot.place, law.kind, -law.side) not in have
+    ]
+    tried = [settle_law(stage, spot, law) for spot, law in finalists]
     floor = min((s.free for s in spots), default=1.0)
     best = min((t.selection for t in tried), default=np.inf)
     if "hysteresis" in kinds and spots and best > max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select)):
         for spot in spots[:1]:
             law = fit_law(spot.fit, "hysteresis")
             if law is not None:
-                tried.append(settle_law(stage, spot, law, turns=1))
+                tried.append(settle_law(stage, spot, law, turns=2))
     tried.sort(key=lambda t: t.selection)
     return Step(case, base_select, base_judge, tried, floor)
 
@@ -112,24 +121,87 @@ def place_name(case: Case, place: tuple[int, ...]) -> str:
     return ", ".join(str(case.idle.dofs[i]) for i in place)
 
 
-def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 2) -> Tried:
-    """The law refitted with motions that it makes itself where the data say nothing."""
+def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 6) -> Tried:
+    """The law refitted with motions that it makes itself where the data say nothing (the mean among them).
+
+    Motion and values are found in turn. Where one answers the other too strongly they swing about what they seek: so every second turn the
+    values go to where the last three point (Aitken's rule, on logarithms).
+    """
     best, here = law, spot
     cost, count = law_cost(law, spot.select)
-    for _ in range(turns):
-        moved = settled(here, stage, best)
+    trail, seen, step = [law], [law], 0.0
+    for turn in range(turns):
+        moved = settled(here, stage, trail[-1])
         again = fit_law(moved.fit, law.kind, law.side)
         if again is None:
             break
-        new, _ = law_cost(again, moved.select)
-        if not new < 1.02 * cost:
+        new, _ = law_cost(trail[-1], moved.select)
+        if turn == 0 or new < cost:
+            best, here, cost = trail[-1], moved, new
+        elif new > 1.5 * cost and turn > 2:
             break
-        better = new < 0.98 * cost
-        here, best, cost = moved, again, new
-        if not better:
+        step = apart(trail[-1], again)
+        trail.append(again)
+        seen.append(again)
+        if step < 1e-3:
             break
+        if len(trail) == 3:
+            trail = [towards(*trail)]
+    if step > UNSETTLED and len(law.values) == 1:
+        best, here, cost = narrowed(stage, here, best, cost, seen)
     judged, n = law_cost(best, here.judge)
     return Tried(here, best, cost / count, judged / n)
+
+
+def narrowed(stage: Field, spot: Spot, law: LawFit, cost: float, seen: Sequence[LawFit]) -> tuple[LawFit, Spot, float]:
+    """The one value of a law by golden section between the smallest and the largest seen, each with the motion it makes."""
+    (name,) = law.values
+    low, high = (float(np.log(f(x.values[name] for x in seen))) for f in (min, max))
+    best = (cost, law, spot)
+    golden = 0.5 * (np.sqrt(5) - 1)
+
+    def tried(at: float) -> float:
+        nonlocal best
+        one = replace(law, values={name: float(np.exp(at))})
+        moved = settled(spot, stage, one)
+        own, _ = law_cost(one, moved.fit)
+        judged, _ = law_cost(one, moved.select)
+        if judged < best[0]:
+            best = (judged, one, moved)
+        return own
+
+    a, b = high - golden * (high - low), low + golden * (high - low)
+    at_a, at_b = tried(a), tried(b)
+    while high - low > 1e-3:
+        if at_a < at_b:
+            high, b, at_b = b, a, at_a
+            a = high - golden * (high - low)
+            at_a = tried(a)
+        else:
+            low, a, at_a = a, b, at_b
+            b = low + golden * (high - low)
+            at_b = tried(b)
+    return best[1], best[2], best[0]
+
+
+def apart(one: LawFit, two: LawFit) -> float:
+    """Largest relative difference of the values of two laws of one kind."""
+    return max(abs(float(np.log(two.values[n] / one.values[n]))) if one.values[n] > 0 and two.values[n] > 0 else 0.0 for n in one.values)
+
+
+def towards(one: LawFit, two: LawFit, three: LawFit) -> LawFit:
+    """Where a row of three laws of one kind points (Aitken's rule), no farther than it went so far."""
+    values = {}
+    for name, v in three.values.items():
+        if min(one.values[name], two.values[name], v) <= 0:
+            values[name] = v
+            continue
+        a, b, c = (float(np.log(law.values[name])) for law in (one, two, three))
+        bend = c - 2 * b + a
+        there = c - (c - b) ** 2 / bend if abs(bend) > 1e-9 else c
+        reach = abs(b - a) + abs(c - b)
+        values[name] = float(np.exp(np.clip(there, min(a, b, c) - reach, max(a, b, c) + reach)))
+    return replace(three, values=values)
 
 
 def baseline(stage: Field) -> tuple[float, float]:
