@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
+from operando.diagnose.between import between_sensors
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
@@ -209,7 +210,9 @@ def _search(
     band: tuple[float, float] | None,
 ) -> Diagnosis:
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
-    found = search(problem, MAX_EFFECTS if one_system else 1)
+    found = search(problem, MAX_EFFECTS if one_system else 1, lambda first: between_sensors(problem, geometry, first))
+    if found.elsewhere is not None:
+        problem, geometry, found = found.elsewhere
     fits, history, before, last, further = found.fits, found.history, found.before, found.last, found.further
     final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)

@@ -55,7 +55,7 @@ def _picture(problem: Problem, effect: Effect, effects: Sequence[Effect], fit: F
     """δz(ω) at one effect's place with the others in the model, and the fitted law."""
     k = list(effects).index(effect)
     term = fit.terms[k]
-    if term.kind.acts != "dynamic_stiffness" or term.kind.coordinates == "separate":
+    if term.kind.acts != "dynamic_stiffness" or term.kind.coordinates == "separate" or term.position is not None:
         return None
     others = replace(
         fit,

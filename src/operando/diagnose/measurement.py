@@ -29,8 +29,10 @@ def propose(problem: Problem, fit: Fit, alternatives: Sequence[Tried], verdict: 
     for t in alternatives[:2]:
         two = full_receptance(problem.arrays, lines, t.fit)[0]
         loud = size > np.median(size, axis=0, keepdims=True)
+        if two.shape != one.shape:  # one of them at a place that the other does not know
+            continue
         gap = np.where(loud, np.abs(two - one) / np.maximum(size, 1e-300), 0)
-        j = int(np.argmax(np.median(gap, axis=(0, 1))))
+        j = int(np.argmax(np.median(gap, axis=(0, 1))[: problem.lines.responses.max() + 1]))
         line = int(np.argmax(np.median(gap[:, :, j], axis=1)))
         decibel = float(np.max(20 * np.abs(np.log10(np.abs(two[line, :, j]) / np.maximum(size[line, :, j], 1e-300)))))
         other = effects_of(t.fit)[-1]

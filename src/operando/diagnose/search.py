@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import Geometry
 from operando.diagnose.predict import Term
 from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
 from operando.diagnose.refit import Fit, effect_dofs, refit
@@ -46,6 +48,8 @@ class Search:
         Candidates of the last step tried.
     further : float
         Selection misfit with the best further candidate over that without it.
+    elsewhere : tuple, optional
+        Problem, geometry and search in which a place between sensors explains the data.
     """
 
     fits: list[Fit]
@@ -53,6 +57,7 @@ class Search:
     before: list[float]
     last: list[Tried] = field(default_factory=list)
     further: float = 1.0
+    elsewhere: tuple[Problem, Geometry, Search] | None = None
 
     @property
     def done(self) -> bool:
@@ -60,11 +65,29 @@ class Search:
         return self.before[-1] < DONE
 
 
-def search(problem: Problem, most: int = MAX_EFFECTS) -> Search:
-    """The effects that explain the lines best, at most so many."""
+def search(
+    problem: Problem,
+    most: int = MAX_EFFECTS,
+    elsewhere: Callable[[Search], tuple[Problem, Geometry, Search] | None] | None = None,
+) -> Search:
+    """The effects that explain the lines best, at most so many.
+
+    Parameters
+    ----------
+    problem : Problem
+    most : int
+    elsewhere : callable, optional
+        Asked for a place between sensors before more than one effect, or one at another place, is thought of.
+    """
     if one_mode(problem.idle):
         most = 1  # two effects on one mode are one
-    found = greedy(problem, problem.empty(), most)
+    found = greedy(problem, problem.empty(), 1)
+    if elsewhere is not None and found.before[-1] > POOR:
+        there = elsewhere(found)
+        if there is not None:
+            return replace(found, elsewhere=there)
+    if most > 1 and found.history:
+        found = greedy(problem, problem.empty(), most, found)
     if not found.history or most < 2:
         return simplified(problem, found)
     if found.before[-1] > POOR:
@@ -75,12 +98,12 @@ def search(problem: Problem, most: int = MAX_EFFECTS) -> Search:
     return simplified(problem, found)
 
 
-def greedy(problem: Problem, start: Fit, most: int) -> Search:
-    """Add the best effect as long as each earns its place."""
-    fit, here = start, problem
-    if fit.terms:
-        here = problem.allowing(fit)
-    found = Search([fit], [], [here.misfit(SELECT, fit)])
+def greedy(problem: Problem, start: Fit, most: int, found: Search | None = None) -> Search:
+    """Add the best effect as long as each earns its place, from the start or from what was found."""
+    fit = start if found is None else found.fits[-1]
+    here = problem.allowing(fit) if fit.terms else problem
+    if found is None:
+        found = Search([fit], [], [here.misfit(SELECT, fit)])
     while len(fit.terms) < most:
         if fit.terms and found.done:
             break

@@ -70,8 +70,8 @@ def alike(best: Tried, other: Tried) -> bool:
 
 
 def same_place(a: Term, b: Term) -> bool:
-    """Whether two terms act at the same DOFs."""
-    return {(d.node, d.axis) for d in a.dofs} == {(d.node, d.axis) for d in b.dofs}
+    """Whether two terms act at the same DOFs, or at the same place between sensors."""
+    return a.position == b.position and {(d.node, d.axis) for d in a.dofs} == {(d.node, d.axis) for d in b.dofs}
 
 
 def nested(a: Term, b: Term) -> bool:
@@ -94,14 +94,22 @@ def distance(a: Term, b: Term, geometry: Geometry | None) -> float:
     """Largest way between the places of two terms of one kind, paired as is nearest [m]; infinite where it is not known."""
     if same_place(a, b):
         return 0.0
-    if geometry is None or len(a.dofs) != len(b.dofs):
+    if geometry is None:
         return np.inf
-    one = [geometry.position(d.node) for d in a.dofs]
-    two = [geometry.position(d.node) for d in b.dofs]
-    if any(p is None for p in (*one, *two)):
+    one, two = _points(a, geometry), _points(b, geometry)
+    if one is None or two is None or len(one) != len(two):
         return np.inf
-    ways = [max(float(np.linalg.norm(p - q)) for p, q in zip(one, order, strict=True)) for order in permutations(two)]  # type: ignore[operator]
+    ways = [max(float(np.linalg.norm(p - q)) for p, q in zip(one, order, strict=True)) for order in permutations(two)]
     return min(ways, default=0.0)
+
+
+def _points(term: Term, geometry: Geometry) -> list[np.ndarray] | None:
+    """Where a term acts [m], or None where that is not known."""
+    if term.position is not None:
+        return [np.array(term.position)]
+    points = [geometry.position(d.node) for d in term.dofs]
+    known = [p for p in points if p is not None]
+    return known if len(known) == len(points) else None
 
 
 def one_mode(idle: ModalModel) -> bool:

@@ -151,6 +151,9 @@ def place_weights(effect: Effect, idle: ModalModel, geometry: Geometry | None = 
     """
     definition = effect.definition
     if effect.position is not None:
+        known = _dof_there(effect, idle, geometry)
+        if known is not None:
+            return known[None]
         if geometry is None:
             raise DataError(f"{effect.kind} at {effect.place} needs the positions of the sensors", hint="give a geometry")
         return virtual_shape(idle, geometry, effect.position, effect.direction).weights[None]
@@ -165,6 +168,16 @@ def place_weights(effect: Effect, idle: ModalModel, geometry: Geometry | None = 
         same = [i for i, d in enumerate(idle.dofs) if d.node == first.node and d.axis.startswith("R") == turning]
         return np.eye(len(idle.dofs))[same]
     return rows
+
+
+def _dof_there(effect: Effect, idle: ModalModel, geometry: Geometry | None) -> Array | None:
+    """The row of a DOF of this axis at this very position, if the model has one."""
+    wanted = Dof.parse(f"0{effect.direction}")
+    for i, dof in enumerate(idle.dofs):
+        at = None if geometry is None or dof.axis != wanted.axis else geometry.position(dof.node)
+        if at is not None and effect.position is not None and np.linalg.norm(at - np.array(effect.position)) < 1e-9:
+            return np.asarray(np.eye(len(idle.dofs))[i] * dof.sign * wanted.sign)
+    return None
 
 
 def participation(effect: Effect, idle: ModalModel, geometry: Geometry | None = None) -> Array:
