@@ -61,7 +61,8 @@ def test_the_middles_lie_between_neighbours() -> None:
     assert len(places) == NODES - 1
     np.testing.assert_allclose(sorted(p.position[0] for p in places), np.linspace(0.3, 1.7, NODES - 1))
     wider, known = with_middles(idle, geometry, places)
-    assert len(wider.dofs) == 2 * NODES - 1 and len(known.nodes) == 2 * NODES - 1
+    assert len(wider.dofs) == 2 * NODES - 1
+    assert len(known.nodes) == 2 * NODES - 1
     # A beam's low modes are smooth: the suggested shapes are near the exact ones, within the standard deviation given to them.
     exact = beam(np.array([p.position[0] for p in places]))[1]
     at = 2 * MODES + np.arange(MODES)[None, :] * len(wider.dofs) + NODES + np.arange(NODES - 1)[:, None]
@@ -76,11 +77,13 @@ def test_a_mass_between_two_sensors_is_placed_there(where: float) -> None:
     found = diagnose(idle, check=[run], geometry=geometry)
     assert [e.kind for e in found.effects] == ["point_mass"]
     effect = found.effects[0]
-    assert effect.position is not None and effect.position[0] == pytest.approx(where, abs=1e-9)
+    assert effect.position is not None
+    assert effect.position[0] == pytest.approx(where, abs=1e-9)
     assert found.verdict in ("explained", "ambiguous")
     assert found.ladder[-1]["heldout_misfit"] < 2 < 50 < found.ladder[0]["heldout_misfit"]
     assert effect.values["mass"] == pytest.approx(0.5, abs=3 * effect.std["mass"])
-    assert effect.to_dict()["location"] == [] and effect.to_dict()["position"] == list(effect.position)
+    assert effect.to_dict()["location"] == []
+    assert effect.to_dict()["position"] == list(effect.position)
 
 
 def test_without_geometry_no_place_is_invented() -> None:
