@@ -18,11 +18,8 @@ GRID = 14
 """Gaps and knees tried first, evenly spaced in their logarithm between these shares of the largest deflection."""
 
 GRID_RANGE = (0.03, 0.93)
-STEEPEST = 60.0
-"""Dry friction is smoothed over the rms velocity divided by these at most."""
-
-SMOOTHINGS = (3.0, 10.0, 30.0, 100.0)
-"""Rms velocity over the smoothing speed of dry friction."""
+SMOOTHINGS = (3.0, 300.0)
+"""Rms velocity over the smoothing speed of dry friction, least and most."""
 
 REACHES, EXPONENTS = (0.03, 0.1, 0.25, 0.6), (1.0, 2.5)
 SLIP_TURNS, EASY = 4, 1.03
@@ -94,6 +91,8 @@ class LawFit:
 
 def law_force(kind: EffectKind, x: Real, v: Real, values: Mapping[str, Any], step: float) -> Real:
     """Restoring force of a kind; linear kinds of spring and damper included."""
+    if kind.kind == "coulomb_friction":
+        return np.asarray(values["force"] * mean_sign(v, values.get("slip_speed", 0.0)))
     if kind.acts == "pseudo_force":
         if getattr(kind, "has_state", False):
             return np.asarray(kind.pseudo_force(x, v, values, step))  # type: ignore[call-arg]
@@ -101,6 +100,21 @@ def law_force(kind: EffectKind, x: Real, v: Real, values: Mapping[str, Any], ste
     if "stiffness" in values:
         return np.asarray(values["stiffness"] * x)
     return np.asarray(values["damping"] * v)
+
+
+def mean_sign(v: Real, speed: float) -> Real:
+    """tanh(v/v₀) (sign where v₀ is 0) in the mean over a step around each sample, the velocity taken as straight in it.
+
+    Between two samples the velocity of a shaken structure changes by more than any speed over which friction is smoothed: taken
+    sample by sample its jumps would lie anywhere within a step.
+    """
+    change = np.abs(np.gradient(v, axis=-1)) if v.shape[-1] > 1 else np.zeros_like(v)
+    if speed <= 0:
+        return np.asarray(np.clip(2 * v / np.maximum(change, 1e-300), -1, 1))
+    half = np.maximum(0.5 * change / speed, 1e-4)
+    u = v / speed
+    log_cosh = lambda a: np.abs(a) + np.log1p(np.exp(-2 * np.abs(a)))  # noqa: E731
+    return np.asarray((log_cosh(u + half) - log_cosh(u - half)) / (2 * half))
 
 
 def pooled(motions: Sequence[Motion], forces: Sequence[Real]) -> tuple[Real, Real, float]:
@@ -159,10 +173,15 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> Law
 
 
 def _search_shape(
-    columns: Callable[[Sequence[dict[str, float]]], tuple[Real, Real, float]], name: str, shape: str, low: float, high: float
+    columns: Callable[[Sequence[dict[str, float]]], tuple[Real, Real, float]],
+    name: str,
+    shape: str,
+    low: float,
+    high: float,
+    first: int = GRID,
 ) -> tuple[float, float, float] | None:
     """Grid over one shape parameter, refined three times around the best."""
-    grid = np.geomspace(low, high, GRID)
+    grid = np.geomspace(low, high, first)
     found: tuple[float, float, float] | None = None
     for _ in range(4):
         factor, cost = single_costs(*columns([{shape: float(g)} for g in grid]))
@@ -179,18 +198,15 @@ def _search_shape(
 
 def fit_friction(motions: Sequence[Motion]) -> LawFit | None:
     """Dry friction, smoothed over a speed that is found with it."""
-    kind = kind_of("coulomb_friction")
     rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
-    speeds = [rms / s for s in SMOOTHINGS]
 
-    def force(m: Motion, speed: float) -> Real:
-        return np.asarray(kind.pseudo_force(m.x, m.v, {"force": 1.0, "slip_speed": speed}))
+    def columns(values: Sequence[dict[str, float]]) -> tuple[Real, Real, float]:
+        return pooled(motions, [np.stack([mean_sign(m.v, v["slip_speed"]) for v in values]) for m in motions])
 
-    factor, cost = single_costs(*pooled(motions, [np.stack([force(m, s) for s in speeds]) for m in motions]))
-    if not np.any(factor > 0):
+    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 7)
+    if best is None:
         return None
-    k = int(np.argmin(np.where(factor > 0, cost, np.inf)))
-    return LawFit("coulomb_friction", 1.0, {"force": float(factor[k]), "slip_speed": speeds[k]}, float(cost[k]), 1)
+    return LawFit("coulomb_friction", 1.0, {"force": best[0], "slip_speed": best[1]}, best[2], 1)
 
 
 def fit_hysteresis(motions: Sequence[Motion]) -> LawFit | None:

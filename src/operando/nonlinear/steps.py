@@ -147,7 +147,7 @@ def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 6) -> Tried:
             break
         if len(trail) == 3:
             trail = [towards(*trail)]
-    if step > UNSETTLED and len(law.values) == 1:
+    if step > UNSETTLED and len(law.values) == 1 and len(sides(law.kind)) > 1:
         best, here, cost = narrowed(stage, here, best, cost, seen)
     judged, n = law_cost(best, here.judge)
     return Tried(here, best, cost / count, judged / n)
