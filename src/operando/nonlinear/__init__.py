@@ -4,5 +4,6 @@ from operando.nonlinear.equivalent import linear_effects
 from operando.nonlinear.records import diagnose_records
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.simulate import simulate
+from operando.nonlinear.single import SingleFit, fit_single
 
-__all__ = ["NonlinearDiagnosis", "diagnose_records", "linear_effects", "simulate"]
+__all__ = ["NonlinearDiagnosis", "SingleFit", "diagnose_records", "fit_single", "linear_effects", "simulate"]
