@@ -174,7 +174,7 @@ def between_sensors(problem: Problem, geometry: Geometry | None, found: Search) 
         for i, p in enumerate(places):
             row = np.eye(len(idle.dofs))[m + i][None]
             terms.append(Term(kind, (), row, 1, problem.templates[0].band_hz, constants, position=p.position, direction=f"+{p.axis}"))
-    wider = Problem(idle, problem.lines, problem.own, terms, problem.say)
+    wider = Problem(idle, problem.lines, problem.own, terms, problem.say, len(places))
     tried, judged = step(wider, wider.empty())
     if not tried:
         return None

@@ -73,6 +73,8 @@ class Problem:
         Candidates before anything is fitted.
     say : callable, optional
         Told of progress.
+    extra : int
+        DOFs at the end of the idle model that nothing was measured at: places between sensors.
     """
 
     idle: ModalModel
@@ -80,6 +82,7 @@ class Problem:
     own: Array
     templates: list[Term]
     say: Callable[[str], None] | None = None
+    extra: int = 0
     arrays: IdleArrays = field(init=False)
     _allowing: dict[int, Problem] = field(init=False, default_factory=dict, repr=False)
     _kept: Fit | None = field(init=False, default=None, repr=False)
@@ -134,7 +137,7 @@ class Problem:
 
     def with_own(self, own: Array) -> Problem:
         """The same problem judged with another variance of the model."""
-        return Problem(self.idle, self.lines, own, self.templates, self.say)
+        return Problem(self.idle, self.lines, own, self.templates, self.say, self.extra)
 
     def tried(self, fit: Fit) -> Tried:
         """A fit with its figures on the select set."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalModel
 from operando.diagnose.model import Model
-from operando.diagnose.refit import Fit
+from operando.diagnose.refit import Fit, effect_dofs
 from operando.dof import Dof
 from operando.effects import Effect
 
@@ -94,4 +94,24 @@ def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Mo
     across = root @ fit.covariance[n_q:, :n_q] @ lift.T
     joint[:p, p:] = across
     joint[p:, :p] = across.T
-    return Model(replace(updated, covariance=covariance), effects, geometry, joint)
+    return _without_unused(problem, fit, Model(replace(updated, covariance=covariance), effects, geometry, joint))
+
+
+def _without_unused(problem: Problem, fit: Fit, model: Model) -> Model:
+    """The model without the places between sensors at which nothing was found."""
+    idle, m = model.idle, len(model.idle.dofs)
+    used = set(effect_dofs(fit.terms).tolist())
+    keep = np.array([i for i in range(m) if i < m - problem.extra or i in used])
+    if keep.size == m or idle.covariance is None or model.covariance is None or model.geometry is None:
+        return model
+    n = idle.n_modes
+    rows = np.r_[np.arange(2 * n), (2 * n + np.arange(n)[:, None] * m + keep[None, :]).ravel()]
+    values = np.arange(idle.n_parameters, len(model.covariance))
+    gone = {idle.dofs[i].node for i in range(m)} - {idle.dofs[i].node for i in keep}
+    nodes = [k for k, node in enumerate(model.geometry.nodes) if node not in gone]
+    smaller = replace(
+        idle, shapes=np.asarray(idle.shapes)[keep], dofs=tuple(idle.dofs[i] for i in keep), covariance=idle.covariance[np.ix_(rows, rows)]
+    )
+    known = replace(model.geometry, nodes=tuple(model.geometry.nodes[k] for k in nodes), coordinates=model.geometry.coordinates[nodes])
+    both = np.r_[rows, values]
+    return Model(smaller, model.effects, known, model.covariance[np.ix_(both, both)])

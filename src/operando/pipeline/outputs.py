@@ -47,7 +47,8 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
     elif name == "ofrf.uff":
         objects = [ofrf(results, findings)]
     elif name == "ofrf_effect.uff":
-        objects = [effect_model(results).frf(ofrf_lines(results), None, None, "accelerance", variance=False)]
+        dofs = None if results.idle is None else results.idle.dofs
+        objects = [effect_model(results).frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)]
     with whole(out / name) as beside:
         write_uff(beside, *(o for o in objects if o is not None))
     return findings

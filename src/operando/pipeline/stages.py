@@ -289,15 +289,17 @@ def missing_physics(work: Work) -> dict[str, Any]:
     comparison = results.comparison
     model = found.model or Model(idle, tuple(found.effects), results.geometry)
     if runs and comparison is not None and found.effects:
-        bare = Model(replace(model.idle, covariance=None, std=None), model.effects, results.geometry)
+        bare = Model(replace(model.idle, covariance=None, std=None), model.effects, model.geometry)
         comparison = with_effect(comparison, compare_all({"idle": idle, "effect": bare}, runs, band_hz=analysis_band(work)))
-    return {
+    made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,
         "effect_idle": model.idle,
         "effect_covariance": model.covariance,
         "findings": [],
     }
+    # A place between sensors at which an effect was found is a node from here on.
+    return made if model.geometry is None else made | {"geometry": model.geometry}
 
 
 def with_effect(comparison: dict[str, Any], judged: dict[str, Any]) -> dict[str, Any]:
