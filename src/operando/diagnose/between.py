@@ -179,7 +179,6 @@ def between_sensors(problem: Problem, geometry: Geometry | None, found: Search) 
     if not tried:
         return None
     best = choose(_plausible(tried))
-    best = judged.tried(wider.joint(best.fit.terms, best.fit.q, start=best.fit))
     empty = judged.misfit(SELECT, wider.empty())
     if best.selection > EXPLAINS or best.fit.prior.scale > WIDENED or best.selection > BETTER * found.before[-1]:
         return None

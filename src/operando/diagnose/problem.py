@@ -28,6 +28,9 @@ ELSEWHERE = 4.0
 CLEAR = 1.5
 """Mean misfit, columns never driven allowed for, below which sizes alone decide what is refitted with its shapes."""
 
+FURTHER = 2
+"""The best so many are fitted to the end where sizes alone do not decide."""
+
 REFITTED, NEAR = 5, 15.0
 """At most so many of them are refitted with the shapes at their places, and only within this factor of the best."""
 
@@ -272,7 +275,12 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
         tried += [problem.tried(with_shapes(problem, problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False))) for c in same]
     # All by one variance, that of the model with the best of them: the idle model's own says too little of columns never driven.
     here = problem.allowing(min(tried, key=lambda t: t.selection).fit)
-    return sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection), here
+    ranked = sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection)
+    if not clear:
+        # Far from where they started, the best few may not have come to the end of their fit.
+        ranked[:FURTHER] = [here.tried(problem.joint(t.fit.terms, t.fit.q, start=t.fit)) for t in ranked[:FURTHER]]
+        ranked.sort(key=lambda t: t.selection)
+    return ranked, here
 
 
 def with_shapes(problem: Problem, fit: Fit) -> Fit:

@@ -15,7 +15,7 @@ from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose,
 from operando.diagnose.refit import Fit, effect_dofs, refit
 from operando.diagnose.sets import FIT, SELECT
 from operando.diagnose.shapes import shape_prior
-from operando.diagnose.verdict import one_mode, separates
+from operando.diagnose.verdict import GOOD, one_mode, separates
 from operando.effects import catalogue
 
 Array = NDArray[Any]
@@ -216,8 +216,9 @@ def simplified(problem: Problem, found: Search) -> Search:
             terms = [simple if i == k else t for i, t in enumerate(fit.terms)]
             q = [simple.inward(values) if i == k else v for i, v in enumerate(fit.q)]
             here = problem.allowing(fit)
-            other = problem.joint(terms, q)
-            if here.misfit(SELECT, other) <= (1 + PARSIMONY) * here.misfit(SELECT, fit):
+            other = problem.joint(terms, q, start=fit)
+            now, then = here.misfit(SELECT, other), here.misfit(SELECT, fit)
+            if now <= (1 + PARSIMONY) * then or (now < GOOD and idle_parameter(term, fit.q[k])):
                 fit = other
                 break
     if fit is found.fits[-1]:
@@ -232,6 +233,11 @@ def simplified(problem: Problem, found: Search) -> Search:
             tried = [best, *tried]
         history.append((best, tried))
     return replace(found, fits=fits, history=history)
+
+
+def idle_parameter(term: Term, q: Array) -> bool:
+    """Whether a parameter beside the size stands at its lower bound: the kind says no more than a simpler one."""
+    return bool(np.any(q[1 : len(term.moving)] <= term.bounds()[0][1 : len(term.moving)] + 0.01))
 
 
 def vanished(term: Term, q: Array) -> bool:
