@@ -32,11 +32,11 @@ MOST_PLACES = 24
 SUGGESTED, AT_LEAST = 0.25, 0.05
 """Standard deviation of a shape value between two sensors, over the root mean square of theirs, and over that of the whole shape."""
 
-EXPLAINS, WIDENED = 2.0, 4.0
+EXPLAINS, WIDENED = 2.0, 2.5
 """A place between sensors is told where it brings the selection misfit below this, without its shapes leaving what the neighbours
 suggest by more than this many standard deviations on average."""
 
-BETTER = 0.3
+BETTER = 0.05
 """… and below this part of what the best measured place leaves."""
 
 
