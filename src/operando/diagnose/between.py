@@ -36,8 +36,8 @@ EXPLAINS, WIDENED = 2.0, 2.5
 """A place between sensors is told where it brings the selection misfit below this, without its shapes leaving what the neighbours
 suggest by more than this many standard deviations on average."""
 
-BETTER = 0.05
-"""… and below this part of what the best measured place leaves."""
+BETTER, BETTER_ALONE = 0.18, 0.05
+"""… and below this part of what the best measured place leaves; with one reference even measured places are known poorly."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,8 @@ def between_sensors(problem: Problem, geometry: Geometry | None, found: Search) 
         return None
     best = choose(_plausible(tried))
     empty = judged.misfit(SELECT, wider.empty())
-    if best.selection > EXPLAINS or best.fit.prior.scale > WIDENED or best.selection > BETTER * found.before[-1]:
+    better = BETTER if problem.lines.references.size > 1 else BETTER_ALONE
+    if best.selection > EXPLAINS or best.fit.prior.scale > WIDENED or best.selection > better * found.before[-1]:
         return None
     # What the measured places came to competes in the same list.
     at_sensors = [t for _, several in found.history[:1] for t in several]
