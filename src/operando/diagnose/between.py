@@ -129,15 +129,8 @@ def with_middles(idle: ModalModel, geometry: Geometry, places: list[Middle]) -> 
     at = 2 * n + np.arange(n)[None, :] * (m + more) + m + np.arange(more)[:, None]
     covariance[at.ravel(), at.ravel()] += np.array(spread).ravel() ** 2
     wider = replace(idle, shapes=np.concatenate([shapes, weights @ shapes]), dofs=(*idle.dofs, *dofs), covariance=covariance, std=None)
-    known = Geometry(
-        (*geometry.nodes, *(d.node for d in dofs)),
-        np.concatenate([geometry.coordinates, np.array([p.position for p in places])]),
-        geometry.lines,
-        geometry.faces,
-        geometry.name,
-        geometry.unit_known,
-    )
-    return wider, known
+    points = np.concatenate([geometry.coordinates, np.array([p.position for p in places])])
+    return wider, replace(geometry, nodes=(*geometry.nodes, *(d.node for d in dofs)), coordinates=points)
 
 
 def between_sensors(problem: Problem, geometry: Geometry | None, found: Search) -> tuple[Problem, Geometry, Search] | None:
@@ -183,10 +176,7 @@ def between_sensors(problem: Problem, geometry: Geometry | None, found: Search) 
     better = BETTER if problem.lines.references.size > 1 else BETTER_ALONE
     if best.selection > EXPLAINS or best.fit.prior.scale > WIDENED or best.selection > better * found.before[-1]:
         return None
-    # What the measured places came to competes in the same list.
-    at_sensors = [t for _, several in found.history[:1] for t in several]
-    search = Search([wider.empty(), best.fit], [(best, [*tried, *at_sensors][: len(tried)])], [empty, best.selection], tried, 1.0)
-    return wider, known, search
+    return wider, known, Search([wider.empty(), best.fit], [(best, tried)], [empty, best.selection], tried, 1.0)
 
 
 def _plausible(tried: list[Tried]) -> list[Tried]:

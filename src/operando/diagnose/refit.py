@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from operando.data import ModalModel
 from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, predict
+from operando.diagnose.scan import scan_weights
 from operando.diagnose.sets import CheckLines
 from operando.diagnose.shapes import ShapePrior, by_directions, told_by
 
 Array = NDArray[Any]
-
-COLUMN_DOUBT = 0.05
-"""Part of an effect's trace that columns never driven may have wrong (3–13 % seen): allowed for until their shapes are fitted."""
 
 
 @dataclass(frozen=True)
@@ -192,8 +190,7 @@ def foreseen(arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit, prior:
 
 def soft_weights(arrays: IdleArrays, lines: CheckLines, own: Array) -> Array:
     """Weights with an allowance for columns that were never driven, by what the idle model lacks there."""
-    doubt = (COLUMN_DOUBT * np.abs(lines.data - predict(arrays, lines, (), ()).data)) ** 2
-    return weights(lines, own + doubt)
+    return scan_weights(lines, predict(arrays, lines, (), ()).data, own)
 
 
 def _levenberg(
