@@ -7,8 +7,9 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.diagnose import apply_effects, diagnose
-from operando.diagnose.predict import IdleArrays, Term, by_poles, by_shapes, predict
+from operando.diagnose.predict import IdleArrays, Term, by_poles, predict
 from operando.diagnose.sets import FIT, JUDGE, SELECT, split_lines
+from operando.diagnose.shapes import by_directions
 from operando.diagnose.verdict import verdict_of
 from operando.dof import Dof
 from operando.effects import Effect
@@ -164,7 +165,10 @@ def test_derivatives_against_differences(chain, idle):
     q = [term.inward(effect.values)]
     arrays = IdleArrays.of(idle)
     p = predict(arrays, lines, [term], q)
-    by = by_shapes(p, lines, np.array([0, 2]), np.array([1, 3])).reshape(2, 2, *p.data.shape)
+    one_each = np.zeros((*np.shape(idle.shapes), 4))
+    for k, (d, r) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3))):
+        one_each[d, r, k] = 1
+    by = by_directions(p, lines, one_each).reshape(2, 2, *p.data.shape)
     for a, d in enumerate((0, 2)):
         for b, r in enumerate((1, 3)):
             phi = np.array(idle.shapes)

@@ -281,27 +281,6 @@ def channel_maps(lines: CheckLines, terms: Sequence[Term], values: Sequence[dict
     return factor, order
 
 
-def by_shapes(p: Prediction, lines: CheckLines, dofs: Array, modes: Array) -> Array:
-    """∂H/∂φ[d, r] for the DOFs and modes asked for, (dofs·modes, lines, responses, references); DOF by DOF.
-
-    With A = I − H0_·B·T·Bᵀ on the left and its mirror image on the right, dH = A·dH0·A'.
-    """
-    n_lines = p.data.shape[0]
-    psi = p.phi[lines.responses][None] - p.left @ (p.rows @ p.phi)
-    chi = p.phi[lines.references].T[None] - (p.rows @ p.phi).T @ p.right
-    a_left = -(p.left @ p.rows[:, dofs])
-    a_right = -(p.rows[:, dofs].T @ p.right)
-    for k, d in enumerate(dofs):
-        a_left[:, np.flatnonzero(lines.responses == d), k] += 1
-        a_right[:, k, np.flatnonzero(lines.references == d)] += 1
-    kernel = p.kernel[:, modes]
-    chi_k = kernel[:, :, None] * chi[:, modes, :]
-    psi_k = psi[:, :, modes] * kernel[:, None, :]
-    out = np.einsum("lod,lrj->drloj", a_left, chi_k) + np.einsum("lor,ldj->drloj", psi_k, a_right)
-    out = out.reshape(dofs.size * modes.size, n_lines, lines.responses.size, lines.references.size)
-    return _as_measured(p, out)
-
-
 def by_poles(p: Prediction, idle: ModalModel, lines: CheckLines) -> tuple[Array, Array]:
     """∂H/∂f_r [1/Hz] and ∂H/∂ζ_r, each (modes, lines, responses, references)."""
     w = lines.omega[:, None]
