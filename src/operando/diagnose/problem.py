@@ -119,12 +119,12 @@ class Problem:
         prior = start.prior if start is not None else shape_prior(self.idle, effect_dofs(terms) if shapes else np.zeros(0, int))
         mask = np.isin(self.lines.group, groups)
         z = start.z if start is not None else None
-        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z, 12 if start is not None else 7)
+        return refit(self.arrays, self.lines.where(mask), self.own[mask], terms, q, prior, z, 12 if start is not None else 7, self.idle)
 
     def settled(self, fit: Fit) -> Fit:
         """The last fit, on the fit and select lines, with the covariance that its errors have."""
         mask = np.isin(self.lines.group, (FIT, SELECT))
-        return settled(self.idle, self.arrays, self.lines.where(mask), self.joint(fit.terms, fit.q, (FIT, SELECT), fit))
+        return settled(self.idle, self.arrays, self.lines.where(mask), self.own[mask], fit)
 
     def allowing(self, fit: Fit) -> Problem:
         """The problem with the own variance of the model with these effects: what is added, or competes, is judged by that."""

@@ -117,6 +117,7 @@ def refit(
     prior: ShapePrior,
     z: Array | None = None,
     steps: int = 12,
+    idle: ModalModel | None = None,
 ) -> Fit:
     """Levenberg–Marquardt over all effects' numbers and the shapes of the idle model at their DOFs, on the given lines.
 
@@ -140,6 +141,8 @@ def refit(
         Start of the shapes, in units of the prior as given: then nothing but the last stage is done.
     steps : int
         Iterations at most, of each pass.
+    idle : ModalModel, optional
+        With its covariance: what is not known of the columns of the places, and not fitted, counts with its variance in the last pass.
     """
     root_w = np.sqrt(weights(lines, own))
     x = np.concatenate([np.zeros(0), *q])
@@ -151,8 +154,13 @@ def refit(
         if not prior.size:
             return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
         whole, back = prior, np.zeros((prior.size, 0))
-        for weight, most, tolerance in ((soft, min(steps, 5), 1e-2), (root_w, steps, 1e-3)):
+        for soft_pass, most, tolerance in ((True, min(steps, 5), 1e-2), (False, steps, 1e-3)):
             p = predict(arrays.with_phi(prior.moved(x[n_q:]) if x.size > n_q else arrays.phi), lines, terms, split(x[:n_q], terms))
+            weight = soft if soft_pass else root_w
+            if not soft_pass and idle is not None:
+                # What the columns of the places are not known by counts with its variance as long as it is not fitted.
+                so_far = Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:])
+                weight = root_w = np.sqrt(weights(lines, np.maximum(own, carried(idle, arrays, lines, so_far, p)[0])))
             slope = by_directions(p, lines, whole.root) * weight
             prior, turn = told_by(whole, slope.reshape(whole.size, -1))
             x, normal, cost = _levenberg(arrays, lines, weight, terms, x[:n_q], turn.T @ back @ x[n_q:], prior, most, tolerance)
@@ -210,6 +218,7 @@ def _levenberg(
     low = np.r_[np.concatenate([np.zeros(0), *(b[0] for b in bounds)]), np.full(k, -np.inf)]
     high = np.r_[np.concatenate([np.zeros(0), *(b[1] for b in bounds)]), np.full(k, np.inf)]
     base = arrays.kernel(lines.hz)
+    bare, none = prior.bare(), np.zeros(0)
     x = np.clip(np.r_[q, z], low, high)
 
     def state(x: Array) -> tuple[IdleArrays, Prediction, Array, float]:
@@ -217,6 +226,15 @@ def _levenberg(
         p = predict(here, lines, terms, split(x[:n_q], terms), base)
         error = root_w * (lines.data - p.data)
         return here, p, error, 2 * float(np.sum(np.abs(error) ** 2)) + float(x[n_q:] @ x[n_q:])
+
+    def corrected(x: Array, now: tuple[IdleArrays, Prediction, Array, float]) -> tuple[Array, tuple[IdleArrays, Prediction, Array, float]]:
+        """Sizes alone, once more: they make up for what moved shapes bend, so that the valley of both is followed."""
+        here, p, error, cost = now
+        jac = (jacobian(here, lines, terms, split(x[:n_q], terms), bare, none, p) * root_w).reshape(n_q, -1)
+        move = np.clip(_solve(np.real(jac.conj() @ jac.T), np.real(jac.conj() @ error.ravel())), -1, 1)
+        trial = np.clip(np.r_[x[:n_q] + move, x[n_q:]], low, high)
+        new = state(trial)
+        return (trial, new) if new[3] < cost else (x, now)
 
     here, p, error, cost = state(x)
     normal = np.zeros((x.size, x.size))
@@ -241,7 +259,10 @@ def _levenberg(
             matrix[held, held] = 1
             move = _solve(matrix, np.where(held, 0, slope))
             move[:n_q] = np.clip(move[:n_q], -1, 1)
-            new = state(np.clip(x + move, low, high))
+            trial = np.clip(x + move, low, high)
+            new = state(trial)
+            if k and n_q:
+                trial, new = corrected(trial, new)
             if np.isfinite(new[3]) and new[3] < cost:
                 better = True
                 break
@@ -249,7 +270,7 @@ def _levenberg(
         if not better:
             break
         gain = cost - new[3]
-        x = np.clip(x + move, low, high)
+        x = trial
         here, p, error, cost = new
         damping = max(damping / 8, 1e-12)
         if gain < 1e-4 + tolerance * cost:
@@ -341,10 +362,13 @@ def carried(
     return np.maximum(total, 0), reach
 
 
-def settled(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit: Fit) -> Fit:
+def settled(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit) -> Fit:
     """The last fit: lines weighted by what the model with its effects is worth there, and the covariance that its errors have."""
     if not fit.terms:
         return fit
+    if fit.prior.size:
+        own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
+    fit = refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z)
     own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
     return honest(idle, arrays, lines, own, refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z))
 

@@ -29,6 +29,9 @@ TOLD = 0.1
 MOST = 36
 """Directions fitted at most."""
 
+KNOWN = 0.3
+"""A DOF counts as driven where its compliance from outside the band is known to better than this part."""
+
 RELATIVE = 1.5
 """Shape values known to better than one part in so many move by a factor, which keeps products of two of them; others by a sum."""
 
@@ -108,15 +111,52 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
     base = np.array(idle.shapes)
     if idle.covariance is None or dofs.size == 0:
         return ShapePrior(base, np.zeros((m, n, 0)), np.zeros((m * n, 0)), np.zeros((m, n), bool))
-    shapes = idle.covariance[2 * n :, 2 * n :]
+    shapes = _given_driven(idle)
     index = (np.arange(n)[None, :] * m + dofs[:, None]).ravel()
     values, vectors = np.linalg.eigh(shapes[np.ix_(index, index)])
     keep = values > KEPT * max(float(values[-1]), 1e-300)
     told = np.zeros((n * m, int(keep.sum())))
     told[index] = vectors[:, keep] / np.sqrt(values[keep])
     root = (shapes @ told).reshape(n, m, -1).transpose(1, 0, 2)
-    spread = np.sqrt(np.maximum(np.diag(shapes), 0)).reshape(n, m).T
-    return ShapePrior(base, np.ascontiguousarray(root), told, np.abs(base) > RELATIVE * spread)
+    spread = np.sqrt(np.maximum(np.diag(idle.covariance)[2 * n :], 0)).reshape(n, m).T
+    relative = (np.abs(base) > RELATIVE * spread) & ~np.asarray(idle.residual)
+    return ShapePrior(base, np.ascontiguousarray(root), told, relative)
+
+
+def driven_rows(idle: ModalModel) -> Array:
+    """DOFs whose own compliance outside the band is known: those that were driven."""
+    assert idle.covariance is not None
+    n, m = idle.n_modes, len(idle.dofs)
+    outside = np.flatnonzero(np.asarray(idle.residual))
+    psi = np.asarray(idle.shapes)[:, outside]
+    # Σ ψ²/ω² and its derivative: the static compliance of what lies outside, by its size alone.
+    gain = 1 / np.maximum(np.abs(idle.frequencies_hz[outside] ** 2 - np.max(idle.frequencies_hz[~np.asarray(idle.residual)]) ** 2), 1e-300)
+    out = []
+    for row in range(m):
+        index = 2 * n + outside * m + row
+        slope = 2 * psi[row] * gain
+        std = float(np.sqrt(max(slope @ idle.covariance[np.ix_(index, index)] @ slope, 0.0)))
+        if std < KNOWN * float(np.sum(psi[row] ** 2 * gain)):
+            out.append(row)
+    return np.array(out, int)
+
+
+def _given_driven(idle: ModalModel) -> Array:
+    """Covariance of the shapes given the values outside the band at driven DOFs.
+
+    A residual mode's share of a driven column is the product of a value there and one elsewhere. With the former held it is linear in
+    the latter: moves, however large, then leave the driven columns as they were measured.
+    """
+    assert idle.covariance is not None
+    n, m = idle.n_modes, len(idle.dofs)
+    shapes = np.array(idle.covariance[2 * n :, 2 * n :])
+    held = (np.flatnonzero(np.asarray(idle.residual))[None, :] * m + driven_rows(idle)[:, None]).ravel()
+    if held.size:
+        across = shapes[:, held]
+        shapes -= across @ np.linalg.pinv(shapes[np.ix_(held, held)], rcond=1e-10, hermitian=True) @ across.T
+        shapes[held] = 0
+        shapes[:, held] = 0
+    return shapes
 
 
 def by_directions(p: Prediction, lines: CheckLines, slope: Array) -> Array:

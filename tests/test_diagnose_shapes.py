@@ -1,0 +1,60 @@
+"""Directions in which the idle model's shapes may move: what the driven columns have shown must stay, however far they move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from operando.data import ModalModel
+from operando.diagnose.shapes import driven_rows, shape_prior
+from operando.dof import Dof
+
+M, DRIVEN = 6, [0, 4]
+HZ = np.r_[12.0, 31.0, 58.0, np.geomspace(90, 1500, 12)]
+RESIDUAL = np.arange(HZ.size) >= 3
+LINES = np.linspace(5, 75, 30)
+
+
+@pytest.fixture(scope="module")
+def idle():
+    """Shapes fitted to two driven columns under a prior, as a linear fit given by its covariance."""
+    rng = np.random.default_rng(5)
+    shapes = rng.normal(0, 0.3, (M, HZ.size))
+    gain = 1 / ((2 * np.pi) ** 2 * (HZ[:, None] ** 2 - LINES**2))
+    size = HZ.size * M
+    information = np.diag(np.where(np.repeat(RESIDUAL, M), 1 / 0.3**2, 1e8))
+    spread = 1e-2 * np.abs(shapes[0] ** 2 @ gain).mean()
+    for k in DRIVEN:
+        for j in range(M):
+            design = np.zeros((size, LINES.size))
+            design[np.arange(HZ.size) * M + j] += shapes[k][:, None] * gain
+            design[np.arange(HZ.size) * M + k] += shapes[j][:, None] * gain
+            information += design @ design.T / spread**2
+    covariance = np.zeros((2 * HZ.size + size,) * 2)
+    covariance[2 * HZ.size :, 2 * HZ.size :] = np.linalg.inv(information)
+    dofs = tuple(Dof.parse(f"{i + 1}+Z") for i in range(M))
+    return ModalModel(HZ, np.full(HZ.size, 0.01), shapes, dofs, "unit_modal_mass", residual=RESIDUAL, covariance=covariance), gain, spread
+
+
+def test_driven_dofs_are_known_by_their_compliance(idle):
+    assert driven_rows(idle[0]).tolist() == DRIVEN
+
+
+def test_far_moves_leave_the_driven_columns(idle):
+    model, gain, spread = idle
+    prior = shape_prior(model, np.array([2, 3]))
+    rng = np.random.default_rng(0)
+    column = lambda phi, k: (phi * phi[k]) @ gain  # noqa: E731
+    moved_most = 0.0
+    for _ in range(20):
+        phi = prior.moved(2 * rng.standard_normal(prior.size))
+        for k in DRIVEN:
+            assert np.max(np.abs(column(phi, k) - column(model.shapes, k))) < 6 * spread
+        moved_most = max(moved_most, float(np.max(np.abs(column(phi, 2)[2] - column(model.shapes, 2)[2]))))
+    # while the compliance of a DOF that nothing drove moves by far more:
+    assert moved_most > 10 * spread
+
+
+def test_a_driven_place_moves_nowhere_outside_the_band(idle):
+    prior = shape_prior(idle[0], np.array([0]))
+    assert np.all(prior.root[DRIVEN][:, RESIDUAL] == 0)
