@@ -7,7 +7,7 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.diagnose import apply_effects, diagnose
-from operando.diagnose.predict import IdleArrays, Term, by_poles, predict
+from operando.diagnose.predict import IdleArrays, Term, by_poles, by_size, predict
 from operando.diagnose.sets import FIT, JUDGE, SELECT, split_lines
 from operando.diagnose.shapes import by_directions
 from operando.diagnose.verdict import verdict_of
@@ -181,6 +181,25 @@ def test_derivatives_against_differences(chain, idle):
     other = IdleArrays.of(ModalModel(f, idle.damping_ratios, idle.shapes, DOFS, scaling="unit_modal_mass"))
     moved = predict(other, lines, [term], q).data
     assert np.allclose((moved - p.data) / 1e-6, hz, rtol=1e-3, atol=1e-3 * np.abs(hz).max())
+
+
+def test_derivatives_by_the_sizes_of_several_effects_and_a_sensor(chain, idle):
+    arrays, band = IdleArrays.of(idle), (4.0, 150.0)
+    lines = split_lines([running(chain, [0, 3])], idle, band)
+    effects = [
+        Effect("gyroscopic", [DOFS[2], DOFS[4]], {"coefficient": 20.0}),
+        Effect("ground_hysteretic_spring", [DOFS[1]], {"stiffness": 2e4, "loss_factor": 0.1}),
+        Effect("sensor_gain", [DOFS[5]], {"gain": 1.1}),
+    ]
+    terms = [Term.of(e, idle, band) for e in effects]
+    q = [t.inward(dict(e.values)) for t, e in zip(terms, effects, strict=True)]
+    p = predict(arrays, lines, terms, q)
+    for i, j, start in ((0, 0, 0), (1, 0, 2), (1, 1, 2)):
+        moved = [v.copy() for v in q]
+        moved[i][j] += 1e-5
+        change = (predict(arrays, lines, terms, moved).data - p.data) / 1e-5
+        by = by_size(p, terms[i], q[i], j, lines, start)
+        assert np.allclose(change, by, rtol=1e-3, atol=1e-4 * np.abs(by).max())
 
 
 def test_model_of_the_diagnosis_predicts_the_running_structure(chain, idle):

@@ -196,7 +196,10 @@ class Frf:
     def at(self, frequencies: ArrayLike) -> NDArray[np.intp]:
         """Indices of the nearest lines."""
         f = np.atleast_1d(np.asarray(frequencies, float))
-        return np.abs(self.frequencies_hz[None, :] - f[:, None]).argmin(axis=1)
+        lines = self.frequencies_hz
+        above = np.searchsorted(lines[1:-1], f) + 1 if lines.size > 1 else np.zeros(f.size, np.intp)
+        below = np.maximum(above - 1, 0)
+        return np.asarray(np.where(f - lines[below] <= lines[above] - f, below, above), np.intp)
 
     def drive_points(self) -> list[tuple[int, int]]:
         """(response, reference) index pairs on the same node and axis."""

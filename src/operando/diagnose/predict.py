@@ -195,6 +195,10 @@ class Prediction:
         H0_oB·T, T = (I + δZ·H0_BB)⁻¹ δZ.
     right : (lines, k, references) array
         T·H0_Bi.
+    from_place : (lines, responses, k) array
+        H_oB of the structure with the effects.
+    to_place : (lines, k, references) array
+        H_Bi of the same.
     rows : (k, n_dofs) array
     factor : (lines, responses, references) array or None
         What sensor and force kinds multiply by.
@@ -207,6 +211,8 @@ class Prediction:
     phi: Array
     left: Array
     right: Array
+    from_place: Array
+    to_place: Array
     rows: Array
     factor: Array | None
     order: Array
@@ -228,16 +234,15 @@ def predict(idle: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Seque
     if kernel is None or changed:
         kernel = IdleArrays(model, phi).kernel(lines.hz)
     acting = [(t, v) for t, v in zip(terms, values, strict=True) if t.kind.acts == "dynamic_stiffness"]
-    out, into = phi[lines.responses], phi[lines.references]
-    data = (kernel[:, None, :] * out) @ into.T
     rows = np.concatenate([t.rows for t, _ in acting]) if acting else np.zeros((0, idle.phi.shape[0]))
-    size = rows.shape[0]
-    left = np.zeros((*data.shape[:2], size), complex)
-    right = np.zeros((data.shape[0], size, data.shape[2]), complex)
+    size, at = rows.shape[0], rows @ phi
+    ends = (np.concatenate([phi[lines.responses], at]), np.concatenate([phi[lines.references], at]))
+    full = _over_modes(kernel, *ends)
+    n_o, n_j = lines.responses.size, lines.references.size
+    data, from_place, to_place = full[:, :n_o, :n_j], full[:, :n_o, n_j:], full[:, n_o:, :n_j]
+    left, right = np.zeros_like(from_place), np.zeros_like(to_place)
     if size:
-        at = rows @ phi
-        weighted = kernel[:, None, :] * at
-        inner = weighted @ at.T
+        inner = full[:, n_o:, n_j:]
         z = np.zeros((data.shape[0], size, size), complex)
         start = 0
         s = 1j * lines.omega
@@ -245,18 +250,50 @@ def predict(idle: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Seque
             stop = start + t.rows.shape[0]
             z[:, start:stop, start:stop] = t.stiffness(s, v)
             start = stop
-        middle = np.linalg.solve(np.eye(size) + z @ inner, z)
-        from_o = (kernel[:, None, :] * out) @ at.T
-        to_i = weighted @ into.T
-        left = from_o @ middle
-        right = middle @ to_i
-        data = data - left @ to_i
+        middle = z / (1 + z * inner) if size == 1 else np.linalg.solve(np.eye(size) + z @ inner, z)
+        left, right = from_place @ middle, middle @ to_place
+        data = data - left @ to_place
+        from_place, to_place = from_place - left @ inner, to_place - inner @ right
     factor, order = channel_maps(lines, terms, values)
     if factor is not None:
         data = data[:, order] * factor
     elif not np.array_equal(order, np.arange(order.size)):
         data = data[:, order]
-    return Prediction(data, kernel, phi, left, right, rows, factor, order)
+    return Prediction(data, kernel, phi, left, right, from_place, to_place, rows, factor, order)
+
+
+def by_size(p: Prediction, term: Term, q: Array, j: int, lines: CheckLines, start: int) -> Array:
+    """∂H/∂q_j of one structural term, −H_oB·(∂δZ/∂q)·H_Bi of the structure with the effects, (lines, responses, references).
+
+    Parameters
+    ----------
+    p : Prediction
+    term : Term
+    q : array
+        Its moving numbers.
+    j : int
+        Which of them.
+    lines : CheckLines
+    start : int
+        Its first row among those of all terms.
+    """
+    step = 1e-6 if q[j] + 1e-6 <= term.bounds()[1][j] else -1e-6
+    moved = q.copy()
+    moved[j] += step
+    s = 1j * lines.omega
+    change = (term.stiffness(s, term.values(moved)) - term.stiffness(s, term.values(q))) / step
+    own = slice(start, start + term.rows.shape[0])
+    return _as_measured(p, -(p.from_place[:, :, own] @ change @ p.to_place[:, own]), axis=1)
+
+
+def _over_modes(kernel: Array, left: Array, right: Array) -> Array:
+    """Σ_r left[a, r]·kernel[l, r]·right[b, r], (lines, a, b), as one real matrix product."""
+    count, n = kernel.shape
+    pairs = (left[:, None, :] * right[None]).reshape(-1, n).T
+    both = np.concatenate([kernel.real, kernel.imag]) @ pairs
+    out = np.empty((count, pairs.shape[1]), complex)
+    out.real, out.imag = both[:count], both[count:]
+    return out.reshape(count, left.shape[0], right.shape[0])
 
 
 def channel_maps(lines: CheckLines, terms: Sequence[Term], values: Sequence[dict[str, Any]]) -> tuple[Array | None, Array]:
@@ -297,6 +334,7 @@ def by_poles(p: Prediction, idle: ModalModel, lines: CheckLines) -> tuple[Array,
     return _as_measured(p, first), _as_measured(p, second)
 
 
-def _as_measured(p: Prediction, out: Array) -> Array:
-    out = out[:, :, p.order]
+def _as_measured(p: Prediction, out: Array, axis: int = 2) -> Array:
+    """As the channels give it; ``axis`` is that of the responses."""
+    out = np.take(out, p.order, axis)
     return out if p.factor is None else out * p.factor

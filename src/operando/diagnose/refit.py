@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, predict
+from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, by_size, predict
 from operando.diagnose.scan import scan_weights
 from operando.diagnose.sets import CheckLines
 from operando.diagnose.shapes import ShapePrior, by_directions, told_by
@@ -94,7 +94,12 @@ def jacobian(
 ) -> Array:
     """∂H/∂[q, z] (parameters, lines, responses, references)."""
     rows = []
+    start = 0
     for i, term in enumerate(terms):
+        if term.kind.acts == "dynamic_stiffness":
+            rows += [by_size(p, term, q[i], j, lines, start) for j in range(term.size)]
+            start += term.rows.shape[0]
+            continue
         high = term.bounds()[1]
         for j in range(term.size):
             step = 1e-6 if q[i][j] + 1e-6 <= high[j] else -1e-6
