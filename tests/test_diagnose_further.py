@@ -9,6 +9,8 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.diagnose import diagnose
+from operando.diagnose.diagnosis import make_problem
+from operando.diagnose.law import gain_by_free_law
 from operando.results import CheckRun
 from structures import Chain
 
@@ -28,10 +30,13 @@ def model(hz, zeta, phi, residual=None, band=None):
     return ModalModel(hz, zeta, phi, DOFS, "unit_modal_mass", covariance=np.diag(std**2), residual=residual, band_hz=band)
 
 
-def check_of(chain, mass, lines=HZ, noise=2e-3):
-    """Accelerance at two references of M + mass, and noise of known variance."""
+def check_of(chain, mass, lines=HZ, noise=2e-3, law=None):
+    """Accelerance at two references of M + mass (and a stiffness over lines at the fifth DOF), and noise of known variance."""
+    law = np.zeros(lines.size) if law is None else law
     c = chain.M @ chain.phi @ np.diag(4 * np.pi * chain.zeta * chain.hz) @ chain.phi.T @ chain.M
-    h = np.array([-(x**2) * np.linalg.inv(chain.K + 1j * x * c - x**2 * (chain.M + mass))[:, [0, 3]] for x in 2 * np.pi * lines])
+    w = 2 * np.pi * lines
+    z = [chain.K + lump(4, k) + 1j * x * c - x**2 * (chain.M + mass) for x, k in zip(w, law, strict=True)]
+    h = np.array([-(x**2) * np.linalg.inv(matrix)[:, [0, 3]] for x, matrix in zip(w, z, strict=True)])
     h = np.moveaxis(h, 0, 2)
     spread = noise * np.sqrt(np.mean(np.abs(h) ** 2, axis=2, keepdims=True))
     rng = np.random.default_rng(5)
@@ -90,3 +95,13 @@ def test_one_mode_in_band_leaves_kinds_apart_undecided(chain):
     assert len({e.kind for e in (*found.effects, *found.ambiguous_with)}) >= 2
     assert "point_mass" in {e.kind for e in (*found.effects, *found.ambiguous_with)}
     assert found.proposed_measurement
+
+
+@pytest.mark.parametrize(("power", "least", "most"), [(0.0, 0.97, 1.0), (1.3, 0.0, 0.5)])
+def test_a_law_that_no_kind_has_shows_when_it_may_bend(chain, power, least, most):
+    law = 2e4 * (HZ / 60) ** power
+    problem = make_problem(model(chain.hz, chain.zeta, chain.phi), [check_of(chain, lump(4, 0.0), law=law)], None, None, (12.0, 150.0))
+    term = next(t for t in problem.templates if t.kind.kind == "ground_spring" and str(t.dofs[0]) == "5+Z")
+    gain, which = gain_by_free_law(problem, problem.joint([term], [term.inward({"stiffness": 2e4})]))
+    assert least <= gain <= most
+    assert which is None or which is term

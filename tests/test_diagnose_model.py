@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -435,19 +434,3 @@ def test_a_kind_of_the_users_own_serves_frfs_and_poles():
         assert np.allclose(model.modes().poles, pole_list(chain.M + 0.4 * at(N, 1, 4), chain.C, chain.K), rtol=1e-9)
     finally:
         unregister("inerter_for_test")
-
-
-def test_an_frf_with_an_effect_is_quick_once_the_idle_one_is_known():
-    rng = np.random.default_rng(0)
-    idle = ModalModel(
-        np.sort(rng.uniform(5, 200, 35)), np.full(35, 0.01), rng.normal(size=(12, 35)), [f"{i}+Z" for i in range(12)], "unit_modal_mass"
-    )
-    hz, model = np.linspace(4, 180, 3000), Model(idle)
-    model.frf(hz, None, "1+Z,5+Z,9+Z", variance=False)
-    with_effect = model.add("ground_spring@3+Z=stiffness:1e4")
-    times = []
-    for _ in range(7):
-        start = time.perf_counter()
-        with_effect.frf(hz, None, "1+Z,5+Z,9+Z", variance=False)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.01

@@ -14,6 +14,7 @@ from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
+from operando.diagnose.law import gain_by_free_law
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
@@ -24,7 +25,7 @@ from operando.diagnose.result import effects_of, model_of
 from operando.diagnose.search import MAX_EFFECTS, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
-from operando.diagnose.verdict import ambiguous_with, verdict_of
+from operando.diagnose.verdict import FURTHER_PART, GOOD, ambiguous_with, verdict_of
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
@@ -220,9 +221,17 @@ def _search(
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
     rows = ladder(problem, final)
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
-    verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
     judged = problem.sets[JUDGE]
     notes = list(problem.lines.notes)
+    if history and rows[-1]["heldout_misfit"] >= GOOD:
+        gain, odd = gain_by_free_law(problem, fits[-1])
+        if odd is not None and gain < FURTHER_PART:
+            further = min(further, gain)
+            place = ", ".join(map(str, odd.dofs)) or "the place found"
+            notes.append(
+                f"what acts at {place} does not follow the law of a {odd.kind.kind}: freed over frequency it fits {1 - gain:.0%} better"
+            )
+    verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
     if not one_system and verdict in ("explained", "ambiguous"):
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")

@@ -12,8 +12,20 @@ from numpy.typing import NDArray
 from operando.data import ModalModel
 from operando.diagnose.missing_mode import missing_mode_candidate
 from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
-from operando.diagnose.refit import Fit, effect_dofs, foreseen, honest, mean_misfit, model_variance, predicted, refit, settled, weights
-from operando.diagnose.scan import Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
+from operando.diagnose.refit import (
+    POOR,
+    Fit,
+    effect_dofs,
+    foreseen,
+    honest,
+    mean_misfit,
+    model_variance,
+    predicted,
+    refit,
+    settled,
+    weights,
+)
+from operando.diagnose.scan import COLUMN_DOUBT, Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
 from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines
 from operando.diagnose.shapes import shape_prior
 
@@ -137,6 +149,11 @@ class Problem:
             self._allowing[id(fit)] = known
             self._kept = fit  # the id stays its own as long as this lives
         return known
+
+    def doubting(self, fit: Fit) -> Problem:
+        """The problem with the scan's doubt of the columns, a part of what the model with these effects lacks, in the variance."""
+        lacks = self.lines.data - predict(self.arrays.with_phi(fit.phi), self.lines, fit.terms, fit.q).data
+        return self.with_own(np.maximum(self.own, (COLUMN_DOUBT * np.abs(lacks)) ** 2))
 
     def with_own(self, own: Array) -> Problem:
         """The same problem judged with another variance of the model."""
@@ -276,10 +293,18 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
     # All by one variance, that of the model with the best of them: the idle model's own says too little of columns never driven.
     here = problem.allowing(min(tried, key=lambda t: t.selection).fit)
     ranked = sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection)
-    if not clear:
-        # Far from where they started, the best few may not have come to the end of their fit.
-        ranked[:FURTHER] = [here.tried(problem.joint(t.fit.terms, t.fit.q, start=t.fit)) for t in ranked[:FURTHER]]
-        ranked.sort(key=lambda t: t.selection)
+    if clear:
+        return ranked, here
+    poor = ranked[0].selection > POOR
+    if poor:
+        # None of them is all that is missing. What the lines known best say of a model that lacks something ranks nothing.
+        here = here.doubting(fit)
+        ranked = sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection)
+    # Far from where they started, the best few may not have come to the end of their fit.
+    weighing = here if poor else problem
+    for k, t in enumerate(ranked[:FURTHER]):
+        ranked[k] = min(t, here.tried(weighing.joint(t.fit.terms, t.fit.q, start=t.fit)), key=lambda t: t.selection)
+    ranked.sort(key=lambda t: t.selection)
     return ranked, here
 
 

@@ -22,6 +22,9 @@ from operando.diagnose.shapes import ShapePrior, by_directions, told_by
 
 Array = NDArray[Any]
 
+POOR = 2.5
+"""Misfit, what the idle model may not know allowed for, above which something more is missing."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -170,6 +173,9 @@ def refit(
             prior, turn = told_by(whole, slope.reshape(whole.size, -1))
             x, normal, cost = _levenberg(arrays, lines, weight, terms, x[:n_q], turn.T @ back @ x[n_q:], prior, most, tolerance)
             back = turn
+            if soft_pass and cost > 2 * POOR * lines.data.size:
+                # Something else is missing: the lines known best must not bend the shapes to make up for it.
+                return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], _inverse(normal), cost)
     else:
         x, normal, cost = _levenberg(arrays, lines, root_w, terms, x, z, prior, steps, 1e-4)
     for _ in range(2):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from operando.data import Geometry
 from operando.diagnose.predict import Term
 from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
-from operando.diagnose.refit import Fit, effect_dofs, refit
+from operando.diagnose.refit import POOR, Fit, effect_dofs, refit
 from operando.diagnose.sets import FIT, SELECT
 from operando.diagnose.shapes import shape_prior
 from operando.diagnose.verdict import GOOD, one_mode, separates
@@ -28,8 +28,8 @@ SWAPPED = 0.03
 DONE = 1.2
 """Selection misfit at which the data allow no better and nothing more is looked for."""
 
-FIRSTS, POOR = 3, 2.5
-"""First effects from which the search starts again where it ends with a selection misfit above this."""
+FIRSTS = 3
+"""First effects from which the search starts again where it ends poorly."""
 
 
 @dataclass

@@ -14,9 +14,13 @@ from operando.diagnose.sets import SELECT
 
 if TYPE_CHECKING:
     from operando.diagnose.problem import Problem, Tried
+    from operando.diagnose.refit import Fit
 
 GOOD = 1.5
 """Judge misfit below which the data allow no better."""
+
+FURTHER_PART = 0.8
+"""A further candidate that brings the selection misfit below this part of it says that something is still missing."""
 
 ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
 """Alike: selection misfit within 2 %, or paired-block z below 2 and within 15 %."""
@@ -48,7 +52,7 @@ def verdict_of(judge: Sequence[float], accepted: bool, ambiguous: bool, further:
     if not accepted:
         return "no_misfit" if judge[0] < GOOD else "unexplained"
     now, fall = judge[-1], 1 - judge[-1] / judge[0]
-    done = now < GOOD or (fall > 0.99 and further > 0.8)
+    done = now < GOOD or (fall > 0.99 and further > FURTHER_PART)
     if done:
         return "ambiguous" if ambiguous else "explained"
     if fall > 0.8:
@@ -117,6 +121,15 @@ def one_mode(idle: ModalModel) -> bool:
     return int(np.sum(np.asarray(idle.in_band) & ~np.asarray(idle.residual))) <= 1
 
 
+def in_the_end(problem: Problem, final: Fit, accepted: Tried, other: Tried) -> tuple[Tried, Tried]:
+    """All effects together, and the same with another candidate in the stead of an accepted one, judged alike."""
+    k = next((i for i, t in enumerate(final.terms) if t.key == accepted.term.key), len(final.terms) - 1)
+    terms, q = list(final.terms), list(final.q)
+    terms[k], q[k] = other.term, other.fit.q[-1]
+    judged = problem.allowing(final)
+    return judged.tried(final), judged.tried(problem.joint(terms, q))
+
+
 def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]], geometry: Geometry | None) -> tuple[list[Tried], bool]:
     """Candidates as good as an accepted one, and whether one of them is another kind or more than a sensor spacing away."""
     out, other = [], False
@@ -130,6 +143,8 @@ def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]
             as_good = alike(best, t) or (alone and t.selection < ONE_MODE * start)
             if t.term.key in accepted or not as_good or nested(best.term, t.term):
                 continue
+            if len(history) > 1 and best is not history[-1][0] and not alike(*in_the_end(problem, history[-1][0].fit, best, t)):
+                continue  # as good only as long as the effects found later were missing
             out.append(t)
             if t.term.kind.kind != best.term.kind.kind or distance(best.term, t.term, geometry) > limit:
                 other = True
