@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from operando.data import Geometry, ModalModel
 from operando.diagnose.model import Model
 from operando.diagnose.refit import Fit, effect_dofs
+from operando.diagnose.shapes import given_driven
 from operando.dof import Dof
 from operando.effects import Effect
 
@@ -60,6 +61,7 @@ def given_shapes(idle: ModalModel, fit: Fit) -> Array:
     assert idle.covariance is not None
     covariance = np.array(idle.covariance)
     if fit.prior.size:
+        covariance[2 * idle.n_modes :, 2 * idle.n_modes :] = given_driven(idle)
         across = covariance[:, 2 * idle.n_modes :] @ fit.prior.told
         own = fit.prior.told.T @ across[2 * idle.n_modes :]
         covariance -= across @ np.linalg.pinv(own, rcond=1e-10, hermitian=True) @ across.T

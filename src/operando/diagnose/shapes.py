@@ -111,7 +111,7 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
     base = np.array(idle.shapes)
     if idle.covariance is None or dofs.size == 0:
         return ShapePrior(base, np.zeros((m, n, 0)), np.zeros((m * n, 0)), np.zeros((m, n), bool))
-    shapes = _given_driven(idle)
+    shapes = given_driven(idle)
     index = (np.arange(n)[None, :] * m + dofs[:, None]).ravel()
     values, vectors = np.linalg.eigh(shapes[np.ix_(index, index)])
     keep = values > KEPT * max(float(values[-1]), 1e-300)
@@ -141,7 +141,7 @@ def driven_rows(idle: ModalModel) -> Array:
     return np.array(out, int)
 
 
-def _given_driven(idle: ModalModel) -> Array:
+def given_driven(idle: ModalModel) -> Array:
     """Covariance of the shapes given the values outside the band at driven DOFs.
 
     A residual mode's share of a driven column is the product of a value there and one elsewhere. With the former held it is linear in
