@@ -35,6 +35,9 @@ Array = NDArray[Any]
 WHERE_LINES = 600
 """Lines of a run on which failure by DOF and band is judged."""
 
+EXCUSED = 10.0
+"""Judge misfit above which the model's own variance at the places of effects, where larger than the idle model's, does not count."""
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -266,7 +269,11 @@ def flat(lines: CheckLines, own: Array, data: Array) -> Lines:
 
 
 def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
-    """Error and misfit of each step, on all lines and on the judge set."""
+    """Error and misfit of each step, on all lines and on the judge set.
+
+    A step is judged by the idle model's variance as its effects carry it on; but effects that leave the data unexplained at places
+    the idle model knows little of are not excused by that.
+    """
     from operando.diagnose.refit import mean_misfit
 
     rows = []
@@ -274,6 +281,8 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
     for number, fit in enumerate(fits):
         data, _ = predicted(problem.arrays, problem.lines, fit)
         own = model_variance(problem.idle, problem.arrays, problem.lines, fit) if number else problem.own
+        if mean_misfit(problem.lines.where(judge), own[judge], data[judge]) > EXCUSED:
+            own = np.minimum(own, problem.own)
         everything = flat(problem.lines, own, data)
         held = flat(problem.lines.where(judge), own[judge], data[judge])
         rows.append(
