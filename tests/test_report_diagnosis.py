@@ -162,8 +162,8 @@ def test_what_was_taken_away_is_still_in_the_idle_model():
 
 def test_size_within_its_interval_of_zero_is_told():
     words = diagnosis_words(document(effects=(spring(15.0, 10.0),)))
-    assert "cannot be told from zero" in words.found[0]
-    assert "cannot be told from zero" not in diagnosis_words(document(effects=(spring(25.0, 10.0),))).found[0]
+    assert "reaches zero" in words.found[0]
+    assert "reaches zero" not in diagnosis_words(document(effects=(spring(25.0, 10.0),))).found[0]
 
 
 def test_output_only_counts_in_standard_deviations():

@@ -162,7 +162,7 @@ def refit(
         if not prior.size:
             return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
         whole, back = prior, np.zeros((prior.size, 0))
-        for soft_pass, most, tolerance in ((True, min(steps, 5), 1e-2), (False, steps, 1e-3)):
+        for soft_pass, most, tolerance in ((True, min(2 * steps, 24), 1e-3), (False, steps, 1e-3)):
             p = predict(arrays.with_phi(prior.moved(x[n_q:]) if x.size > n_q else arrays.phi), lines, terms, split(x[:n_q], terms))
             weight = soft if soft_pass else root_w
             if not soft_pass and idle is not None:

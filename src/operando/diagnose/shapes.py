@@ -124,13 +124,23 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
 
 
 def driven_rows(idle: ModalModel) -> Array:
-    """DOFs whose own compliance outside the band is known: those that were driven."""
+    """DOFs whose own compliance outside the band is known: those that were driven.
+
+    All others have a residual mode of their own, of no value and no variance at any driven DOF; in a model without such modes, a DOF
+    counts as driven where its compliance is known well.
+    """
     assert idle.covariance is not None
     n, m = idle.n_modes, len(idle.dofs)
     outside = np.flatnonzero(np.asarray(idle.residual))
     psi = np.asarray(idle.shapes)[:, outside]
+    variance = np.diag(idle.covariance)[2 * n :].reshape(n, m).T[:, outside]
+    moves = (psi != 0) | (variance > 0)
+    local = np.any(moves, axis=0) & ~np.all(moves, axis=0)
+    if local.any():
+        return np.flatnonzero(~np.any(moves[:, local], axis=1))
     # Σ ψ²/ω² and its derivative: the static compliance of what lies outside, by its size alone.
-    gain = 1 / np.maximum(np.abs(idle.frequencies_hz[outside] ** 2 - np.max(idle.frequencies_hz[~np.asarray(idle.residual)]) ** 2), 1e-300)
+    top = np.max(idle.frequencies_hz[~np.asarray(idle.residual)], initial=0.0)
+    gain = 1 / np.maximum(np.abs(idle.frequencies_hz[outside] ** 2 - top**2), 1e-300)
     out = []
     for row in range(m):
         index = 2 * n + outside * m + row

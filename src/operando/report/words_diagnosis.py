@@ -269,7 +269,7 @@ def _found(effect: EffectWords) -> str:
     owner = ""
     if effect.group == "structure" and effect.place:
         owner = f"; the idle model {'still has' if effect.removed else 'does not have'} it"
-    unsure = "" if effect.sure else " (its size cannot be told from zero)"
+    unsure = "" if effect.sure else " (its size is known but roughly: the 95 % interval reaches zero)"
     return f"{effect.sentence}{owner}{unsure}."
 
 
