@@ -22,6 +22,9 @@ from operando.diagnose.shapes import ShapePrior, by_directions, told_by
 
 Array = NDArray[Any]
 
+COMPLIANCES = (1.0, 0.0, 2.0, 3.5)
+"""Starts of the shape values that make up the own compliance of a place, over that expected."""
+
 POOR = 2.5
 """Misfit, what the idle model may not know allowed for, above which something more is missing."""
 
@@ -161,21 +164,19 @@ def refit(
         x, normal, cost = _levenberg(arrays, lines, soft, terms, x, none, prior.bare(), steps, 1e-3)
         if not prior.size:
             return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
-        whole, back = prior, np.zeros((prior.size, 0))
-        for soft_pass, most, tolerance in ((True, min(2 * steps, 24), 1e-3), (False, steps, 1e-3)):
-            p = predict(arrays.with_phi(prior.moved(x[n_q:]) if x.size > n_q else arrays.phi), lines, terms, split(x[:n_q], terms))
-            weight = soft if soft_pass else root_w
-            if not soft_pass and idle is not None:
-                # What the columns of the places are not known by counts with its variance as long as it is not fitted.
-                so_far = Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:])
-                weight = root_w = np.sqrt(weights(lines, np.maximum(own, carried(idle, arrays, lines, so_far, p)[0])))
-            slope = by_directions(p, lines, whole.root) * weight
-            prior, turn = told_by(whole, slope.reshape(whole.size, -1))
-            x, normal, cost = _levenberg(arrays, lines, weight, terms, x[:n_q], turn.T @ back @ x[n_q:], prior, most, tolerance)
-            back = turn
-            if soft_pass and cost > 2 * POOR * lines.data.size:
-                # Something else is missing: the lines known best must not bend the shapes to make up for it.
-                return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], _inverse(normal), cost)
+        most = min(2 * steps, 24)
+        begins = {tuple(b): b for b in (np.r_[x, np.zeros(prior.size)], _from_compliances(arrays, lines, soft, terms, x, prior, steps))}
+        found = [_along(arrays, lines, soft, terms, b, prior, most) for b in begins.values()]
+        x, near, turn, normal, cost = min(found, key=lambda f: f[4])
+        so_far = Fit(tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], _inverse(normal), cost)
+        if cost > 2 * POOR * lines.data.size:
+            # Something else is missing: the lines known best must not bend the shapes to make up for it.
+            return so_far
+        if idle is not None:
+            # What the columns of the places are not known by counts with its variance as long as it is not fitted.
+            p = predict(arrays.with_phi(so_far.phi), lines, terms, so_far.q)
+            root_w = np.sqrt(weights(lines, np.maximum(own, carried(idle, arrays, lines, so_far, p)[0])))
+        x, prior, _, normal, cost = _along(arrays, lines, root_w, terms, np.r_[x[:n_q], turn @ x[n_q:]], prior, steps)
     else:
         x, normal, cost = _levenberg(arrays, lines, root_w, terms, x, z, prior, steps, 1e-4)
     for _ in range(2):
@@ -185,6 +186,38 @@ def refit(
         prior = prior.widened(wide)
         x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
     return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], _inverse(normal), cost)
+
+
+def _along(
+    arrays: IdleArrays, lines: CheckLines, root_w: Array, terms: Sequence[Term], x: Array, prior: ShapePrior, most: int
+) -> tuple[Array, ShapePrior, Array, Array, float]:
+    """Fit of [q, z] along the directions that the lines tell where it begins: numbers, directions, their turn, normal matrix, cost."""
+    n_q = x.size - prior.size
+    p = predict(arrays.with_phi(prior.moved(x[n_q:])), lines, terms, split(x[:n_q], terms))
+    slope = by_directions(p, lines, prior.root) * root_w
+    told, turn = told_by(prior, slope.reshape(prior.size, -1), x[n_q:])
+    x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], turn.T @ x[n_q:], told, most, 1e-3)
+    return x, told, turn, normal, cost
+
+
+def _from_compliances(
+    arrays: IdleArrays, lines: CheckLines, root_w: Array, terms: Sequence[Term], q: Array, prior: ShapePrior, steps: int
+) -> Array:
+    """Start of [q, z]: the places' own compliance as expected, or less or more, whichever lets the sizes fit best.
+
+    That compliance is the square of what no drive point saw; from the wrong side of it the way down is flat.
+    """
+    best, least = np.r_[q, np.zeros(prior.size)], np.inf
+    rows = effect_dofs(terms)
+    alone = (np.count_nonzero(prior.base, axis=0) == 1) & np.any(prior.base[rows] != 0, axis=0)
+    for factor in COMPLIANCES if alone.any() else ():
+        change = np.where(alone, prior.base * (factor - 1), 0.0)
+        z = change.T.ravel() @ prior.told
+        x, _, cost = _levenberg(arrays.with_phi(prior.moved(z)), lines, root_w, terms, q, np.zeros(0), prior.bare(), steps, 1e-3)
+        cost += float(z @ z)
+        if cost < least:
+            best, least = np.r_[x, z], cost
+    return best
 
 
 def foreseen(arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit, prior: ShapePrior) -> float:

@@ -211,16 +211,23 @@ def _product(a: Array, b: Array) -> Array:
     return out
 
 
-def told_by(prior: ShapePrior, weighted: Array) -> tuple[ShapePrior, Array]:
-    """The directions that the lines say something about, and the matrix that turned them.
+def told_by(prior: ShapePrior, weighted: Array, start: Array) -> tuple[ShapePrior, Array]:
+    """The directions that the lines say something about and that of the start, and the matrix that turned them.
 
     Parameters
     ----------
     prior : ShapePrior
     weighted : (k, n) complex array
         ∂H/∂z over the standard deviation of each line.
+    start : (k,) array
+        z from which a fit begins.
     """
     information = 2 * np.real(weighted.conj() @ weighted.T)
     values, vectors = np.linalg.eigh(information)
     keep = np.flatnonzero(values > TOLD)[::-1][:MOST]
-    return prior.turned(vectors[:, keep]), vectors[:, keep]
+    turn = vectors[:, keep]
+    rest = start - turn @ (turn.T @ start)
+    length = float(np.linalg.norm(rest))
+    if length > 0.01:
+        turn = np.c_[turn, rest / length]
+    return prior.turned(turn), turn
