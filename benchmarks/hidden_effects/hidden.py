@@ -62,8 +62,18 @@ class System:
 
     def accelerance(self, hz: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Exact accelerance (p, q, lines)."""
-        fractions = self._fractions()
-        return np.stack([self._sum(fractions, hz, np.ones((1, hz.size)), rows, column[None]) for column in columns], axis=1)
+        values, left, right = self._fractions()
+        s = 2j * np.pi * hz
+        each = 1 / (s - values[:, None])
+        onto, into = rows @ left, right @ columns.T
+        out = ((onto[:, None] * into.T[None]).reshape(-1, values.size) @ each).reshape(len(rows), len(columns), hz.size)
+        if self.rubber is not None:
+            place, stiffness, exponent, omega = self.rubber
+            law = stiffness * (s / omega) ** exponent
+            at, to = place @ left, right @ place
+            seen, moved, own = (at * into.T) @ each, (onto * to) @ each, (at * to) @ each
+            out = out - moved[:, None] * (seen * law / (1 + law * own))[None]
+        return -((2 * np.pi * hz) ** 2) * out
 
     def poles(self) -> tuple[np.ndarray, np.ndarray]:
         """Poles of positive frequency, sorted, and their modal vectors (n, poles)."""

@@ -30,6 +30,7 @@ from generate import Spec, parse, truth, write
 from hidden import LINEAR, SENSOR
 from judge import judge
 from tally import report
+from threadpoolctl import threadpool_limits
 
 OUTPUT_ONLY = ("ground_spring", "coupling_spring", "point_mass", "gyroscopic", "global_stiffness", "ground_damper", "coupling_damper")
 EXCITATIONS = ("shaker", "hammer")
@@ -133,7 +134,7 @@ def main() -> None:
     rows = {row["case"]: row for row in finished(path)}
     todo = [s for s in specs if options.fresh or s.name not in rows][: options.limit]
     print(f"{len(specs)} cases, {len(todo)} to run", flush=True)
-    with ProcessPoolExecutor(options.processes) as pool, path.open("a") as sink:
+    with ProcessPoolExecutor(options.processes, initializer=threadpool_limits, initargs=(1,)) as pool, path.open("a") as sink:
         futures = {pool.submit(run_case, s, options.work, options.operando, options.keep, options.until, options.library): s for s in todo}
         for number, future in enumerate(as_completed(futures), start=1):
             try:
