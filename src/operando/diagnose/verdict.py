@@ -27,7 +27,8 @@ ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
 
 
 ONE_MODE = 0.1
-"""With one mode in band kinds differ only by what lies outside of it: whatever explains all but this part counts as alike."""
+"""With one mode in band kinds differ only by what lies outside of it: whatever explains all but this part, or all that
+the data allow, counts as alike."""
 
 
 def separates(new: float, old: float, part: float) -> bool:
@@ -140,7 +141,7 @@ def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]
     accepted = [best.term.key for best, _ in history]
     for best, tried in history:
         for t in tried:
-            as_good = alike(best, t) or (alone and t.selection < ONE_MODE * start)
+            as_good = alike(best, t) or (alone and t.selection < max(ONE_MODE * start, GOOD))
             if t.term.key in accepted or not as_good or nested(best.term, t.term):
                 continue
             if len(history) > 1 and best is not history[-1][0] and not alike(*in_the_end(problem, history[-1][0].fit, best, t)):
