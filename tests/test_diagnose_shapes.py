@@ -58,3 +58,21 @@ def test_far_moves_leave_the_driven_columns(idle):
 def test_a_driven_place_moves_nowhere_outside_the_band(idle):
     prior = shape_prior(idle[0], np.array([0]))
     assert np.all(prior.root[DRIVEN][:, RESIDUAL] == 0)
+
+
+def test_a_local_mode_tells_an_undriven_dof_however_well_its_compliance_is_known(idle):
+    model = idle[0]
+    undriven = [i for i in range(M) if i not in DRIVEN]
+    local = np.zeros((M, len(undriven)))
+    local[undriven, np.arange(len(undriven))] = 0.3
+    n, more = model.n_modes, len(undriven)
+    old = np.asarray(model.covariance)[2 * n :, 2 * n :]
+    covariance = np.zeros(((n + more) * (2 + M),) * 2)
+    covariance[2 * (n + more) :, 2 * (n + more) :][: n * M, : n * M] = 1e-6 * old
+    position = 2 * (n + more) + n * M + np.arange(more) * M + undriven
+    covariance[position, position] = 1e-8
+    dofs = model.dofs
+    hz, residual = np.r_[HZ, np.full(more, 150.0)], np.r_[RESIDUAL, np.full(more, True)]
+    shapes = np.concatenate([model.shapes, local], axis=1)
+    wider = ModalModel(hz, np.full(hz.size, 0.01), shapes, dofs, "unit_modal_mass", residual=residual, covariance=covariance)
+    assert driven_rows(wider).tolist() == DRIVEN

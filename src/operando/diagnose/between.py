@@ -181,8 +181,6 @@ def between_sensors(problem: Problem, geometry: Geometry | None, found: Search) 
 
 def _plausible(tried: list[Tried]) -> list[Tried]:
     """Of the candidates that do about as well the one whose shapes had to move least comes first."""
-    if not tried:
-        return []
     good = [t for t in tried if t.selection < max(1.5 * tried[0].selection, 1.0)]
     good.sort(key=lambda t: t.fit.prior.scale**2 * float(t.fit.z @ t.fit.z) + t.term.size)
     first = good[0]

@@ -232,7 +232,8 @@ def _search(
             further = min(further, gain)
             place = ", ".join(map(str, odd.dofs)) or "the place found"
             notes.append(
-                f"what acts at {place} does not follow the law of a {odd.kind.kind}: freed over frequency it fits {1 - gain:.0%} better"
+                f"what acts at {place} does not follow the law of {odd.kind.plain}: "
+                f"free to bend over frequency it lowers the misfit by {1 - gain:.0%}"
             )
     verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
     if not one_system and verdict in ("explained", "ambiguous"):

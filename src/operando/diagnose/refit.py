@@ -22,8 +22,8 @@ from operando.diagnose.shapes import ShapePrior, by_directions, told_by
 
 Array = NDArray[Any]
 
-COMPLIANCES = (1.0, 0.0, 2.0, 3.5)
-"""Starts of the shape values that make up the own compliance of a place, over that expected."""
+COMPLIANCES = (0.0, 2.0, 3.5)
+"""Further starts of the shape values that make up the own compliance of a place, over that expected."""
 
 POOR = 2.5
 """Misfit, what the idle model may not know allowed for, above which something more is missing."""
@@ -165,8 +165,9 @@ def refit(
         if not prior.size:
             return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
         most = min(2 * steps, 24)
-        begins = {tuple(b): b for b in (np.r_[x, np.zeros(prior.size)], _from_compliances(arrays, lines, soft, terms, x, prior, steps))}
-        found = [_along(arrays, lines, soft, terms, b, prior, most) for b in begins.values()]
+        other = _from_compliances(arrays, lines, soft, terms, x, cost, prior, steps)
+        begins = [np.r_[x, np.zeros(prior.size)], *([] if other is None else [other])]
+        found = [_along(arrays, lines, soft, terms, b, prior, most) for b in begins]
         x, near, turn, normal, cost = min(found, key=lambda f: f[4])
         so_far = Fit(tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], _inverse(normal), cost)
         if cost > 2 * POOR * lines.data.size:
@@ -201,13 +202,13 @@ def _along(
 
 
 def _from_compliances(
-    arrays: IdleArrays, lines: CheckLines, root_w: Array, terms: Sequence[Term], q: Array, prior: ShapePrior, steps: int
-) -> Array:
-    """Start of [q, z]: the places' own compliance as expected, or less or more, whichever lets the sizes fit best.
+    arrays: IdleArrays, lines: CheckLines, root_w: Array, terms: Sequence[Term], q: Array, least: float, prior: ShapePrior, steps: int
+) -> Array | None:
+    """Start of [q, z] from less or more own compliance of the places, if sizes fit better there than at the cost they have as expected.
 
     That compliance is the square of what no drive point saw; from the wrong side of it the way down is flat.
     """
-    best, least = np.r_[q, np.zeros(prior.size)], np.inf
+    best: Array | None = None
     rows = effect_dofs(terms)
     alone = (np.count_nonzero(prior.base, axis=0) == 1) & np.any(prior.base[rows] != 0, axis=0)
     for factor in COMPLIANCES if alone.any() else ():
