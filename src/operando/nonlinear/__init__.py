@@ -5,5 +5,15 @@ from operando.nonlinear.records import diagnose_records
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.simulate import simulate
 from operando.nonlinear.single import SingleFit, fit_single
+from operando.nonlinear.travel import LoopFit, fit_loop
 
-__all__ = ["NonlinearDiagnosis", "SingleFit", "diagnose_records", "fit_single", "linear_effects", "simulate"]
+__all__ = [
+    "LoopFit",
+    "NonlinearDiagnosis",
+    "SingleFit",
+    "diagnose_records",
+    "fit_loop",
+    "fit_single",
+    "linear_effects",
+    "simulate",
+]
