@@ -1,6 +1,7 @@
 """Level-dependent effects from records with measured force: reverse path with the idle model known, closed-loop simulation."""
 
 from operando.nonlinear.equivalent import linear_effects
+from operando.nonlinear.periodic import PeriodicResponse, best_linear_approximation
 from operando.nonlinear.records import diagnose_records
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.simulate import simulate
@@ -10,7 +11,9 @@ from operando.nonlinear.travel import LoopFit, fit_loop
 __all__ = [
     "LoopFit",
     "NonlinearDiagnosis",
+    "PeriodicResponse",
     "SingleFit",
+    "best_linear_approximation",
     "diagnose_records",
     "fit_loop",
     "fit_single",
