@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from assembly import Assembly, free_dofs, lowest_modes, square_cells
 from elements import DRILLING, beam_mass, beam_stiffness, bush_stiffness, shell_mass, shell_stiffness
 
 Array = np.ndarray
@@ -104,69 +105,24 @@ def node_at(x: float, y: float, cells: int = CELLS) -> int:
 
 def assemble(design: Design, cells: int = CELLS, drilling: float = DRILLING) -> tuple[object, Array, Array]:
     """Sparse stiffness (n, n), lumped masses (n,) and free DOFs, in the order of elimination; the mass and P follow the plate nodes."""
-    from scipy.sparse import coo_array
-
     plate, side = (cells + 1) ** 2, 1 / cells
     mass, p, foot = plate, plate + 1, node_at(*FOOT, cells)
-    i, j = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
-    first = i * (cells + 1) + j
-    nodes = np.stack([first, first + cells + 1, first + cells + 2, first + 1], axis=1)
+    nodes = square_cells(cells)
+    i, j = nodes[:, 0] // (cells + 1), nodes[:, 0] % (cells + 1)
     quarter = ((i + 0.5) * side > 0.52) & ((j + 0.5) * side > 0.52)
-    m = np.zeros(6 * (plate + 2))
-    rows, columns, values = [], [], []
-
-    def add(where: Array, stiffness: Array, masses: Array) -> None:
-        at = (6 * where[:, :, None] + np.arange(6)).reshape(len(where), -1)
-        n = at.shape[1]
-        rows.append(np.repeat(at, n, axis=1).ravel())
-        columns.append(np.tile(at, n).ravel())
-        values.append(np.tile(stiffness.ravel(), len(where)))
-        np.add.at(m, at.ravel(), np.tile(masses, len(where)))
-
+    whole = Assembly(plate + 2)
     for part, young, thick in ((quarter, STEEL, 0.005), (~quarter, design.young_part, design.thick_part)):
-        add(nodes[part], shell_stiffness(side, thick, young, POISSON, drilling), shell_mass(side, thick, DENSITY))
+        whole.add(nodes[part], shell_stiffness(side, thick, young, POISSON, drilling), shell_mass(side, thick, DENSITY))
     for leg in LEGS:
         end = (*POINTS[leg], 0.0)
         young, thick = (design.young_leg, design.thick_leg) if leg == SOFT_LEG else (STEEL, 0.006)
         where = np.array([[p, node_at(*POINTS[leg], cells)]])
-        add(where, beam_stiffness(P, end, thick, young, POISSON), beam_mass(P, end, thick, DENSITY))
+        whole.add(where, beam_stiffness(P, end, thick, young, POISSON), beam_mass(P, end, thick, DENSITY))
     for start, end, where in (((*FOOT, 0.0), MASS, (foot, mass)), (MASS, P, (mass, p))):
-        add(np.array([where]), bush_stiffness(start, end, design.spring), np.zeros(12))
-    m[6 * mass : 6 * mass + 3] += MASS_KG
+        whole.add(np.array([where]), bush_stiffness(start, end, design.spring), np.zeros(12))
+    whole.mass[6 * mass : 6 * mass + 3] += MASS_KG
     fixed = [6 * node_at(*c, cells) + k for c in CLAMPED for k in range(6)] + [6 * mass + 5]
-    k = coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(m.size, m.size)).tocsc()
-    order = (6 * np.array([*dissection(0, cells + 1, 0, cells + 1, cells + 1), mass, p])[:, None] + np.arange(6)).ravel()
-    return k, m, order[~np.isin(order, fixed)]
-
-
-def dissection(x0: int, x1: int, y0: int, y1: int, row: int) -> list[int]:
-    """Plate nodes in the order of nested dissection (George 1973): halves first, the line between them last; little fill-in."""
-    if (x1 - x0) * (y1 - y0) <= 16:
-        return [i * row + j for i in range(x0, x1) for j in range(y0, y1)]
-    if x1 - x0 >= y1 - y0:
-        c = (x0 + x1) // 2
-        return dissection(x0, c, y0, y1, row) + dissection(c + 1, x1, y0, y1, row) + [c * row + j for j in range(y0, y1)]
-    c = (y0 + y1) // 2
-    return dissection(x0, x1, y0, c, row) + dissection(x0, x1, c + 1, y1, row) + [i * row + c for i in range(x0, x1)]
-
-
-def lowest_modes(stiffness: object, mass: Array, free: Array, count: int) -> tuple[Array, Array]:
-    """Natural frequencies [Hz] and shapes (all DOFs, count) of unit modal mass.
-
-    Largest eigenvalues 1/ω² of M^½K⁻¹M^½: a standard problem that rotations without inertia do not disturb.
-    """
-    from scipy.sparse.linalg import LinearOperator, eigsh, splu
-
-    k = stiffness[free][:, free].tocsc()
-    root = np.sqrt(mass[free])
-    factor = splu(k, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    flexibility = LinearOperator(k.shape, matvec=lambda x: root * factor.solve(root * np.ravel(x)), dtype=float)
-    start = root * np.random.default_rng(1).standard_normal(free.size)
-    value, vector = eigsh(flexibility, count, which="LM", v0=start, ncv=2 * count)
-    order = np.argsort(-value)
-    shapes = np.zeros((mass.size, count))
-    shapes[free] = factor.solve(root[:, None] * vector[:, order]) / value[order]
-    return 1 / (2 * np.pi * np.sqrt(value[order])), shapes
+    return whole.stiffness(), whole.mass, free_dofs(cells, [mass, p], fixed)
 
 
 def modes_of(design: Design, count: int = 72, cells: int = CELLS, drilling: float = DRILLING) -> Modes:
