@@ -1,6 +1,7 @@
 """Level-dependent effects from records with measured force: reverse path with the idle model known, closed-loop simulation."""
 
 from operando.nonlinear.equivalent import linear_effects
+from operando.nonlinear.levels import at_level
 from operando.nonlinear.periodic import PeriodicResponse, best_linear_approximation
 from operando.nonlinear.records import diagnose_records
 from operando.nonlinear.result import NonlinearDiagnosis
@@ -13,6 +14,7 @@ __all__ = [
     "NonlinearDiagnosis",
     "PeriodicResponse",
     "SingleFit",
+    "at_level",
     "best_linear_approximation",
     "diagnose_records",
     "fit_loop",

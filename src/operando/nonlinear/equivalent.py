@@ -73,10 +73,14 @@ def linear_effects(effect: Effect, rows: Sequence[dict[str, Any]]) -> list[Effec
     """Spring and damper at the place of a level-dependent effect: the mean of its equivalents in the records of the lowest level."""
     lowest = min(r["force_n"] for r in rows)
     same = [r for r in rows if r["force_n"] <= ONE_LEVEL * lowest]
+    return as_linear(effect, *(float(np.mean([r[name] for r in same])) for name in ("stiffness", "damping")))
+
+
+def as_linear(effect: Effect, stiffness: float, damping: float) -> list[Effect]:
+    """Spring and damper of these sizes at the place of an effect; a negative one is taken away."""
     name = "coupling" if len(effect.location) == 2 else "ground"
     out = []
-    for kind, parameter in ((f"{name}_spring", "stiffness"), (f"{name}_damper", "damping")):
-        size = float(np.mean([r[parameter] for r in same]))
+    for kind, parameter, size in ((f"{name}_spring", "stiffness", stiffness), (f"{name}_damper", "damping", damping)):
         if size != 0:
-            out.append(Effect(kind, effect.location, {parameter: abs(size)}, removed=size < 0))
+            out.append(Effect(kind, effect.location, {parameter: abs(float(size))}, removed=size < 0))
     return out

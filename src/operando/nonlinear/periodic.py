@@ -1,7 +1,7 @@
 """Periodic excitation: the best linear approximation, with the variance of noise and that of nonlinear distortion apart.
 
-A periodic force repeats its distortions in each period, noise does not. What changes from period to period is noise; what varies from line to
-line beyond it, or stands at lines that were not excited, is distortion (Pintelon & Schoukens, System Identification, 2nd ed. 2012, ch. 4).
+A periodic force repeats its distortions in each period, noise does not. What changes from period to period is noise; what varies from line
+to line beyond it, or stands at lines that were not excited, is distortion (Pintelon & Schoukens, System Identification, 2nd ed. 2012).
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class PeriodicResponse:
     frf : (q, L) complex array
         Best linear approximation, response over force.
     noise, distortion : (q, L) arrays
-        Variance of that from noise, and from nonlinear distortion: what a repetition with other phases of the force would scatter by. For one
-        realisation of the force, from how far each line is off a rational function through its neighbours.
+        Variance of that from noise, and from nonlinear distortion: what a repetition with other phases of the force would scatter by; seen
+        in one realisation of the force from how far each line is off a rational function through its neighbours.
     distortion_db : (q,) array
         Size of the distortion over the response, median over lines [dB].
     over_noise_db : (q,) array
@@ -91,8 +91,8 @@ class PeriodicResponse:
         )
         if self.odd_db is None or self.even_db is None:
             out.append(
-                "all lines of the band are excited, so odd and even distortion fall on the same lines: leave out some odd and all even lines "
-                "of the excitation to tell springs and friction from contacts and preloaded joints"
+                "all lines of the band are excited, so odd and even distortion fall on the same lines: leave out all even and some odd "
+                "lines of the force to tell springs and friction from contacts and preloaded joints"
             )
         else:
             parts = [("odd", self.odd_db), ("even", self.even_db)]
