@@ -10,7 +10,7 @@ import pytest
 from operando.data import Frf, ModalModel
 from operando.diagnose import diagnose
 from operando.diagnose.diagnosis import make_problem
-from operando.diagnose.law import gain_by_free_law
+from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.results import CheckRun
 from structures import Chain
 
@@ -105,3 +105,17 @@ def test_a_law_that_no_kind_has_shows_when_it_may_bend(chain, power, least, most
     gain, which = gain_by_free_law(problem, problem.joint([term], [term.inward({"stiffness": 2e4})]))
     assert least <= gain <= most
     assert which is None or which is term
+
+
+@pytest.mark.parametrize(("power", "mass", "alone"), [(0.0, 0.15, False), (1.3, 0.0, True)])
+def test_several_effects_must_earn_their_place_beside_one_of_another_law(chain, power, mass, alone):
+    law = 2e4 * (HZ / 60) ** power
+    check = check_of(chain, lump(1, mass), law=law)
+    problem = make_problem(model(chain.hz, chain.zeta, chain.phi), [check], None, None, (12.0, 150.0))
+    spring = next(t for t in problem.templates if t.kind.kind == "ground_spring" and str(t.dofs[0]) == "5+Z")
+    lump_mass = next(t for t in problem.templates if t.kind.kind == "point_mass" and str(t.dofs[0]) == "2+Z")
+    start = [spring.inward({"stiffness": 2e4}), lump_mass.inward({"mass": 0.1})]
+    firsts = [problem.tried(problem.joint([t], [q])) for t, q in zip((spring, lump_mass), start, strict=True)]
+    found = alone_by_free_law(problem, problem.joint([spring, lump_mass], start), firsts)
+    assert (found is spring) if alone else (found is None)
+    assert alone_by_free_law(problem, firsts[0].fit, firsts) is None

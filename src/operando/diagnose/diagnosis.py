@@ -14,7 +14,7 @@ from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
-from operando.diagnose.law import gain_by_free_law
+from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
@@ -236,6 +236,11 @@ def _search(
                 f"free to bend over frequency it lowers the misfit by {1 - gain:.0%}"
             )
     verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
+    alone = alone_by_free_law(problem, fits[-1], history[0][1]) if verdict == "explained" else None
+    if alone is not None:
+        verdict = "partial"
+        place = ", ".join(map(str, alone.dofs)) or "one place"
+        notes.append(f"one effect at {place}, of a law that is not in the catalogue, explains about as much as the effects named together")
     if not one_system and verdict in ("explained", "ambiguous"):
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")

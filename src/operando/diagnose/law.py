@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,15 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnose.predict import Term
-from operando.diagnose.problem import Problem
+from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit
 from operando.diagnose.sets import SELECT
+from operando.diagnose.verdict import separates
 from operando.effects.base import EffectKind, Parameter
 
 Array = NDArray[Any]
 
 BEND = Parameter("bend", "", -20.0, 20.0, "linear", 0.0, "part that grows with the square of frequency, at the band's centre")
 TURN = Parameter("turn", "", -20.0, 20.0, "linear", 0.0, "imaginary part that grows with frequency, at the band's centre")
+
+ASKED = 6
+"""First candidates that are asked, law freed, whether they explain alone what several effects were found for."""
 
 
 class _Freed(EffectKind):
@@ -76,3 +80,35 @@ def gain_by_free_law(problem: Problem, fit: Fit) -> tuple[float, Term | None]:
         if ratio < best:
             best, which = ratio, term
     return best, which
+
+
+def alone_by_free_law(problem: Problem, fit: Fit, firsts: Sequence[Tried]) -> Term | None:
+    """One effect of another law that explains about as much as several found: then each further one has not earned its place.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+        The effects accepted.
+    firsts : sequence of Tried
+        Candidates of the first step, best first.
+
+    Returns
+    -------
+    Term or None
+        The kind and place whose law was freed.
+    """
+    structural = [t for t in fit.terms if t.kind.acts == "dynamic_stiffness"]
+    places = {t.dofs for t in structural}
+    if len(structural) < 2 or len(structural) < len(fit.terms) or len(places) < 2:
+        return None
+    here = problem.allowing(fit)
+    now = here.misfit(SELECT, fit)
+    asked = [t for t in firsts if t.term.kind.acts == "dynamic_stiffness"][:ASKED]
+    for one in asked:
+        term, q = one.term, one.fit.q[-1]
+        n = len(term.moving)
+        alone = here.joint([freed(term)], [np.concatenate([q[:n], [0.0, 0.0], q[n:]])])
+        if not separates(now, here.misfit(SELECT, alone), EARNED):
+            return term
+    return None

@@ -31,9 +31,9 @@ WIDER = 1.33
 MIN_SUPPORT = 0.4
 """Share of linear fits (times their orders) that a starting mode needs; weaker ones are left to the search by residuals."""
 
-FREQUENCY_FLOOR = 1.5e-6
-DAMPING_FLOOR = 2e-4
-SHAPE_FLOOR = 2e-4
+FREQUENCY_FLOOR = 1e-6
+DAMPING_FLOOR = 1.3e-4
+SHAPE_FLOOR = 1.3e-4
 """Relative standard deviations that no likelihood sees: clock and filters of a measurement chain, the integrator of a simulated one."""
 
 
