@@ -110,14 +110,14 @@ def apply_effects(
             terms[k], begin = best_start(problem, fits[-1], term, start[k])
             fits.append(problem.settled(problem.joint(terms[: k + 1], [*q, begin])))
             q = list(fits[-1].q)
-        rows = ladder(problem, fits)
+        rows, fits = ladder(problem, fits)
         for k, fit in enumerate(fits[1:], 1):
             words.append(_words(effects_of(fit)[-1], rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]))
             if rows[k]["heldout_misfit"] > ENOUGH and rows[k - 1]["heldout_misfit"] > ENOUGH:
                 tried, _ = step(problem, fits[k - 1])
                 if tried:
                     best = problem.settled(choose(tried).fit)
-                    other = ladder(problem, [problem.empty(), best])[1]["heldout_misfit"]
+                    other = ladder(problem, [problem.empty(), best])[0][1]["heldout_misfit"]
                     if other < 0.5 * rows[k]["heldout_misfit"]:
                         words.append(
                             f"the data speak for another one: {effects_of(best)[-1]} would lower it to {other:.4g}; "

@@ -221,8 +221,8 @@ def _search(
     final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
     final = [renamed(f, sensors) for f in final]
+    rows, final = ladder(problem, final)
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
-    rows = ladder(problem, final)
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     judged = problem.sets[JUDGE]
     notes = list(problem.lines.notes)
@@ -274,15 +274,15 @@ def flat(lines: CheckLines, own: Array, data: Array) -> Lines:
     return Lines(data[good], lines.data[good], lines.variance[good], own[good], response[good], hz[good])
 
 
-def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
-    """Error and misfit of each step, on all lines and on the judge set.
+def ladder(problem: Problem, fits: Sequence[Fit]) -> tuple[list[dict[str, Any]], list[Fit]]:
+    """Error and misfit of each step, on all lines and on the judge set; the fits, their numbers no surer than the judge set lets them be.
 
     A step is judged by the idle model's variance as its effects carry it on; but effects that leave the data unexplained at places
     the idle model knows little of are not excused by that.
     """
     from operando.diagnose.refit import mean_misfit
 
-    rows = []
+    rows, told = [], []
     judge = problem.lines.group == JUDGE
     for number, fit in enumerate(fits):
         data, _ = predicted(problem.arrays, problem.lines, fit)
@@ -291,6 +291,10 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
             own = np.minimum(own, problem.own)
         everything = flat(problem.lines, own, data)
         held = flat(problem.lines.where(judge), own[judge], data[judge])
+        unseen = mean_misfit(problem.lines.where(judge), own[judge], data[judge])
+        if fit.terms:
+            fit = replace(fit, excess=max(fit.excess, unseen))
+        told.append(fit)
         rows.append(
             {
                 "step": number,
@@ -298,10 +302,10 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> list[dict[str, Any]]:
                 "error_db": error_db(everything),
                 "heldout_error_db": error_db(held),
                 "misfit": mean_misfit(problem.lines, own, data),
-                "heldout_misfit": mean_misfit(problem.lines.where(judge), own[judge], data[judge]),
+                "heldout_misfit": unseen,
             }
         )
-    return rows
+    return rows, told
 
 
 def candidate_row(tried: Tried, before: Sequence[float]) -> dict[str, Any]:
