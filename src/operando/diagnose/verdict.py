@@ -26,6 +26,9 @@ ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
 """Alike: selection misfit within 2 %, or paired-block z below 2 and within 15 %."""
 
 
+HOPELESS = 100.0
+"""Selection misfit with all effects found above which it is idle to ask which of them could be exchanged."""
+
 ONE_MODE = 0.1
 """With one mode in band kinds differ only by what lies outside of it: whatever explains all but this part, or all that
 the data allow, counts as alike."""
@@ -139,12 +142,14 @@ def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]
     start = problem.misfit(SELECT, problem.empty()) if alone else 0.0
     limit = spacing(geometry) * 1.05
     accepted = [best.term.key for best, _ in history]
+    final = history[-1][0]
+    hopeless = len(history) > 1 and problem.allowing(final.fit).misfit(SELECT, final.fit) > HOPELESS
     for best, tried in history:
         for t in tried:
             as_good = alike(best, t) or (alone and t.selection < max(ONE_MODE * start, GOOD))
             if t.term.key in accepted or not as_good or nested(best.term, t.term):
                 continue
-            if len(history) > 1 and best is not history[-1][0] and not alike(*in_the_end(problem, history[-1][0].fit, best, t)):
+            if len(history) > 1 and best is not final and (hopeless or not alike(*in_the_end(problem, final.fit, best, t))):
                 continue  # as good only as long as the effects found later were missing
             out.append(t)
             if t.term.kind.kind != best.term.kind.kind or distance(best.term, t.term, geometry) > limit:
