@@ -77,3 +77,25 @@ def shape_change(idle: NDArray[np.float64], operating: NDArray[np.float64]) -> f
     a, b = idle[:, -NEIGHBOURS:], operating[:, -NEIGHBOURS:]
     likeness = np.sum(a * b, axis=0) ** 2 / np.maximum(np.sum(a**2, axis=0) * np.sum(b**2, axis=0), 1e-300)
     return float(np.sqrt(np.mean(np.maximum(1 - likeness, 0))))
+
+
+def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_share: float) -> NDArray[np.float64]:
+    """Factor on what the highest pairs show of change, for modes beyond them.
+
+    A stiffness at a place changes ω² of every mode by as much, so relatively by less the higher the mode, as its participation in other
+    modes; a mass changes all alike. The mean square of both laws, weighted by what changed.
+
+    Parameters
+    ----------
+    idle_hz : (k,) array
+        Of the modes carried over.
+    pairs_hz : (n,) array
+        Of the paired idle modes.
+    mass_share : float
+        Part of what changed that is mass.
+    """
+    if pairs_hz.size == 0:
+        return np.ones(idle_hz.size)
+    middle = float(np.sqrt(np.mean(np.sort(pairs_hz)[-NEIGHBOURS:] ** 2)))
+    law = np.minimum((middle / np.maximum(idle_hz, 1e-12)) ** 4, 1)
+    return np.asarray(np.sqrt(mass_share + (1 - mass_share) * law))

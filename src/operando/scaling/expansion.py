@@ -48,6 +48,12 @@ NOISE_FACTORS = (1.0, 3.0, 10.0)
 FACTOR_PRICE = 2.0
 """Power with which the likelihood of a factor falls."""
 
+NOT_NOISE = 0.5
+"""How likely it is that what a raised noise factor explains away is part of the shape after all."""
+
+UNLIKELY = 1e-3
+"""Trials less likely than this are left out of what the width leaves open."""
+
 NOT_ORTHOGONAL = 0.02
 """Non-orthogonality of close modes that is put down to the change, not to noise."""
 
@@ -61,6 +67,16 @@ REMAINDERS = (0.0, 1.0, 3.0, 10.0, 30.0)
 """Trial sizes of what no idle mode explains, in units of the noise."""
 
 Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Log evidence of a width of the prior, with the best remainder and noise factor."""
+
+    evidence: float
+    width: NDArray[np.float64]
+    remainder: float
+    noise_factor: float
 
 
 @dataclass(frozen=True)
@@ -81,6 +97,8 @@ class Prior:
     outside : (m, m) array
         Where that part may lie: the projector on what is outside the span of the idle modes (zero with at least as many modes as
         DOFs), or everything for shapes without stated noise.
+    others : tuple
+        For each operational mode the trial widths and how likely each is, the chosen one among them.
     """
 
     participation: NDArray[np.float64]
@@ -88,6 +106,7 @@ class Prior:
     noise: NDArray[np.float64]
     mixing: NDArray[np.float64]
     outside: NDArray[np.float64]
+    others: tuple[tuple[tuple[float, Trial], ...], ...] = ()
 
     def covariance(self, r: int) -> NDArray[np.float64]:
         """Covariance of all in shape r that is not Φq: noise and remainder."""
@@ -133,7 +152,7 @@ def make_prior(
     for r in range(n):
         relative, j = _relative(idle, idle_hz, operating_hz[r], damping[r], int(partners[r]), shift[0][r], shift[1])
         tables.append(_trials(idle, relative, j, unit_shapes[:, r], cov[r], outside))
-    chosen = _common_width(np.array([[trial.evidence for trial in table] for table in tables]))
+    chosen, likely = _common_width(np.array([[trial.evidence for trial in table] for table in tables]))
     taken = [tables[r][k] for r, k in enumerate(chosen)]
     louder = np.array([trial.noise_factor for trial in taken])
     found = Prior(
@@ -142,20 +161,25 @@ def make_prior(
         cov * louder[:, None, None] ** 2,
         np.zeros((n, n)),
         outside,
+        tuple(tuple(zip(weights.tolist(), table, strict=True)) for weights, table in zip(likely, tables, strict=True)),
     )
     return replace(found, mixing=_mixing(idle, unit_shapes, found, operating_hz))
 
 
-def _common_width(evidence: NDArray[np.float64]) -> list[int]:
-    """Trial of each shape (rows) that is most likely with its neighbours: one change made them all, so widths scatter about one centre."""
+def _common_width(evidence: NDArray[np.float64]) -> tuple[list[int], NDArray[np.float64]]:
+    """Trial of each shape (rows) that is most likely with its neighbours, and how likely each trial is about the common centre.
+
+    One change made all shapes, so their widths scatter about one centre.
+    """
     log_width = np.log(WIDTHS)
-    best, chosen = -np.inf, np.zeros(len(evidence), int)
+    best, table = -np.inf, evidence
     for centre in np.linspace(log_width[0], log_width[-1], 25):
         each = evidence - 0.5 * ((log_width - centre) / WIDTH_SPREAD) ** 2
         total = float(np.sum(np.max(each, axis=1))) - 0.5 * (centre / CENTRE_SPREAD) ** 2
         if total > best + 1e-9:
-            best, chosen = total, np.argmax(each, axis=1)
-    return [int(k) for k in chosen]
+            best, table = total, each
+    likely = np.exp(table - np.max(table, axis=1, keepdims=True)) if table.size else table
+    return [int(k) for k in np.argmax(table, axis=1)], likely / np.sum(likely, axis=1, keepdims=True)
 
 
 def frequency_shifts(
@@ -193,16 +217,6 @@ def _relative(
     return np.sqrt(shift * idle_shifts) * reach / size[j], j
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """Log evidence of a width of the prior, with the best remainder and noise factor."""
-
-    evidence: float
-    width: NDArray[np.float64]
-    remainder: float
-    noise_factor: float
-
-
 def _trials(
     idle: NDArray[np.float64],
     relative: NDArray[np.float64],
@@ -210,7 +224,7 @@ def _trials(
     shape: NDArray[np.float64],
     noise: NDArray[np.float64],
     outside: NDArray[np.float64],
-) -> list[_Trial]:
+) -> list[Trial]:
     """Each trial width with its best remainder and noise factor."""
     m = shape.size
     size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
@@ -219,7 +233,7 @@ def _trials(
         std = np.minimum(t * relative, 3 / size)
         std[leading] = 3 / size[leading]
         spread = (idle * std**2) @ idle.T
-        best = _Trial(-np.inf, std, 0.0, 1.0)
+        best = Trial(-np.inf, std, 0.0, 1.0)
         for louder in NOISE_FACTORS:
             for rest in REMAINDERS if np.any(outside) else REMAINDERS[:1]:
                 tau = rest * float(np.sqrt(np.trace(noise) / m))
@@ -227,7 +241,7 @@ def _trials(
                 white = np.linalg.solve(factor, shape)
                 evidence = -0.5 * float(white @ white) - float(np.sum(np.log(np.diag(factor)))) - FACTOR_PRICE * np.log(louder)
                 if evidence > best.evidence + 1e-9:
-                    best = _Trial(evidence, std, tau, louder)
+                    best = Trial(evidence, std, tau, louder)
         out.append(best)
     return out
 
@@ -366,7 +380,8 @@ def prior_spread(
     """What the prior leaves open: deviations of each scaled shape that the smoothing may have taken away.
 
     For q ~ N(0, P) and gain K the error of the posterior mean that is not noise is (KΦ − 1)q + Kρ; with the noise part
-    (from the covariance of the shapes) it makes up the posterior covariance.
+    (from the covariance of the shapes) it makes up the posterior covariance. The width of the prior is not known: every trial
+    width adds what it leaves open and how far its shape lies from the one chosen, as likely as it is.
 
     Parameters
     ----------
@@ -381,20 +396,50 @@ def prior_spread(
     list of (m, k) array
         One an operational mode; its outer product is the covariance to add.
     """
-    m, n = unit_shapes.shape
-    q, shape, _ = expand(idle, unit_shapes, prior)
     out = []
-    for r in range(n):
-        std = prior.participation[:, r]
-        weighted = idle * std**2
-        total = weighted @ idle.T + prior.covariance(r)
-        gain = np.linalg.solve(total, weighted).T
-        rest = prior.remainder[r] * prior.outside
-        tail = prior.remainder[r] * rest @ np.linalg.inv(total)
-        # Columns: one a unit deviation of each q, then of the remainder at each DOF.
-        dq = np.concatenate([(gain @ idle - np.eye(std.size)) * std, gain @ rest], axis=1)
-        dshape = idle @ dq + np.concatenate([tail @ idle * std, (tail - np.eye(m)) @ rest], axis=1)
-        size = float(np.sqrt(np.sum(size_factor[:, r] * q[:, r] ** 2)))
-        along = (size_factor[:, r] * q[:, r]) @ dq / size**2
-        out.append((dshape - np.outer(shape[:, r], along)) / size)
+    for r in range(unit_shapes.shape[1]):
+        column, factor, noise = unit_shapes[:, r], size_factor[:, r], prior.noise[r]
+        own, spread = _left_open(idle, column, factor, prior.participation[:, r], prior.remainder[r], noise, prior.outside)
+        if not prior.others:
+            out.append(spread)
+            continue
+        at_most = max(weight for weight, _ in prior.others[r])
+        chosen = next(trial for weight, trial in prior.others[r] if weight == at_most)
+        parts = []
+        for weight, trial in prior.others[r]:
+            if weight > UNLIKELY:
+                louder = noise * (trial.noise_factor / chosen.noise_factor) ** 2
+                shape, left = _left_open(idle, column, factor, trial.width, trial.remainder, louder, prior.outside)
+                parts += [np.sqrt(weight) * left, np.sqrt(weight) * (shape - own)[:, None]]
+                if trial.noise_factor > 1:
+                    onto = float(own @ column)
+                    seen = column * (float(own @ own) / onto if onto else 0.0)
+                    parts.append(np.sqrt(NOT_NOISE * weight) * (seen - own)[:, None])
+        out.append(np.concatenate(parts, axis=1))
     return out
+
+
+def _left_open(
+    idle: NDArray[np.float64],
+    column: NDArray[np.float64],
+    size_factor: NDArray[np.float64],
+    std: NDArray[np.float64],
+    remainder: float,
+    noise: NDArray[np.float64],
+    outside: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """One shape (m,) of unit modal mass under a prior, and what that prior leaves open about it (m, k)."""
+    m = column.size
+    weighted = idle * std**2
+    total = weighted @ idle.T + noise + remainder**2 * outside
+    gain = np.linalg.solve(total, weighted).T
+    rest = remainder * outside
+    tail = remainder * rest @ np.linalg.inv(total)
+    q = gain @ column
+    shape = idle @ q + tail @ column
+    # Columns: one a unit deviation of each q, then of the remainder at each DOF.
+    dq = np.concatenate([(gain @ idle - np.eye(std.size)) * std, gain @ rest], axis=1)
+    dshape = idle @ dq + np.concatenate([tail @ idle * std, (tail - np.eye(m)) @ rest], axis=1)
+    size = float(np.sqrt(np.sum(size_factor * q**2)))
+    along = (size_factor * q) @ dq / size**2
+    return shape / size, (dshape - np.outer(shape, along)) / size

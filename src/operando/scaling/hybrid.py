@@ -13,8 +13,9 @@ from operando.data import Finding, ModalModel
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
-from operando.scaling.carried import CommonShift, common_shift, shape_change
+from operando.scaling.carried import CommonShift, common_shift, lessened, shape_change
 from operando.scaling.condensed import CondensedBasis, condensed_basis
+from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import make_prior
 from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scaled_shapes
@@ -108,12 +109,16 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     )
     carried, text = _carried_over(idle, real_idle, pairing, shift, findings)
     models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, shift) for name, s in shapes.items()}
+    doubt = scale_doubt(e, o, task, "stiffness" if choice.method == "expansion_stiffness" else "mass")
     covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
     out = shapes[choice.method]
     if covariance is not None:
         imaginary = _unexplained_imaginary(o, out, None if noise is None else noise[1])
         change = shape_change(e[:, [real_idle[p.idle] for p in alike]], out[:, [p.operating for p in alike]])
-        covariance = with_unseen_change(covariance, models[choice.method], proper.n_modes, imaginary, shift.spread, change)
+        less = lessened(idle.frequencies_hz[carried], idle.frequencies_hz[[real_idle[p.idle] for p in alike]], doubt.mass_share)
+        covariance = with_unseen_change(
+            covariance, models[choice.method], proper.n_modes, imaginary, shift.spread * less, change * less, doubt
+        )
     modal = replace(models[choice.method], covariance=covariance)
     models[choice.method] = modal
     found = complexity(o, modal.frequencies_hz, modal.damping_ratios, modal.shapes, None if noise is None else noise[1])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
+from operando.scaling.doubt import ScaleDoubt
 from operando.scaling.expansion import prior_spread
 from operando.scaling.methods import Task, real_shapes, scaled_shapes
 
@@ -28,6 +29,9 @@ LARGEST = 5000
 """Parameters of the scaled model above which no covariance is made."""
 
 CHUNK = 64
+
+LOCAL_CORRELATION = 0.3
+"""Standard deviation of the correlation of the local compliances of two undriven DOFs."""
 
 
 def covariance_of(model: ModalModel) -> NDArray[np.float64] | None:
@@ -137,8 +141,9 @@ def with_unseen_change(
     modal: ModalModel,
     n: int,
     imaginary: NDArray[np.float64],
-    frequency_spread: float,
-    shape_change: float,
+    frequency_spread: NDArray[np.float64],
+    shape_change: NDArray[np.float64],
+    doubt: ScaleDoubt | None,
 ) -> NDArray[np.float64]:
     """Covariance with what no identification can know: what real shapes leave out, and how operation changed the modes it did not show.
 
@@ -153,22 +158,48 @@ def with_unseen_change(
     imaginary : (m, n) array
         Imaginary part of each operational shape at its scale, as far as noise does not explain it: an error of the real shape that
         shows in the FRF with the same size.
-    frequency_spread : float
+    frequency_spread : (k,) array
         Relative standard deviation of the frequencies carried over.
-    shape_change : float
+    shape_change : (k,) array
         Relative size of the change of their shapes.
+    doubt : ScaleDoubt or None
+        What a change of mass (or of stiffness, where that was kept) leaves of the scale.
     """
     out = np.array(covariance)
     total, m = modal.n_modes, len(modal.dofs)
     for r in range(n):
         at = slice(2 * total + r * m, 2 * total + (r + 1) * m)
         out[at, at] += np.outer(imaginary[:, r], imaginary[:, r])
+    if doubt is not None:
+        shapes = np.asarray(modal.shapes)[:, :n]
+        together = (shapes * doubt.common / 2).T.ravel()
+        at = slice(2 * total, 2 * total + n * m)
+        out[at, at] += np.outer(together, together)
+        for r in range(n):
+            at = slice(2 * total + r * m, 2 * total + (r + 1) * m)
+            out[at, at] += (doubt.own[r] / 2) ** 2 * np.outer(shapes[:, r], shapes[:, r])
     carried = np.arange(n, total)
     out[carried, carried] += (frequency_spread * modal.frequencies_hz[carried]) ** 2
     mean_square = np.mean(np.asarray(modal.shapes)[:, carried] ** 2, axis=0)
     diagonal = 2 * total + carried[:, None] * m + np.arange(m)
-    out[diagonal, diagonal] += shape_change**2 * mean_square[:, None]
-    return out
+    out[diagonal, diagonal] += (shape_change**2 * mean_square)[:, None]
+    return _with_common_compliance(out, modal, carried)
+
+
+def _with_common_compliance(covariance: NDArray[np.float64], modal: ModalModel, carried: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Let local modes of undriven DOFs move other undriven DOFs too.
+
+    A local mode holds the compliance of one DOF that no driven column shows; no driven column shows either how those of two DOFs go
+    together.
+    """
+    shapes, total, m = np.asarray(modal.shapes), modal.n_modes, len(modal.dofs)
+    local = {int(np.flatnonzero(shapes[:, r])[0]): int(r) for r in carried if np.count_nonzero(shapes[:, r]) == 1}
+    for i, r in local.items():
+        for j, s in local.items():
+            if j != i:
+                at = 2 * total + r * m + j
+                covariance[at, at] += (LOCAL_CORRELATION * shapes[j, s]) ** 2
+    return covariance
 
 
 def _slope(
