@@ -286,9 +286,10 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> tuple[list[dict[str, Any]],
     judge = problem.lines.group == JUDGE
     for number, fit in enumerate(fits):
         data, _ = predicted(problem.arrays, problem.lines, fit)
-        own = model_variance(problem.idle, problem.arrays, problem.lines, fit) if number else problem.own
+        carried = model_variance(problem.idle, problem.arrays, problem.lines, fit) if number else problem.own
+        own = np.maximum(carried, problem.own)  # what the fit learnt of shapes it learnt within the model's own errors
         if mean_misfit(problem.lines.where(judge), own[judge], data[judge]) > EXCUSED:
-            own = np.minimum(own, problem.own)
+            own = np.minimum(carried, problem.own)
         everything = flat(problem.lines, own, data)
         held = flat(problem.lines.where(judge), own[judge], data[judge])
         unseen = mean_misfit(problem.lines.where(judge), own[judge], data[judge])
