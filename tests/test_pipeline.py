@@ -316,10 +316,17 @@ def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
     assert strict(folder / "ladder.json") == found["ladder"]
     before, after = (row["heldout_misfit"] for row in found["ladder"][:2])
     assert after < 0.1 * before
+    good = strict(folder / "comparison.json")
     assert len(call("remove", str(folder), "1")["ladder"]) == 1
+    bare = strict(folder / "comparison.json")
+    assert "effect" not in bare["models"]
+    assert not any("effect" in run["models"] for run in bare["by_run"])
+    assert bare["models"]["idle"] == good["models"]["idle"]
     wrong = call("add", str(folder), "point_mass@1+Z=mass:0.01")
     assert wrong["ladder"][1]["heldout_misfit"] > 100 * after
     assert any("the data speak for another one" in word and "3+Z" in word for word in wrong["words"])
+    bad = strict(folder / "comparison.json")
+    assert good["models"]["effect"]["misfit"] < 0.1 * bad["models"]["effect"]["misfit"] < bare["models"]["idle"]["misfit"]
     call("remove", str(folder), "1")
     again = call("add", str(folder), "--suggested")
     assert [e["kind"] for e in again["effects"]] == [e["kind"] for e in found["effects"]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from operando.cli.answer import Answer
@@ -9,7 +10,7 @@ from operando.cli.diagnose import ladder_table
 from operando.cli.story import Clock
 from operando.effects import Effect
 from operando.errors import MissingError
-from operando.results import Results
+from operando.results import CheckRun, Results
 
 
 def present(folder: str) -> Results:
@@ -34,6 +35,15 @@ def present(folder: str) -> Results:
     return results
 
 
+def judging(results: Results) -> tuple[list[CheckRun], tuple[float, float] | None]:
+    """Check runs without the bands that the test leaves out, and its band."""
+    from operando.pipeline.stages import without_bands
+
+    band, left_out = results.settings.get("band"), results.settings.get("exclude_bands") or ()
+    runs = [replace(run, frf=without_bands(run.frf, [tuple(b) for b in left_out])) for run in results.check]
+    return runs, (float(band[0]), float(band[1])) if band else None
+
+
 def accepted(results: Results) -> list[Effect]:
     """Effects in the model now, in order."""
     return [Effect.from_dict(e) for e in (results.diagnosis or {}).get("effects", [])]
@@ -44,10 +54,12 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
     from operando.diagnose import diagnose
 
     say = Clock()
+    runs, band = judging(results)
     found = diagnose(
         results.idle,  # type: ignore[arg-type]
-        check=results.check,
+        check=runs,
         geometry=results.geometry,
+        band=band,
         progress=lambda message: say("diagnose", message),
     )
     if not found.effects:
@@ -57,16 +69,21 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
 
 def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
-    from operando.diagnose import apply_effects
+    from operando.compare import with_effect
+    from operando.diagnose import Model, apply_effects
     from operando.pipeline.outputs import write_output
     from operando.store import save_results
 
     say = Clock()
+    idle = results.idle
+    assert idle is not None  # present() saw to it
+    runs, band = judging(results)
     applied = apply_effects(
-        results.idle,  # type: ignore[arg-type]
+        idle,
         effects,
-        check=results.check,
+        check=runs,
         geometry=results.geometry,
+        band=band,
         progress=lambda message: say("refit", message),
     )
     done = applied.to_dict()
@@ -75,9 +92,13 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
     results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "by_hand": by_hand}
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
+    if results.comparison is not None:
+        made = replace(applied.model.idle, covariance=None, std=None)  # the idle model's variance judges
+        shown = Model(made, applied.model.effects, applied.model.geometry) if applied.effects else None
+        results.comparison = with_effect(results.comparison, idle, shown, runs, band or idle.band_hz)
     out = Path(folder) if Path(folder).is_dir() else Path(folder).parent
     save_results(results, out / "model.h5")
-    for name in ("diagnosis.json", "ladder.json", "ofrf_effect.uff"):
+    for name in ("diagnosis.json", "ladder.json", "comparison.json", "ofrf_effect.uff"):
         write_output(name, out, results)
     from operando.pipeline.cache import whole
     from operando.report import write_report

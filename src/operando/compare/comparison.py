@@ -281,6 +281,40 @@ def compare_all(
     return {"schema": "operando/comparison/1", "judge_level": judge, "models": overall, "by_run": by_run}
 
 
+def with_effect(
+    comparison: dict[str, Any],
+    idle: FrfModel,
+    effect: FrfModel | None,
+    runs: Sequence[CheckRun],
+    band_hz: tuple[float, float] | None = None,
+) -> dict[str, Any]:
+    """``comparison.json`` with the idle model and its effects judged anew, all other models as they were.
+
+    Parameters
+    ----------
+    comparison : dict
+        As :func:`compare_all` gives it.
+    idle : model
+        Its variance judges.
+    effect : model or None
+        Idle model with effects; None where all have been taken back.
+    runs : sequence of CheckRun
+        Those of ``comparison``.
+    band_hz : (float, float), optional
+    """
+    judged = None if effect is None else compare_all({"idle": idle, "effect": effect}, runs, band_hz)
+
+    def changed(models: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
+        rest = {name: errors for name, errors in models.items() if name != "effect"}
+        return rest if new is None else rest | {"effect": new["models"]["effect"]}
+
+    by_run = [
+        old | {"models": changed(old["models"], None if judged is None else judged["by_run"][k])}
+        for k, old in enumerate(comparison.get("by_run", []))
+    ]
+    return comparison | {"models": changed(comparison["models"], judged), "by_run": by_run}
+
+
 class _Once:
     """A model that makes the same FRFs only once."""
 

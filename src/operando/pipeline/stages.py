@@ -261,7 +261,7 @@ def comparison(work: Work) -> dict[str, Any]:
 
 def missing_physics(work: Work) -> dict[str, Any]:
     """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
-    from operando.compare import compare_all
+    from operando.compare import with_effect
     from operando.diagnose import Model, diagnose
 
     results = work.results
@@ -290,7 +290,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
     model = found.model or Model(idle, tuple(found.effects), results.geometry)
     if runs and comparison is not None and found.effects:
         bare = Model(replace(model.idle, covariance=None, std=None), model.effects, model.geometry)
-        comparison = with_effect(comparison, compare_all({"idle": idle, "effect": bare}, runs, band_hz=analysis_band(work)))
+        comparison = with_effect(comparison, idle, bare, runs, analysis_band(work))
     made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,
@@ -300,17 +300,6 @@ def missing_physics(work: Work) -> dict[str, Any]:
     }
     # A place between sensors at which an effect was found is a node from here on.
     return made if model.geometry is None else made | {"geometry": model.geometry}
-
-
-def with_effect(comparison: dict[str, Any], judged: dict[str, Any]) -> dict[str, Any]:
-    """``comparison.json`` with the model ``effect`` of another comparison on the same runs."""
-    by_run = []
-    for old, new in zip(comparison.get("by_run", []), judged.get("by_run", []), strict=False):
-        by_run.append(old | {"models": old.get("models", {}) | {"effect": new["models"]["effect"]}} if "models" in old else old)
-    return comparison | {
-        "models": comparison["models"] | {"effect": judged["models"]["effect"]},
-        "by_run": by_run or comparison.get("by_run", []),
-    }
 
 
 def without_bands(frf: Frf, bands: Sequence[tuple[float, float]]) -> Frf:
