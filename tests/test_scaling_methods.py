@@ -220,6 +220,23 @@ def test_variance_by_sampling(monkeypatch):
         assert 0.85 < np.median(stated) < (1.5 if method.startswith("expansion") else 1.2), method
 
 
+def test_a_class_that_may_flip_is_in_the_variance():
+    """ε at the MAC of a mode: half of all draws scale it by the other rule, and their scatter shows it; far from ε none does."""
+    chain = Chain(5)
+    changed = modified(chain, spring=(2, 3e5))
+    idle, operating = noisy_pair(chain, changed, 0.02, 1)
+    mac = [p.mac for p in scale_operational(idle, operating).pairing.pairs]
+    r = int(np.argmin(mac))
+    rng = np.random.default_rng(3)
+    idle = replace(idle, covariance=np.diag(np.full(idle.n_parameters, 1e-16)))
+    draws = [draw(idle, operating, rng) for _ in range(80)]
+    for threshold, flips in ((mac[r], True), (mac[r] + 0.2 * (1 - mac[r]), False)):
+        hybrid = scale_operational(idle, operating, threshold, "eq13")
+        sizes = [np.linalg.norm(scale_operational(*pair, threshold, "eq13").modal.shapes[:, r]) for pair in draws]
+        scatter = np.sqrt(np.mean((np.array(sizes) / np.linalg.norm(hybrid.modal.shapes[:, r]) - 1) ** 2))
+        assert 0.65 < hybrid.scale_std[r] / scatter < 1.5, (threshold, flips)
+
+
 def draw(idle, operating, rng):
     n, m = 5, 5
     a = np.sqrt(np.diag(idle.covariance)) * rng.normal(size=idle.n_parameters)

@@ -6,6 +6,7 @@ import pytest
 from operando.data import ModalModel
 from operando.errors import ConfigError, DataError, IdentificationError
 from operando.scaling import choose_dofs, condensed_basis, condensed_mass, pair_modes, scale_operational
+from operando.scaling.condensed import best_addition
 from structures import Chain, modified
 
 
@@ -105,6 +106,23 @@ def test_large_kappa_names_modes_and_dofs():
     assert hybrid.kappa > 1000
     assert finding.dof
     assert f"{chain.hz[1]:.2f}" in finding.action
+
+
+def test_advice_names_the_dof_that_lowers_kappa_most():
+    """Sensors at two places cannot tell three shapes apart; of the places known from rest only, one is best."""
+    chain = Chain(6)
+    idle = ModalModel(chain.hz[:3], chain.zeta[:3], chain.phi[:, :3], labels(6), "unit_modal_mass")
+    rows = [0, 1, 2]
+    operating = ModalModel(chain.hz[:3], chain.zeta[:3], chain.phi[rows, :3] + 0j, labels(3))
+    reached = {row: np.linalg.cond(chain.phi[[*rows, row], :3]) for row in (3, 4, 5)}
+    best = min(reached, key=reached.__getitem__)
+    assert best_addition(chain.phi[:, :3], rows, [0, 1, 2]) == (best, pytest.approx(reached[best]))
+    assert best_addition(chain.phi[:, :3], range(6), [0, 1, 2]) is None
+    squeezed = chain.phi[:, :3].copy()
+    squeezed[rows, 2] = squeezed[rows, 1] * (1 + 1e-3 * np.arange(3))
+    idle = ModalModel(chain.hz[:3], chain.zeta[:3], squeezed, labels(6), "unit_modal_mass")
+    finding = next(f for f in scale_operational(idle, operating).findings if f.kind == "ill_conditioned")
+    assert f"measure {idle.dofs[best_addition(squeezed, rows, [0, 1, 2])[0]]} in operation as well" in finding.action
 
 
 def test_dof_order_sense_and_extra_dofs():

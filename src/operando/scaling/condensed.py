@@ -150,3 +150,29 @@ def condensed_basis(shapes: ArrayLike, hz: ArrayLike, in_band: ArrayLike) -> Con
         tuple(best),
         condition(used[best]),
     )
+
+
+def best_addition(shapes: ArrayLike, rows: ArrayLike, modes: ArrayLike) -> tuple[int, float] | None:
+    """The DOF that lowers κ most if it is measured as well.
+
+    Parameters
+    ----------
+    shapes : (M, n) real array
+        At all DOFs whose idle shapes are known.
+    rows : int array
+        DOFs measured now.
+    modes : int array
+        Idle modes of the condensed mass.
+
+    Returns
+    -------
+    (row, κ) or None
+        None where every DOF with a known shape is measured already.
+    """
+    a, now, chosen = np.asarray(shapes, float), np.asarray(rows, int), np.asarray(modes, int)
+    others = np.setdiff1d(np.arange(a.shape[0]), now)
+    if others.size == 0:
+        return None
+    reached = [condition(a[np.append(now, row)][:, chosen]) for row in others]
+    best = int(np.argmin(reached))
+    return int(others[best]), reached[best]

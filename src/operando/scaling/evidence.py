@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding
 from operando.scaling.condensed import CondensedBasis
+from operando.scaling.doubt import scale_doubt
 from operando.scaling.expansion import expand, orthogonality, participation_spread
 from operando.scaling.methods import IN_WORDS, Task, real_shapes
 
@@ -24,6 +25,9 @@ NOISE_SHARE = 0.5
 
 BOTH_CHANGED = 0.06
 """Rms off-diagonals of mass and stiffness both above this: the span of the idle modes does not hold the operational ones."""
+
+MASS_SURE = 0.008
+"""Rms off-diagonal of the mass beyond what noise explains, from which mass is said to have changed though it is kept for the scale."""
 
 
 @dataclass(frozen=True)
@@ -94,14 +98,19 @@ def choose_method(
             "expansion_stiffness", f"{figures}: mass changed, stiffness did not; {IN_WORDS['expansion_stiffness']}", evidence, (finding,)
         )
     findings: tuple[Finding, ...] = ()
-    if min(by_mass, by_stiffness) > max(BOTH_CHANGED, 3 * noise):
+    doubt = scale_doubt(idle, operating, task, "mass")
+    evidence["off_diagonal_mass_beyond_noise"] = doubt.mass
+    evidence["off_diagonal_stiffness_beyond_noise"] = doubt.stiffness
+    if min(by_mass, by_stiffness) > max(BOTH_CHANGED, 3 * noise) or doubt.mass > MASS_SURE:
+        percent = 50 * float(np.sqrt(np.mean(doubt.common**2 + doubt.own**2)))
         findings = (
             Finding(
                 "mass_changed",
-                f"neither mass nor stiffness is that at rest, or the idle modes do not span the operational ones: {figures}",
+                f"mass is not that at rest (nor stiffness), or the idle modes do not span the operational ones: {figures}",
                 "warning",
-                consequence="the scale of the operational shapes is uncertain beyond its stated deviation",
-                action="measure at more DOFs, identify idle modes in a wider band, diagnose the effect",
+                consequence="assumption 3 of the method (same mass) is in doubt: the operational shapes may be scaled wrongly by "
+                f"{percent:.1f} % rms, which the bands include",
+                action="weigh what differs in operation; measure at more DOFs, identify idle modes in a wider band; diagnose the effect",
             ),
         )
     return Choice("expansion", f"{figures}: nothing speaks for a changed mass; {IN_WORDS['expansion']}", evidence, findings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,10 +15,11 @@ from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
 from operando.scaling.carried import CommonShift, common_shift, lessened, shape_change
-from operando.scaling.condensed import CondensedBasis, condensed_basis
+from operando.scaling.condensed import CondensedBasis, best_addition, condensed_basis
 from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import make_prior
+from operando.scaling.flips import class_flips, flip_probability
 from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scaled_shapes
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes
@@ -76,7 +78,7 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     in_band = np.asarray(idle.in_band)[real_idle]
     pairing = pair_modes(e[:, real_idle], idle.frequencies_hz[real_idle], o, proper.frequencies_hz, threshold, in_band)
     findings += [_conflict(text) for text in pairing.conflicts]
-    basis = _basis(e[:, real_idle], idle.frequencies_hz[real_idle], in_band, dofs, findings)
+    basis = _basis(e[:, real_idle], idle.frequencies_hz[real_idle], in_band, dofs, findings, _more_dofs(idle, idle_rows, real_idle))
     turned, factor = real_shapes(o)
     noise = _noise(proper, rows, signs, factor)
     partners = np.where(pairing.partners >= 0, real_idle[pairing.partners], -1)
@@ -113,6 +115,8 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
     out = shapes[choice.method]
     if covariance is not None:
+        likely = flip_probability(e, turned, partners, None if noise is None else noise[0], idle, idle_rows, threshold)
+        covariance = covariance + class_flips(choice.method, e, o, task, likely, covariance.shape[0], proper.n_modes + carried.size)
         imaginary = _unexplained_imaginary(o, out, None if noise is None else noise[1])
         change = shape_change(e[:, [real_idle[p.idle] for p in alike]], out[:, [p.operating for p in alike]])
         less = lessened(idle.frequencies_hz[carried], idle.frequencies_hz[[real_idle[p.idle] for p in alike]], doubt.mass_share)
@@ -257,8 +261,25 @@ def common_dofs(
     return dofs, rows, (index, np.asarray(signs, float))
 
 
+def _more_dofs(idle: ModalModel, rows: list[int], modes: NDArray[np.int_]) -> Callable[[CondensedBasis], str]:
+    """Words on which DOF to measure as well: one whose idle shape is known, or where to look for one."""
+
+    def advice(basis: CondensedBasis) -> str:
+        found = best_addition(np.asarray(idle.shapes, float)[:, modes], rows, basis.modes)
+        if found is not None and found[1] < 0.9 * basis.kappa:
+            return f"measure {idle.dofs[found[0]]} in operation as well: κ falls to {found[1]:.0f}"
+        return "add a sensor where these shapes differ most, or leave one of the modes out"
+
+    return advice
+
+
 def _basis(
-    shapes: NDArray[np.float64], hz: NDArray[np.float64], in_band: NDArray[np.bool_], dofs: tuple[Dof, ...], findings: list[Finding]
+    shapes: NDArray[np.float64],
+    hz: NDArray[np.float64],
+    in_band: NDArray[np.bool_],
+    dofs: tuple[Dof, ...],
+    findings: list[Finding],
+    advice: Callable[[CondensedBasis], str],
 ) -> CondensedBasis | None:
     try:
         basis = condensed_basis(shapes, hz, in_band)
@@ -284,7 +305,7 @@ def _basis(
                 consequence="errors of the shapes grow up to 2κ times in the condensed mass (Eq 16–19)",
                 action="the sensors hardly tell apart the idle modes at "
                 + ", ".join(f"{hz[j]:.2f}" for j in basis.weak_modes)
-                + " Hz: add a sensor where these shapes differ, or leave one of the modes out",
+                + f" Hz: {advice(basis)}",
             )
         )
     return basis
