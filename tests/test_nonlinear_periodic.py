@@ -91,7 +91,7 @@ def test_what_is_not_periodic_is_refused():
 
 @pytest.mark.skipif(not (SHARED / "data" / "f16").is_dir(), reason="the measured data are not here")
 def test_one_level_of_the_aircraft_says_that_it_is_not_linear_and_no_more():
-    """Full multisine from 2 to 15 Hz, nine periods of 8192 samples, accelerations at the shaker and on both sides of the wing's mounting."""
+    """Full multisine, 2 to 15 Hz, nine periods of 8192 samples; accelerations at the shaker and on both sides of the wing's mounting."""
     data = np.genfromtxt(SHARED / "data" / "f16" / "F16Data_FullMSine_Level1.csv", delimiter=",", skip_header=1, usecols=(0, 2, 3, 4))
     found = best_linear_approximation(data[:, 0], data[:, 1:].T, 400.0)
     assert found.period == 8192

@@ -11,10 +11,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+from contacts import NONLINEAR
 from hidden import LINEAR, SENSOR
 
 QUIET = ("none", "orders")
 DAMPERS = ("ground_damper", "coupling_damper")
+SURE = ("cubic_stiffness", "quadratic_damping", "clearance", "one_sided_contact", "saturating_spring")
+HARD = ("coulomb_friction", "bilinear_stiffness", "hysteresis")
+TENTH = ("cubic_stiffness", "clearance", "one_sided_contact")
 ROUTES = ("ground_spring", "point_mass", "coupling_spring", "gyroscopic")
 
 
@@ -39,7 +43,7 @@ def report(rows: list[dict]) -> str:
     if aside:
         parts.append(f"{aside} of {len(told)} diagnoses came through the Python interface, not the command line.")
     if told:
-        parts += [must_show(told), by_kind(told), sizes(told), routes(told), wrong(told)]
+        parts += [must_show(told), level_dependent(told), by_kind(told), sizes(told), routes(told), wrong(told)]
     return "\n\n".join(parts)
 
 
@@ -87,6 +91,46 @@ def must_show(rows: list[dict]) -> str:
         if seconds:
             lines.append((f"diagnosis, {name}: median, worst", f"{np.median(seconds):.1f}, {np.max(seconds):.1f} s", wanted))
     return "Must show\n" + "\n".join(f"  {name:58s} {value:>22s}   asked: {wanted}" for name, value, wanted in lines)
+
+
+def level_dependent(rows: list[dict]) -> str:
+    """What is asked of the kinds that depend on the level, and that no such kind is named where there is none."""
+    own = [r for r in rows if r["kind"] in NONLINEAR]
+    others = [r for r in rows if r["kind"] not in NONLINEAR]
+    named = lambda r: any(e.split("@")[0].split("=")[0] in NONLINEAR for e in r["diagnosis"]["effects"])  # noqa: E731
+    sure, hard, quintic = ([r for r in own if r["kind"] in kinds] for kinds in (SURE, HARD, ("quintic",)))
+    lines = [
+        ("cubic, quadratic damping, clearance, contact, saturating", share(sure, _top), "90 %"),
+        ("Coulomb, bilinear, hysteresis", share(hard, _top), "75 %"),
+        ("quadratic stiffness", share([r for r in own if r["kind"] == "quadratic_stiffness"], _top), ""),
+        ("of all: at a DOF", share([r for r in own if r["kind"] != "quintic" and len(r["truth"][0]["location"]) == 1], _top), ""),
+        ("of all: between two", share([r for r in own if r["kind"] != "quintic" and len(r["truth"][0]["location"]) == 2], _top), ""),
+        ("only the hidden effect, no second one", share([r for r in own if _top(r)], lambda r: r["diagnosis"]["extra"] <= 0), ""),
+        ("quintic: place", share(quintic, lambda r: r["diagnosis"].get("place_top")), "80 %"),
+        ("quintic: partial or unexplained", share(quintic, lambda r: r["diagnosis"]["verdict"] in ("partial", "unexplained")), "80 %"),
+        ("none or linear: a level-dependent kind named", share(others, named), "none of 40"),
+    ]
+    right = [r for r in own if _top(r)]
+    for title, kinds, name, asked in (
+        ("size, cubic and contacts", TENTH, None, "10 % median"),
+        ("size, the others", tuple(k for k in NONLINEAR if k not in TENTH), None, "5 % median"),
+        ("gap", NONLINEAR, "gap", "5 % median"),
+    ):
+        found = [s for r in right if r["kind"] in kinds for s in r["diagnosis"]["sizes"]]
+        values = 100 * np.abs([s["error"] for s in found if (s["primary"] if name is None else s["name"] == name)])
+        if values.size:
+            lines.append((title, f"{np.median(values):.2f} %, worst {values.max():.1f}", asked))
+    floor = [10 * np.log10(r["diagnosis"]["heldout"][-1]) for r in right if r["diagnosis"]["heldout"]]
+    if floor:
+        lines.append(
+            ("residual of the judge records over the floor: median", f"{np.median(floor):.1f} dB, worst {np.max(floor):.1f}", "3 dB")
+        )
+        lines.append(("  within 3 dB", f"{sum(f <= 3 for f in floor)}/{len(floor)}", "all"))
+    gains = [r["diagnosis"]["closed_loop_gain_db"] for r in right if r["diagnosis"].get("closed_loop_gain_db") is not None]
+    if gains:
+        lines.append(("closed-loop gain: median, least", f"{np.median(gains):.1f} dB, {np.min(gains):.1f}", "8 dB"))
+        lines.append(("  8 dB or more", f"{sum(g >= 8 for g in gains)}/{len(gains)}", "all"))
+    return "Level-dependent\n" + "\n".join(f"  {name:58s} {value:>22s}   asked: {wanted}" for name, value, wanted in lines)
 
 
 def by_kind(rows: list[dict]) -> str:

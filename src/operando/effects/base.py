@@ -191,6 +191,13 @@ class EffectKind:
         """Restoring force along the place at displacement x and velocity v; the structure feels the opposite. Same shape as x."""
         raise NotImplementedError(f"{self.kind} has no restoring force")
 
+    def over_steps(self, x: Array, v: Array, values: Values, step: float) -> Array:
+        """Restoring force (…, N) along a motion sampled at ``step`` [s], in the mean over the step around each sample.
+
+        By default the force at the sample; a law that jumps or remembers says here what a record of it holds.
+        """
+        return self.pseudo_force(x, v, values)
+
     def sensor_map(self, frequencies_hz: Array, values: Values) -> Array:
         """Complex factor of the measured over the true channel at each frequency [Hz] (which may be complex: s/2πi)."""
         raise NotImplementedError(f"{self.kind} maps no channel")

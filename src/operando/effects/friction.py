@@ -46,6 +46,9 @@ class CoulombFriction(NonlinearKind):
         speed = values.get("slip_speed", 0.0)
         return np.asarray(values["force"] * (np.tanh(v / speed) if speed > 0 else np.sign(v)))
 
+    def over_steps(self, x: Array, v: Array, values: Values, step: float) -> Array:
+        return np.asarray(values["force"] * mean_sign(v, values.get("slip_speed", 0.0)))
+
     def confirm(self, place: str, values: Values) -> str:
         return f"measure at twice the level: the damping added to the modes that move {place} must halve"
 
@@ -72,6 +75,9 @@ class Hysteresis(NonlinearKind):
         z = self.memory(np.asarray(x, float), values, start)
         k, force, ratio = values["stiffness"], values["yield_force"], values["ratio"]
         return np.asarray(ratio * k * np.asarray(x) + (1 - ratio) * force * z)
+
+    def over_steps(self, x: Array, v: Array, values: Values, step: float) -> Array:
+        return self.pseudo_force(x, v, values, step)
 
     def memory(self, x: Array, values: Values, start: Array | float = 0.0) -> Array:
         """z (…, N) along a displacement: rate-independent, so only the steps of x count; parameters may be arrays of the leading shape."""
@@ -104,6 +110,21 @@ class Hysteresis(NonlinearKind):
 
     def confirm(self, place: str, values: Values) -> str:
         return f"push {place} slowly to and fro and record force over deflection: the loop must close at {values['yield_force']:.2g} N"
+
+
+def mean_sign(v: Array, speed: float) -> Array:
+    """tanh(v/v₀) (sign where v₀ is 0) in the mean over a step around each sample, the velocity taken as straight in it.
+
+    Between two samples the velocity of a shaken structure changes by more than any speed over which friction is smoothed: taken
+    sample by sample its jumps would lie anywhere within a step.
+    """
+    change = np.abs(np.gradient(v, axis=-1)) if v.shape[-1] > 1 else np.zeros_like(v)
+    if speed <= 0:
+        return np.asarray(np.clip(2 * v / np.maximum(change, 1e-300), -1, 1))
+    half = np.maximum(0.5 * change / speed, 1e-4)
+    u = v / speed
+    log_cosh = lambda a: np.abs(a) + np.log1p(np.exp(-2 * np.abs(a)))  # noqa: E731
+    return np.asarray((log_cosh(u + half) - log_cosh(u - half)) / (2 * half))
 
 
 def _one_memory(x: Array, reach: float, exponent: float, start: float) -> Array:

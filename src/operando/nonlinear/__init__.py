@@ -1,5 +1,6 @@
 """Level-dependent effects from records with measured force: reverse path with the idle model known, closed-loop simulation."""
 
+from operando.nonlinear.apply import AppliedToRecords, apply_to_records
 from operando.nonlinear.equivalent import linear_effects
 from operando.nonlinear.levels import at_level
 from operando.nonlinear.periodic import PeriodicResponse, best_linear_approximation
@@ -10,10 +11,12 @@ from operando.nonlinear.single import SingleFit, fit_single
 from operando.nonlinear.travel import LoopFit, fit_loop
 
 __all__ = [
+    "AppliedToRecords",
     "LoopFit",
     "NonlinearDiagnosis",
     "PeriodicResponse",
     "SingleFit",
+    "apply_to_records",
     "at_level",
     "best_linear_approximation",
     "diagnose_records",

@@ -105,8 +105,8 @@ def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None],
     if len(bs) == 1 and outside[0] is not None:
         top = outside[0].top_hz
         hz = run.hz[:: max(1, run.hz.size // 200)]
-        above = modes.hz[keep] > top
-        extra_hz = np.array(FACTORS) * top
+        above = modes.hz[keep] > max(top, modes.known_hz)
+        extra_hz = np.array(FACTORS) * max(top, modes.known_hz)
         extra = Modes(extra_hz, np.full(extra_hz.size, DAMPING), np.zeros((1, extra_hz.size)))
         wanted = (shapes[0, above] ** 2) @ modes.receptance_kernel(hz)[keep][above] + outside[0].compliance(hz, bs[0])
         table = extra.receptance_kernel(hz).real.T
@@ -134,9 +134,9 @@ def track(run: Run, modes: Modes, loop: Loop, base: Complex, places: Sequence[tu
     """
     fine = round(1 / (run.sampling_hz * loop.step))
     n, hz = run.n_samples, run.all_hz
-    top = int(run.lines[-1]) + 1
+    top = max(int(run.lines[-1]) + 1, int(np.searchsorted(hz, min(modes.known_hz, 0.47 * run.sampling_hz))))
     w = 2 * np.pi * hz
-    # Above the last line compared the model knows nothing of a place that was not driven.
+    # Beyond its last mode the model knows nothing of a place that was not driven.
     spectra = np.zeros((2, len(places), n * fine // 2 + 1), complex)
     spectra[0, :, :top] = base[:, :top] * fine
     spectra[1, :, :top] = spectra[0, :, :top] * 1j * w[:top]

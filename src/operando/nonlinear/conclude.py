@@ -95,18 +95,7 @@ def conclude(
                 other = other or t.law.kind != best.law.kind or not neighbours(first, best, t, geometry)
     judged = [r["heldout_misfit"] for r in rows]
     verdict = verdict_of(judged, bool(accepted), other, further)
-    pictures = []
-    for effect, best in zip(effects, accepted, strict=True):
-        if not effect.definition.level_dependent:
-            continue
-        levels = [r.force_level for r in (*first.fitted, *first.judged)]
-        drawn = surface(best.spot.whole[:n], best.law) | {
-            "kind": effect.kind,
-            "location": [str(d) for d in effect.location],
-            "equivalent": equivalents(best.law, best.spot.whole, levels),
-        }
-        pictures.append(drawn)
-        notes.append(f"{effect.kind} explains {100 * drawn['goodness']:.1f} % of the restoring force seen at {effect.place}")
+    picture = pictures_of(first, effects, accepted, notes)
     if len(accepted) == 1 and accepted[0].selection > 2.0:
         best = accepted[0]
         count = sum(m.along.weighted.error.size for m in best.spot.select)
@@ -130,10 +119,27 @@ def conclude(
         where_it_fails(last, weighted, idle_errors),
         rows[0].get("noise_floor_db"),
         detection,
-        {"restoring_force": pictures} if pictures else {},
+        picture,
         simulated(steps[0].case, accepted, notes),
         tuple(notes),
     )
+
+
+def pictures_of(case: Case, effects: Sequence[Effect], accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
+    """Restoring force, law over it and equivalents of each level-dependent effect; notes say how much of the force each explains."""
+    pictures = []
+    levels = [r.force_level for r in (*case.fitted, *case.judged)]
+    for effect, best in zip(effects, accepted, strict=True):
+        if not effect.definition.level_dependent:
+            continue
+        drawn = surface(best.spot.whole[: len(case.fitted)], best.law) | {
+            "kind": effect.kind,
+            "location": [str(d) for d in effect.location],
+            "equivalent": equivalents(best.law, best.spot.whole, levels),
+        }
+        pictures.append(drawn)
+        notes.append(f"{effect.kind} explains {100 * drawn['goodness']:.1f} % of the restoring force seen at {effect.place}")
+    return {"restoring_force": pictures} if pictures else {}
 
 
 def simulated(case: Case, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:

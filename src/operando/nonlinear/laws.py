@@ -11,6 +11,7 @@ from scipy import fft as sfft
 
 from operando.effects import kind_of
 from operando.effects.base import EffectKind
+from operando.effects.friction import mean_sign
 from operando.nonlinear.place import Along, Crossing, settle
 from operando.nonlinear.run import Complex, Real
 
@@ -91,30 +92,11 @@ class LawFit:
 
 def law_force(kind: EffectKind, x: Real, v: Real, values: Mapping[str, Any], step: float) -> Real:
     """Restoring force of a kind; linear kinds of spring and damper included."""
-    if kind.kind == "coulomb_friction":
-        return np.asarray(values["force"] * mean_sign(v, values.get("slip_speed", 0.0)))
     if kind.acts == "pseudo_force":
-        if getattr(kind, "has_state", False):
-            return np.asarray(kind.pseudo_force(x, v, values, step))  # type: ignore[call-arg]
-        return np.asarray(kind.pseudo_force(x, v, values))
+        return np.asarray(kind.over_steps(x, v, values, step))
     if "stiffness" in values:
         return np.asarray(values["stiffness"] * x)
     return np.asarray(values["damping"] * v)
-
-
-def mean_sign(v: Real, speed: float) -> Real:
-    """tanh(v/v₀) (sign where v₀ is 0) in the mean over a step around each sample, the velocity taken as straight in it.
-
-    Between two samples the velocity of a shaken structure changes by more than any speed over which friction is smoothed: taken
-    sample by sample its jumps would lie anywhere within a step.
-    """
-    change = np.abs(np.gradient(v, axis=-1)) if v.shape[-1] > 1 else np.zeros_like(v)
-    if speed <= 0:
-        return np.asarray(np.clip(2 * v / np.maximum(change, 1e-300), -1, 1))
-    half = np.maximum(0.5 * change / speed, 1e-4)
-    u = v / speed
-    log_cosh = lambda a: np.abs(a) + np.log1p(np.exp(-2 * np.abs(a)))  # noqa: E731
-    return np.asarray((log_cosh(u + half) - log_cosh(u - half)) / (2 * half))
 
 
 def pooled(motions: Sequence[Motion], forces: Sequence[Real]) -> tuple[Real, Real, float]:
@@ -151,7 +133,9 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> Law
     if kind_name == "coulomb_friction":
         return fit_friction(motions)
     name = kind.parameters[0].name
-    shapes = getattr(kind, "shape_names", ())
+    # A user's own kind may have any further parameters; those of the catalogue say which of theirs are lengths.
+    declared = getattr(kind, "shape_names", None)
+    shapes = kind.names[1:] if declared is None else declared
 
     def columns(values: Sequence[dict[str, float]]) -> tuple[Real, Real, float]:
         return pooled(
@@ -161,7 +145,7 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> Law
     if not shapes:
         factor, cost = single_costs(*columns([{}]))
         return None if factor[0] <= 0 else LawFit(kind_name, side, {name: float(factor[0])}, float(cost[0]), 1)
-    if len(shapes) > 1:
+    if len(shapes) > 1 or declared is None:
         return fit_general(motions, kind, side)
     reach = max(float(np.max(np.abs(m.x))) for m in motions)
     low, high = (reach * r for r in GRID_RANGE)

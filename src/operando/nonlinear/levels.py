@@ -16,7 +16,7 @@ from operando.nonlinear.equivalent import as_linear, slopes
 from operando.nonlinear.run import Complex, Modes, Real
 from operando.nonlinear.simulate import law_of
 
-SAMPLES, OVER = 1 << 17, 6.0
+SAMPLES, OVER = 1 << 16, 6.0
 """Samples of the random motion that laws are averaged over, and its sampling rate over the top of the force's band: with few lines in a
 resonance the motion is not Gaussian."""
 

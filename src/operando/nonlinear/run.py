@@ -7,6 +7,7 @@ is linear and known, so this holds on every line of an unwindowed record.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,19 +28,31 @@ START_NOISE = 0.003
 VARIANCE_LINES, EVEN_LINES = 48, 16
 """Lines over which the noise is averaged, and over which it is even."""
 
+REACH = 1.04
+"""A model is known to this much beyond its last identified mode."""
+
+OWN_STRIDE = 4
+"""The idle model's own variance is computed on one line of so many: resonances are wider."""
+
 
 @dataclass(frozen=True)
 class Modes:
-    """The idle model as arrays: poles λ (n,) [rad/s], shapes (m, n), and which modes ring visibly at the sampling rate."""
+    """The idle model as arrays: poles λ (n,) [rad/s], shapes (m, n), and which modes ring visibly at the sampling rate.
+
+    ``known_hz`` is how far up its modes were identified; beyond it residual modes stand for what is there.
+    """
 
     hz: Real
     zeta: Real
     phi: Real
+    known_hz: float = 0.0
 
     @classmethod
     def of(cls, idle: ModalModel) -> Modes:
         """All modes, residual ones included."""
-        return cls(np.asarray(idle.frequencies_hz), np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float))
+        hz = np.asarray(idle.frequencies_hz)
+        known = REACH * float(np.max(hz[~np.asarray(idle.residual)], initial=0.0))
+        return cls(hz, np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float), known)
 
     @property
     def poles(self) -> Complex:
@@ -84,7 +97,9 @@ class Run:
     error : (q, L) complex array
         X − H0·F: what the idle model leaves, transients still in it.
     variance : (q, L) array
-        E|noise|² of each line.
+        E|error|² of each line: noise, and the idle model's own.
+    own : (q, L) array
+        Variance of H0·F that the covariance of the idle model leaves; 0 where it has none.
     decays : (2r, L) complex array
         Free decays (two real amplitudes a ringing mode) in modal acceleration.
     decay_shapes : (q, 2r) array
@@ -105,6 +120,7 @@ class Run:
     kernel: Complex
     error: Complex
     variance: Real
+    own: Real
     decays: Complex
     decay_shapes: Real
     force_level: float
@@ -128,6 +144,7 @@ class Run:
             kernel=self.kernel[:, keep],
             error=self.error[:, keep],
             variance=self.variance[:, keep],
+            own=self.own[:, keep],
             decays=self.decays[:, keep],
         )
 
@@ -210,6 +227,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     decays = free_decays(f, modes.poles[ringing], 1 / record.sampling_hz)
     shapes = modes.phi[np.ix_(rows_, ringing)]
     level = np.mean(np.abs(responses[:, lines]) ** 2, axis=1, keepdims=True)
+    own = own_variance(idle, rows_, tuple(int(i) for i in at), forces[:, lines], f)
     return Run(
         record.name,
         record.sampling_hz,
@@ -223,11 +241,34 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         f,
         kernel,
         error,
-        np.repeat(START_NOISE**2 * level, f.size, axis=1),
+        START_NOISE**2 * level + own,
+        own,
         decays,
         np.concatenate([shapes, shapes], axis=1),
         float(np.sqrt(np.mean(data[driven] ** 2))),
     )
+
+
+def own_variance(idle: ModalModel, rows: NDArray[np.int_], driven: Sequence[int], forces: Complex, hz: Real) -> Real:
+    """Variance (q, L) of the accelerations that the idle model predicts under measured forces (k, L), from its covariance.
+
+    Its errors stand at its resonances, where what it predicts may be many times what the running structure does. Even over some lines.
+    """
+    if idle.covariance is None:
+        return np.zeros((rows.size, hz.size))
+    few = np.arange(0, hz.size, OWN_STRIDE)
+    frf = idle.frf(hz[few], [idle.dofs[i] for i in rows], [idle.dofs[i] for i in driven], "accelerance")
+    if frf.variance is None:
+        return np.zeros((rows.size, hz.size))
+    power = np.sum(frf.variance * np.mean(np.abs(forces) ** 2, axis=1)[None, :, None], axis=1)
+    return evened(power, hz.size, EVEN_LINES // OWN_STRIDE, EVEN_LINES)
+
+
+def evened(values: Real, count: int, width: int, lines: int) -> Real:
+    """Means (q, ·) over so many values each, repeated over so many lines each until there are ``count``."""
+    starts = np.arange(0, values.shape[1], width)
+    size = np.diff(np.append(starts, values.shape[1]))
+    return np.asarray(np.repeat(np.add.reduceat(values, starts, axis=1) / size, lines, axis=1)[:, :count])
 
 
 def free_decays(hz: Real, poles: Complex, step: float) -> Complex:
@@ -248,15 +289,20 @@ def decay_in_time(poles: Complex, amplitudes: Complex, n: int, step: float, apar
     return np.asarray(2 * table.real.reshape(*table.shape[:-2], -1)[..., :n])
 
 
+def running_mean(power: Real) -> Real:
+    """Mean of (…, L) over neighbouring lines."""
+    count = power.shape[-1]
+    width = min(VARIANCE_LINES, max(8, count // 12))
+    total = np.cumsum(power, axis=-1)
+    total = np.concatenate([np.zeros_like(total[..., :1]), total], axis=-1)
+    index = np.arange(count)
+    low, high = np.maximum(index - width // 2, 0), np.minimum(index + width // 2 + 1, count)
+    return np.asarray((total[..., high] - total[..., low]) / (high - low))
+
+
 def smoothed_variance(residual: Complex, floor: Real, freedom: float) -> Real:
     """Noise of each line from residuals (q, L): mean square over neighbours, corrected for what was fitted, above a floor (q, 1)."""
     power = np.abs(residual) ** 2 / freedom
-    width = min(VARIANCE_LINES, max(8, power.shape[1] // 12))
-    total = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
-    index = np.arange(power.shape[1])
-    low, high = np.maximum(index - width // 2, 0), np.minimum(index + width // 2 + 1, power.shape[1])
-    smooth = np.maximum((total[:, high] - total[:, low]) / (high - low), floor)
+    smooth = np.maximum(running_mean(power), floor)
     # Even over a few lines: then the normal equations of the free decays are cheap.
-    starts = np.arange(0, power.shape[1], EVEN_LINES)
-    size = np.diff(np.append(starts, power.shape[1]))
-    return np.asarray(np.repeat(np.add.reduceat(smooth, starts, axis=1) / size, size, axis=1))
+    return evened(smooth, power.shape[1], EVEN_LINES, EVEN_LINES)

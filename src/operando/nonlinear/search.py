@@ -12,8 +12,8 @@ import numpy as np
 from operando.data import ModalModel, TimeRecord
 from operando.errors import MissingError
 from operando.nonlinear.laws import LawFit, Motion
-from operando.nonlinear.outside import Outside, force_columns, kernel_prior, look
-from operando.nonlinear.place import Along, Crossing, Weighted
+from operando.nonlinear.outside import Doubt, Outside, force_columns, look
+from operando.nonlinear.place import Along, Crossing, Weighted, corrected
 from operando.nonlinear.run import Modes, Real, Run, make_run
 
 RANK_LINES = 600
@@ -46,8 +46,8 @@ class Case:
     judged : tuple of Run
         Runs of another level, which nothing is fitted to; empty where there is one level alone.
     band : (float, float)
-    prior : float
-        Size of what lies outside the band [1/kg].
+    doubt : Doubt
+        How far the idle model may be off by what lies outside the band.
     """
 
     idle: ModalModel
@@ -55,7 +55,7 @@ class Case:
     fitted: tuple[Run, ...]
     judged: tuple[Run, ...]
     band: tuple[float, float]
-    prior: float
+    doubt: Doubt
     places: tuple[tuple[int, ...], ...]
 
     @property
@@ -91,9 +91,6 @@ def make_case(
     modes = Modes.of(idle)
     proper = idle.frequencies_hz[np.asarray(idle.in_band)]
     band = band or idle.band_hz or (0.6 * float(proper.min()), 1.08 * float(proper.max()))
-    # Modes identified above the analysis band help: the motion across a contact does not end at the band.
-    every = idle.frequencies_hz[~np.asarray(idle.residual)]
-    band = (band[0], max(band[1], 1.04 * float(every.max())))
     runs = [without(make_run(r, idle, modes, band), exclude_bands) for r in records]
     driven: dict[tuple[int, ...], list[Run]] = {}
     for run in runs:
@@ -109,7 +106,7 @@ def make_case(
     measured = sorted({int(i) for r in runs for i in r.rows})
     everywhere = [(i,) for i in measured] + list(combinations(measured, 2))
     wanted = everywhere if places is None else [tuple(int(i) for i in p) for p in places]
-    return Case(idle, modes, tuple(fitted), tuple(judged), band, kernel_prior(modes, np.asarray(idle.in_band, bool)), tuple(wanted))
+    return Case(idle, modes, tuple(fitted), tuple(judged), band, Doubt.of(idle, modes, band), tuple(wanted))
 
 
 def without(run: Run, bands: Sequence[tuple[float, float]]) -> Run:
@@ -131,10 +128,10 @@ def rank_places(
     """Places by what no force there explains, the best first: all of them without, the best with what lies outside the band."""
     few = [Weighted.of(r.on(strided(r, RANK_LINES))) for r in case.fitted]
     none = Outside.none([w.run for w in few], case.n_dofs, case.band[1])
-    first = sorted((look(few, case.modes, case.b(p), case.prior, none, 0).misfit, p) for p in places)
+    first = sorted((look(few, case.modes, case.b(p), case.doubt, none, 0).misfit, p) for p in places)
     if say:
         say(f"look at {min(LOOKED, len(first))} of {len(first)} places")
-    return sorted((look(few, case.modes, case.b(p), case.prior, none, 3).misfit, p) for _, p in first[:LOOKED])
+    return sorted((look(few, case.modes, case.b(p), case.doubt, none, 3).misfit, p) for _, p in first[:LOOKED])
 
 
 @dataclass
@@ -186,13 +183,12 @@ class Spot:
     judge: list[Motion]
 
 
-def examine(stage: Field, place: tuple[int, ...], outside: Outside | None = None) -> Spot:
-    """Restoring force and motion at a place on all lines of all runs."""
+def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot:
+    """Restoring force and motion at a place on all lines of all runs; ``b`` where the senses of its DOFs are others."""
     case = stage.case
-    b = case.b(place)
-    if outside is None:
-        none = Outside.none([w.run for w in stage.fit], case.n_dofs, case.band[1])
-        outside = look(stage.fit, case.modes, b, case.prior, none, 4).outside
+    b = case.b(place) if b is None else b
+    none = Outside.none([w.run for w in stage.fit], case.n_dofs, case.band[1])
+    outside = look(stage.fit, case.modes, b, case.doubt, none, 4).outside
     runs = [*case.fitted, *case.judged]
     weights = [*stage.fitted, *stage.judged]
     feed = {r.forces_at: outside.forces[i] for i, r in enumerate(case.fitted)}
@@ -221,6 +217,7 @@ def examine(stage: Field, place: tuple[int, ...], outside: Outside | None = None
             rest += remaining
             count += (along.run.rows.size - 1) * along.run.hz.size
         crossing = Crossing.of(along, case.modes, amplitudes, outside.compliance(along.run.all_hz, b))
+        crossing = corrected(crossing, along, force, amplitudes)
         everywhere = np.zeros(along.run.forces.shape[1], complex)
         everywhere[along.run.lines] = force
         x, v = crossing.move(everywhere)

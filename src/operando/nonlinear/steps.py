@@ -210,7 +210,7 @@ def baseline(stage: Field) -> tuple[float, float]:
     none = Outside.none([w.run for w in stage.fit], case.n_dofs, case.band[1])
     nowhere = np.zeros(case.n_dofs)
     zero = [np.zeros(w.run.hz.size, complex) for w in stage.fit]
-    seen = look(stage.fit, case.modes, nowhere, case.prior, none, 2, zero)
+    seen = look(stage.fit, case.modes, nowhere, case.doubt, none, 2, zero)
     out = []
     for weights in (stage.select, stage.judge):
         cost, count = 0.0, 0
@@ -224,7 +224,7 @@ def baseline(stage: Field) -> tuple[float, float]:
 
 
 def weighed(case: Case, place: tuple[int, ...]) -> Case:
-    """The case with the noise of each line from what no force at the place explains; never more than before."""
+    """The case with the noise of each line from what no force at the place explains, and the idle model's own variance."""
     stage = Field.of(case)
     spot = examine(stage, place)
     runs = []
@@ -232,7 +232,7 @@ def weighed(case: Case, place: tuple[int, ...]) -> Case:
         rest = residual(m, m.force) * np.sqrt(run.variance)
         floor = NOISE_FLOOR**2 * np.mean(np.abs(run.responses[:, run.lines]) ** 2, axis=1, keepdims=True)
         q = run.rows.size
-        runs.append(replace(run, variance=smoothed_variance(rest, floor, max((q - 1) / q, 0.5))))
+        runs.append(replace(run, variance=run.own + smoothed_variance(rest, floor, max((q - 1) / q, 0.5))))
     n = len(case.fitted)
     return replace(case, fitted=tuple(runs[:n]), judged=tuple(runs[n:]))
 

@@ -67,7 +67,7 @@ def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) ->
     dict
         ``displacement``, ``velocity``, ``force`` (a cloud of samples), ``binned`` {displacement, force, force_std, law} and
         ``binned_velocity`` {velocity, …}: force and law brought to the lines that the data decide, so that they can be compared;
-        ``law_samples``: the law as it stands at the samples of the cloud; ``goodness``, see :func:`goodness`.
+        ``law_samples``: the law as it stands at the samples of the cloud; ``goodness`` and ``parity``: see the functions of these names.
     """
     motion = max(motions, key=lambda m: float(np.max(np.abs(m.x))))
     edge = max(8, motion.x.size // 50)
@@ -82,6 +82,7 @@ def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) ->
         "force": s[inner][pick].tolist(),
         "binned": averages("displacement", x, s[inner], same),
         "binned_velocity": averages("velocity", v, s[inner], same),
+        "parity": parity(x - np.mean(x), s[inner]),
     }
     out["goodness"] = None
     if law is not None:
@@ -89,6 +90,37 @@ def surface(motions: Sequence[Motion], law: LawFit | None, points: int = 400) ->
         out["law_samples"] = whole[inner][pick].tolist()
         out["goodness"] = goodness(motions, law)
     return out
+
+
+def parity(x: Real, s: Real, points: int = 20) -> dict[str, float]:
+    """Shares of the mean square of a force over displacement: ``linear``, ``odd`` beyond it, and ``even``, over where both sides go.
+
+    A cubic spring, play and saturation are odd; contacts on one side, bilinear and quadratic springs have an even part, which no change of
+    level need show.
+
+    Parameters
+    ----------
+    x, s : (N,) arrays
+        Displacement from its mean, force.
+    points : int
+        Steps from the middle to the smaller of both reaches.
+    """
+    reach = min(float(np.quantile(x, 0.999)), -float(np.quantile(x, 0.001)))
+    if not reach > 0:
+        return {"linear": 0.0, "odd": 0.0, "even": 0.0}
+    at = (np.arange(points) + 0.5) / points * reach
+    centre, mean, _, count = binned(x, s)
+    up, down = np.interp(at, centre, mean), np.interp(-at, centre, mean)
+    weight = np.interp(at, centre, count) + np.interp(-at, centre, count)
+    weight = weight / weight.sum()
+    odd, even = 0.5 * (up - down), 0.5 * (up + down)
+    # The mean of a force is not in an accelerometer.
+    even = even - weight @ even
+    line = at * float(weight @ (odd * at)) / float(weight @ at**2)
+    parts = {"linear": line, "odd": odd - line, "even": even}
+    power = {name: float(weight @ part**2) for name, part in parts.items()}
+    total = max(sum(power.values()), 1e-300)
+    return {name: value / total for name, value in power.items()}
 
 
 def averages(name: str, over: Real, force: Real, law: Real | None) -> dict[str, list[float]]:
