@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from operando.data import ModalModel
 from operando.dof import Dof
 from operando.scaling import scale_operational
-from operando.scaling.carried import common_shift, lessened
+from operando.scaling.carried import common_shift, lessened, part_left
 from structures import Chain, modified
 
 N = 10
@@ -183,3 +183,22 @@ def test_undriven_pairs_are_less_sure_than_their_local_compliances():
     compliance = w**2 * 0.5**2 / abs(own**2 - w**2)
     assert std[3, 7] == pytest.approx(np.sqrt(2) * 0.3 * compliance, rel=0.1)
     assert std[2, 7] < 0.2 * std[3, 7]
+
+
+def test_an_idle_mode_spread_over_others_is_not_carried_over_again():
+    """A stiff spring moves the highest mode out of the band; what was the idle mode there lives on in the others."""
+    chain = Chain(N, spread=0.3, seed=1)
+    target = modified(chain, spring=(4, 2e6))
+    count = N - 1
+    shape = chain.phi.T @ chain.M @ target.phi[:, :count]
+    left = part_left(shape)
+    np.testing.assert_allclose(left, (chain.phi.T @ chain.M @ target.phi[:, -1]) ** 2, atol=1e-9)
+    missed = part_left(np.delete(np.eye(N), 3, axis=1))
+    np.testing.assert_allclose(missed, np.arange(N) == 3)
+    idle = model(chain)
+    running = ModalModel(target.hz[:count], target.zeta[:count], target.phi[:, :count] * 2j, DOFS, "unscaled")
+    hybrid = scale_operational(idle, running)
+    alone = hybrid.pairing.idle_without_partner
+    assert hybrid.modal.n_modes == count + int(np.sum(left[alone] >= 0.1))
+    if hybrid.modal.n_modes > count:
+        np.testing.assert_allclose(hybrid.modal.shapes[:, count], chain.phi[:, alone[0]] * np.sqrt(left[alone[0]]), rtol=0.02, atol=1e-3)

@@ -13,6 +13,9 @@ NEIGHBOURS = 8
 LEAST = 4
 """Pairs needed."""
 
+LEAST_LEFT = 0.1
+"""Idle modes of which less than this is left are not carried over."""
+
 SURE = 2.0
 """Standard errors below which a common shift counts as none."""
 
@@ -99,3 +102,19 @@ def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_s
     middle = float(np.sqrt(np.mean(np.sort(pairs_hz)[-NEIGHBOURS:] ** 2)))
     law = np.minimum((middle / np.maximum(idle_hz, 1e-12)) ** 4, 1)
     return np.asarray(np.sqrt(mass_share + (1 - mass_share) * law))
+
+
+def part_left(participation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Part of each idle mode that is in none of the operational modes found, 0 to 1.
+
+    All operational modes together hold every idle mode once: ΣQ_kr² = 1 over r, for Q the orthonormal participations. An idle mode
+    without a partner is either still there, unseen (nothing of it is held), or spread over modes that were found (all of it is): carried
+    over, it would count twice.
+
+    Parameters
+    ----------
+    participation : (n_idle, n_operating) array
+        Columns of unit modal mass (or of unit modal stiffness in its own basis).
+    """
+    unit = participation / np.maximum(np.linalg.norm(participation, axis=0), 1e-300)
+    return np.asarray(np.clip(1 - np.sum(unit**2, axis=1), 0, 1))

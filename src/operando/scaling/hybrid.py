@@ -14,11 +14,11 @@ from operando.data import Finding, ModalModel
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
-from operando.scaling.carried import CommonShift, common_shift, lessened, shape_change
+from operando.scaling.carried import LEAST_LEFT, CommonShift, common_shift, lessened, part_left, shape_change
 from operando.scaling.condensed import CondensedBasis, best_addition, condensed_basis
 from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
-from operando.scaling.expansion import make_prior
+from operando.scaling.expansion import expand, make_prior
 from operando.scaling.flips import class_flips, flip_probability
 from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scaled_shapes
 from operando.scaling.model import HybridModel
@@ -109,12 +109,17 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     shift = common_shift(
         np.array([idle.frequencies_hz[real_idle[p.idle]] for p in alike]), np.array([proper.frequencies_hz[p.operating] for p in alike])
     )
-    carried, text = _carried_over(idle, real_idle, pairing, shift, findings)
-    models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, shift) for name, s in shapes.items()}
-    doubt = scale_doubt(e, o, task, "stiffness" if choice.method == "expansion_stiffness" else "mass")
+    kept = "stiffness" if choice.method == "expansion_stiffness" else "mass"
+    left = part_left(expand(e, turned, task.prior)[0] * (np.asarray(idle.frequencies_hz)[:, None] if kept == "stiffness" else 1))
+    carried, text = _carried_over(idle, real_idle, pairing, shift, left, findings)
+    amount = np.where(np.asarray(idle.residual)[carried], 1.0, np.sqrt(left[carried]))
+    models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, amount, shift) for name, s in shapes.items()}
+    doubt = scale_doubt(e, o, task, kept)
     covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
     out = shapes[choice.method]
     if covariance is not None:
+        lessening = np.concatenate([np.ones(covariance.shape[0] - carried.size * len(dofs)), np.repeat(amount, len(dofs))])
+        covariance = covariance * np.outer(lessening, lessening)
         likely = flip_probability(e, turned, partners, None if noise is None else noise[0], idle, idle_rows, threshold)
         covariance = covariance + class_flips(choice.method, e, o, task, likely, covariance.shape[0], proper.n_modes + carried.size)
         imaginary = _unexplained_imaginary(o, out, None if noise is None else noise[1])
@@ -320,11 +325,17 @@ def _outside(idle: NDArray[np.float64], turned: NDArray[np.float64], basis: Cond
 
 
 def _carried_over(
-    idle: ModalModel, real_idle: NDArray[np.int_], pairing: Pairing, shift: CommonShift, findings: list[Finding]
+    idle: ModalModel,
+    real_idle: NDArray[np.int_],
+    pairing: Pairing,
+    shift: CommonShift,
+    left: NDArray[np.float64],
+    findings: list[Finding],
 ) -> tuple[NDArray[np.int_], str]:
     """Idle modes that stand in the OFRF: residual modes, and modes no operational mode was found for; moved as the others moved."""
     residual = np.flatnonzero(np.asarray(idle.residual))
-    alone = real_idle[pairing.idle_without_partner]
+    every = real_idle[pairing.idle_without_partner]
+    alone, gone = every[left[every] >= LEAST_LEFT], every[left[every] < LEAST_LEFT]
     inside = np.asarray(idle.in_band)[alone]
     parts = []
     if residual.size:
@@ -346,6 +357,8 @@ def _carried_over(
     if shift.logarithm:
         moved = f"with frequencies times {shift.factor:.4f}, as the {shift.pairs} highest pairs moved"
     text = f"carried over {moved}: " + "; ".join(parts) if parts else "none: the idle model has no residual modes"
+    if gone.size:
+        text += f"; not carried over: {gone.size} idle modes that are spread over operational ones (" + _hz(idle, gone) + ")"
     return np.concatenate([residual, alone]).astype(int), text
 
 
@@ -360,13 +373,14 @@ def _assemble(
     rows: list[int],
     shapes: NDArray[np.float64],
     carried: NDArray[np.int_],
+    amount: NDArray[np.float64],
     shift: CommonShift,
 ) -> ModalModel:
     n, k = operating.n_modes, carried.size
     return ModalModel(
         np.concatenate([operating.frequencies_hz, idle.frequencies_hz[carried] * shift.factor]),
         np.concatenate([operating.damping_ratios, idle.damping_ratios[carried]]),
-        np.concatenate([shapes, np.asarray(idle.shapes)[rows][:, carried]], axis=1),
+        np.concatenate([shapes, np.asarray(idle.shapes)[rows][:, carried] * amount], axis=1),
         dofs,
         "unit_modal_mass",
         residual=np.concatenate([np.zeros(n, bool), np.ones(k, bool)]),
