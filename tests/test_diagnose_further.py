@@ -9,7 +9,7 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.diagnose import diagnose
-from operando.diagnose.diagnosis import make_problem
+from operando.diagnose.diagnosis import lowering, make_problem
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.results import CheckRun
 from structures import Chain
@@ -119,3 +119,32 @@ def test_several_effects_must_earn_their_place_beside_one_of_another_law(chain, 
     found = alone_by_free_law(problem, problem.joint([spring, lump_mass], start), firsts)
     assert (found is spring) if alone else (found is None)
     assert alone_by_free_law(problem, firsts[0].fit, firsts) is None
+
+
+@pytest.mark.parametrize(
+    ("judge", "kept"),
+    [([9.0], 1), ([9.0, 1.0], 2), ([9.0, 1.0, 1.05], 3), ([9.0, 5.0, 80.0], 2), ([9.0, 50.0, 12.0, 1.0], 4), ([0.9, 2.0, 3.0], 2)],
+)
+def test_last_steps_that_predict_unseen_lines_worse_are_taken_back(judge, kept):
+    assert lowering(judge) == kept
+
+
+def test_the_own_compliance_of_a_place_is_fitted_before_everything_else(chain):
+    from operando.diagnose.shapes import own_compliances, shape_prior
+
+    alone = np.zeros((N, 2))
+    alone[4, 0], alone[5, 1] = 0.3, 0.2
+    hz, zeta = np.r_[chain.hz, 400.0, 400.0], np.r_[chain.zeta, 1e-3, 1e-3]
+    idle = model(hz, zeta, np.c_[chain.phi, alone], np.r_[np.zeros(N, bool), True, True])
+    variance = np.diag(idle.covariance).copy()
+    at = 2 * (N + 2) + N * N
+    variance[at:] = np.where(alone.T.ravel() != 0, (0.5 * alone.T.ravel()) ** 2, 0.0)
+    idle = replace(idle, covariance=np.diag(variance), std=None)
+    prior = shape_prior(idle, np.array([4]))
+    own = own_compliances(prior, np.array([4]))
+    assert own.shape == (prior.size, 1)
+    moved = prior.turned(own).moved(np.array([1.0])) - prior.base
+    assert abs(moved[4, N]) == pytest.approx(0.15)
+    moved[4, N] = 0
+    assert np.abs(moved).max() < 1e-3
+    assert own_compliances(prior, np.array([0])).shape == (prior.size, 0)

@@ -19,7 +19,7 @@ from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
 from operando.diagnose.places import candidates as all_candidates
-from operando.diagnose.problem import Problem, Tried
+from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
 from operando.diagnose.search import MAX_EFFECTS, search
@@ -222,10 +222,16 @@ def _search(
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
     final = [renamed(f, sensors) for f in final]
     rows, final = ladder(problem, final)
+    kept = lowering([r["heldout_misfit"] for r in rows]) if one_system else len(rows)
+    if kept < len(rows):
+        rows, final, fits, history = rows[:kept], final[:kept], fits[:kept], history[: kept - 1]
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     judged = problem.sets[JUDGE]
     notes = list(problem.lines.notes)
+    if kept < len(found.fits):
+        further = 0.0  # there is something, but not what was found
+        notes.append("an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse")
     if history and rows[-1]["heldout_misfit"] >= GOOD:
         gain, odd = gain_by_free_law(problem, fits[-1])
         if odd is not None and gain < FURTHER_PART:
@@ -264,6 +270,14 @@ def _search(
         problem.idle,
         model_of(problem, final[-1], geometry),
     )
+
+
+def lowering(judge: Sequence[float]) -> int:
+    """How many steps of a ladder are left when further effects, the last first, that clearly raise the judge's misfit are taken back."""
+    kept = len(judge)
+    while kept > 2 and judge[kept - 1] > (1 + EARNED) * judge[kept - 2]:
+        kept -= 1
+    return kept
 
 
 def flat(lines: CheckLines, own: Array, data: Array) -> Lines:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
+from operando.diagnose.levenberg import effect_dofs, weights
 from operando.diagnose.missing_mode import missing_mode_candidate
 from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
 from operando.diagnose.refit import (
     POOR,
     Fit,
-    effect_dofs,
     foreseen,
     honest,
     mean_misfit,
@@ -23,7 +23,6 @@ from operando.diagnose.refit import (
     predicted,
     refit,
     settled,
-    weights,
 )
 from operando.diagnose.scan import COLUMN_DOUBT, Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
 from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines

@@ -8,22 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, by_size, predict
+from operando.diagnose.levenberg import effect_dofs, inverse, jacobian, levenberg, solve, split, weights
+from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, predict
 from operando.diagnose.scan import scan_weights
 from operando.diagnose.sets import CheckLines
-from operando.diagnose.shapes import ShapePrior, by_directions, told_by
+from operando.diagnose.shapes import ShapePrior, by_directions, own_compliances, told_by
 
 Array = NDArray[Any]
 
 COMPLIANCES = (0.0, 2.0, 3.5)
 """Further starts of the shape values that make up the own compliance of a place, over that expected."""
+
+BEGIN = 1.5
+"""Further starts of a size that fits poorly: so much larger and smaller on a logarithmic scale."""
 
 POOR = 2.5
 """Misfit, what the idle model may not know allowed for, above which something more is missing."""
@@ -75,50 +78,6 @@ class Fit:
         return tuple(out)
 
 
-def effect_dofs(terms: Sequence[Term]) -> Array:
-    """DOFs whose shape values the structural effects lean on."""
-    used: set[int] = set()
-    for t in terms:
-        if t.kind.acts == "dynamic_stiffness" and t.rows.size:
-            used |= set(np.flatnonzero(np.any(np.abs(t.rows) > 1e-9, axis=0)).tolist())
-    return np.array(sorted(used), int)
-
-
-def weights(lines: CheckLines, own: Array) -> Array:
-    """1/var_total, 0 where not measured."""
-    return np.asarray(np.where(np.isfinite(lines.variance), 1 / (lines.variance + own), 0.0))
-
-
-def split(vector: Array, terms: Sequence[Term]) -> tuple[Array, ...]:
-    """Moving numbers term by term."""
-    edges = np.cumsum([0, *(t.size for t in terms)])
-    return tuple(vector[a:b] for a, b in pairwise(edges))
-
-
-def jacobian(
-    arrays: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Sequence[Array], prior: ShapePrior, z: Array, p: Prediction
-) -> Array:
-    """∂H/∂[q, z] (parameters, lines, responses, references)."""
-    rows = []
-    start = 0
-    for i, term in enumerate(terms):
-        if term.kind.acts == "dynamic_stiffness":
-            rows += [by_size(p, term, q[i], j, lines, start) for j in range(term.size)]
-            start += term.rows.shape[0]
-            continue
-        high = term.bounds()[1]
-        for j in range(term.size):
-            step = 1e-6 if q[i][j] + 1e-6 <= high[j] else -1e-6
-            moved = [v.copy() for v in q]
-            moved[i][j] += step
-            same = None if term.kind.acts in ("modal_change", "added_mode") else p.kernel
-            rows.append((predict(arrays, lines, terms, moved, same).data - p.data) / step)
-    own = np.array(rows).reshape(len(rows), *p.data.shape)
-    if not prior.size:
-        return own
-    return np.concatenate([own, by_directions(p, lines, prior.slope(z))])
-
-
 def refit(
     arrays: IdleArrays,
     lines: CheckLines,
@@ -161,15 +120,20 @@ def refit(
     none = np.zeros(0)
     if z is None:
         soft = np.sqrt(soft_weights(arrays, lines, own))
-        x, normal, cost = _levenberg(arrays, lines, soft, terms, x, none, prior.bare(), steps, 1e-3)
+        x, normal, cost = levenberg(arrays, lines, soft, terms, x, none, prior.bare(), steps, 1e-3)
         if not prior.size:
-            return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, _inverse(normal), cost)
+            return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, inverse(normal), cost)
         most = min(2 * steps, 24)
         other = _from_compliances(arrays, lines, soft, terms, x, cost, prior, steps)
         begins = [np.r_[x, np.zeros(prior.size)], *([] if other is None else [other])]
         found = [_along(arrays, lines, soft, terms, b, prior, most) for b in begins]
         x, near, turn, normal, cost = min(found, key=lambda f: f[4])
-        so_far = Fit(tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], _inverse(normal), cost)
+        if cost > 2 * POOR * lines.data.size:
+            other = _own_first(arrays, lines, soft, terms, found[0][0][:n_q], prior, steps)
+            if other is not None:
+                found.append(_along(arrays, lines, soft, terms, other, prior, most))
+                x, near, turn, normal, cost = min(found, key=lambda f: f[4])
+        so_far = Fit(tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], inverse(normal), cost)
         if cost > 2 * POOR * lines.data.size:
             # Something else is missing: the lines known best must not bend the shapes to make up for it.
             return so_far
@@ -179,14 +143,14 @@ def refit(
             root_w = np.sqrt(weights(lines, np.maximum(own, carried(idle, arrays, lines, so_far, p)[0])))
         x, prior, _, normal, cost = _along(arrays, lines, root_w, terms, np.r_[x[:n_q], turn @ x[n_q:]], prior, steps)
     else:
-        x, normal, cost = _levenberg(arrays, lines, root_w, terms, x, z, prior, steps, 1e-4)
+        x, normal, cost = levenberg(arrays, lines, root_w, terms, x, z, prior, steps, 1e-4)
     for _ in range(2):
         wide = float(np.sqrt(np.mean(x[n_q:] ** 2))) if x.size > n_q else 0.0
         if wide <= 1.2:
             break
         prior = prior.widened(wide)
-        x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
-    return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], _inverse(normal), cost)
+        x, normal, cost = levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
+    return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], inverse(normal), cost)
 
 
 def _along(
@@ -197,7 +161,7 @@ def _along(
     p = predict(arrays.with_phi(prior.moved(x[n_q:])), lines, terms, split(x[:n_q], terms))
     slope = by_directions(p, lines, prior.root) * root_w
     told, turn = told_by(prior, slope.reshape(prior.size, -1), x[n_q:])
-    x, normal, cost = _levenberg(arrays, lines, root_w, terms, x[:n_q], turn.T @ x[n_q:], told, most, 1e-3)
+    x, normal, cost = levenberg(arrays, lines, root_w, terms, x[:n_q], turn.T @ x[n_q:], told, most, 1e-3)
     return x, told, turn, normal, cost
 
 
@@ -214,11 +178,45 @@ def _from_compliances(
     for factor in COMPLIANCES if alone.any() else ():
         change = np.where(alone, prior.base * (factor - 1), 0.0)
         z = change.T.ravel() @ prior.told
-        x, _, cost = _levenberg(arrays.with_phi(prior.moved(z)), lines, root_w, terms, q, np.zeros(0), prior.bare(), steps, 1e-3)
+        x, _, cost = levenberg(arrays.with_phi(prior.moved(z)), lines, root_w, terms, q, np.zeros(0), prior.bare(), steps, 1e-3)
         cost += float(z @ z)
         if cost < least:
             best, least = np.r_[x, z], cost
     return best
+
+
+def _own_first(
+    arrays: IdleArrays, lines: CheckLines, root_w: Array, terms: Sequence[Term], q: Array, prior: ShapePrior, steps: int
+) -> Array | None:
+    """Start of [q, z] from a fit of sizes and the own compliances of their places alone; None where no place has such a one.
+
+    Those compliances are what no drive point saw, and what sizes hang on most. From far away all directions together lead astray.
+    """
+    own = own_compliances(prior, effect_dofs(terms))
+    if not own.shape[1]:
+        return None
+    alone = prior.turned(own)
+    best, least = None, np.inf
+    for size in _begins(terms, q):
+        x, _, cost = levenberg(arrays, lines, root_w, terms, size, np.zeros(own.shape[1]), alone, 2 * steps, 1e-3)
+        if cost < least:
+            best, least = np.r_[x[: q.size], own @ x[q.size :]], cost
+    return best
+
+
+def _begins(terms: Sequence[Term], q: Array) -> list[Array]:
+    """Sizes to begin with: as they are, and the last effect's smaller and larger."""
+    term = terms[-1]
+    first = q.size - term.size
+    if not term.moving or term.kind.parameter(term.moving[0]).transform != "log":
+        return [q]
+    low, high = (float(b[0]) for b in term.bounds())
+    out = []
+    for move in (0.0, -BEGIN, BEGIN):
+        other = q.copy()
+        other[first] = np.clip(other[first] + move, low, high)
+        out.append(other)
+    return out
 
 
 def foreseen(arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit, prior: ShapePrior) -> float:
@@ -238,104 +236,12 @@ def foreseen(arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit, prior:
     n_q = len(bare)
     normal[np.arange(n_q, len(both)), np.arange(n_q, len(both))] += 1
     slope = 2 * np.real(flat.conj() @ error.ravel())
-    return 2 * float(np.sum(np.abs(error) ** 2)) - float(slope @ _solve(normal, slope))
+    return 2 * float(np.sum(np.abs(error) ** 2)) - float(slope @ solve(normal, slope))
 
 
 def soft_weights(arrays: IdleArrays, lines: CheckLines, own: Array) -> Array:
     """Weights with an allowance for columns that were never driven, by what the idle model lacks there."""
     return scan_weights(lines, predict(arrays, lines, (), ()).data, own)
-
-
-def _levenberg(
-    arrays: IdleArrays,
-    lines: CheckLines,
-    root_w: Array,
-    terms: Sequence[Term],
-    q: Array,
-    z: Array,
-    prior: ShapePrior,
-    steps: int,
-    tolerance: float,
-) -> tuple[Array, Array, float]:
-    """Minimum of 2·Σ|root_w·e|² + |z|² over [q, z], its normal matrix and cost."""
-    n_q, k = q.size, z.size
-    bounds = [t.bounds() for t in terms]
-    low = np.r_[np.concatenate([np.zeros(0), *(b[0] for b in bounds)]), np.full(k, -np.inf)]
-    high = np.r_[np.concatenate([np.zeros(0), *(b[1] for b in bounds)]), np.full(k, np.inf)]
-    base = arrays.kernel(lines.hz)
-    bare, none = prior.bare(), np.zeros(0)
-    x = np.clip(np.r_[q, z], low, high)
-
-    def state(x: Array) -> tuple[IdleArrays, Prediction, Array, float]:
-        here = arrays.with_phi(prior.moved(x[n_q:])) if k else arrays
-        p = predict(here, lines, terms, split(x[:n_q], terms), base)
-        error = root_w * (lines.data - p.data)
-        return here, p, error, 2 * float(np.sum(np.abs(error) ** 2)) + float(x[n_q:] @ x[n_q:])
-
-    def corrected(x: Array, now: tuple[IdleArrays, Prediction, Array, float]) -> tuple[Array, tuple[IdleArrays, Prediction, Array, float]]:
-        """Sizes alone, once more: they make up for what moved shapes bend, so that the valley of both is followed."""
-        here, p, error, cost = now
-        jac = (jacobian(here, lines, terms, split(x[:n_q], terms), bare, none, p) * root_w).reshape(n_q, -1)
-        move = np.clip(_solve(np.real(jac.conj() @ jac.T), np.real(jac.conj() @ error.ravel())), -1, 1)
-        trial = np.clip(np.r_[x[:n_q] + move, x[n_q:]], low, high)
-        new = state(trial)
-        return (trial, new) if new[3] < cost else (x, now)
-
-    here, p, error, cost = state(x)
-    normal = np.zeros((x.size, x.size))
-    if not x.size:
-        return x, normal, cost
-    damping = 1e-5
-    for _ in range(steps):
-        jac = jacobian(here, lines, terms, split(x[:n_q], terms), prior, x[n_q:], p) * root_w
-        flat = jac.reshape(x.size, -1)
-        stacked = np.concatenate([flat.real, flat.imag], axis=1)
-        normal = 2 * stacked @ stacked.T
-        slope = 2 * stacked @ np.concatenate([error.real.ravel(), error.imag.ravel()])
-        normal[np.arange(n_q, x.size), np.arange(n_q, x.size)] += 1
-        slope[n_q:] -= x[n_q:]
-        # What stands at a bound and is pushed outwards stays there.
-        held = ((x <= low) & (slope < 0)) | ((x >= high) & (slope > 0))
-        better = False
-        for _ in range(9):
-            matrix = normal + damping * np.diag(np.diag(normal) + 1e-300)
-            matrix[held] = 0
-            matrix[:, held] = 0
-            matrix[held, held] = 1
-            move = _solve(matrix, np.where(held, 0, slope))
-            move[:n_q] = np.clip(move[:n_q], -1, 1)
-            trial = np.clip(x + move, low, high)
-            new = state(trial)
-            if k and n_q:
-                trial, new = corrected(trial, new)
-            if np.isfinite(new[3]) and new[3] < cost:
-                better = True
-                break
-            damping = max(damping * 8, 1e-6)
-        if not better:
-            break
-        gain = cost - new[3]
-        x = trial
-        here, p, error, cost = new
-        damping = max(damping / 8, 1e-12)
-        if gain < 1e-4 + tolerance * cost:
-            break
-    return x, normal, cost
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
-    try:
-        return np.asarray(np.linalg.solve(matrix * scale[:, None] * scale, right * scale) * scale)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrix * scale[:, None] * scale, rcond=1e-12) @ (right * scale) * scale)
-
-
-def _inverse(normal: Array) -> Array:
-    if not normal.size:
-        return normal
-    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(np.linalg.pinv(normal * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale)
 
 
 def model_variance(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, fit: Fit) -> Array:
@@ -437,13 +343,13 @@ def honest(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array, 
     noise = np.where(w > 0, w**2 * np.where(np.isfinite(lines.variance), lines.variance, 0), 0).ravel()
     n_q = sum(v.size for v in fit.q)
     prior = np.diag(np.r_[np.zeros(n_q), np.ones(size - n_q)])
-    inverse = _inverse(2 * np.real((flat * w.ravel()).conj() @ flat.T) + prior)
+    back = inverse(2 * np.real((flat * w.ravel()).conj() @ flat.T) + prior)
     middle = 2 * lines.shared * np.real((flat * noise).conj() @ flat.T) + prior
     if idle.covariance is not None:
         from operando.diagnose.result import given_shapes
 
         middle += reach @ given_shapes(idle, fit) @ reach.T
-    return replace(fit, covariance=inverse @ middle @ inverse, excess=max(1.0, mean_misfit(lines, own, p.data)))
+    return replace(fit, covariance=back @ middle @ back, excess=max(1.0, mean_misfit(lines, own, p.data)))
 
 
 def _by_shapes_of_pair(p: Prediction, lines: CheckLines, dofs: Array, n_modes: int, a: int, b: int) -> Array:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalModel
+from operando.diagnose.levenberg import effect_dofs
 from operando.diagnose.model import Model
-from operando.diagnose.refit import Fit, effect_dofs
+from operando.diagnose.refit import Fit
 from operando.diagnose.shapes import given_driven
 from operando.dof import Dof
 from operando.effects import Effect

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry
+from operando.diagnose.levenberg import effect_dofs
 from operando.diagnose.predict import Term
 from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
-from operando.diagnose.refit import POOR, Fit, effect_dofs, refit
+from operando.diagnose.refit import POOR, Fit, refit
 from operando.diagnose.sets import FIT, SELECT
 from operando.diagnose.shapes import shape_prior
 from operando.diagnose.verdict import GOOD, one_mode, separates

@@ -123,6 +123,26 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
     return ShapePrior(base, np.ascontiguousarray(root), told, relative)
 
 
+def own_compliances(prior: ShapePrior, rows: Array) -> Array:
+    """Orthonormal directions of z, a column each, that change what the own residual modes of some DOFs add to their compliance.
+
+    Parameters
+    ----------
+    prior : ShapePrior
+    rows : int array
+    """
+    alone = (np.count_nonzero(prior.base, axis=0) == 1) & np.any(prior.base[rows] != 0, axis=0)
+    moves = []
+    for mode in np.flatnonzero(alone):
+        move = np.zeros_like(prior.base)
+        move[:, mode] = prior.base[:, mode]
+        moves.append(move.T.ravel() @ prior.told)
+    if not moves or not prior.size:
+        return np.zeros((prior.size, 0))
+    left, size, _ = np.linalg.svd(np.array(moves).T, full_matrices=False)
+    return np.asarray(left[:, size > 1e-9 * size[0]])
+
+
 def driven_rows(idle: ModalModel) -> Array:
     """DOFs whose own compliance outside the band is known: those that were driven.
 
