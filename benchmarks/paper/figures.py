@@ -19,6 +19,7 @@ CURVES = {
     "msf_all": (PURPLE, "--", 1.0),
     "paper": (GREEN, "--", 1.2),
     "auto": (MODEL, "-", 1.1),
+    "from_b": (PURPLE, "--", 1.0),
 }
 """Colour, line and width of each model."""
 
@@ -29,14 +30,17 @@ NAMES = {
     "msf_all": "MSF of all shapes",
     "paper": "the paper's choice",
     "auto": "operando, auto",
+    "from_b": "operando, auto, from B",
 }
 
 
 @drawn
-def operational_frfs(curves: Mapping[str, Array], outputs: Sequence[str], source: str, band: tuple[float, float]) -> tuple[object, str]:
+def operational_frfs(
+    curves: Mapping[str, Array], outputs: Sequence[str], source: str, band: tuple[float, float], lines: Array = LINES
+) -> tuple[object, str]:
     """Accelerance of some outputs from one input, dB re 1 (mm/s²)/N as in the paper, and below each the error of each model.
 
-    ``curves``: name → (outputs, lines) in (m/s²)/N on ``LINES``, among them ``exact``.
+    ``curves``: name → (outputs, lines) in (m/s²)/N on ``lines``, among them ``exact``; without a source the outputs name it.
     """
     columns, rows = 2, -(-len(outputs) // 2)
     height = 3.7 * rows + 0.35
@@ -49,29 +53,32 @@ def operational_frfs(curves: Mapping[str, Array], outputs: Sequence[str], source
         for name, values in curves.items():
             colour, style, width = CURVES[name]
             level = 20 * np.log10(1000 * np.abs(values[k]))
-            keep = thin(LINES, level, 350)
-            upper.plot(LINES[keep], level[keep], style, color=colour, linewidth=width, label=NAMES[name])
+            keep = thin(lines, level, 350)
+            upper.plot(lines[keep], level[keep], style, color=colour, linewidth=width, label=NAMES[name])
             if name not in ("exact", "idle"):
-                keep = thin(LINES, level - exact, 350)
-                lower.plot(LINES[keep], (level - exact)[keep], style, color=colour, linewidth=width)
-        upper.set_title(f"{output} from {source}")
+                keep = thin(lines, level - exact, 350)
+                lower.plot(lines[keep], (level - exact)[keep], style, color=colour, linewidth=width)
+        upper.set_title(f"{output} from {source}" if source else output)
         upper.set_ylabel("dB re 1 (mm/s²)/N")
         upper.tick_params(labelbottom=False)
         lower.set_ylim(-12, 12)
         lower.set_yticks([-10, -5, 0, 5, 10])
         lower.set_ylabel("error [dB]")
-        lower.set_xlim(LINES[0], LINES[-1])
+        lower.set_xlim(lines[0], lines[-1])
         if k // columns == rows - 1:
             lower.set_xlabel("Frequency [Hz]")
         for axes in (upper, lower):
             axes.grid(True)
-            for low, high in ((LINES[0], band[0]), (band[1], LINES[-1])):
+            for low, high in ((lines[0], band[0]), (band[1], lines[-1])):
                 if high > low:
                     axes.axvspan(low, high, color="#eef1f4", zorder=0, linewidth=0)
         if k == 0:
             handles = upper.get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="upper left", ncols=6, bbox_to_anchor=(0.055, 1.0), columnspacing=1.2, handlelength=2.2)
-    return figure, f"Operational frequency response functions of {', '.join(outputs)} from {source}, and errors in dB"
+    return (
+        figure,
+        f"Operational frequency response functions of {', '.join(outputs)}{f' from {source}' if source else ''}, and errors in dB",
+    )
 
 
 @drawn

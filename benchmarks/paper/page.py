@@ -12,6 +12,8 @@ import numpy as np
 import published
 from checks import Check, all_checks
 from exact import IN_BAND, KEPT, LINES, OUTPUTS, ExactStudy
+from experiment import Experiment
+from page_experiment import experiment_checks, experiment_section
 from raw import SOURCES, RawStudy, coverage, exact_frf
 from tripod import DESIGNS, Modes
 
@@ -80,12 +82,13 @@ def write_page(
     modes: Mapping[str, Modes],
     studies: Mapping[str, ExactStudy],
     runs: Sequence[RawStudy],
+    experiment: Experiment,
     reference: Mapping[str, float] | None,
     seconds: Callable[[], float],
 ) -> Path:
     """The whole report."""
     page = Page()
-    checks = all_checks(modes, studies, runs, reference)
+    checks = [*all_checks(modes, studies, runs, reference), *experiment_checks(experiment)]
     page.section("What came out", _answer(checks), _check_table(checks))
     page.section("The structure", _structure(page, modes, reference))
     page.section("Natural frequencies: Tables A2 and A3", _table_a2(modes), _table_a3(modes, runs))
@@ -93,6 +96,7 @@ def write_page(
     page.section("From raw files", _raw_words(), _raw_table(runs), _raw_modes(runs, modes))
     page.section("Operational FRFs", _frf_figures(page, modes, runs))
     page.section("Error bands", _band_figures(page, modes, runs))
+    page.section("An experiment in kind: Section 4.2 and Table A4", experiment_section(experiment, say, page.figure))
     style = files("operando.report").joinpath("report.css").read_text(encoding="utf-8")
     contents = "".join(f'<li><a href="#s{n}">{n}. {esc(title)}</a></li>' for n, (title, _) in enumerate(page.parts, 1))
     body = "".join(f'<section id="s{n}"><h2>{n}. {esc(title)}</h2>{html}</section>' for n, (title, html) in enumerate(page.parts, 1))
@@ -102,7 +106,7 @@ def write_page(
         f"<title>Shen &amp; Lu (2024) reproduced</title><style>{style}</style></head><body><div class='frame'>"
         f'<nav aria-label="Contents"><h2>Contents</h2><ol>{contents}</ol></nav><main><header><p class="kicker">operando · the paper '
         f"reproduced</p>"
-        "<h1>Plate, tripod and mass: Section 4.1 of Shen &amp; Lu (2024)</h1>"
+        "<h1>Plate, tripod and mass: Section 4 of Shen &amp; Lu (2024)</h1>"
         f'<p class="meta">Simulated throughout · make paper, {seconds():.0f} s</p></header>{body}'
         "<footer>Shen &amp; Lu, Machines 2024, 12(8), 516, doi 10.3390/machines12080516. Accelerance; levels in "
         "dB.</footer></main></div></body></html>\n"
@@ -366,8 +370,8 @@ def _frf_figures(page: Page, modes: Mapping[str, Modes], runs: Sequence[RawStudy
 def _band_figures(page: Page, modes: Mapping[str, Modes], runs: Sequence[RawStudy]) -> str:
     out = say(
         "Each line of an OFRF has a variance from the covariances of both sets of modes, carried through pairing, scaling and "
-        "synthesis. The residual "
-        "modes are those at rest: what operation changes in them is beyond any covariance."
+        "synthesis. What no identification can know is in it as well: how far the residual modes of the idle state may have moved, and "
+        "what a change of mass, which shapes off orthogonality in the idle mass betray, leaves of the scale."
     )
     rows = []
     for r in runs:

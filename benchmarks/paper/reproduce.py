@@ -1,4 +1,4 @@
-"""Reproduces Section 4.1 of Shen & Lu (2024), Machines 12(8), 516: tables, figures and what operando makes of the raw files.
+"""Reproduces Section 4 of Shen & Lu (2024), Machines 12(8), 516: tables, figures and what operando makes of the raw files.
 
     python benchmarks/paper/reproduce.py [FOLDER]        (make paper)
 
@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import exact
+import experiment
 import raw
 from page import write_page
 from tripod import DESIGNS, Modes, exact_modes
@@ -54,7 +55,10 @@ def main() -> None:
             where = folder / f"{case.replace(' ', '-')}-{label.split(' ')[0].replace('–', '-')}"
             runs.append(raw.study(where, modes["original"], modes[case], case, band, say))
             say(f"{case}, {label}: {runs[-1].seconds:.0f} s, auto {runs[-1].errors[raw.SOURCES[0]]['auto']:.2f} dB from A")
-    path = write_page(folder / "paper.html", modes, studies, runs, against_reference(modes), lambda: time.perf_counter() - start)
+    legs_study = experiment.study(folder / "plate-on-legs", say)
+    path = write_page(
+        folder / "paper.html", modes, studies, runs, legs_study, against_reference(modes), lambda: time.perf_counter() - start
+    )
     say("done")
     print(path.resolve())
 
