@@ -262,6 +262,7 @@ def test_readme_python_runs(monkeypatch, capsys):
             exec(compile(block, "README.md", "exec"), names)
     finally:
         unregister("inerter")
+        unregister("power_spring")
     out = capsys.readouterr().out
     assert out.count("(1, 1, 1400)") >= 3
     assert "A mass of 0.2 kg sits on 7+Z" in out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from operando.cli.answer import Answer
 from operando.cli.diagnose import ladder_table
@@ -11,6 +12,10 @@ from operando.cli.story import Clock
 from operando.effects import Effect
 from operando.errors import MissingError
 from operando.results import CheckRun, Results
+
+if TYPE_CHECKING:
+    from operando.data import TimeRecord
+    from operando.diagnose.apply import Applied
 
 
 def present(folder: str) -> Results:
@@ -39,9 +44,41 @@ def judging(results: Results) -> tuple[list[CheckRun], tuple[float, float] | Non
     """Check runs without the bands that the test leaves out, and its band."""
     from operando.pipeline.stages import without_bands
 
-    band, left_out = results.settings.get("band"), results.settings.get("exclude_bands") or ()
-    runs = [replace(run, frf=without_bands(run.frf, [tuple(b) for b in left_out])) for run in results.check]
+    band = results.settings.get("band")
+    runs = [replace(run, frf=without_bands(run.frf, left_out(results))) for run in results.check]
     return runs, (float(band[0]), float(band[1])) if band else None
+
+
+def left_out(results: Results) -> list[tuple[float, float]]:
+    """Bands that the test leaves out [Hz]."""
+    return [(float(low), float(high)) for low, high in results.settings.get("exclude_bands") or ()]
+
+
+def check_records(folder: str, results: Results) -> list[TimeRecord]:
+    """The check's records, read again from the files that the check FRFs were made of.
+
+    Raises
+    ------
+    MissingError
+        If a file is not there any more or has changed, or the check was given as FRFs.
+    """
+    from operando.data import file_hash
+    from operando.io import read
+    from operando.quality import check_record
+
+    hint = "run `operando run test.toml` again where the files are"
+    units, channels = results.settings.get("units") or None, results.settings.get("channels") or None
+    out = []
+    for path, sha in dict.fromkeys(pair for run in results.check for pair in run.frf.provenance.inputs):
+        if not Path(path).is_file():
+            raise MissingError("a level-dependent effect is fitted to the check's records, and one is not there", where=path, hint=hint)
+        if file_hash(Path(path)) != sha:
+            raise MissingError("a record of the check is not the one that the results were made of", where=path, hint=hint)
+        records = read(path, units=units, channels=channels).records
+        out += [replace(check_record(r), name=Path(path).name) for r in records if r.force_indices and r.response_indices]
+    if not out:
+        raise MissingError("a level-dependent effect is fitted to records, and the check holds FRFs alone", where=folder, hint=hint)
+    return out
 
 
 def accepted(results: Results) -> list[Effect]:
@@ -55,12 +92,16 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
 
     say = Clock()
     runs, band = judging(results)
+    looked_at_records = "check_records" in ((results.diagnosis or {}).get("data") or ())
     found = diagnose(
         results.idle,  # type: ignore[arg-type]
         check=runs,
         geometry=results.geometry,
         band=band,
         progress=lambda message: say("diagnose", message),
+        records=check_records(folder, results) if looked_at_records else (),
+        idle_frf=results.idle_frf if looked_at_records else None,
+        exclude_bands=left_out(results),
     )
     if not found.effects:
         raise MissingError(f"the diagnosis suggests no effect (verdict {found.verdict})", where=folder)
@@ -71,6 +112,7 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
     from operando.compare import with_effect
     from operando.diagnose import Model, apply_effects
+    from operando.diagnose.from_records import apply_levels, need_records
     from operando.pipeline.outputs import write_output
     from operando.store import save_results
 
@@ -78,19 +120,32 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
     idle = results.idle
     assert idle is not None  # present() saw to it
     runs, band = judging(results)
-    applied = apply_effects(
-        idle,
-        effects,
-        check=runs,
-        geometry=results.geometry,
-        band=band,
-        progress=lambda message: say("refit", message),
-    )
+    applied: Applied
+    if need_records(effects):
+        applied = apply_levels(
+            idle,
+            effects,
+            check_records(folder, results),
+            geometry=results.geometry,
+            band=band or idle.band_hz,
+            exclude_bands=left_out(results),
+            progress=lambda message: say("refit", message),
+        )
+    else:
+        applied = apply_effects(
+            idle,
+            effects,
+            check=runs,
+            geometry=results.geometry,
+            band=band,
+            progress=lambda message: say("refit", message),
+        )
     done = applied.to_dict()
     before = results.diagnosis or {}
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
-    results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "by_hand": by_hand}
+    more = {key: done[key] for key in ("picture", "simulation") if key in done}
+    results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "by_hand": by_hand} | more
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
     if results.comparison is not None:
         made = replace(applied.model.idle, covariance=None, std=None)  # the idle model's variance judges

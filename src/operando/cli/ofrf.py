@@ -32,10 +32,23 @@ MOST_VALUES = 2_000_000
     show_default=True,
     help="hybrid: scaled operational modes; effect: idle model + accepted effects.",
 )
+@click.option(
+    "--level",
+    type=float,
+    metavar="N",
+    help="Route effect: FRFs under a random force of this rms [N], even over the band (default: the lowest level measured).",
+)
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="File to write: .uff, .h5, .mat or .csv by its ending.")
 @answers
 def ofrf(
-    folder: str, responses: str | None, references: str | None, frequencies: str | None, quantity: str, route: str, output: str | None
+    folder: str,
+    responses: str | None,
+    references: str | None,
+    frequencies: str | None,
+    quantity: str,
+    route: str,
+    level: float | None,
+    output: str | None,
 ) -> Answer:
     """Operational FRFs of any response-reference pair, with the standard deviation of each line.
 
@@ -46,6 +59,8 @@ def ofrf(
     from operando.errors import DataError, MissingError
     from operando.store import load_results
 
+    if level is not None and (route != "effect" or not 0 < level < float("inf")):
+        raise click.UsageError("--level is a force in N, more than 0, and belongs to --route effect")
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
     names = ("idle_frf", "left_out", "settings", "geometry")
@@ -58,10 +73,16 @@ def ofrf(
         from operando.pipeline.outputs import ofrf_lines
 
         lines = ofrf_lines(results)
-    if route == "effect":
+    model: Any
+    if level is not None:
+        from operando.diagnose.at_level import LevelModel
+
+        model = LevelModel.of(results, level)
+        method, own = f"idle model + {', '.join(str(e) for e in model.effects) or 'no effect'} at {level:g} N", ()
+    elif route == "effect":
         from operando.pipeline.outputs import effect_model
 
-        model: Any = effect_model(results)
+        model = effect_model(results)
         method, own = "idle model + " + (", ".join(str(e) for e in model.effects) or "no effect"), ()
     else:
         model, method, own = results.hybrid, results.hybrid.method, results.hybrid.findings
@@ -70,6 +91,7 @@ def ofrf(
         "schema": "operando/ofrf/1",
         "route": route,
         "method": method,
+        "level_n": level,
         "settings": results.settings,
         "responses": [str(d) for d in frf.responses],
         "references": [str(d) for d in frf.references],

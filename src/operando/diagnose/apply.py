@@ -112,7 +112,7 @@ def apply_effects(
             q = list(fits[-1].q)
         rows, fits = ladder(problem, fits)
         for k, fit in enumerate(fits[1:], 1):
-            words.append(_words(effects_of(fit)[-1], rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]))
+            words.append(words_of(effects_of(fit)[-1], rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]))
             if rows[k]["heldout_misfit"] > ENOUGH and rows[k - 1]["heldout_misfit"] > ENOUGH:
                 tried, _ = step(problem, fits[k - 1])
                 if tried:
@@ -141,7 +141,8 @@ def _held(effect: Effect) -> Effect:
     return replace(effect, fixed=effect.definition.names)
 
 
-def _words(effect: Effect, before: float, after: float) -> str:
+def words_of(effect: Effect, before: float, after: float) -> str:
+    """What an effect did to the misfit on lines the fit has not seen, and where the data do not support it."""
     fall = 1 - after / before
     start = f"{effect.kind}{f' at {effect.place}' if effect.place else ''}: misfit on lines the fit has not seen {before:.4g} → {after:.4g}"
     if fall < 0:

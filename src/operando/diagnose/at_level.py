@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,15 @@ from operando.data import Frf, ModalModel
 from operando.diagnose.model import Model
 from operando.dof import parse_dofs
 from operando.effects import Effect
+from operando.errors import MissingError
 from operando.nonlinear.levels import at_level
+from operando.results import CheckRun, Results
+
+TWICE = 2.0
+"""Level beyond those measured that the report shows."""
+
+DRAWN = 500
+"""Lines of the figure."""
 
 
 def level_frf(
@@ -67,3 +75,108 @@ def level_frf(
             standing = at_level(idle, effects, level, reference, band)
             columns.append(Model(idle, tuple(standing)).frf(frequencies, responses, (reference,), quantity, variance=False))
     return replace(columns[0], data=np.concatenate([c.data for c in columns], axis=1), references=driven)
+
+
+@dataclass(frozen=True)
+class LevelModel:
+    """The idle model with effects under a random force of given size; predicts FRFs like any model.
+
+    Parameters
+    ----------
+    idle : ModalModel
+    effects : tuple of Effect
+        Effects on the structure, level-dependent ones among them.
+    level : float
+        rms of the force [N].
+    band : (float, float) or None
+        Of the force [Hz].
+    """
+
+    idle: ModalModel
+    effects: tuple[Effect, ...]
+    level: float
+    band: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, results: Results, level: float) -> LevelModel:
+        """From a results folder; linear effects as the diagnosis left them, channel faults left out.
+
+        Raises
+        ------
+        MissingError
+            If there is no diagnosis.
+        """
+        if results.diagnosis is None or results.idle is None:
+            raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
+        effects = [Effect.from_dict(e) for e in results.diagnosis.get("effects") or []]
+        kept = tuple(e for e in effects if e.definition.group in ("structure", "idle"))
+        band = results.settings.get("band")
+        return cls(results.effect_idle or results.idle, kept, level, (float(band[0]), float(band[1])) if band else None)
+
+    def frf(self, frequencies: ArrayLike, responses: Any = None, references: Any = None, quantity: str = "accelerance") -> Frf:
+        """FRFs at the level; see :func:`level_frf`."""
+        return level_frf(self.idle, self.effects, self.level, frequencies, responses, references, quantity, band=self.band)
+
+
+def level_picture(
+    idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], levels: Sequence[float], band: tuple[float, float] | None
+) -> dict[str, Any]:
+    """FRFs of the model at the levels measured and at twice the highest, and what was measured, for one pair of DOFs.
+
+    Parameters
+    ----------
+    idle : ModalModel
+    effects : sequence of Effect
+    check : sequence of CheckRun
+        Measured FRFs, by level.
+    levels : sequence of float
+        Forces of the records [N rms].
+    band : (float, float) or None
+
+    Returns
+    -------
+    dict
+        ``response``, ``reference``, ``frequencies_hz``, ``curves`` [{force_n, measured (bool), magnitude}], ``runs`` [{name, level,
+        frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
+
+    Raises
+    ------
+    DataError
+        If no steady motion is found at a level.
+    """
+    varying = [e for e in effects if e.definition.level_dependent]
+    if not varying or not check or not levels:
+        return {}
+    low, high = band or idle.band_hz or (float(idle.frequencies_hz.min()), float(idle.frequencies_hz.max()))
+    hz = np.linspace(low, high, DRAWN)
+    first = check[0].frf
+    reference, response = first.references[0], varying[0].location[0]
+    if all((d.node, d.axis) != (response.node, response.axis) for d in first.responses):
+        response = reference
+    top, least = max(levels), min(levels)
+    shown = [least, top, TWICE * top] if least < top / 1.4 else [top, TWICE * top]
+    curves = [
+        {
+            "force_n": float(level),
+            "measured": level <= top,
+            "magnitude": np.abs(level_frf(idle, effects, level, hz, (response,), (reference,), band=(low, high)).data[0, 0]).tolist(),
+        }
+        for level in shown
+    ]
+    runs = []
+    for run in check:
+        own = [i for i, d in enumerate(run.frf.responses) if (d.node, d.axis) == (response.node, response.axis)]
+        driven = [j for j, d in enumerate(run.frf.references) if (d.node, d.axis) == (reference.node, reference.axis)]
+        if own and driven:
+            inside = (run.frf.frequencies_hz >= low) & (run.frf.frequencies_hz <= high)
+            step = max(1, int(np.sum(inside)) // DRAWN)
+            size = np.abs(run.frf.data[own[0], driven[0]][inside])[::step]
+            good = np.isfinite(size)
+            row = {"name": run.name, "level": run.level, "frequencies_hz": run.frf.frequencies_hz[inside][::step][good].tolist()}
+            runs.append(row | {"magnitude": size[good].tolist()})
+    return {"response": str(response), "reference": str(reference), "frequencies_hz": hz.tolist(), "curves": curves, "runs": runs}
+
+
+def levels_of(picture: Mapping[str, Any]) -> list[float]:
+    """Forces [N rms] of the records behind a picture of restoring forces."""
+    return sorted({float(row["force_n"]) for p in picture.get("restoring_force") or [] for row in p.get("equivalent") or []})

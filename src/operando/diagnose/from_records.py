@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.diagnose.apply import Applied, words_of
+from operando.diagnose.at_level import level_picture, levels_of
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
 from operando.diagnose.model import Model
 from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
-from operando.nonlinear import NonlinearDiagnosis, diagnose_records, linear_effects
+from operando.nonlinear import AppliedToRecords, NonlinearDiagnosis, apply_to_records, diagnose_records, linear_effects
 from operando.results import CheckRun
 
 DISTORTION = 3.0
@@ -38,6 +40,74 @@ class RecordsDiagnosis(Diagnosis):
         """``diagnosis.json``, with ``detection`` and ``simulation`` beside."""
         out = super().to_dict()
         return out if self.records is None else out | {"detection": self.records.detection, "simulation": self.records.simulation}
+
+
+@dataclass(frozen=True)
+class RecordsApplied(Applied):
+    """Effects chosen by hand, level-dependent ones among them, fitted to records.
+
+    Parameters
+    ----------
+    records : AppliedToRecords or None
+        What the records say.
+    """
+
+    records: AppliedToRecords | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: effects, ladder, words; ``picture`` and ``simulation`` as in ``diagnosis.json``."""
+        out = super().to_dict()
+        return out if self.records is None else out | {"picture": self.records.picture, "simulation": self.records.simulation}
+
+
+def need_records(effects: Sequence[Effect]) -> bool:
+    """Whether effects depend on the level, so that FRFs cannot tell their sizes."""
+    return any(e.definition.acts == "pseudo_force" for e in effects)
+
+
+def apply_levels(
+    idle: ModalModel,
+    effects: Sequence[Effect],
+    records: Sequence[TimeRecord],
+    *,
+    geometry: Geometry | None = None,
+    band: tuple[float, float] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
+    refit: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> RecordsApplied:
+    """Effects chosen by hand, level-dependent ones among them: fitted together to records, with honest words about each.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass.
+    effects : sequence of Effect
+        Level-dependent ones, springs and dampers, in order.
+    records : sequence of TimeRecord
+        Of the running state with measured force.
+    geometry : Geometry, optional
+    band, exclude_bands, refit, progress
+        As in :func:`operando.nonlinear.apply_to_records`.
+
+    Raises
+    ------
+    DataError
+        If the idle model has no scale.
+    ConfigError
+        If an effect has no restoring force of displacement and velocity, so that records cannot be fitted with it.
+    """
+    seen = apply_to_records(idle, effects, records, band=band, exclude_bands=exclude_bands, refit=refit, progress=progress)
+    words = []
+    for k, effect in enumerate(seen.effects, 1):
+        words.append(words_of(effect, seen.ladder[k - 1]["heldout_misfit"], seen.ladder[k]["heldout_misfit"]))
+        words += [
+            f"the data speak for another one: {other} would lower it to {left:.4g}; `operando remove` takes step {k} back"
+            for step, other, left in seen.better
+            if step == k
+        ]
+    linear = standing({"effects": [e.to_dict() for e in seen.effects], "picture": seen.picture})
+    return RecordsApplied(Model(idle, tuple(linear), geometry), seen.effects, seen.ladder, (*words, *seen.notes), seen)
 
 
 def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | None:
@@ -157,6 +227,7 @@ def merged(
 ) -> RecordsDiagnosis:
     """The diagnosis from the records, with where the idle model fails by the check FRFs."""
     linear = standing({"effects": [e.to_dict() for e in seen.effects], "picture": seen.picture})
+    picture, notes = with_levels(seen.picture, idle, seen.effects, check, band)
     return RecordsDiagnosis(
         seen.verdict,
         seen.effects,
@@ -167,12 +238,23 @@ def merged(
         where_it_fails(idle, check, band or idle.band_hz) if check else seen.where,
         seen.noise_floor_db,
         ("check_frf", "check_records") if check else ("check_records",),
-        seen.picture,
-        (*words, *seen.notes),
+        picture,
+        (*words, *seen.notes, *notes),
         idle,
         Model(idle, tuple(linear), geometry),
         seen,
     )
+
+
+def with_levels(
+    picture: dict[str, Any], idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], band: tuple[float, float] | None
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The picture with FRFs at the levels measured and at twice the highest; and why there are none."""
+    try:
+        made = level_picture(idle, effects, check, levels_of(picture), band)
+    except OperandoError as error:
+        return picture, (f"no FRFs at other levels: {error.message}",)
+    return (picture | {"levels": made} if made else picture), ()
 
 
 def standing(document: Mapping[str, Any]) -> list[Effect]:

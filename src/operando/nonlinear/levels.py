@@ -16,16 +16,16 @@ from operando.nonlinear.equivalent import as_linear, slopes
 from operando.nonlinear.run import Complex, Modes, Real
 from operando.nonlinear.simulate import law_of
 
-SAMPLES, OVER = 1 << 16, 6.0
+SAMPLES, OVER = 1 << 17, 6.0
 """Samples of the random motion that laws are averaged over, and its sampling rate over the top of the force's band: with few lines in a
 resonance the motion is not Gaussian."""
 
 WALKED = 1 << 15
 """The same where a law remembers: it is walked through sample by sample."""
 
-TURNS, CLOSE = 80, 1e-3
-MIX = 0.5
-"""Turns at most, relative change at which they end, and how far a turn goes."""
+TURNS, CLOSE = 120, 1e-3
+MIX, SHORTEST = 0.5, 0.03
+"""Turns at most, relative change at which they end, and how far a turn goes at first and at least."""
 
 
 def at_level(
@@ -89,6 +89,7 @@ def at_level(
     force = level * samples / np.sqrt(2 * inside.size) * phases
     level_dependent = np.array([e.definition.level_dependent for e in effects])
     k, c, mean = np.zeros((3, len(laws)))
+    mix, last = MIX, np.inf
     for turn in range(TURNS):
         x, v = _motion(across, driven * force[:, None], k, c, w, inside, samples)
         new = np.empty((2, len(laws)))
@@ -104,8 +105,11 @@ def at_level(
         pace = np.stack([np.ones(len(laws)), v.std(axis=1) / np.maximum(x.std(axis=1), 1e-300)])
         change = np.abs(new - [k, c]) * pace / np.maximum(np.sum(np.abs(new) * pace, axis=0), 1e-300)
         settled = change.max() < CLOSE and np.all(np.abs(step) < CLOSE * x.std(axis=1))
-        # The first turn has nothing to mix with.
-        share = 1.0 if turn == 0 else MIX
+        # The first turn has nothing to mix with; where turns go too far, shorter ones.
+        if turn > 1 and change.max() > last:
+            mix = max(0.6 * mix, SHORTEST)
+        last = float(change.max())
+        share = 1.0 if turn == 0 else mix
         k, c, mean = k + share * (new[0] - k), c + share * (new[1] - c), mean + share * step
         if not (np.all(np.isfinite(k)) and np.all(np.isfinite(c))):
             break

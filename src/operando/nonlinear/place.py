@@ -15,17 +15,11 @@ import numpy as np
 from scipy import fft as sfft
 from scipy.linalg import cho_factor, cho_solve
 
-from operando.nonlinear.run import Complex, Modes, Real, Run, decay_in_time, running_mean
+from operando.nonlinear.run import Complex, Modes, Real, Run, decay_in_time
 
 FINE_BELOW = 8.0
 """Motions are brought to twice the rate where a record has fewer samples than this in a period of the last line."""
 
-
-QUIET = 20.0
-"""Percentile over lines of what a sensor shows beyond the model that is taken for its noise."""
-
-MOST_LEVERAGE, MANY = 0.9, 100
-"""Lines on which the restoring force is fitted to one sensor nearly alone say nothing of its noise, if there are so many others."""
 
 SLOPE_STEP = 0.01
 """Relative change of the motion for the slope of a law."""
@@ -182,11 +176,6 @@ class Along:
         total = weight.total + float(np.sum(np.abs(error) ** 2 * (1 - taken) - np.abs(self.error) ** 2))
         return force, amplitudes, total - float(amplitudes @ right)
 
-    def left(self, force: Complex, amplitudes: Real) -> Complex:
-        """Accelerations (q, L) that a restoring force and free decays leave: measured less model."""
-        w = self.weighted
-        return np.asarray(w.error / w.root + self.h * force - self.run.decay_shapes @ (amplitudes[:, None] * self.run.decays))
-
     def normal(self, forces: Complex) -> tuple[Real, Real, float]:
         """Normal equations of a regression of the error on restoring forces (c, L), free decays eliminated.
 
@@ -290,47 +279,6 @@ class Crossing:
         """Displacement and velocity across the place under a restoring force given on all lines."""
         x, v = self.in_time(self.base - self.compliance * force)
         return x + self.fall_x, v + self.fall_v
-
-
-def corrected(crossing: Crossing, along: Along, force: Complex, amplitudes: Real) -> Crossing:
-    """The crossing moved towards the motion measured across the place, as far as that is the better of the two.
-
-    Measured and modelled motion differ by the noise of the one and the error of the other. Noise of an accelerometer is even over
-    frequency: what stands above it is the model's, and the weight of the measurement is its share (Wiener's). Where a structure is held
-    fast by a force, its motion is the small difference of two large ones that the model makes, and the measurement is far better.
-
-    Parameters
-    ----------
-    crossing : Crossing
-    along : Along
-    force : (L,) complex array
-        Restoring force as seen in the data.
-    amplitudes : (J,) array
-        Of the free decays.
-    """
-    run = along.run
-    rows = along.b[run.rows]
-    if np.count_nonzero(rows) < np.count_nonzero(along.b):
-        return crossing
-    left = along.left(force, amplitudes)
-    noise = sum(weight**2 * quiet(along, k, left[k]) for k, weight in enumerate(rows) if weight)
-    measured = rows @ (run.responses[:, run.lines] - run.decay_shapes @ (amplitudes[:, None] * run.decays))
-    model = crossing.base[run.lines] - crossing.compliance[run.lines] * force
-    apart = -measured / run.omega**2 - model
-    share = np.maximum(1 - noise / np.maximum(running_mean(np.abs(apart * run.omega**2) ** 2), 1e-300), 0.0)
-    base = crossing.base.copy()
-    base[run.lines] += share * apart
-    return replace(crossing, base=base)
-
-
-def quiet(along: Along, row: int, left: Complex) -> float:
-    """Variance of a sensor's noise: what is least left beyond the model, mended by how far the force was fitted to this very sensor."""
-    power = np.abs(left) ** 2
-    leverage = np.abs(along.h[row] * along.weighted.root[row] / along.gain) ** 2
-    free = leverage < MOST_LEVERAGE
-    if np.count_nonzero(free) > MANY:
-        power = power[free] / (1 - leverage[free])
-    return float(np.percentile(running_mean(power), QUIET))
 
 
 def settle(

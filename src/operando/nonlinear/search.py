@@ -13,7 +13,7 @@ from operando.data import ModalModel, TimeRecord
 from operando.errors import MissingError
 from operando.nonlinear.laws import LawFit, Motion
 from operando.nonlinear.outside import Doubt, Outside, force_columns, look
-from operando.nonlinear.place import Along, Crossing, Weighted, corrected
+from operando.nonlinear.place import Along, Crossing, Weighted
 from operando.nonlinear.run import Modes, Real, Run, make_run
 
 RANK_LINES = 600
@@ -217,7 +217,6 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
             rest += remaining
             count += (along.run.rows.size - 1) * along.run.hz.size
         crossing = Crossing.of(along, case.modes, amplitudes, outside.compliance(along.run.all_hz, b))
-        crossing = corrected(crossing, along, force, amplitudes)
         everywhere = np.zeros(along.run.forces.shape[1], complex)
         everywhere[along.run.lines] = force
         x, v = crossing.move(everywhere)

@@ -98,6 +98,39 @@ def _level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure
     return figure, f"Equivalent stiffness and damping at each level: {title}"
 
 
+def frf_figure(levels: Mapping[str, Any]) -> str:
+    """SVG: one FRF of the model with effects at the levels measured and at twice the highest, and what was measured.
+
+    Parameters
+    ----------
+    levels : dict
+        ``picture.levels`` of ``diagnosis.json``.
+    """
+    return _frf_figure(levels)
+
+
+@drawn
+def _frf_figure(levels: Mapping[str, Any]) -> tuple[Figure, str]:
+    figure = new_figure(10.2, 3.4)
+    axes = figure.add_axes((0.075, 0.15, 0.91, 0.74))
+    db = lambda values: 20 * np.log10(np.maximum(np.asarray(values, float), 1e-12))  # noqa: E731
+    for run in levels.get("runs") or []:
+        dots(axes, np.asarray(run["frequencies_hz"], float), db(run["magnitude"]), SKY, 2.0, f"measured, {run['level'] or run['name']}")
+    hz = np.asarray(levels["frequencies_hz"], float)
+    colors = (GREEN, MEASURED, IDLE)
+    for curve, color in zip(levels["curves"], colors[-len(levels["curves"]) :], strict=False):
+        style = "-" if curve["measured"] else (0, (4, 2))
+        words = "model" if curve["measured"] else "model, not measured"
+        axes.plot(hz, db(curve["magnitude"]), color=color, lw=1.3, ls=style, label=f"{words}, {number(curve['force_n'], 3)} N")
+    axes.set_xlim(hz[0], hz[-1])
+    axes.set_xlabel("Frequency [Hz]")
+    axes.set_ylabel("Accelerance [dB re 1 (m/s²)/N]")
+    axes.set_title(f"{levels['response']} under a force at {levels['reference']}", fontsize=9.5)
+    axes.grid(True)
+    axes.legend(loc="best", ncols=2)
+    return figure, f"FRF {levels['response']} over {levels['reference']} at several levels of the force"
+
+
 def simulation_figure(figure: Mapping[str, Any]) -> str:
     """SVG: measured and simulated response side by side, the idle model's beside them.
 

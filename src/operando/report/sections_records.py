@@ -22,12 +22,24 @@ def restoring_forces(found: Mapping[str, Any], numbering: Numbering) -> str:
         caption += "the law fitted, on the same lines. "
         if finite(picture.get("goodness")):
             caption += f"The law explains {number(100 * float(picture['goodness']), 4)} % of the force. "
+        shares = picture.get("parity") or {}
+        if shares:
+            caption += f"Over the displacement {number(100 * shares['even'], 2)} % of its mean square is even and "
+            caption += f"{number(100 * shares['odd'], 2)} % odd beyond a straight line. "
         caption += "A gap shows as a flat part, a cubic spring bends upwards, a saturating one downwards; friction is a step over velocity."
         out.append(numbering.figure(figures_records.force_figure(picture, title), esc(caption)))
         if len(picture.get("equivalent") or []) > 1:
             caption = "The spring and the damper that come nearest to the law in the mean square at the level of each record (its force "
             caption += "at the dot): what a linear model would find there. FRFs of the model with effects use the lowest level."
             out.append(numbering.figure(figures_records.level_figure(picture["equivalent"], title), esc(caption)))
+    levels = (found.get("picture") or {}).get("levels") or {}
+    if levels.get("curves"):
+        caption = (
+            "What an FRF measurement finds depends on the force. Model with the effects under a random force of each level measured and of "
+        )
+        caption += "twice the highest, by springs and dampers that are equivalent in the mean square; other levels and pairs by "
+        caption += "operando ofrf DIR --route effect --level N."
+        out.append(numbering.figure(figures_records.frf_figure(levels), esc(caption)))
     out.append(_simulation(found.get("simulation") or {}, numbering))
     return "".join(out)
 

@@ -1,0 +1,127 @@
+"""Level-dependent effects added and taken away by hand, from records; and from the command line on a results folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from click.testing import CliRunner
+from tests.test_diagnose_records import BAND, frfs
+from tests.test_nonlinear_records import STRIP, records
+
+from operando.cli import main
+from operando.cli.ladder import check_records
+from operando.diagnose.from_records import apply_levels
+from operando.effects import parse_effect
+from operando.errors import ConfigError, MissingError
+from operando.frf import estimate_frf
+from operando.io import read, write_uff
+from operando.nonlinear import apply_to_records
+from operando.results import CheckRun, Results
+from operando.store import load_results, save_results
+
+
+def applied(name, *texts, **how):
+    return apply_to_records(STRIP.idle(), [parse_effect(t, BAND) for t in texts], records()[name], **how)
+
+
+def test_the_right_effect_is_sized_and_the_error_falls():
+    made = applied("cubic", "cubic_stiffness@3+Z")
+    assert made.effects[0].values["coefficient"] == pytest.approx(1e8, rel=0.02)
+    assert made.effects[0].std["coefficient"] > 0
+    before, after = made.ladder
+    assert after["heldout_misfit"] < 0.01 * before["heldout_misfit"]
+    assert made.better == ()
+    assert made.picture["restoring_force"][0]["goodness"] > 0.95
+    assert made.simulation["gain_db"] > 8
+
+
+def test_the_wrong_effect_is_told_from_a_better_one():
+    made = apply_levels(STRIP.idle(), [parse_effect("clearance@6+Z", BAND)], records()["cubic"])
+    assert made.ladder[1]["heldout_misfit"] > 0.2 * made.ladder[0]["heldout_misfit"]
+    ((step, better, _),) = made.records.better
+    assert (step, better.kind, [str(d) for d in better.location]) == (1, "cubic_stiffness", ["3+Z"])
+    assert any("the data speak for another one: cubic_stiffness" in w for w in made.words)
+
+
+def test_values_that_are_held_stay():
+    made = applied("cubic", "cubic_stiffness@3+Z=coefficient:7e7", refit=False)
+    assert made.effects[0].values["coefficient"] == 7e7
+    right = applied("cubic", "cubic_stiffness@3+Z")
+    assert made.ladder[1]["misfit"] > 2 * right.ladder[1]["misfit"]
+    partly = replace(parse_effect("clearance@5+Z=stiffness:6e3,gap:1e-3", BAND), fixed=("gap",))
+    with pytest.raises(ConfigError, match="all of its values or none"):
+        apply_to_records(STRIP.idle(), [partly], records()["clearance"])
+
+
+def test_a_needless_spring_beside_it_earns_nothing():
+    made = applied("cubic", "cubic_stiffness@3+Z", "ground_spring@7+Z")
+    assert made.effects[0].values["coefficient"] == pytest.approx(1e8, rel=0.03)
+    assert made.ladder[2]["heldout_misfit"] > 0.8 * made.ladder[1]["heldout_misfit"]
+
+
+def test_what_has_no_force_in_time_is_refused():
+    with pytest.raises(ConfigError, match="restoring force"):
+        applied("cubic", "point_mass@3+Z")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A results folder whose check came from raw files, with what `operando run` would have found in it."""
+    from operando.diagnose import diagnose
+
+    files = []
+    for i, record in enumerate(records()["cubic"]):
+        files.append(tmp_path / f"run{i}.uff")
+        write_uff(files[-1], record)
+    again = [read(f).records[0] for f in files]
+    check = [CheckRun(r.name, f"{k}", estimate_frf([r], estimator="lrm")) for k, r in enumerate(again)]
+    found = diagnose(STRIP.idle(), check=list(frfs("cubic")), records=again, band=BAND, kinds=["cubic_stiffness"], places=["3+Z", "5+Z"])
+    results = Results(
+        "a strip", {"band": list(BAND)}, idle=STRIP.idle(), check=check, idle_frf=check[0].frf, diagnosis=found.to_dict(),
+    )  # fmt: skip
+    save_results(results, tmp_path / "model.h5")
+    return tmp_path
+
+
+def asked(*arguments):
+    done = CliRunner().invoke(main, [*map(str, arguments), "--json"])
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def test_from_the_command_line(folder):
+    stored = load_results(folder).diagnosis
+    assert [e["kind"] for e in stored["effects"]] == ["cubic_stiffness"]
+    levels = stored["picture"]["levels"]
+    assert [c["measured"] for c in levels["curves"]] == [True, True, False]
+    assert levels["curves"][2]["force_n"] == pytest.approx(2 * levels["curves"][1]["force_n"])
+    # Taken back: the idle model; another one in its place: the tool says what would do better.
+    assert [row["step"] for row in asked("remove", folder, 1)["ladder"]] == [0]
+    wrong = asked("add", folder, "clearance@6+Z")
+    assert wrong["ladder"][1]["heldout_misfit"] > 0.2 * wrong["ladder"][0]["heldout_misfit"]
+    assert any("cubic_stiffness" in w for w in wrong["words"])
+    asked("remove", folder, 1)
+    right = asked("add", folder, "cubic_stiffness@3+Z")
+    assert right["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(1e8, rel=0.02)
+    assert right["ladder"][1]["heldout_misfit"] < 0.01 * right["ladder"][0]["heldout_misfit"]
+    assert (folder / "ofrf_effect.uff").is_file()
+    assert "cubic stiffness" in (folder / "report.html").read_text()
+    # What happens at another level.
+    low, high = (
+        asked("ofrf", folder, "--route", "effect", "--level", n, "--responses", "3+Z", "--references", "2+Z", "--frequencies", "5:90:0.5")
+        for n in (1, 20)
+    )
+    assert low["level_n"] == 1
+    peak = lambda d: max(range(len(d["frequencies_hz"])), key=lambda i: abs(complex(*d["data"][0][0][i])))  # noqa: E731
+    assert high["frequencies_hz"][peak(high)] != low["frequencies_hz"][peak(low)]
+
+
+def test_a_record_that_is_gone_is_named(folder):
+    (folder / "run1.uff").unlink()
+    done = CliRunner().invoke(main, ["add", str(folder), "clearance@6+Z", "--json"])
+    assert done.exit_code == 1
+    assert "run1.uff" in json.loads(done.stdout)["where"]
+    with pytest.raises(MissingError, match="not there"):
+        check_records(str(folder), load_results(folder))
