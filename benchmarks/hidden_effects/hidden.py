@@ -314,7 +314,10 @@ def _maker(kind: str, structure: Structure, rng: np.random.Generator, base: Hidd
         return bedded, 1e-5 * typical_mass * centre**2, typical_mass * centre**2
     if kind == "inerter":  # f = m·(a₁ − a₂) between two places: the catalogue has no such coupling
         j = int(rng.choice([k for k in free if k != i]))
-        d = np.outer(b - rows[j], b - rows[j])
+        # In one direction at both ends: between sensors of opposite sense it would be a mass half-way, which the catalogue has.
+        one, other = sensors[i].name, sensors[j].name
+        turned = -1 if one[-1] == other[-1] and one[-2] != other[-2] else 1
+        d = np.outer(b - turned * rows[j], b - turned * rows[j])
         ends = [sensors[i], sensors[j]]
         return lambda m: state(replace(system, mass=system.mass + m * d), ends, {"mass": m}), 1e-4 * typical_mass, typical_mass
     if kind == "added_inertia":
