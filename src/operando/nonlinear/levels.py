@@ -27,6 +27,9 @@ TURNS, CLOSE = 120, 1e-3
 MIX, SHORTEST = 0.5, 0.03
 """Turns at most, relative change at which they end, and how far a turn goes at first and at least."""
 
+TOO_FAR, LEAP = 2.0, 20.0
+"""Growth of the change at which turns become shorter, and how many turns the secant may go ahead."""
+
 
 def at_level(
     idle: ModalModel, effects: Sequence[Effect], level: float, reference: Any, band: tuple[float, float] | None = None, seed: int = 0
@@ -90,6 +93,7 @@ def at_level(
     level_dependent = np.array([e.definition.level_dependent for e in effects])
     k, c, mean = np.zeros((3, len(laws)))
     mix, last = MIX, np.inf
+    before = (np.zeros((2, len(laws))), np.zeros((2, len(laws))))
     for turn in range(TURNS):
         x, v = _motion(across, driven * force[:, None], k, c, w, inside, samples)
         new = np.empty((2, len(laws)))
@@ -106,11 +110,20 @@ def at_level(
         change = np.abs(new - [k, c]) * pace / np.maximum(np.sum(np.abs(new) * pace, axis=0), 1e-300)
         settled = change.max() < CLOSE and np.all(np.abs(step) < CLOSE * x.std(axis=1))
         # The first turn has nothing to mix with; where turns go too far, shorter ones.
-        if turn > 1 and change.max() > last:
+        if turn > 1 and change.max() > TOO_FAR * last:
             mix = max(0.6 * mix, SHORTEST)
         last = float(change.max())
-        share = 1.0 if turn == 0 else mix
-        k, c, mean = k + share * (new[0] - k), c + share * (new[1] - c), mean + share * step
+        here = np.stack([k, c])
+        ahead = new - here
+        move = (1.0 if turn == 0 else mix) * ahead
+        if turn > 1:
+            # The secant through the last two turns (Anderson 1965, depth one): where each changes little, many would be needed.
+            bend = ahead - before[1]
+            along = float(np.sum(ahead * bend * pace**2) / max(np.sum((bend * pace) ** 2), 1e-300))
+            move -= np.clip(along, -LEAP, 1.0) * (here - before[0] + mix * bend)
+        before = here, ahead
+        k, c = here + move
+        mean = mean + (1.0 if turn == 0 else mix) * step
         if not (np.all(np.isfinite(k)) and np.all(np.isfinite(c))):
             break
         if settled:
@@ -129,5 +142,5 @@ def _motion(across: Complex, driven: Complex, k: Real, c: Real, w: Real, inside:
     full = np.zeros((2, k.size, samples // 2 + 1), complex)
     full[0][:, inside] = x.T
     full[1][:, inside] = 1j * w * x.T
-    both = sfft.irfft(full, SAMPLES, axis=-1)
+    both = sfft.irfft(full, samples, axis=-1)
     return both[0], both[1]

@@ -26,6 +26,9 @@ NOISE_SHARE = 0.5
 BOTH_CHANGED = 0.06
 """Rms off-diagonals of mass and stiffness both above this: the span of the idle modes does not hold the operational ones."""
 
+WORTH_TELLING = 2.0
+"""Per cent that the scale of the operational shapes is in doubt by, below which a change of mass is not spoken of."""
+
 MASS_SURE = 0.008
 """Rms off-diagonal of the mass beyond what noise explains, from which mass is said to have changed though it is kept for the scale."""
 
@@ -101,8 +104,9 @@ def choose_method(
     doubt = scale_doubt(idle, operating, task, "mass")
     evidence["off_diagonal_mass_beyond_noise"] = doubt.mass
     evidence["off_diagonal_stiffness_beyond_noise"] = doubt.stiffness
-    if min(by_mass, by_stiffness) > max(BOTH_CHANGED, 3 * noise) or doubt.mass > MASS_SURE:
-        percent = 50 * float(np.sqrt(np.mean(doubt.common**2 + doubt.own**2)))
+    percent = 50 * float(np.sqrt(np.mean(doubt.common**2 + doubt.own**2)))
+    both = min(by_mass, by_stiffness) > max(BOTH_CHANGED, 3 * noise)
+    if both or (doubt.mass > MASS_SURE and percent > WORTH_TELLING):
         findings = (
             Finding(
                 "mass_changed",
