@@ -106,6 +106,7 @@ def test_from_the_command_line(folder):
     right = asked("add", folder, "cubic_stiffness@3+Z")
     assert right["effects"][0]["parameters"]["coefficient"]["value"] == pytest.approx(1e8, rel=0.02)
     assert right["ladder"][1]["heldout_misfit"] < 0.01 * right["ladder"][0]["heldout_misfit"]
+    assert load_results(folder).diagnosis["picture"]["levels"]["curves"]
     assert (folder / "ofrf_effect.uff").is_file()
     assert "cubic stiffness" in (folder / "report.html").read_text()
     # What happens at another level.

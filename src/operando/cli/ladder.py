@@ -112,7 +112,7 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
     from operando.compare import with_effect
     from operando.diagnose import Model, apply_effects
-    from operando.diagnose.from_records import apply_levels, need_records
+    from operando.diagnose.from_records import apply_levels, need_records, with_levels
     from operando.pipeline.outputs import write_output
     from operando.store import save_results
 
@@ -145,6 +145,9 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
     more = {key: done[key] for key in ("picture", "simulation") if key in done}
+    if "picture" in more:
+        more["picture"], notes = with_levels(more["picture"], idle, applied.effects, runs, band or idle.band_hz)
+        by_hand["words"] = [*done["words"], *notes]
     results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "by_hand": by_hand} | more
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
     if results.comparison is not None:

@@ -138,6 +138,7 @@ def levenberg(
 
 
 def solve(matrix: Array, right: Array) -> Array:
+    """x of matrix·x = right, scaled to a unit diagonal; of least norm where the matrix is singular."""
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
     try:
         return np.asarray(np.linalg.solve(matrix * scale[:, None] * scale, right * scale) * scale)
@@ -146,6 +147,7 @@ def solve(matrix: Array, right: Array) -> Array:
 
 
 def inverse(normal: Array) -> Array:
+    """Inverse of a symmetric matrix, scaled to a unit diagonal; directions that nothing tells count as known."""
     if not normal.size:
         return normal
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
