@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
+from operando.diagnose.afar import from_afar
 from operando.diagnose.levenberg import effect_dofs, weights
 from operando.diagnose.missing_mode import missing_mode_candidate
 from operando.diagnose.predict import IdleArrays, Term, channel_maps, predict
@@ -289,11 +290,13 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
         same = [c for c in found if c.term.dofs == best.term.dofs and c.term.kind.places == 1 and c.term.kind.kind not in have]
         tried = [t for t in tried if t.term.dofs != best.term.dofs or t.term.kind.kind in have]
         tried += [problem.tried(with_shapes(problem, problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False))) for c in same]
-    # All by one variance, that of the model with the best of them: the idle model's own says too little of columns never driven.
-    here = problem.allowing(min(tried, key=lambda t: t.selection).fit)
-    ranked = sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection)
+    ranked, here = by_the_best(problem, tried)
     if clear:
         return ranked, here
+    if ranked[0].selection > POOR and not fit.terms:
+        more = [problem.tried(f) for f in from_afar(problem, found)]
+        places = {t.term.key for t in more}
+        ranked, here = by_the_best(problem, [*more, *(t for t in tried if t.term.key not in places)])
     poor = ranked[0].selection > POOR
     if poor:
         # None of them is all that is missing. What the lines known best say of a model that lacks something ranks nothing.
@@ -305,6 +308,12 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
         ranked[k] = min(t, here.tried(weighing.joint(t.fit.terms, t.fit.q, start=t.fit)), key=lambda t: t.selection)
     ranked.sort(key=lambda t: t.selection)
     return ranked, here
+
+
+def by_the_best(problem: Problem, tried: Sequence[Tried]) -> tuple[list[Tried], Problem]:
+    """All by one variance, that of the model with the best of them: the idle model's own says too little of columns never driven."""
+    here = problem.allowing(min(tried, key=lambda t: t.selection).fit)
+    return sorted((here.tried(t.fit) for t in tried), key=lambda t: t.selection), here
 
 
 def with_shapes(problem: Problem, fit: Fit) -> Fit:
