@@ -210,6 +210,25 @@ def test_gradient_is_that_of_the_cost(fitted):
         assert (up - base) / eps == pytest.approx(-2 * gradient[index], rel=2e-3, abs=1e-4 * abs(base))
 
 
+def test_modes_added_to_a_fit_keep_what_it_has(fitted):
+    """From the fitted modes and new ones in between, the fit with more modes ends no worse, and finds the mode that was left out."""
+    from operando.ema.order import _grown, refine
+
+    chain, records, _, _ = fitted
+    runs = [record_spectra(record, DOFS, (15, 130)) for record in records]
+    left_out = int(np.argsort(chain.hz)[2])
+    keep = [r for r in np.argsort(chain.hz) if r != left_out]
+    fit = refine(runs, 6, chain.hz[keep], chain.zeta[keep], lower=False)
+    start = _grown(runs, 6, fit.parameters, [(float(chain.hz[left_out]) * 1.001, 0.01)])
+    assert np.all(np.diff(start.hz) > 0) and start.hz.size == 6
+    old = ~np.isclose(start.hz, chain.hz[left_out] * 1.001)
+    assert np.array_equal(start.shapes[:, old], fit.parameters.shapes)
+    assert all(t.shape == (2, 6) for t in start.transients)
+    more = refine(runs, 6, start.hz, start.zeta, lower=False, start=start)
+    assert more.cost < 0.2 * fit.cost
+    assert np.abs(more.parameters.hz - chain.hz[left_out]).min() < 1e-3 * chain.hz[left_out]
+
+
 def test_second_opinion_beside_it(fitted):
     os.environ.setdefault("MPLBACKEND", "Agg")
     _, _, frf, _ = fitted

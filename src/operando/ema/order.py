@@ -191,6 +191,9 @@ def search_order(
         grown_zeta = np.concatenate([fit.parameters.zeta, [z for _, z in new]])
         rank = np.argsort(grown_hz)
         trial = refine(thinned, n_dofs, grown_hz[rank], grown_zeta[rank], lower=lower)
+        if trial.cost > fit.cost:
+            # More modes cannot fit worse: the linear start led astray.
+            trial = refine(thinned, n_dofs, grown_hz, grown_zeta, lower=lower, start=_grown(thinned, n_dofs, fit.parameters, new))
         fall = fit.cost - trial.cost
         needed = _price(thinned) * len(new) * max(1.0, trial.cost / trial.n_data)
         tried += [h for h, _ in new]
@@ -207,6 +210,18 @@ def search_order(
         fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
         log.rounds.append(f"last look: {out.size} modes taken out, {keep.size} left")
     return fit, log
+
+
+def _grown(runs: Sequence[RunSpectra], n_dofs: int, theta: Parameters, new: Sequence[tuple[float, float]]) -> Parameters:
+    """The fitted parameters and a few more modes, these with the shapes of a linear start; in order of frequency."""
+    hz = np.concatenate([theta.hz, [h for h, _ in new]])
+    zeta = np.concatenate([theta.zeta, [z for _, z in new]])
+    residues = linear_residues(runs, hz, zeta, theta.outside_hz)
+    shapes = np.c_[theta.shapes, rank_one(runs, residues, n_dofs)[0][:, theta.hz.size :]]
+    rank = np.argsort(hz)
+    more = np.zeros((2, len(new)))
+    transients = tuple(np.c_[t, more][:, rank] if t.size else t for t in theta.transients)
+    return Parameters(hz[rank], zeta[rank], shapes[:, rank], theta.outside_hz, transients, theta.local)
 
 
 def _price(runs: Sequence[RunSpectra]) -> float:
