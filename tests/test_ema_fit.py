@@ -220,7 +220,8 @@ def test_modes_added_to_a_fit_keep_what_it_has(fitted):
     keep = [r for r in np.argsort(chain.hz) if r != left_out]
     fit = refine(runs, 6, chain.hz[keep], chain.zeta[keep], lower=False)
     start = _grown(runs, 6, fit.parameters, [(float(chain.hz[left_out]) * 1.001, 0.01)])
-    assert np.all(np.diff(start.hz) > 0) and start.hz.size == 6
+    assert np.all(np.diff(start.hz) > 0)
+    assert start.hz.size == 6
     old = ~np.isclose(start.hz, chain.hz[left_out] * 1.001)
     assert np.array_equal(start.shapes[:, old], fit.parameters.shapes)
     assert all(t.shape == (2, 6) for t in start.transients)

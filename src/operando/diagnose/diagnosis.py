@@ -273,9 +273,12 @@ def _search(
 
 
 def lowering(judge: Sequence[float]) -> int:
-    """How many steps of a ladder are left when further effects, the last first, that clearly raise the judge's misfit are taken back."""
+    """How many steps of a ladder are left when further effects, the last first, that raise the judge's misfit are taken back.
+
+    Where the data allow no better, a rise within what noise does counts as none.
+    """
     kept = len(judge)
-    while kept > 2 and judge[kept - 1] > (1 + EARNED) * judge[kept - 2]:
+    while kept > 2 and judge[kept - 1] > (1 + EARNED if judge[kept - 1] < GOOD else 1) * judge[kept - 2]:
         kept -= 1
     return kept
 

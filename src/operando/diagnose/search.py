@@ -33,6 +33,10 @@ FIRSTS = 3
 """First effects from which the search starts again where it ends poorly."""
 
 
+NO_EXCHANGE = 10.0
+"""Selection misfit with as many effects as are looked for above which exchanging one of them cannot make them good."""
+
+
 @dataclass
 class Search:
     """Effects accepted one after the other.
@@ -93,7 +97,8 @@ def search(
         return simplified(problem, found)
     if found.before[-1] > POOR:
         found = from_others(problem, found, most)
-    if len(found.history) > 1:
+    hopeless = len(found.history) == most and found.before[-1] > NO_EXCHANGE
+    if len(found.history) > 1 and not hopeless:
         fits, history = swap(problem, found.fits, found.history)
         found = replace(found, fits=fits, history=history)
     return simplified(problem, found)
