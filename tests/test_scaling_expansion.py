@@ -132,10 +132,64 @@ def test_modes_carried_over_are_as_uncertain_as_they_moved():
 
 
 def test_what_pairs_show_of_change_lessens_with_frequency_for_a_stiffness():
-    pairs, beyond = np.array([50.0, 100.0]), np.array([40.0, 158.113883, 500.0])
+    pairs, beyond = np.array([50.0, 100.0]), np.array([60.0, 158.113883, 500.0])
     middle = np.sqrt(np.mean(pairs**2))
     np.testing.assert_allclose(lessened(beyond, pairs, 0.0), np.minimum((middle / beyond) ** 2, 1))
     np.testing.assert_allclose(lessened(beyond, pairs, 1.0), 1)
+
+
+def test_a_stiffness_leaves_modes_far_below_all_pairs_as_they_are():
+    """A free structure: rigid bodies below the band stay as they are, whatever springs between its parts do to the modes above."""
+    pairs = np.array([10.0, 20.0, 30.0, 33.0, 36.0, 40.0])
+    low = lessened(np.array([0.1, 2.0, 9.5]), pairs, 0.0)
+    assert low[0] < 0.01 < low[1] < 0.2 < low[2] <= 1
+    # A residual mode stands for modes anywhere below the band.
+    assert lessened(np.array([0.1]), pairs, 0.0, 2.0)[0] == pytest.approx(low[1])
+    assert lessened(np.array([0.1]), pairs, 0.0, 9.9)[0] == 1
+    # A change of mass changes their size, though it mixes them little.
+    assert low[1] < lessened(np.array([2.0]), pairs, 1.0)[0] < 1
+
+
+def test_rigid_bodies_of_a_free_chain_keep_their_shape_in_the_band():
+    """The change of a spring between parts, exact modes: the carried rigid-body mode is exact, and the band at low frequency is narrow."""
+    chain = Chain(N, spread=0.3, seed=1)
+    free = chain.K - np.diag(np.sum(chain.K, axis=1))
+    more = np.zeros((N, N))
+    more[np.ix_([3, 4], [3, 4])] = 0.4 * -free[3, 4] * np.array([[1, -1], [-1, 1]])
+    small = np.full(N * (2 + N), 1e-12)
+    made = []
+    for stiffness in (free, free + more):
+        value, phi = eigh(stiffness, chain.M)
+        made.append((np.sqrt(np.maximum(value, 1e-2)) / 2 / np.pi, phi))
+    residual = np.arange(N) < 1
+    band = (0.7 * made[0][0][1], 1.2 * made[0][0][-1])
+    zeta = np.full(N, 0.01)
+    idle = ModalModel(
+        made[0][0], zeta, made[0][1], DOFS, "unit_modal_mass", residual=residual, in_band=~residual, band_hz=band,
+        covariance=np.diag(small), si=True,
+    )  # fmt: skip
+    size = np.full((N - 1) * (2 + 2 * N), 1e-12)
+    running = ModalModel(made[1][0][1:], zeta[1:], made[1][1][:, 1:] + 0j, DOFS, "unscaled", covariance=np.diag(size))
+    modal = scale_operational(idle, running).modal
+    at = slice(2 * N + (N - 1) * N, 2 * N + N * N)
+    spread = np.sqrt(np.trace(modal.covariance[at, at])) / np.linalg.norm(made[0][1][:, 0])
+    highest = np.mean([1 - np.sum(a * b) ** 2 / (np.sum(a**2) * np.sum(b**2)) for a, b in zip(made[0][1].T[-8:], made[1][1].T[-8:])])
+    assert spread < 0.3 * np.sqrt(highest)
+
+
+def test_an_idle_mode_that_may_be_noise_takes_no_part():
+    """A ghost at the frequency of an operational mode, its shape far smaller than its standard deviation, must not blow up the band."""
+    chain = Chain(N, spread=0.3, seed=1)
+    target = modified(chain, spring=(3, 1.5e5))
+    ghost = 1e-3 * np.random.default_rng(5).standard_normal(N)
+    hz, zeta = np.append(chain.hz, target.hz[4] * 0.999), np.append(chain.zeta, 0.006)
+    std = np.concatenate([1e-4 * hz, 0.01 * zeta, np.repeat(1e-3 * np.sqrt(np.mean(chain.phi**2, axis=0)), N), np.full(N, 0.03)])
+    idle = ModalModel(hz, zeta, np.c_[chain.phi, ghost], DOFS, "unit_modal_mass", covariance=np.diag(std**2), si=True)
+    running = noisy(target, 0.01, np.random.default_rng(6))
+    modal = scale_operational(idle, running).modal
+    n = len(modal.frequencies_hz)
+    at = slice(2 * n + 4 * N, 2 * n + 5 * N)
+    assert np.sqrt(np.trace(modal.covariance[at, at])) < 0.05 * np.linalg.norm(modal.shapes[:, 4])
 
 
 def test_a_change_of_mass_that_cannot_be_scaled_away_widens_the_band():

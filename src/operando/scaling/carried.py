@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.scaling.doubt import DIAGONAL
+
 NEIGHBOURS = 8
 """Highest pairs that speak for the modes above them."""
 
@@ -15,6 +17,9 @@ LEAST = 4
 
 LEAST_LEFT = 0.1
 """Idle modes of which less than this is left are not carried over."""
+
+CLOSEST = 0.02
+"""Relative distance of frequencies below which the mixing of modes grows no more: a bandwidth."""
 
 SURE = 2.0
 """Standard errors below which a common shift counts as none."""
@@ -82,11 +87,13 @@ def shape_change(idle: NDArray[np.float64], operating: NDArray[np.float64]) -> f
     return float(np.sqrt(np.mean(np.maximum(1 - likeness, 0))))
 
 
-def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_share: float) -> NDArray[np.float64]:
+def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_share: float, below_hz: float = 0.0) -> NDArray[np.float64]:
     """Factor on what the highest pairs show of change, for modes beyond them.
 
-    A stiffness at a place changes ω² of every mode by as much, so relatively by less the higher the mode, as its participation in other
-    modes; a mass changes all alike. The mean square of both laws, weighted by what changed.
+    Above: a stiffness at a place changes ω² of every mode by as much, so relatively by less the higher the mode, as its participation in
+    other modes; a mass changes all alike. Below all pairs: a change of stiffness mixes mode k into mode j by √(δ_j·δ_k)·ω_jω_k/(ω_k² − ω_j²)
+    (``expansion``), little where ω_j lies far below; a change of mass Δm changes its size by Δm_jj/2, where neighbours among the pairs
+    are mixed by Δm_jk·ω²/(ω_k² − ω²). The mean square of both laws, weighted by what changed.
 
     Parameters
     ----------
@@ -96,12 +103,27 @@ def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_s
         Of the paired idle modes.
     mass_share : float
         Part of what changed that is mass.
+    below_hz : float
+        Lower end of the band: a residual mode below it stands for modes anywhere up to there.
     """
     if pairs_hz.size == 0:
         return np.ones(idle_hz.size)
-    middle = float(np.sqrt(np.mean(np.sort(pairs_hz)[-NEIGHBOURS:] ** 2)))
-    law = np.minimum((middle / np.maximum(idle_hz, 1e-12)) ** 4, 1)
-    return np.asarray(np.sqrt(mass_share + (1 - mass_share) * law))
+    ordered = np.sort(pairs_hz)
+    middle = float(np.sqrt(np.mean(ordered[-NEIGHBOURS:] ** 2)))
+    stiffness, mass = np.minimum((middle / np.maximum(idle_hz, 1e-12)) ** 4, 1), np.ones(idle_hz.size)
+    below = idle_hz < ordered[0]
+    if np.any(below) and ordered.size > 1:
+        among = float(np.mean([_mixing(f, ordered) for f in ordered[-NEIGHBOURS:]]))
+        reach = np.array([_mixing(max(f, below_hz), ordered) for f in idle_hz[below]])
+        stiffness[below] = np.minimum(reach / among, 1)
+        mass[below] = min(DIAGONAL / 4 / among, 1)
+    return np.asarray(np.sqrt(mass_share * mass + (1 - mass_share) * stiffness))
+
+
+def _mixing(hz: float, others: NDArray[np.float64]) -> float:
+    """Σ (f·f_k/(f_k² − f²))² over other modes, no closer than ``CLOSEST``."""
+    ratio = others[others != hz] / hz
+    return float(np.sum((1 / np.maximum(np.abs(ratio - 1 / ratio), 2 * CLOSEST)) ** 2))
 
 
 def part_left(participation: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -122,6 +122,7 @@ def make_prior(
     partners: NDArray[np.int_],
     noise: NDArray[np.float64] | None = None,
     hz_noise: NDArray[np.float64] | None = None,
+    idle_std: NDArray[np.float64] | None = None,
 ) -> Prior:
     """Prior of each operational shape; its width and remainder are the most likely of a small grid (empirical Bayes).
 
@@ -137,8 +138,11 @@ def make_prior(
         Covariance of each column of ``unit_shapes``; without it the shapes count as nearly exact.
     hz_noise : (n_operating,) array, optional
         Relative standard deviation of the operational frequencies.
+    idle_std : (m, n_idle) array, optional
+        Standard deviation of the idle shapes: a mode that may as well be noise takes little part, unless it is the partner.
     """
     m, n = unit_shapes.shape
+    sure = np.ones(idle.shape[1]) if idle_std is None else reliability(idle, idle_std)
     each = np.eye(m) / m
     outside = np.eye(m) - idle @ np.linalg.pinv(idle) if idle.shape[1] < m else np.zeros((m, m))
     shift = frequency_shifts(idle_hz, operating_hz, partners, hz_noise)
@@ -151,7 +155,7 @@ def make_prior(
     tables = []
     for r in range(n):
         relative, j = _relative(idle, idle_hz, operating_hz[r], damping[r], int(partners[r]), shift[0][r], shift[1])
-        tables.append(_trials(idle, relative, j, unit_shapes[:, r], cov[r], outside))
+        tables.append(_trials(idle, relative, j, unit_shapes[:, r], cov[r], outside, sure))
     chosen, likely = _common_width(np.array([[trial.evidence for trial in table] for table in tables]))
     taken = [tables[r][k] for r, k in enumerate(chosen)]
     louder = np.array([trial.noise_factor for trial in taken])
@@ -164,6 +168,12 @@ def make_prior(
         tuple(tuple(zip(weights.tolist(), table, strict=True)) for weights, table in zip(likely, tables, strict=True)),
     )
     return replace(found, mixing=_mixing(idle, unit_shapes, found, operating_hz))
+
+
+def reliability(idle: NDArray[np.float64], std: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Part of the mean square of each idle shape (columns) that is not its own error: Σφ²/(Σφ² + Σσ²)."""
+    size, error = np.sum(idle**2, axis=0), np.sum(std**2, axis=0)
+    return np.asarray(size / np.maximum(size + error, 1e-300))
 
 
 def _common_width(evidence: NDArray[np.float64]) -> tuple[list[int], NDArray[np.float64]]:
@@ -224,13 +234,14 @@ def _trials(
     shape: NDArray[np.float64],
     noise: NDArray[np.float64],
     outside: NDArray[np.float64],
+    sure: NDArray[np.float64],
 ) -> list[Trial]:
     """Each trial width with its best remainder and noise factor."""
     m = shape.size
     size = np.maximum(np.linalg.norm(idle, axis=0), 1e-12 * np.max(np.linalg.norm(idle, axis=0)))
     out = []
     for t in WIDTHS:
-        std = np.minimum(t * relative, 3 / size)
+        std = np.minimum(t * relative, 3 / size) * sure
         std[leading] = 3 / size[leading]
         spread = (idle * std**2) @ idle.T
         best = Trial(-np.inf, std, 0.0, 1.0)

@@ -97,6 +97,7 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
             partners,
             None if noise is None else noise[0],
             _hz_noise(proper),
+            None if idle.shape_std is None else np.asarray(idle.shape_std, float)[idle_rows],
         ),
     )
     shapes, refused = _all_methods(method, e, o, task)
@@ -124,7 +125,8 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         covariance = covariance + class_flips(choice.method, e, o, task, likely, covariance.shape[0], proper.n_modes + carried.size)
         imaginary = _unexplained_imaginary(o, out, None if noise is None else noise[1])
         change = shape_change(e[:, [real_idle[p.idle] for p in alike]], out[:, [p.operating for p in alike]])
-        less = lessened(idle.frequencies_hz[carried], idle.frequencies_hz[[real_idle[p.idle] for p in alike]], doubt.mass_share)
+        lowest = idle.band_hz[0] if idle.band_hz else 0.0
+        less = lessened(idle.frequencies_hz[carried], idle.frequencies_hz[[real_idle[p.idle] for p in alike]], doubt.mass_share, lowest)
         covariance = with_unseen_change(
             covariance, models[choice.method], proper.n_modes, imaginary, shift.spread * less, change * less, doubt
         )
