@@ -1,14 +1,19 @@
-"""Do the 95 % bands of operational FRFs hold? Draws from raw records: both hidden-effect families and the paper's structure.
+"""Do the 95 % bands of operational FRFs hold, and does ``auto`` keep up with the best fixed method? Draws from raw records.
 
-    python benchmarks/ofrf_bands.py FOLDER [--draws 240] [--first-seed 700]     # makes raw files, identifies, judges; resumes
+    python benchmarks/ofrf_bands.py FOLDER [--blocks 22] [--first-seed 2000]    # makes raw files, identifies, judges; resumes
     python benchmarks/ofrf_bands.py FOLDER --results RUNS --answers ANSWERS     # judges results folders that are there
-    python benchmarks/ofrf_bands.py FOLDER --table                              # only prints the table
+    python benchmarks/ofrf_bands.py FOLDER --table                              # only prints the tables
 
-Every draw is another structure with another hidden effect (or the paper's structure with other noise and forces).
-FOLDER/draws.jsonl gets one line a draw: per region the share of lines whose band holds the exact FRF, and the rms width over the rms
-error, both relative to the rms FRF of the line. Effects that no symmetric sum of modes can hold (gyroscopic, circulatory) are drawn and
-told apart; faults of sensors, which change the measurement and not the structure, are not drawn. Raw files are removed after each
-draw, models are kept.
+What is drawn: ``ofrf_draws.py``. FOLDER/draws.jsonl gets one line a draw; raw files are removed after each draw, models are kept. A region
+of a draw (on: within 2ζ of an operational mode; driven: input or output at a reference) has four figures:
+
+- coverage: share of lines and pairs whose band holds the exact OFRF;
+- width over error, rms: √(Σσ²/Σ|ΔH|²) over lines and pairs, both relative to the rms FRF of the line;
+- share of all lines and pairs;
+- width over error on a line: √(Σσ²/Σ|ΔH|²) over the pairs of each line, median over lines.
+
+σ² is the variance of the complex OFRF, |ΔH|² what it is off the exact one, so that a band as wide as the error has a ratio of 1. For draws
+of one case repeated with other forces and noise the scatter of the estimates themselves is compared with σ, too.
 """
 
 from __future__ import annotations
@@ -16,8 +21,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -25,133 +30,149 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402
 
-HERE = Path(__file__).resolve().parent
-KINDS = (
-    "ground_spring", "point_mass", "coupling_spring", "ground_damper", "tuned_absorber", "global_stiffness", "ground_rubber",
-    "coupling_damper", "ground_hysteretic_spring", "global_damping", "none", "two", "gyroscopic",
-)  # fmt: skip
-SKEW = ("gyroscopic", "circulatory")
-REGIONS = ("all", "driven, on", "driven, off", "undriven, on", "undriven, off")
+from ofrf_draws import SKEW, Draw, draw_group, estimate_of, groups, stored  # noqa: E402
+from operando.scaling import METHODS, scale_operational  # noqa: E402
+
+REGIONS = ("all", "on", "off", "driven, on", "driven, off", "undriven, on", "undriven, off")
 BOUND = -np.log(0.05)
 """|ΔH|² over its variance that a complex normal deviation exceeds on one line in twenty."""
 
 
-def judge(hybrid, lines: np.ndarray, exact: np.ndarray, dofs: list[str], references: list[str]) -> dict[str, list[float]]:
-    """Region → coverage, rms width over rms error, share of all lines. ``exact``: (dofs, dofs or references, lines)."""
+def judge(draw: Draw, estimates: Path | None = None) -> dict:
+    """Regions and errors of a draw by the present code; what the scatter needs goes to ``estimates``."""
+    hybrid = scale_operational(draw.idle, draw.operating, draw.threshold)
+    plain = [d.replace("-", "+") for d in draw.dofs]
     have = {str(d).replace("-", "+") for d in hybrid.modal.dofs}
-    keep = [i for i, d in enumerate(dofs) if d.replace("-", "+") in have]
-    labels = [dofs[i] for i in keep]
-    inputs = labels if exact.shape[1] == len(dofs) else references
-    exact = exact[keep][:, keep] if inputs is labels else exact[keep]
-    frf = hybrid.frf(lines, labels, inputs)
-    error, size = np.abs(frf.data - exact) ** 2, np.mean(np.abs(exact) ** 2, axis=(0, 1))
-    known = {r.replace("-", "+") for r in references}
+    keep = [i for i, d in enumerate(plain) if d in have]
+    known = {r.replace("-", "+") for r in draw.references}
+    labels = [draw.dofs[i] for i in keep]
+    square = draw.exact.shape[1] == len(draw.dofs)
+    inputs = labels if square else draw.references
+    exact = draw.exact[keep][:, keep] if square else draw.exact[keep]
+    frf = hybrid.frf(draw.lines, labels, inputs)
+    if estimates is not None:
+        estimates.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(estimates, **estimate_of(frf, exact))
+    at = [i for i, name in enumerate(inputs) if name.replace("-", "+") in known]
+    errors = {
+        name: _error_db(model.frf(draw.lines, labels, [inputs[i] for i in at], variance=False).data, exact[:, at])
+        for name, model in hybrid.alternative_models.items()
+    }
     driven = np.array([[i.replace("-", "+") in known or o.replace("-", "+") in known for i in inputs] for o in labels])
-    modes = hybrid.operating.modes_proper()
+    on = _near_modes(hybrid.operating.modes_proper(), draw.lines)
+    return {
+        "name": draw.name,
+        "effects": draw.effects,
+        "regions": _regions(np.abs(frf.data - exact) ** 2, np.asarray(frf.variance), exact, driven, on),
+        "method": hybrid.method,
+        "error_db": errors,
+    }
+
+
+def _near_modes(modes, lines: np.ndarray) -> np.ndarray:
+    """Lines within 2ζ of a mode."""
     reach = np.maximum(2 * modes.damping_ratios, 0.004) * modes.frequencies_hz
-    on = np.any(np.abs(lines[:, None] - modes.frequencies_hz) < reach, axis=1)
+    return np.any(np.abs(lines[:, None] - modes.frequencies_hz) < reach, axis=1)
+
+
+def _error_db(made: np.ndarray, exact: np.ndarray) -> float:
+    """Rms over lines and pairs, inputs at the references."""
+    return float(np.sqrt(np.mean((20 * np.log10(np.abs(made) / np.abs(exact))) ** 2)))
+
+
+def _regions(error: np.ndarray, variance: np.ndarray, exact: np.ndarray, driven: np.ndarray, on: np.ndarray) -> dict[str, list[float]]:
+    """Region → coverage, rms width over rms error, share, median over lines of the width over the error."""
+    size = np.mean(np.abs(exact) ** 2, axis=(0, 1))
     out = {}
     for region in REGIONS:
-        pairs = np.ones_like(driven) if region == "all" else driven == region.startswith("driven")
-        part = pairs[:, :, None] & (np.ones_like(on) if region == "all" else on == region.endswith("on"))
-        if part.any():
-            inside = float(np.mean((error < BOUND * frf.variance)[part]))
-            width = float(np.sqrt(np.mean((frf.variance / size)[part]) / np.mean((error / size)[part])))
-            out[region] = [inside, width, float(part.mean())]
+        pairs = np.ones_like(driven) if "driven" not in region else driven == region.startswith("driven")
+        lines = on if region.endswith("on") else ~on if region.endswith("off") else np.ones_like(on)
+        if pairs.any() and lines.any():
+            e, v = error[pairs][:, lines], variance[pairs][:, lines]
+            inside = float(np.mean(e < BOUND * v))
+            width = float(np.sqrt(np.mean(v / size[lines]) / np.mean(e / size[lines])))
+            each = float(np.median(np.sqrt(np.mean(v, axis=0) / np.mean(e, axis=0))))
+            out[region] = [inside, width, float(pairs.mean() * lines.mean()), each]
     return out
 
 
-def judge_folder(results: Path, answers: Path) -> dict[str, list[float]]:
-    """A results folder of a hidden-effect case, scaled anew by the present code."""
-    from operando.scaling import scale_operational
-    from operando.store import load_results
-
-    found = load_results(results / "model.h5", only=("idle", "operating"))
-    answer = json.loads(answers.with_suffix(".json").read_text())
-    with np.load(answers.with_suffix(".npz")) as kept:
-        lines, exact, dofs = kept["f"], kept["H"].astype(complex), [str(d) for d in kept["dofs"]]
-    return judge(scale_operational(found.idle, found.operating), lines, exact, dofs, answer["references"])
+def skewed(row: dict) -> bool:
+    """Whether the effect is one that a sum of real modes cannot hold."""
+    return any(kind in SKEW for kind in row["effects"])
 
 
-def draw_hidden(name: str, folder: Path) -> dict[str, list[float]]:
-    """One draw of a family, from raw files written here."""
-    sys.path.append(str(HERE / "hidden_effects"))
-    import generate
-
-    from operando.pipeline import run
-
-    case = generate.write(generate.parse(name), folder)
-    try:
-        run(case / "test.toml", folder / "results" / name, until="ofrf")
-    finally:
-        shutil.rmtree(case, ignore_errors=True)
-    return judge_folder(folder / "results" / name, folder / "answers" / name)
-
-
-def draw_paper(name: str, folder: Path) -> dict[str, list[float]]:
-    """One draw of the paper's structure: ``paper-CASE-SEED``, 0.5 % noise on every channel."""
-    sys.path.append(str(HERE / "paper"))
-    import exact
-    import recordings
-    from raw import BANDS
-    from tripod import DOFS, exact_modes
-
-    from operando.pipeline import run
-
-    _, number, seed = name.split("-")
-    case = f"case {number}"
-    rest, target = exact_modes("original", folder / "modes"), exact_modes(case, folder / "modes")
-    where, corners = folder / "cases" / name, [f"{c}+Z" for c in recordings.CORNERS]
-    band = list(BANDS.values())[int(seed) % 2]
-    try:
-        test = recordings.write_case(where, rest, target, case, exact.EPSILON[case], noise=0.005, hits=1, seed=int(seed), band=band)
-        found = run(test, folder / "results" / name, until="ofrf")
-    finally:
-        shutil.rmtree(where, ignore_errors=True)
-    lines = np.linspace(*band, 400)
-    truth = recordings.frf(target, lines, [DOFS.index(c) for c in corners])
-    return judge(found.hybrid, lines, truth, list(DOFS), corners)
-
-
-def names(draws: int, first_seed: int) -> list[str]:
-    """The draws in the order they are made: two of a family, then one of the paper's structure, and so on."""
-    out = []
-    for k in range(draws):
-        seed = first_seed + k
-        if k % 3 == 2:
-            out.append(f"paper-{1 + k // 3 % 2}-{seed}")
-            continue
-        references = 1 + seed % 3
-        out.append(f"{('frame', 'rotor')[k % 3]}-{KINDS[k % len(KINDS)]}-{seed}-r{references}-{('shaker', 'hammer')[k // 3 % 2]}")
-    return out
-
-
-def print_table(rows: list[dict]) -> None:
-    """Coverage pooled over lines and median width, by what was drawn."""
-    kind = lambda row: row["name"].split("-")[1]  # noqa: E731
-    groups = {
-        "all but skew effects": lambda r: kind(r) not in SKEW,
-        "frame": lambda r: r["name"].startswith("frame") and kind(r) not in SKEW,
-        "rotor": lambda r: r["name"].startswith("rotor") and kind(r) not in SKEW,
+def print_bands(rows: list[dict]) -> None:
+    """Coverage pooled over lines and the two widths, median over draws, by what was drawn."""
+    chosen = {
+        "all but skew effects": lambda r: not skewed(r),
+        "frame": lambda r: r["name"].startswith("frame") and not skewed(r),
+        "rotor": lambda r: r["name"].startswith("rotor") and not skewed(r),
         "paper": lambda r: r["name"].startswith("paper"),
-        "gyroscopic, circulatory": lambda r: kind(r) in SKEW,
+        "gyroscopic, circulatory": skewed,
     }
     print("| draws | " + " | ".join(REGIONS) + " |\n|" + " --- |" * (len(REGIONS) + 1))
-    for title, chosen in groups.items():
-        part = [row["regions"] for row in rows if chosen(row)]
+    for title, choose in chosen.items():
+        part = [row["regions"] for row in rows if choose(row)]
         cells = []
         for region in REGIONS:
             values = np.array([p[region] for p in part if region in p])
-            text = f"{100 * np.average(values[:, 0], weights=values[:, 2]):.1f} %, {np.median(values[:, 1]):.2f}" if values.size else "–"
-            cells.append(text)
+            if not values.size:
+                cells.append("–")
+                continue
+            inside = 100 * np.average(values[:, 0], weights=values[:, 2])
+            cells.append(f"{inside:.1f} %, {np.median(values[:, 1]):.2f}, {np.median(values[:, 3]):.2f}")
         print(f"| {title} ({len(part)}) | " + " | ".join(cells) + " |")
+
+
+def print_methods(rows: list[dict]) -> None:
+    """Error of each method and how far ``auto`` is behind it; the best of each case is a choice nobody can make beforehand."""
+    rows = [row for row in rows if not skewed(row)]
+    auto = np.array([row["error_db"][row["method"]] for row in rows])
+    if not auto.size:
+        return
+    print("\n| method | cases | error, median and worst (dB) | auto less it: median, 95 %, worst (dB) |\n| --- | --- | --- | --- |")
+    for name in (*METHODS, "best of each case"):
+        each = [min(r["error_db"].values()) if name not in METHODS else r["error_db"].get(name, np.nan) for r in rows]
+        error = np.array(each)
+        good = np.isfinite(error)
+        if good.any():
+            d = (auto - error)[good]
+            print(
+                f"| {name} | {good.sum()} | {np.median(error[good]):.2f}, {error[good].max():.2f} "
+                f"| {np.median(d):.2f}, {np.percentile(d, 95):.2f}, {d.max():.2f} |"
+            )
+    print(f"| auto | {auto.size} | {np.median(auto):.2f}, {auto.max():.2f} | |")
+
+
+def print_scatter(folder: Path) -> None:
+    """Repeated draws: σ over the scatter of the estimates and over their rms error, median over lines and pairs."""
+    cases = defaultdict(list)
+    for path in sorted((folder / "estimates").glob("*.npz")):
+        label = path.stem.partition("@")[0]
+        if label.startswith("paper"):
+            structure, case, seed = label.split("-")
+            label = f"{structure}, case {case}, {'wide' if int(seed) % 2 else 'narrow'} band"
+        cases[label].append(path)
+    print("\n| repeated case | draws | width over scatter | width over rms error | lines held |\n| --- | --- | --- | --- | --- |")
+    for label, paths in cases.items():
+        if len(paths) < 3:
+            continue
+        loaded = [dict(np.load(path)) for path in paths]
+        made, variance = (np.array([one[key] for one in loaded]) for key in ("estimate", "variance"))
+        error = np.abs(made - loaded[0]["exact"]) ** 2
+        mean = np.mean(variance, axis=0)
+        scatter = np.sum(np.abs(made - made.mean(axis=0)) ** 2, axis=0) / (len(paths) - 1)
+        print(
+            f"| {label} | {len(paths)} | {np.median(np.sqrt(mean / scatter)):.2f} | {np.median(np.sqrt(mean / error.mean(axis=0))):.2f} "
+            f"| {100 * np.mean(error < BOUND * variance):.1f} % |"
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--draws", type=int, default=240)
-    parser.add_argument("--first-seed", type=int, default=700)
+    parser.add_argument("--blocks", type=int, default=22, help="of ten draws on average")
+    parser.add_argument("--first-seed", type=int, default=2000)
     parser.add_argument("--results", type=Path)
     parser.add_argument("--answers", type=Path)
     parser.add_argument("--table", action="store_true")
@@ -160,27 +181,32 @@ def main() -> None:
     log = options.folder / "draws.jsonl"
     done = {row["name"]: row for row in map(json.loads, log.read_text().splitlines())} if log.exists() else {}
     if options.results is not None:
-        todo = sorted(
-            p.name for p in options.results.iterdir() if (p / "model.h5").exists() and (options.answers / f"{p.name}.npz").exists()
-        )
+        folders = [p for p in sorted(options.results.iterdir()) if (p / "model.h5").exists()]
+        todo = [[p.name] for p in folders if (options.answers / f"{p.name}.npz").exists()]
     else:
-        todo = [] if options.table else names(options.draws, options.first_seed)
-    for name in todo:
-        if name in done:
+        todo = [] if options.table else list(groups(options.first_seed, options.blocks))
+    for names in todo:
+        if all(name in done for name in names):
             continue
         try:
             if options.results is not None:
-                regions = judge_folder(options.results / name, options.answers / name)
+                draws = iter([stored(options.results / names[0], options.answers / names[0])])
             else:
-                regions = (draw_paper if name.startswith("paper") else draw_hidden)(name, options.folder)
-        except Exception as error:  # one draw that fails must not end the study; it is told
-            print(f"{name}: {type(error).__name__}: {error}", file=sys.stderr)
-            continue
-        done[name] = {"name": name, "regions": regions}
-        with log.open("a") as stream:
-            stream.write(json.dumps(done[name]) + "\n")
-        print(name, " ".join(f"{100 * regions['all'][0]:.0f} % {regions['all'][1]:.2f}".split()), file=sys.stderr, flush=True)
-    print_table(list(done.values()))
+                draws = draw_group(names, options.folder)
+            for draw in draws:
+                if draw.name in done:
+                    continue
+                row = judge(draw, options.folder / "estimates" / f"{draw.name}.npz" if "@" in draw.name else None)
+                done[draw.name] = row
+                with log.open("a") as stream:
+                    stream.write(json.dumps(row) + "\n")
+                inside, width, _, each = row["regions"]["all"]
+                print(f"{draw.name} {100 * inside:.0f} % {width:.2f} {each:.2f}", file=sys.stderr, flush=True)
+        except Exception as error:  # one group that fails must not end the study; it is told
+            print(f"{' '.join(names)}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+    print_bands(list(done.values()))
+    print_methods(list(done.values()))
+    print_scatter(options.folder)
 
 
 if __name__ == "__main__":

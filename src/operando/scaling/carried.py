@@ -18,6 +18,9 @@ LEAST = 4
 LEAST_LEFT = 0.1
 """Idle modes of which less than this is left are not carried over."""
 
+NOT_HELD = 0.5
+"""Idle modes of which more than this is left are carried over though they have a partner."""
+
 CLOSEST = 0.02
 """Relative distance of frequencies below which the mixing of modes grows no more: a bandwidth."""
 
@@ -91,9 +94,9 @@ def lessened(idle_hz: NDArray[np.float64], pairs_hz: NDArray[np.float64], mass_s
     """Factor on what the highest pairs show of change, for modes beyond them.
 
     Above: a stiffness at a place changes ω² of every mode by as much, so relatively by less the higher the mode, as its participation in
-    other modes; a mass changes all alike. Below all pairs: a change of stiffness mixes mode k into mode j by √(δ_j·δ_k)·ω_jω_k/(ω_k² − ω_j²)
-    (``expansion``), little where ω_j lies far below; a change of mass Δm changes its size by Δm_jj/2, where neighbours among the pairs
-    are mixed by Δm_jk·ω²/(ω_k² − ω²). The mean square of both laws, weighted by what changed.
+    other modes; a mass changes all alike. Below all pairs: a change of stiffness mixes mode k into mode j by
+    √(δ_j·δ_k)·ω_jω_k/(ω_k² − ω_j²) (``expansion``), little where ω_j lies far below; a change of mass Δm changes its size by Δm_jj/2,
+    where neighbours among the pairs are mixed by Δm_jk·ω²/(ω_k² − ω²). The mean square of both laws, weighted by what changed.
 
     Parameters
     ----------

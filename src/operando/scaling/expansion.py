@@ -60,6 +60,9 @@ NOT_ORTHOGONAL = 0.02
 CLOSE = 0.02
 """Relative distance of frequencies up to which modes are close; further apart, modes unknown beyond the band matter more than noise."""
 
+FURTHEST = 0.15
+"""... but not more than this: modes far apart are orthogonal in what did not change, too."""
+
 ORTHOGONALITY_NOISE = 0.01
 """Standard deviation of an off-diagonal below which all pairs of modes count alike."""
 
@@ -261,7 +264,7 @@ def _mixing(idle: NDArray[np.float64], unit_shapes: NDArray[np.float64], prior: 
     """Share A_sr = v_sr/(v_rs + v_sr + τ²), v_sr the posterior variance of the part of mode s in mode r; τ grows with their distance."""
     spread = participation_spread(idle, unit_shapes, prior)
     gap = np.abs(hz[:, None] - hz[None, :]) / np.minimum(hz[:, None], hz[None, :])
-    own = NOT_ORTHOGONAL * (1 + (gap / CLOSE) ** 2)
+    own = np.minimum(NOT_ORTHOGONAL * (1 + (gap / CLOSE) ** 2), FURTHEST)
     out: NDArray[np.float64] = spread / (spread + spread.T + own**2)
     np.fill_diagonal(out, 0)
     return out

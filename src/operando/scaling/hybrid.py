@@ -14,7 +14,7 @@ from operando.data import Finding, ModalModel
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
-from operando.scaling.carried import LEAST_LEFT, CommonShift, common_shift, lessened, part_left, shape_change
+from operando.scaling.carried import LEAST_LEFT, NOT_HELD, CommonShift, common_shift, lessened, part_left, shape_change
 from operando.scaling.condensed import CondensedBasis, best_addition, condensed_basis
 from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
@@ -336,7 +336,9 @@ def _carried_over(
 ) -> tuple[NDArray[np.int_], str]:
     """Idle modes that stand in the OFRF: residual modes, and modes no operational mode was found for; moved as the others moved."""
     residual = np.flatnonzero(np.asarray(idle.residual))
-    every = real_idle[pairing.idle_without_partner]
+    # A partner may only look alike at the sensors and hold nothing of the mode.
+    lone = np.isin(np.arange(real_idle.size), pairing.idle_without_partner) | (left[real_idle] > NOT_HELD)
+    every = real_idle[lone]
     alone, gone = every[left[every] >= LEAST_LEFT], every[left[every] < LEAST_LEFT]
     inside = np.asarray(idle.in_band)[alone]
     parts = []
