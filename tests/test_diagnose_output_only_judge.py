@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from operando.data import ModalModel
-from operando.diagnose.output_only import diagnose_output_only
+from operando.diagnose.output_only import diagnose_output_only, likeliest
 from operando.diagnose.output_only_fit import SAMPLED, excess, fit
 from operando.diagnose.output_only_forward import Basis, action_of
 from operando.diagnose.output_only_idle import completion, settled
@@ -133,6 +133,33 @@ def test_the_second_half_refuses_what_it_does_not_show():
     assert second_alone.verdict == "unexplained"
 
 
+def test_where_the_better_half_chose_and_the_poorer_one_could_not_confirm_the_halves_change_places():
+    c, spring = chain(), ("ground_spring", ("2+Z",), 5e3)
+    idle, whole = idle_of(c), running(c, spring)
+    good, noisy = running(c, spring, seed=1), running(c, spring, seed=2, noise=4.0)
+    std = {"frequencies_hz": noisy.frequency_std_hz, "damping_ratios": noisy.damping_ratio_std, "shapes": noisy.shape_std}
+    wide = {name: 4.0 * value for name, value in std.items()}
+    poor = ModalModel(noisy.frequencies_hz, noisy.damping_ratios, noisy.shapes, noisy.dofs, std=wide)
+    found = diagnose_output_only(idle, whole, halves=(good, poor), kinds=KINDS)
+    assert [(e.kind, str(e.location[0])) for e in found.effects] == [("ground_spring", "2+Z")]
+    assert found.notes[0].startswith("the second half of the record chose the effects, the first, identified apart, judged them")
+    sets = sets_of(idle, whole, (good, poor))
+    assert sets.exchanged().judge is sets.choose
+    assert sets.exchanged().part == 2 * sets.part
+
+
+def test_what_one_half_cannot_tell_apart_both_decide():
+    c = chain()
+    idle = idle_of(c)
+    sets, basis = sets_of(settled(idle), running(c, SPRING), [running(c, SPRING, seed=k) for k in (1, 2)]), Basis.of(settled(idle))
+    right, wrong = (action_of(Effect("ground_spring", (d,)), settled(idle)) for d in ("2+Z", "5+Z"))
+    fits = [fit(sets.choose, basis.touched(a.rows), [a], [2e4], sets.use) for a in (wrong, right)]
+    best, others = likeliest(sets, basis, fits[0], fits[1:])
+    assert best is fits[1]
+    assert others == fits[:1]
+    assert likeliest(sets, basis, fits[0], []) == (fits[0], [])
+
+
 def test_a_mode_that_one_half_alone_shows_decides_nothing():
     c = chain()
     idle, whole, first, second = idle_of(c), running(c, SPRING), running(c, SPRING, seed=1), running(c, SPRING, seed=2)
@@ -165,6 +192,7 @@ def stand_in(rows, held):
     """Sets with so many degrees of freedom that choose and judge; nothing else of them is used here."""
     sets = object.__new__(Sets)
     object.__setattr__(sets, "apart", True)
+    object.__setattr__(sets, "part", 0.12)
     # 6 modes of 4 + 2·16 values and 2 less for the scale would do: the counts are made directly.
     object.__setattr__(sets, "use", _counted(rows))
     object.__setattr__(sets, "held", _counted(held))
@@ -186,6 +214,12 @@ def test_confirmation_compares_falls_not_misfits():
     # A fall that chance explains, or one far smaller than the first half's.
     assert not sets.confirms(1.0, 1.0 - 6 / 200, 20.0)
     assert not sets.confirms(21.0, 21.0 - 100 / 200, 4000.0)
+    # A small part of what is left, however sure; with changed places twice as much is asked.
+    assert not sets.confirms(1.0, 0.9, 60.0)
+    assert sets.confirms(1.0, 0.8, 60.0)
+    object.__setattr__(sets, "part", 0.24)
+    assert not sets.confirms(1.0, 0.8, 60.0)
+    object.__setattr__(sets, "part", 0.12)
     # Fewer rows judge: so much less may be asked of them.
     assert stand_in(200, 100).confirms(1.0, 1.0 - 15 / 100, 100.0)
 

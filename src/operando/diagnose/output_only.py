@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,10 @@ from operando.data import Geometry, ModalModel
 from operando.diagnose.diagnosis import Diagnosis
 from operando.diagnose.model import Model, joint_covariance
 from operando.diagnose.output_only_fit import Fit, counts, fit
-from operando.diagnose.output_only_forward import Basis, action_of
+from operando.diagnose.output_only_forward import Action, Basis, action_of
 from operando.diagnose.output_only_idle import settled
 from operando.diagnose.output_only_scan import REFINED, best_of, candidate_effects, refine, scan
-from operando.diagnose.output_only_sets import judge_rows, rows_of, sets_of
+from operando.diagnose.output_only_sets import Sets, judge_rows, rows_of, sets_of
 from operando.diagnose.verdict import spacing, verdict_of
 from operando.dof import Dof
 from operando.effects import Effect
@@ -131,6 +131,73 @@ def diagnose_output_only(
         return _diagnose(idle, inside[0], inside[1:], kinds, places, geometry, progress)
 
 
+@dataclass
+class _Search:
+    """Effects found one after the other: the start and the last fit, the steps, candidates of the first step, and what is alike."""
+
+    first: Fit
+    fit: Fit
+    ladder: list[dict[str, Any]]
+    ranked: list[Fit] = field(default_factory=list)
+    rivals: list[tuple[Effect, Effect]] = field(default_factory=list)
+    further: float = 1.0
+
+
+def _search(sets: Sets, basis: Basis, bare: Basis, actions: Sequence[Action], progress: Progress | None) -> _Search:
+    first = fit(sets.choose, bare, (), (), sets.use)
+    if first is None:
+        raise DataError("the idle model has no poles")
+    out = _Search(first, first, [_step(0, None, first, sets.misfit(basis, first))])
+    for step in range(1, MOST_EFFECTS + 1):
+        if progress is not None:
+            progress(f"looking for effect {step}")
+        current = out.fit
+        taken = {(a.kind, a.effect.location) for a in current.actions}
+        open_actions = [a for a in actions if (a.kind, a.effect.location) not in taken]
+        scanned = scan(sets.choose, basis, current.actions, list(current.sizes), open_actions, sets.use, progress)
+        fits = refine(sets.choose, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 3), sets.use)
+        if step == 1:
+            out.ranked = fits
+        out.further = fits[0].misfit / current.misfit if fits else 1.0
+        judge_before = float(out.ladder[-1]["heldout_misfit"])
+        judge = [sets.misfit(basis, f) for f in fits]
+        for place, found in enumerate(fits[:TRIES]):
+            gain = (current.misfit - found.misfit) * sets.rows
+            shown = sets.shows(current.misfit, found.misfit, len(open_actions), step)
+            if shown and sets.confirms(judge_before, judge[place], gain):
+                break
+        else:
+            break
+        others = fits[:place] + fits[place + 1 :]
+        seen = [judge[place], *judge[:place], *judge[place + 1 :]]
+        alike = sets.alike(current.misfit, found, others, judge_before, seen)
+        found, alike = likeliest(sets, basis, found, alike)
+        heldout = sets.misfit(basis, found)
+        if not sets.confirms(judge_before, heldout, (current.misfit - found.misfit) * sets.rows):
+            break
+        added = effects_of(found)[-1]
+        out.rivals += [(added, effects_of(f)[-1]) for f in alike]
+        out.fit, out.further = found, 1.0
+        out.ladder.append(_step(step, added, found, heldout))
+        if min(found.misfit, heldout) < ENOUGH:
+            break
+    return out
+
+
+def likeliest(sets: Sets, basis: Basis, best: Fit, alike: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
+    """Of those that the choosing half cannot tell apart, the one that both halves, each fitted, find likeliest; and the others."""
+    if not sets.apart or not alike:
+        return best, list(alike)
+    every = [best, *alike]
+    total = []
+    for one in every:
+        near = basis.touched(rows_of(one.actions, basis))
+        other = fit(sets.judge, near, one.actions, list(one.sizes), sets.held)
+        total.append(one.misfit * sets.rows + (np.inf if other is None else other.misfit * sets.held_rows))
+    k = int(np.argmin(total))
+    return every[k], every[:k] + every[k + 1 :]
+
+
 def _within(model: ModalModel, band: tuple[float, float]) -> ModalModel:
     return model.select_modes((model.frequencies_hz >= band[0]) & (model.frequencies_hz <= band[1]))
 
@@ -148,49 +215,21 @@ def _diagnose(
     sets, basis = sets_of(idle, operating, halves), Basis.of(idle)
     actions = [action_of(e, idle) for e in candidate_effects(idle, kinds, places)]
     bare = basis.touched(rows_of((), basis))
-    current = fit(sets.choose, bare, (), (), sets.use)
-    if current is None:
-        raise DataError("the idle model has no poles")
-    first = current
-    ladder = [_step(0, None, current, sets.misfit(basis, current))]
-    ranked: list[Fit] = []
-    rivals: list[tuple[Effect, Effect]] = []
-    further = 1.0
-    for step in range(1, MOST_EFFECTS + 1):
-        if progress is not None:
-            progress(f"looking for effect {step}")
-        taken = {(a.kind, a.effect.location) for a in current.actions}
-        open_actions = [a for a in actions if (a.kind, a.effect.location) not in taken]
-        scanned = scan(sets.choose, basis, current.actions, list(current.sizes), open_actions, sets.use, progress)
-        fits = refine(sets.choose, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 3), sets.use)
-        if step == 1:
-            ranked = fits
-        further = fits[0].misfit / current.misfit if fits else 1.0
-        judge_before = float(ladder[-1]["heldout_misfit"])
-        judge = [sets.misfit(basis, f) for f in fits]
-        for place, found in enumerate(fits[:TRIES]):
-            gain = (current.misfit - found.misfit) * sets.rows
-            shown = sets.shows(current.misfit, found.misfit, len(open_actions), step)
-            if shown and sets.confirms(judge_before, judge[place], gain):
-                break
-        else:
-            break
-        others = fits[:place] + fits[place + 1 :]
-        seen = [judge[place], *judge[:place], *judge[place + 1 :]]
-        added = effects_of(found)[-1]
-        rivals += [(added, effects_of(f)[-1]) for f in sets.alike(current.misfit, found, others, judge_before, seen)]
-        current, further = found, 1.0
-        ladder.append(_step(step, added, current, judge[place]))
-        if min(current.misfit, judge[place]) < ENOUGH:
-            break
+    found = _search(sets, basis, bare, actions, progress)
+    if sets.apart and not found.rivals and len(found.ladder) == 1:
+        # The half that chose may be the poorer one of the two.
+        other = _search(sets.exchanged(), basis, bare, actions, progress)
+        if len(other.ladder) > 1:
+            found, sets = other, sets.exchanged()
+    current, ladder, rivals = found.fit, found.ladder, found.rivals
     everything = np.ones((sets.whole.n, sets.whole.per_mode), bool)
     near = basis.touched(rows_of(current.actions, basis))
     full = fit(sets.whole, near, current.actions, list(current.sizes), everything) or current
-    before = fit(sets.whole, bare, (), (), everything) or first
+    before = fit(sets.whole, bare, (), (), everything) or found.first
     effects = tuple(effects_of(full))
     far = any(_far(one, other, geometry) for one, other in rivals)
-    verdict = verdict_of([float(row["heldout_misfit"]) for row in ladder], bool(effects), far, further)
-    candidates = tuple(_candidate(f, first.misfit) for f in ranked)
+    verdict = verdict_of([float(row["heldout_misfit"]) for row in ladder], bool(effects), far, found.further)
+    candidates = tuple(_candidate(f, found.first.misfit) for f in found.ranked)
     by_mode = tuple(
         {
             "frequency_hz": float(np.exp(sets.whole.log_hz[k])),
