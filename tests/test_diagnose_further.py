@@ -129,8 +129,10 @@ def test_several_effects_must_earn_their_place_beside_one_of_another_law(chain, 
         ([9.0, 1.0, 1.05], 3),
         ([9.0, 5.0, 80.0], 2),
         ([9.0, 50.0, 12.0, 1.0], 4),
-        ([0.9, 2.0, 3.0], 2),
+        ([0.9, 2.0, 3.0], 1),
         ([9.0, 5.0, 5.1], 2),
+        ([9.0, 9.5], 2),
+        ([9.0, 14.0], 1),
     ],
 )
 def test_last_steps_that_predict_unseen_lines_worse_are_taken_back(judge, kept):

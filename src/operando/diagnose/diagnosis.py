@@ -250,7 +250,7 @@ def _search(
     if not one_system and verdict in ("explained", "ambiguous"):
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
-    ranked = tuple(candidate_row(t, before) for t in (history[0][1] if history else last))
+    ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
     proposal = propose(problem, final[-1], alternatives, verdict)
     where = where_it_fails(problem.idle, check, band)
     floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
@@ -273,12 +273,12 @@ def _search(
 
 
 def lowering(judge: Sequence[float]) -> int:
-    """How many steps of a ladder are left when further effects, the last first, that raise the judge's misfit are taken back.
+    """How many steps of a ladder are left when effects, the last first, that raise the judge's misfit are taken back.
 
-    Where the data allow no better, a rise within what noise does counts as none.
+    Where the data allow no better, a rise within what noise does counts as none; of the first effect too, which may need the next.
     """
     kept = len(judge)
-    while kept > 2 and judge[kept - 1] > (1 + EARNED if judge[kept - 1] < GOOD else 1) * judge[kept - 2]:
+    while kept > 1 and judge[kept - 1] > (1 + EARNED if judge[kept - 1] < GOOD or kept == 2 else 1) * judge[kept - 2]:
         kept -= 1
     return kept
 
