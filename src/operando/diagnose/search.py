@@ -136,10 +136,13 @@ def from_others(problem: Problem, found: Search, most: int) -> Search:
     best, then = found, problem.misfit(SELECT, found.fits[-1])
     last = found.fits[-1]
     most = min(most, max(2, len(last.terms)))
-    starts = [(t, q) for t, q in zip(last.terms[1:], last.q[1:], strict=True)]
+    # While something else is missing, another law may look better than the right one at the right place.
+    there = [t for t in found.history[0][1] if t.term.dofs == found.history[0][0].term.dofs and t.term.kind.places == 1]
+    starts = [(t.term, t.fit.q[-1]) for t in there if t.term.kind.kind == "tuned_absorber"]
+    starts += [(t, q) for t, q in zip(last.terms[1:], last.q[1:], strict=True)]
     seen = {found.history[0][0].term.dofs, *(t.dofs for t, _ in starts)}
     for other in found.history[0][1]:
-        if len(starts) < FIRSTS and other.term.dofs not in seen:
+        if len(starts) <= FIRSTS and other.term.dofs not in seen:
             seen.add(other.term.dofs)
             starts.append((other.term, other.fit.q[-1]))
     for term, q in starts:
@@ -154,7 +157,10 @@ def from_others(problem: Problem, found: Search, most: int) -> Search:
             best = Search([problem.empty(), *again.fits], history, [found.before[0], *again.before], again.last, again.further)
             if best.done:
                 break
-    return best
+    if best is found:
+        return found
+    fits, history = in_order(problem, best.fits[-1], {t.term.key: tried for t, tried in best.history})
+    return replace(best, fits=fits, history=history)
 
 
 def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Tried]]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
