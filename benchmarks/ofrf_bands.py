@@ -1,6 +1,6 @@
 """Do the 95 % bands of operational FRFs hold, and does ``auto`` keep up with the best fixed method? Draws from raw records.
 
-    python benchmarks/ofrf_bands.py FOLDER [--blocks 22] [--first-seed 2000]    # makes raw files, identifies, judges; resumes
+    python benchmarks/ofrf_bands.py FOLDER [--blocks 13] [--first-seed 2000]    # makes raw files, identifies, judges; resumes
     python benchmarks/ofrf_bands.py FOLDER --results RUNS --answers ANSWERS     # judges results folders that are there
     python benchmarks/ofrf_bands.py FOLDER --table                              # only prints the tables
 
@@ -171,7 +171,7 @@ def print_scatter(folder: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--blocks", type=int, default=22, help="of ten draws on average")
+    parser.add_argument("--blocks", type=int, default=13, help="of 17 draws on average")
     parser.add_argument("--first-seed", type=int, default=2000)
     parser.add_argument("--results", type=Path)
     parser.add_argument("--answers", type=Path)

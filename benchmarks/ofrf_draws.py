@@ -46,7 +46,7 @@ SKEW = ("gyroscopic", "circulatory")
 REPEATED = ("frame-point_mass-{}-r2-hammer", "rotor-ground_spring-{}-r2-shaker")
 """Cases drawn again and again with new forces and noise at rest and in operation, for the scatter."""
 
-STATES = 3
+STATES, PAPER_STATES = 6, 8
 """Running states of one set-up at rest."""
 
 NOISE = 0.005
@@ -95,7 +95,7 @@ def groups(first_seed: int, blocks: int) -> Iterator[list[str]]:
             count += 1
         yield [REPEATED[block % 2].format(first_seed) + f"@{block // 2}"]
         if block % 2 == 0:
-            yield [f"paper-{1 + k % 2}-{first_seed + block // 2}@{k // 2}" for k in range(2 * STATES)]
+            yield [f"paper-{1 + k % 2}-{first_seed + block // 2}@{k // 2}" for k in range(PAPER_STATES)]
 
 
 def identify(folder: Path, band: tuple[float, float]) -> ModalModel:

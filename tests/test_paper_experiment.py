@@ -67,8 +67,7 @@ def test_judged_by_exact_modes(states):
 
 @pytest.mark.slow
 def test_the_study_from_raw_records(tmp_path):
-    """All it must show but the bands: those hold the exact OFRF on three lines in four here, and the report says so."""
+    """All it must show, the bands of nine lines in ten among it."""
     study = experiment.study(tmp_path, lambda text: None)
-    failed = [f"{c.what}: {c.found}" for c in experiment_checks(study) if not c.holds and "bands" not in c.what]
+    failed = [f"{c.what}: {c.found}" for c in experiment_checks(study) if not c.holds]
     assert not failed, failed
-    assert min(study.inside["A"], study.inside["B"]) > 0.6

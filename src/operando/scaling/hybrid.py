@@ -21,6 +21,7 @@ from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import expand, make_prior
 from operando.scaling.flips import class_flips, flip_probability
 from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scaled_shapes
+from operando.scaling.missing import missing_modes, with_missing
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes
 from operando.scaling.reciprocity import complexity, reciprocity_finding
@@ -111,8 +112,15 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         np.array([idle.frequencies_hz[real_idle[p.idle]] for p in alike]), np.array([proper.frequencies_hz[p.operating] for p in alike])
     )
     kept = "stiffness" if choice.method == "expansion_stiffness" else "mass"
-    left = part_left(expand(e, turned, task.prior)[0] * (np.asarray(idle.frequencies_hz)[:, None] if kept == "stiffness" else 1))
+    participation = expand(e, turned, task.prior)[0] * (np.asarray(idle.frequencies_hz)[:, None] if kept == "stiffness" else 1)
+    left = part_left(participation)
     carried, text = _carried_over(idle, real_idle, pairing, shift, left, findings)
+    risen = [np.log(proper.frequencies_hz[p.operating] / idle.frequencies_hz[real_idle[p.idle]]) for p in alike]
+    held = np.setdiff1d(real_idle, carried)
+    missing = missing_modes(participation, idle.frequencies_hz, held, operating.band_hz, sum(risen) >= 0)
+    if missing.finding is not None:
+        findings.append(missing.finding)
+        text += f"; beyond the band: {missing.text}"
     amount = np.where(np.asarray(idle.residual)[carried], 1.0, np.sqrt(left[carried]))
     models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, amount, shift) for name, s in shapes.items()}
     doubt = scale_doubt(e, o, task, kept)
@@ -130,8 +138,9 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         covariance = with_unseen_change(
             covariance, models[choice.method], proper.n_modes, imaginary, shift.spread * less, change * less, doubt
         )
-    modal = replace(models[choice.method], covariance=covariance)
-    models[choice.method] = modal
+    models[choice.method] = replace(models[choice.method], covariance=covariance)
+    models = {name: with_missing(model, missing, e) for name, model in models.items()}
+    modal = models[choice.method]
     found = complexity(o, modal.frequencies_hz, modal.damping_ratios, modal.shapes, None if noise is None else noise[1])
     skew = reciprocity_finding(found, proper.frequencies_hz)
     if skew is not None:

@@ -1,0 +1,133 @@
+"""Operational modes that nobody found, told by what the found ones leave of the idle modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding, ModalModel
+
+WHOLE = 0.5
+"""A combination of idle modes counts as a mode nobody found where more than this part of it is in no operational mode."""
+
+DEPENDENT = 0.3
+"""Singular value below which operational participations count as dependent."""
+
+BEYOND = 1.1
+"""Such a mode is put beyond the band by this factor; its logarithm is the standard deviation, too."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Modes beyond the band that stand for what was not found.
+
+    Parameters
+    ----------
+    mixture : (n_idle, k) array
+        Amount of each idle mode in each.
+    hz : (k,) array
+        Where they are put.
+    idle_hz : tuple of float
+        Frequencies of the idle modes they are mostly made of.
+    """
+
+    mixture: NDArray[np.float64]
+    hz: NDArray[np.float64]
+    idle_hz: tuple[float, ...]
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        made, place = (", ".join(f"{f:.1f}" for f in hz) for hz in (self.idle_hz, self.hz))
+        return f"{self.hz.size} mode(s) of what idle modes at {made} Hz hold together, put at {place} Hz"
+
+    @property
+    def finding(self) -> Finding | None:
+        """What to tell, None where nothing is missing."""
+        if not self.hz.size:
+            return None
+        return Finding(
+            "mode_not_found",
+            "the operational modes found leave out what idle modes at " + ", ".join(f"{f:.1f}" for f in self.idle_hz) + " Hz hold together",
+            "warning",
+            consequence=f"{self.text}: where it lies beyond the band, and its shape, is hardly known, which the bands include",
+            action="identify the operational modes in a wider band",
+        )
+
+
+def missing_modes(
+    participation: NDArray[np.float64],
+    idle_hz: NDArray[np.float64],
+    held: NDArray[np.int_],
+    band_hz: tuple[float, float] | None,
+    rising: bool,
+) -> Missing:
+    """Combinations of idle modes that must be in operational modes which were not found.
+
+    All operational modes together are a basis of the space of the idle ones (:func:`operando.scaling.carried.part_left`), so what the
+    found ones leave of a combination of idle modes is in others. Those were not found in the band, so they are put beyond it: the upper
+    end where frequencies rose, the lower one where they fell. Where exactly, and with which shape, is not known.
+
+    Parameters
+    ----------
+    participation : (n_idle, n_operating) array
+        Of idle modes in the operational modes found.
+    idle_hz : (n_idle,) array
+    held : int array
+        Idle modes proper that are not carried over by themselves.
+    band_hz : (float, float) or None
+        Band in which operational modes were looked for; None leaves all out.
+    rising : bool
+        Whether operation raised the frequencies.
+    """
+    unit = participation / np.maximum(np.linalg.norm(participation, axis=0), 1e-300)
+    left, size, _ = np.linalg.svd(unit, full_matrices=False)
+    basis = left[held][:, size > DEPENDENT]
+    value, vector = np.linalg.eigh(np.eye(held.size) - basis @ basis.T)
+    found = value > WHOLE
+    if band_hz is None or not np.any(found):
+        return Missing(np.zeros((idle_hz.size, 0)), np.zeros(0), ())
+    mixture = np.zeros((idle_hz.size, int(np.sum(found))))
+    mixture[held] = vector[:, found] * np.sqrt(value[found])
+    place = band_hz[1] * BEYOND if rising else band_hz[0] / BEYOND
+    mostly = idle_hz[np.any(mixture**2 > 0.1, axis=1)]
+    return Missing(mixture, np.full(mixture.shape[1], place), tuple(float(f) for f in mostly))
+
+
+def with_missing(model: ModalModel, missing: Missing, idle_shapes: NDArray[np.float64]) -> ModalModel:
+    """The model with those modes behind its others; their shapes as uncertain as they are large.
+
+    Parameters
+    ----------
+    model : ModalModel
+    missing : Missing
+    idle_shapes : (m, n_idle) array
+        At the DOFs of the model.
+    """
+    k = missing.hz.size
+    if k == 0:
+        return model
+    shapes = idle_shapes @ missing.mixture
+    n, m = model.n_modes, len(model.dofs)
+    covariance: NDArray[Any] | None = None
+    if model.covariance is not None:
+        total = n + k
+        covariance = np.zeros((total * (2 + m), total * (2 + m)))
+        old = np.concatenate([np.arange(n), total + np.arange(n), 2 * total + np.arange(n * m)])
+        covariance[np.ix_(old, old)] = model.covariance
+        hz = n + np.arange(k)
+        covariance[hz, hz] = (np.log(BEYOND) * missing.hz) ** 2
+        values = 2 * total + n * m + np.arange(k * m)
+        covariance[values, values] = np.repeat(np.mean(shapes**2, axis=0), m)
+    return replace(
+        model,
+        frequencies_hz=np.concatenate([model.frequencies_hz, missing.hz]),
+        damping_ratios=np.concatenate([model.damping_ratios, np.full(k, np.median(model.damping_ratios))]),
+        shapes=np.concatenate([model.shapes, shapes], axis=1),
+        residual=np.concatenate([np.asarray(model.residual), np.ones(k, bool)]),
+        in_band=np.concatenate([np.asarray(model.in_band), np.zeros(k, bool)]),
+        covariance=covariance,
+    )
