@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,6 +83,60 @@ def test_ofrf_refusals(folder, args, code, message, tmp_path, monkeypatch):
     assert done.exit_code == code
     assert message in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def with_effect(tmp_path_factory):
+    """Results whose diagnosis accepted a faulty sensor and a spring of 2e4 ± 300 N/m."""
+    from operando.effects import Effect
+
+    spring = Effect("ground_spring", ("3+Z",), {"stiffness": 2e4}).with_std({"stiffness": 300.0})
+    found = [Effect("sensor_gain", ("2+Z",), {"gain": 1.1}).to_dict(), spring.to_dict()]
+    results = models.results()
+    parameters = results.idle.n_parameters
+    covariance = np.zeros((parameters + 2, parameters + 2))
+    covariance[-1, -1] = 300.0**2
+    place = tmp_path_factory.mktemp("effect")
+    made = replace(results, diagnosis={"effects": found, "ladder": []}, effect_covariance=covariance)
+    save_results(made, place / "model.h5")
+    return place
+
+
+def test_ofrf_of_a_state_that_was_not_measured(with_effect):
+    pair = ("--route", "effect", "--responses", "3+Z", "--references", "1+Z", "--frequencies", "12:60:0.5")
+    as_found = answer("ofrf", with_effect, *pair)
+    same, other = (answer("ofrf", with_effect, *pair, "--set", f"2.stiffness={v}") for v in ("2e4", "5e4"))
+    np.testing.assert_allclose(same["data"], as_found["data"])
+    ratio = np.array(same["std"]) / np.array(as_found["std"])  # what is set is known, the idle model no better than before
+    assert ratio.max() <= 1
+    assert 0 < ratio.min() < 0.6
+    assert other["changed"] == [{"step": 2, "parameter": "stiffness", "value": 5e4}]
+    from operando.diagnose import Model
+
+    direct = Model(models.results().idle).add("ground_spring@3+Z=stiffness:5e4").frf(np.arange(12, 60.1, 0.5), "3+Z", "1+Z")
+    np.testing.assert_allclose(np.array(other["data"]) @ [1, 1j], direct.data, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "message"),
+    [
+        ("2.stiffness", 2, "STEP.NAME=VALUE"),
+        ("0.stiffness=1", 2, "STEP.NAME=VALUE"),
+        ("3.stiffness=1", 1, "no added effect at step 3"),
+        ("2.mass=1", 1, "it has stiffness"),
+        ("2.stiffness=-5", 1, "cannot be -5 N/m"),
+    ],
+)
+def test_ofrf_refuses_states_that_are_none(with_effect, change, code, message):
+    done = call("ofrf", with_effect, "--route", "effect", "--set", change)
+    assert done.exit_code == code
+    assert message in done.stderr
+
+
+def test_ofrf_sets_values_of_the_effect_route_alone(with_effect):
+    done = call("ofrf", with_effect, "--set", "2.stiffness=1e4")
+    assert done.exit_code == 2
+    assert "--route effect" in done.stderr
 
 
 def test_lines():

@@ -38,6 +38,13 @@ MOST_VALUES = 2_000_000
     metavar="N",
     help="Route effect: FRFs under a random force of this rms [N], even over the band (default: the lowest level measured).",
 )
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="STEP.NAME=VALUE",
+    help="Route effect: another value of an accepted effect, as in 1.stiffness=2e5 (SI); may be repeated.",
+)
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="File to write: .uff, .h5, .mat or .csv by its ending.")
 @answers
 def ofrf(
@@ -48,6 +55,7 @@ def ofrf(
     quantity: str,
     route: str,
     level: float | None,
+    changes: tuple[str, ...],
     output: str | None,
 ) -> Answer:
     """Operational FRFs of any response-reference pair, with the standard deviation of each line.
@@ -61,6 +69,9 @@ def ofrf(
 
     if level is not None and (route != "effect" or not 0 < level < float("inf")):
         raise click.UsageError("--level is a force in N, more than 0, and belongs to --route effect")
+    if changes and (route != "effect" or level is not None):
+        raise click.UsageError("--set belongs to --route effect, without --level")
+    values = [parse_change(text) for text in changes]
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
     names = ("idle_frf", "left_out", "settings", "geometry")
@@ -82,7 +93,7 @@ def ofrf(
     elif route == "effect":
         from operando.pipeline.outputs import effect_model
 
-        model = effect_model(results)
+        model = effect_model(results, values)
         method, own = "idle model + " + (", ".join(str(e) for e in model.effects) or "no effect"), ()
     else:
         model, method, own = results.hybrid, results.hybrid.method, results.hybrid.findings
@@ -92,6 +103,7 @@ def ofrf(
         "route": route,
         "method": method,
         "level_n": level,
+        "changed": [{"step": step, "parameter": name, "value": value} for step, name, value in values],
         "settings": results.settings,
         "responses": [str(d) for d in frf.responses],
         "references": [str(d) for d in frf.references],
@@ -123,6 +135,27 @@ def _dofs(text: str | None, option: str) -> Any:
     if not found:
         raise click.BadParameter("names no DOF", param_hint=option)
     return found
+
+
+def parse_change(text: str) -> tuple[int, str, float]:
+    """Step, parameter and value of ``STEP.NAME=VALUE``.
+
+    Raises
+    ------
+    click.BadParameter
+        If the text is no such change.
+    """
+    import math
+
+    where, _, value = text.partition("=")
+    step, _, name = where.partition(".")
+    try:
+        out = int(step), name.strip(), float(value)
+    except ValueError:
+        out = 0, "", math.nan
+    if out[0] < 1 or not out[1] or not math.isfinite(out[2]):
+        raise click.BadParameter(f"{text!r} is not STEP.NAME=VALUE, as in 1.stiffness=2e5", param_hint="--set")
+    return out
 
 
 def parse_lines(text: str) -> Any:

@@ -89,10 +89,35 @@ class Model:
         return replace(self, effects=self.effects[: step - 1] + self.effects[step:], covariance=None)
 
     def with_values(self, step: int, **values: float) -> Model:
-        """The model with other values of the effect of a step: a state that was not measured."""
+        """The model with other values of the effect of a step: a state that was not measured.
+
+        The new values count as known; what is not known of the idle model and of the other values stays.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such step or parameter, or a value lies outside its bounds.
+        """
         self._check(step)
-        changed = self.effects[step - 1].with_values(**values)
-        return replace(self, effects=(*self.effects[: step - 1], changed, *self.effects[step:]), covariance=None)
+        effect = self.effects[step - 1]
+        names = [p.name for p in effect.definition.parameters]
+        for name, value in values.items():
+            if name not in names:
+                known = ", ".join(names) or "no parameter"
+                raise ConfigError(f"{effect.kind} has no parameter {name!r}", hint=f"it has {known}")
+            p = effect.definition.parameter(name)
+            low, high = 0.0 if p.low is None else p.low, np.inf if p.high is None else p.high
+            if not low <= value <= high:
+                raise ConfigError(f"{name} of {effect.kind} cannot be {value:g} {p.unit}", hint=f"it lies between {low:g} and {high:g}")
+        changed = effect.with_values(**values)
+        covariance = self.covariance
+        if covariance is not None:
+            first = len(covariance) - sum(len(e.definition.parameters) for e in self.effects[step - 1 :])
+            known_now = [first + names.index(name) for name in values]
+            covariance = np.array(covariance)
+            covariance[known_now] = 0
+            covariance[:, known_now] = 0
+        return replace(self, effects=(*self.effects[: step - 1], changed, *self.effects[step:]), covariance=covariance)
 
     def structure(self) -> Model:
         """Only the effects on the running structure: faults of sensors and forces left out, as an OFRF wants it."""

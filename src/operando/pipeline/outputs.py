@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,15 +55,23 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
     return findings
 
 
-def effect_model(results: Results) -> Any:
+def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = ()) -> Any:
     """The second route to the operational FRFs: the idle model with the accepted effects, channel faults left out.
 
     An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
+
+    Parameters
+    ----------
+    results : Results
+    changes : sequence of (int, str, float), optional
+        Step of the ladder, parameter and another value of it [SI]: a state that was not measured.
 
     Raises
     ------
     MissingError
         If there is no diagnosis.
+    ConfigError
+        If there is no such step or parameter.
     """
     from operando.diagnose import Model
     from operando.diagnose.from_records import standing
@@ -70,7 +79,10 @@ def effect_model(results: Results) -> Any:
     if results.diagnosis is None or results.idle is None:
         raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
     effects = tuple(standing(results.diagnosis))
-    return Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance).structure()
+    model = Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance)
+    for step, name, value in changes:
+        model = model.with_values(step, **{name: value})
+    return model.structure()
 
 
 def proper_modes(model: ModalModel) -> ModalModel:
