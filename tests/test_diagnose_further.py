@@ -9,7 +9,7 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.diagnose import diagnose
-from operando.diagnose.diagnosis import lowering, make_problem
+from operando.diagnose.diagnosis import lowering, make_problem, rises
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.results import CheckRun
 from structures import Chain
@@ -137,6 +137,30 @@ def test_several_effects_must_earn_their_place_beside_one_of_another_law(chain, 
 )
 def test_last_steps_that_predict_unseen_lines_worse_are_taken_back(judge, kept):
     assert lowering(judge) == kept
+
+
+def test_two_effects_can_be_told_in_the_other_order(chain):
+    from operando.diagnose.search import other_orders
+
+    problem = make_problem(
+        model(chain.hz, chain.zeta, chain.phi), [check_of(chain, lump(1, 0.15), law=np.full(HZ.size, 2e4))], None, None, (12.0, 150.0)
+    )
+    spring = next(t for t in problem.templates if t.kind.kind == "ground_spring" and str(t.dofs[0]) == "5+Z")
+    mass = next(t for t in problem.templates if t.kind.kind == "point_mass" and str(t.dofs[0]) == "2+Z")
+    first = problem.tried(problem.joint([spring], [spring.inward({"stiffness": 2e4})]))
+    both = problem.tried(problem.joint([spring, mass], [first.fit.q[0], mass.inward({"mass": 0.1})]))
+    ((fits, history),) = other_orders(problem, both.fit, [(first, [first]), (both, [both])])
+    assert [[t.kind.kind for t in f.terms] for f in fits] == [[], ["point_mass"], ["point_mass", "ground_spring"]]
+    assert [best.term.kind.kind for best, _ in history] == ["point_mass", "ground_spring"]
+    assert fits[-1].cost == pytest.approx(both.fit.cost, rel=0.01)
+    assert history[-1][1] == [first]
+
+
+@pytest.mark.parametrize(
+    ("judge", "up"), [([9.0, 12.0, 1.0], True), ([9.0, 5.0, 1.0], False), ([9.0, 12.0], False), ([9.0, 5.0, 6.0, 1.0], True)]
+)
+def test_a_ladder_rises_where_a_step_before_the_last_does(judge, up):
+    assert rises([{"heldout_misfit": v} for v in judge]) is up
 
 
 def test_the_own_compliance_of_a_place_is_fitted_before_everything_else(chain):

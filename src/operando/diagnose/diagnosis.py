@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from operando.diagnose.places import candidates as all_candidates
 from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
-from operando.diagnose.search import MAX_EFFECTS, search
+from operando.diagnose.search import MAX_EFFECTS, other_orders, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
 from operando.diagnose.verdict import FURTHER_PART, GOOD, ambiguous_with, verdict_of
@@ -220,8 +221,15 @@ def _search(
     fits, history, before, last, further = found.fits, found.history, found.before, found.last, found.further
     final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
-    final = [renamed(f, sensors) for f in final]
-    rows, final = ladder(problem, final)
+    rows, final = ladder(problem, [renamed(f, sensors) for f in final])
+    if one_system and rises(rows) and rows[-1]["heldout_misfit"] < GOOD:
+        # Effects that make up for each other: told in an order in which each helps, if there is one.
+        for other_fits, other_history in other_orders(problem, fits[-1], history):
+            again = [problem.settled(f) if f.terms else f for f in other_fits]
+            other_rows, again = ladder(problem, [renamed(f, sensors) for f in again])
+            if not rises(other_rows) and other_rows[-1]["heldout_misfit"] < GOOD:
+                fits, history, rows, final = other_fits, other_history, other_rows, again
+                break
     kept = lowering([r["heldout_misfit"] for r in rows]) if one_system else len(rows)
     if kept < len(rows):
         rows, final, fits, history = rows[:kept], final[:kept], fits[:kept], history[: kept - 1]
@@ -281,6 +289,12 @@ def lowering(judge: Sequence[float]) -> int:
     while kept > 1 and judge[kept - 1] > (1 + EARNED if judge[kept - 1] < GOOD or kept == 2 else 1) * judge[kept - 2]:
         kept -= 1
     return kept
+
+
+def rises(rows: Sequence[dict[str, Any]]) -> bool:
+    """Whether a step before the last raises the judge's misfit."""
+    judge = [row["heldout_misfit"] for row in rows]
+    return any(b > a for a, b in pairwise(judge[:-1]))
 
 
 def flat(lines: CheckLines, own: Array, data: Array) -> Lines:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from operando.diagnose.verdict import GOOD, one_mode, separates
 from operando.effects import catalogue
 
 Array = NDArray[Any]
+History = list[tuple[Tried, list[Tried]]]
 
 MAX_EFFECTS = 3
 
@@ -58,7 +60,7 @@ class Search:
     """
 
     fits: list[Fit]
-    history: list[tuple[Tried, list[Tried]]]
+    history: History
     before: list[float]
     last: list[Tried] = field(default_factory=list)
     further: float = 1.0
@@ -163,7 +165,7 @@ def from_others(problem: Problem, found: Search, most: int) -> Search:
     return replace(best, fits=fits, history=history)
 
 
-def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Tried]]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
+def swap(problem: Problem, fits: list[Fit], history: History) -> tuple[list[Fit], History]:
     """Take each effect out in turn and look what fits best in its stead; then drop what no longer earns its place.
 
     The first effect of several was found while the others were still missing, so it is the likeliest to be wrong.
@@ -193,11 +195,11 @@ def swap(problem: Problem, fits: list[Fit], history: list[tuple[Tried, list[Trie
     return in_order(problem, best.fit, alternatives) if changed else (fits, history)
 
 
-def in_order(problem: Problem, fit: Fit, alternatives: dict[Any, list[Tried]]) -> tuple[list[Fit], list[tuple[Tried, list[Tried]]]]:
+def in_order(problem: Problem, fit: Fit, alternatives: dict[Any, list[Tried]]) -> tuple[list[Fit], History]:
     """The ladder in the order in which each effect lowers the misfit most."""
     terms, q = list(fit.terms), list(fit.q)
     ordered: list[Fit] = [problem.empty()]
-    told: list[tuple[Tried, list[Tried]]] = []
+    told: History = []
     while terms:
         options = [problem.joint([*ordered[-1].terms, t], [*ordered[-1].q, v]) for t, v in zip(terms, q, strict=True)]
         k = int(np.argmin([problem.misfit(SELECT, f) for f in options]))
@@ -206,6 +208,21 @@ def in_order(problem: Problem, fit: Fit, alternatives: dict[Any, list[Tried]]) -
         told.append((one, alternatives.get(one.term.key, [one]) if len(terms) == 1 else [one]))
         del terms[k], q[k]
     return ordered, told
+
+
+def other_orders(problem: Problem, fit: Fit, history: History) -> Iterator[tuple[list[Fit], History]]:
+    """The same effects, found in every other order: fits of each step and what was tried."""
+    alternatives = {t.term.key: tried for t, tried in history}
+    for order in permutations(range(len(fit.terms))):
+        if order == tuple(range(len(order))):
+            continue
+        fits: list[Fit] = [problem.empty()]
+        told: History = []
+        for k in order:
+            fits.append(problem.joint([*fits[-1].terms, fit.terms[k]], [*fits[-1].q, fit.q[k]]))
+            one = problem.tried(fits[-1])
+            told.append((one, alternatives.get(one.term.key, [one]) if len(fits) == len(fit.terms) + 1 else [one]))
+        yield fits, told
 
 
 def simplified(problem: Problem, found: Search) -> Search:
