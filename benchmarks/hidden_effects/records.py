@@ -23,12 +23,21 @@ RATE = 512.0
 RESPONSE_NOISE, FORCE_NOISE = 0.01, 0.002
 GRAVITY, POUND = 9.80665, 4.4482216152605
 FILTER_END = 250.0
+SHARP = (240.0, 255.0)
 DATE = "21-NOV-26 08:00:00"
 
 
 def anti_alias(hz: np.ndarray) -> np.ndarray:
     """Gain of the filter: 1 to 170 Hz, a raised cosine to 0 at 250 Hz."""
     return 0.5 * (1 + np.cos(np.pi * np.clip((hz - 170) / 80, 0, 1)))
+
+
+def logger_gain(hz: np.ndarray) -> np.ndarray:
+    """What the logger keeps of a motion that is not limited to its band: flat to where no force is left, then a sharp end.
+
+    Forces and the motion they make by themselves are recorded as they are, so the motion that an effect adds must not be filtered by more.
+    """
+    return 0.5 * (1 + np.cos(np.pi * np.clip((hz - SHARP[0]) / (SHARP[1] - SHARP[0]), 0, 1)))
 
 
 def lines(period: int) -> np.ndarray:
@@ -170,7 +179,7 @@ def contact_runs(
     at_place = np.array([steady(state.system, contact.row[None], columns, forces, period)[0] * away for forces, columns in drives])
     start = int(LEAD * RATE)
     starts = np.full(len(drives), start)
-    more = added(logger.structure, state.rows, contact, at_place, period, starts, samples, RATE, anti_alias)
+    more = added(logger.structure, state.rows, contact, at_place, period, starts, samples, RATE, logger_gain)
     out = []
     for k, (forces, columns) in enumerate(drives):
         # Exact for forces within the filter's band, as they are.
