@@ -13,10 +13,11 @@ from operando.data import ModalModel, TimeRecord
 from operando.dof import match_dofs
 from operando.effects import Effect
 from operando.errors import ConfigError, DataError
-from operando.nonlinear.conclude import effect_of, pictures_of, simulated, std_of
+from operando.nonlinear.conclude import effect_of, pictures_of, simulated
 from operando.nonlinear.judge import ladder_row
 from operando.nonlinear.laws import LawFit, fit_law
 from operando.nonlinear.place import Weighted
+from operando.nonlinear.polish import polished, std_of
 from operando.nonlinear.records import wanted_kinds
 from operando.nonlinear.search import Case, Field, Spot, examine, make_case, rank_places, settled
 from operando.nonlinear.simulate import law_of
@@ -176,8 +177,8 @@ def _fitted(case: Case, effect: Effect, law: LawFit, held: bool) -> Tried:
     spot = _spot(stage, effect)
     found = None if held or effect.removed else fit_law(spot.fit, law.kind)
     if found is not None:
-        return settle_law(stage, spot, found)
-    return Tried(settled(spot, stage, law), law, np.nan, np.nan)
+        return polished(case, settle_law(stage, spot, found))
+    return Tried(settled(spot, case, law), law, np.nan, np.nan)
 
 
 def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> list[Tried]:
@@ -187,7 +188,7 @@ def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> lis
     out: list[Tried] = []
     for effect, t in zip(effects, tried, strict=True):
         stage = Field.of(_case_with(case, out))
-        out.append(Tried(settled(_spot(stage, effect), stage, t.law), t.law, t.selection, t.judge))
+        out.append(Tried(settled(_spot(stage, effect), stage.case, t.law), t.law, t.selection, t.judge))
     return out
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from operando.nonlinear.equivalent import equivalents
 from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
 from operando.nonlinear.laws import free_law
 from operando.nonlinear.place import Weighted
+from operando.nonlinear.polish import std_of
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case
 from operando.nonlinear.simulate import against_records
@@ -35,23 +35,6 @@ def effect_of(case: Case, tried: Tried) -> Effect:
     if law.side < 0:
         dofs = [d.opposite for d in dofs] if len(dofs) == 1 else dofs[::-1]
     return Effect(name, tuple(dofs), dict(law.values), std_of(tried))
-
-
-def std_of(tried: Tried) -> dict[str, float]:
-    """Standard deviations from the curvature of the misfit, for errors that stay together over some lines."""
-    law, motions = tried.law, tried.spot.fit
-    names = [n for n in law.values if law.values[n] > 0 and n != "slip_speed"]
-    gram = np.zeros((len(names), len(names)))
-    cost, count = 0.0, 0
-    for m in motions:
-        base = m.spectra(law.force(m.x, m.v, m.step))
-        moved = [m.spectra(replace(law, values=law.values | {n: law.values[n] * 1.01}).force(m.x, m.v, m.step)) - base for n in names]
-        g, r, total = m.along.normal(np.stack([base, *moved]))
-        gram += g[1:, 1:] / 0.01**2
-        cost += total - 2 * float(r[0]) + float(g[0, 0])
-        count += 2 * m.along.weighted.error.size
-    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram)) * cost / count * 2, 0))
-    return {n: float(law.values[n] * np.hypot(8 * s, 0.005)) for n, s in zip(names, spread, strict=True)}
 
 
 def candidate_row(case: Case, tried: Tried, base: float) -> dict[str, Any]:

@@ -15,10 +15,10 @@ from operando.effects.friction import mean_sign
 from operando.nonlinear.place import Along, Crossing, settle
 from operando.nonlinear.run import Complex, Real
 
-GRID = 14
+GRID = 18
 """Gaps and knees tried first, evenly spaced in their logarithm between these shares of the largest deflection."""
 
-GRID_RANGE = (0.03, 0.93)
+GRID_RANGE = (0.005, 0.93)
 SMOOTHINGS = (3.0, 300.0)
 """Rms velocity over the smoothing speed of dry friction, least and most."""
 
@@ -52,9 +52,9 @@ class Motion:
     force: Complex
     taken: Real
 
-    def settled(self, law: Callable[[Real, Real], Real]) -> Motion:
+    def settled(self, law: Callable[[Real, Real], Real], turns: int = 12) -> Motion:
         """The motion where the data say nothing as the law has it."""
-        x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v))
+        x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v), turns)
         return replace(self, x=x, v=v)
 
     def spectra(self, forces: Real) -> Complex:

@@ -21,8 +21,8 @@ FINE_BELOW = 8.0
 """Motions are brought to twice the rate where a record has fewer samples than this in a period of the last line."""
 
 
-SLOPE_STEP = 0.01
-"""Relative change of the motion for the slope of a law."""
+SLOPE_STEP, SLOPES = 0.01, 2
+"""Relative change of the motion for the slope of a law; turns in which it is taken anew."""
 
 
 @dataclass(frozen=True)
@@ -315,12 +315,13 @@ def settle(
     share[along.run.lines[-1] + 1 :] = 1.0
     seen = np.zeros(crossing.base.size, complex)
     seen[along.run.lines] = force
-    relax, last = 1.0, np.inf
-    for _ in range(turns):
+    relax, last, slope = 1.0, np.inf, 0.0
+    for turn in range(turns):
         s = law(x, v)
         # Newton's step with the law's slope, weighted with the motion: the plain substitution diverges where the contact is stiffer
         # than the structure.
-        slope = float(x @ (law(x * (1 + SLOPE_STEP), v) - s)) / SLOPE_STEP / max(float(x @ x), 1e-300)
+        if turn < SLOPES:
+            slope = float(x @ (law(x * (1 + SLOPE_STEP), v) - s)) / SLOPE_STEP / max(float(x @ x), 1e-300)
         damping = relax / (1 + crossing.compliance * (1 - share) * max(slope, 0.0))
         target = crossing.base - crossing.compliance * (share * seen + (1 - share) * crossing.lines(s))
         now = crossing.lines(x - crossing.fall_x)

@@ -14,6 +14,7 @@ from operando.effects import catalogue, kind_of
 from operando.errors import DataError
 from operando.nonlinear.conclude import conclude
 from operando.nonlinear.detect import detect
+from operando.nonlinear.polish import polished
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case, make_case
 from operando.nonlinear.steps import EARNED, Step, Tried, choose, earns, search_step, with_law
@@ -110,6 +111,7 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
         if not earns(step, best, accepted):
             further = max(further, 1 - EARNED)
             break
+        best = polished(case, best)
         accepted.append(best)
         further = 1.0
         if len(accepted) == MAX_EFFECTS or best.judge < 1.5:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from operando.data import ModalModel, TimeRecord
+from operando.effects import kind_of
 from operando.errors import MissingError
 from operando.nonlinear.laws import LawFit, Motion
 from operando.nonlinear.outside import Doubt, Outside, force_columns, look
@@ -29,6 +30,9 @@ SET_LINES = 3000
 """Lines of a run in the fit and select sets together."""
 
 BLOCKS = 18
+WALKED = 4
+"""Turns in which motion and a law that remembers are brought together: each walks through the whole record."""
+
 NOISE_FLOOR = 1e-3
 """Least noise over rms of a response: the idle model is no better than this."""
 
@@ -230,10 +234,11 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
     return Spot(place, b, outside, rest / count, whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), judge)
 
 
-def settled(spot: Spot, stage: Field, law: LawFit) -> Spot:
+def settled(spot: Spot, case: Case, law: LawFit) -> Spot:
     """The spot with the motions settled under a law."""
-    whole = [m.settled(lambda x, v, step=m.step: law.force(x, v, step)) for m in spot.whole]  # type: ignore[misc]
-    n = len(stage.case.fitted)
+    turns = WALKED if getattr(kind_of(law.kind), "has_state", False) else 12
+    whole = [m.settled(lambda x, v, step=m.step: law.force(x, v, step), turns) for m in spot.whole]  # type: ignore[misc]
+    n = len(case.fitted)
     renew = lambda parts, motions: [replace(p, x=m.x, v=m.v) for p, m in zip(parts, motions, strict=True)]  # noqa: E731
     judge = whole[n:] or renew(spot.judge, whole[:n])
     return replace(spot, whole=whole, fit=renew(spot.fit, whole[:n]), select=renew(spot.select, whole[:n]), judge=judge)

@@ -131,7 +131,7 @@ def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 6) -> Tried:
     cost, count = law_cost(law, spot.select)
     trail, seen, step = [law], [law], 0.0
     for turn in range(turns):
-        moved = settled(here, stage, trail[-1])
+        moved = settled(here, stage.case, trail[-1])
         again = fit_law(moved.fit, law.kind, law.side)
         if again is None:
             break
@@ -163,7 +163,7 @@ def narrowed(stage: Field, spot: Spot, law: LawFit, cost: float, seen: Sequence[
     def tried(at: float) -> float:
         nonlocal best
         one = replace(law, values={name: float(np.exp(at))})
-        moved = settled(spot, stage, one)
+        moved = settled(spot, stage.case, one)
         own, _ = law_cost(one, moved.fit)
         judged, _ = law_cost(one, moved.select)
         if judged < best[0]:
