@@ -14,9 +14,27 @@ def test_one_displacement_walks_as_many_do():
     x = np.cumsum(np.random.default_rng(0).standard_normal(2000)) * 1e-4
     values = {"stiffness": 1e4, "yield_force": 3.0, "exponent": 1.7, "ratio": 0.2}
     one = kind.memory(x, values, 0.3)
-    many = kind.memory(np.stack([x, -x]), values, np.array([0.3, -0.3]))
-    np.testing.assert_allclose(one, many[0], atol=1e-14)
-    np.testing.assert_allclose(-one, many[1], atol=1e-14)
+    # The walk of arrays goes by small steps; that of one from reversal to reversal, straight between samples.
+    parts = 64
+    finer = np.interp(np.arange((x.size - 1) * parts + 1) / parts, np.arange(x.size), x)
+    many = kind.memory(np.stack([finer, -finer]), values, np.array([0.3, -0.3]))[:, ::parts]
+    np.testing.assert_allclose(one, many[0], atol=1e-4)
+    np.testing.assert_allclose(-one, many[1], atol=1e-4)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 3.0, 10.0])
+def test_the_way_out_is_the_integral(exponent):
+    kind = kind_of("hysteresis")
+    values = {"stiffness": 1.0, "yield_force": 1.0, "exponent": exponent, "ratio": 0.1}
+    x = np.array([0.0, 0.4, 0.4, 1.1, 0.9, 2.5])
+    z = kind.memory(x, values, 0.0)
+
+    def out(z0, way):
+        return solve_ivp(lambda _, y: 1 - np.abs(y) ** exponent, (0, way), [z0], rtol=1e-10, atol=1e-12).y[0, -1]
+
+    at = [0.0, out(0.0, 0.4), out(0.0, 0.4), out(0.0, 1.1)]
+    at += [at[3] - 0.2, out(at[3] - 0.2, 1.6)]
+    np.testing.assert_allclose(z, at, atol=1e-4)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.3])
