@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -137,7 +136,9 @@ def _one_memory(x: Array, reach: float, exponent: float, start: float) -> Array:
     On one way z follows the displacement alone: back to zero it falls with it, and out it grows as dz/dy = 1 − zⁿ, y = |x|/reach.
     So only the values at reversals follow from each other; all samples between are looked up.
     """
-    out_of, along = _way_out(exponent)
+    out_of, even, way_to = _way_out(exponent)
+    ways_to, per = way_to.tolist(), 1 / float(even[1])
+    end = len(ways_to) - 2
     y = x / reach
     change = np.diff(y)
     sense = np.sign(change)
@@ -153,21 +154,25 @@ def _one_memory(x: Array, reach: float, exponent: float, start: float) -> Array:
     z, z_begin = start, []
     for way, s in zip(ways.tolist(), sense[begins].tolist(), strict=True):
         z_begin.append(z)
+        size = abs(z)
         if z * s < 0:
-            if way <= abs(z):
+            if way <= size:
                 z += s * way
                 continue
-            u = way - abs(z)
+            u = way - size
         else:
-            u = along(abs(z)) + way
+            at = -math.log1p(-size) * per if size < 1 else end
+            i = int(at) if at < end else end
+            u = way + ways_to[i] + (at - i) * (ways_to[i + 1] - ways_to[i])
         at = u / WAY
         i = int(at)
         z = s * (table[i] + (at - i) * (table[i + 1] - table[i]) if i < most else table[-1])
     which = np.repeat(np.arange(begins.size), np.diff(np.append(begins, y.size - 1)))
-    z0, s0 = np.array(z_begin)[which], sense
+    started = np.array(z_begin)
+    z0, s0 = started[which], sense
     gone = np.abs(y[1:] - y[begins][which])
     back = z0 * s0 < 0
-    u0 = np.array([along(abs(v)) for v in z_begin])[which]
+    u0 = np.interp(-np.log1p(-np.minimum(np.abs(started), 1 - 1e-15)), even, way_to)[which]
     u = np.where(back, gone - np.abs(z0), u0 + gone)
     outward = s0 * np.interp(u, WAY * np.arange(out_of.size), out_of)
     return np.concatenate([[start], np.where(back & (u <= 0), z0 + s0 * gone, outward)])
@@ -178,8 +183,8 @@ WAY, LONGEST = 0.002, 24.0
 
 
 @lru_cache(maxsize=8)
-def _way_out(exponent: float) -> tuple[Array, Callable[[float], float]]:
-    """z at even steps of the way out from zero, and the way at which it has a value."""
+def _way_out(exponent: float) -> tuple[Array, Array, Array]:
+    """z at even steps of the way out from zero; even steps of −ln(1 − z), and the way gone at them."""
     # Even in q = −ln(1 − z), where the way is nearly straight.
     q = np.linspace(0, LONGEST * max(exponent, 1.0), 6001)
     z = -np.expm1(-q)
@@ -190,14 +195,7 @@ def _way_out(exponent: float) -> tuple[Array, Callable[[float], float]]:
     inner[middle >= 1] = 1 / exponent
     way = np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1] + 4 * inner) / 6 * np.diff(q))])
     table = np.interp(WAY * np.arange(int(LONGEST / WAY) + 1), way, z)
-    ways, per = way.tolist(), (q.size - 1) / float(q[-1])
-
-    def along(value: float) -> float:
-        at = min(-math.log1p(-min(value, 1 - 1e-15)) * per, len(ways) - 2.0)
-        i = int(at)
-        return float(ways[i] + (at - i) * (ways[i + 1] - ways[i]))
-
-    return table, along
+    return table, q, way
 
 
 KINDS: tuple[type[EffectKind], ...] = (QuadraticDamping, CoulombFriction, Hysteresis)
