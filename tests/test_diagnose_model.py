@@ -375,6 +375,10 @@ def test_add_remove_and_other_values():
     assert [e.kind for e in model.effects] == ["point_mass", "gyroscopic"]
     assert [e.kind for e in model.remove(1).effects] == ["gyroscopic"]
     assert np.allclose(model.remove(2).remove(1).frf(HZ).data, idle.frf(HZ).data)
+    with pytest.raises(ConfigError, match="cannot be -1 kg"):
+        model.with_values(1, mass=-1.0)
+    with pytest.raises(ConfigError, match="it has mass"):
+        model.with_values(1, stiffness=1.0)
     faster = model.with_values(2, coefficient=200.0)
     direct = Model(idle).add("point_mass@3+Z=mass:0.7").add("gyroscopic@2+Z,4+Z=coefficient:200")
     assert np.allclose(faster.frf(HZ).data, direct.frf(HZ).data, rtol=1e-12)
@@ -382,6 +386,17 @@ def test_add_remove_and_other_values():
     for step in (0, 3):
         with pytest.raises(ConfigError, match="step"):
             model.remove(step)
+
+
+def test_a_value_at_its_bound_has_a_variance():
+    """Derivatives step over the bound; they are no state that anybody asked for."""
+    _, idle = chain_and_idle()
+    effect = Effect("ground_rubber", ("3+Z",), {"stiffness": 2e4, "exponent": 0.1, "reference_hz": 30.0})
+    low, _ = effect.definition.parameter("exponent").bounds((5.0, 130.0))
+    at_bound = effect.with_values(exponent=low).with_std({"stiffness": 100.0, "exponent": 0.02})
+    variance = Model(idle, (at_bound,)).frf(HZ, "3+Z", "1+Z").variance
+    assert variance is not None
+    assert variance.max() > 0
 
 
 def test_models_refuse_what_they_cannot_hold():

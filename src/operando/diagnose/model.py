@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -109,7 +109,6 @@ class Model:
             low, high = 0.0 if p.low is None else p.low, np.inf if p.high is None else p.high
             if not low <= value <= high:
                 raise ConfigError(f"{name} of {effect.kind} cannot be {value:g} {p.unit}", hint=f"it lies between {low:g} and {high:g}")
-        changed = effect.with_values(**values)
         covariance = self.covariance
         if covariance is not None:
             first = len(covariance) - sum(len(e.definition.parameters) for e in self.effects[step - 1 :])
@@ -117,7 +116,7 @@ class Model:
             covariance = np.array(covariance)
             covariance[known_now] = 0
             covariance[:, known_now] = 0
-        return replace(self, effects=(*self.effects[: step - 1], changed, *self.effects[step:]), covariance=covariance)
+        return replace(self._moved(step - 1, values), covariance=covariance)
 
     def structure(self) -> Model:
         """Only the effects on the running structure: faults of sensors and forces left out, as an OFRF wants it."""
@@ -378,8 +377,13 @@ class Model:
                 value = float(e.values[p.name])
                 step = 0.01 * min(float(std[start + i]), abs(value) if p.transform == "log" else np.inf)
                 if step > 0:
-                    ends = [self.with_values(number + 1, **{p.name: value + sign * step}) for sign in (1, -1)]
-                    yield start + i, (ends[0], ends[1]), step
+                    more, less = (self._moved(number, {p.name: value + sign * step}) for sign in (1, -1))
+                    yield start + i, (more, less), step
+
+    def _moved(self, number: int, values: Mapping[str, float]) -> Model:
+        """Other values of one effect, within its bounds or not, for derivatives: without a covariance."""
+        changed = self.effects[number].with_values(**values)
+        return replace(self, effects=(*self.effects[:number], changed, *self.effects[number + 1 :]), covariance=None)
 
 
 def joint_covariance(
