@@ -133,6 +133,7 @@ def test_several_effects_must_earn_their_place_beside_one_of_another_law(chain, 
         ([9.0, 5.0, 5.1], 2),
         ([9.0, 9.5], 2),
         ([9.0, 14.0], 1),
+        ([9.0, 20.0, 12.0], 1),
     ],
 )
 def test_last_steps_that_predict_unseen_lines_worse_are_taken_back(judge, kept):

@@ -281,12 +281,12 @@ def _search(
 
 
 def lowering(judge: Sequence[float]) -> int:
-    """How many steps of a ladder are left when effects, the last first, that raise the judge's misfit are taken back.
+    """How many steps of a ladder are left when effects, the last first, that leave the judge worse than an earlier step are taken back.
 
     Where the data allow no better, a rise within what noise does counts as none; of the first effect too, which may need the next.
     """
     kept = len(judge)
-    while kept > 1 and judge[kept - 1] > (1 + EARNED if judge[kept - 1] < GOOD or kept == 2 else 1) * judge[kept - 2]:
+    while kept > 1 and judge[kept - 1] > (1 + EARNED if judge[kept - 1] < GOOD or kept == 2 else 1) * min(judge[: kept - 1]):
         kept -= 1
     return kept
 
