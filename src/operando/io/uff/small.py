@@ -278,6 +278,8 @@ def _node_values(lines: list[str], per_node: int) -> tuple[tuple[int, ...], NDAr
         i += 1
         row: list[float] = []
         while len(row) < per_node:
+            if i == len(lines):
+                raise FormatError(f"set 55 ends after {len(row)} of the {per_node} values of node {nodes[-1]}")
             row += floats_of(lines[i])
             i += 1
         if len(row) != per_node:
