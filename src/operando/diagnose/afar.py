@@ -13,7 +13,7 @@ from operando.diagnose.levenberg import effect_dofs
 from operando.diagnose.predict import predict
 from operando.diagnose.refit import Fit, refit
 from operando.diagnose.scan import Candidate
-from operando.diagnose.sets import FIT
+from operando.diagnose.sets import FIT, CheckLines
 from operando.diagnose.shapes import by_directions, shape_prior
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def from_afar(problem: Problem, found: Sequence[Candidate]) -> list[Fit]:
     return out
 
 
-def _few(problem: Problem) -> tuple[Any, Array]:
+def _few(problem: Problem) -> tuple[CheckLines, Array]:
     """A few lines of the fit set, and the idle model's own variance there."""
     lines, own = problem.sets[FIT], problem.owns[FIT]
     every = np.zeros(lines.hz.size, bool)

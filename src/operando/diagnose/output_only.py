@@ -87,8 +87,9 @@ def diagnose_output_only(
     Each kind at each DOF and pair is added to the idle model; poles and complex shapes of the exact state-space
     eigenproblem (residual modes included) are matched to the operating ones, and the size is fitted to ln f, ln ζ and
     shape, each over its standard deviation, while the idle shapes at the effect's DOFs float under their covariance.
-    The first half of the record chooses, the second half, identified apart, judges, and the whole gives the sizes. Where there are
-    no halves, one third of the values judges and chooses nothing.
+    The first half of the record chooses, the second half, identified apart, judges, and the whole gives the sizes. Where nothing is
+    confirmed the halves change places; of candidates that the choosing half cannot tell apart both halves name one. Where there are no
+    halves, one third of the values judges and chooses nothing.
 
     Parameters
     ----------
@@ -216,11 +217,12 @@ def _diagnose(
     actions = [action_of(e, idle) for e in candidate_effects(idle, kinds, places)]
     bare = basis.touched(rows_of((), basis))
     found = _search(sets, basis, bare, actions, progress)
-    if sets.apart and not found.rivals and len(found.ladder) == 1:
+    if sets.apart and len(found.ladder) == 1:
         # The half that chose may be the poorer one of the two.
-        other = _search(sets.exchanged(), basis, bare, actions, progress)
+        changed = sets.exchanged()
+        other = _search(changed, basis, bare, actions, progress)
         if len(other.ladder) > 1:
-            found, sets = other, sets.exchanged()
+            found, sets = other, changed
     current, ladder, rivals = found.fit, found.ladder, found.rivals
     everything = np.ones((sets.whole.n, sets.whole.per_mode), bool)
     near = basis.touched(rows_of(current.actions, basis))

@@ -295,8 +295,9 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
         return ranked, here
     if ranked[0].selection > POOR and not fit.terms:
         more = [problem.tried(f) for f in from_afar(problem, found)]
-        places = {t.term.key for t in more}
-        ranked, here = by_the_best(problem, [*more, *(t for t in tried if t.term.key not in places)])
+        if more:
+            again = {t.term.key for t in more}
+            ranked, here = by_the_best(problem, [*more, *(t for t in tried if t.term.key not in again)])
     poor = ranked[0].selection > POOR
     if poor:
         # None of them is all that is missing. What the lines known best say of a model that lacks something ranks nothing.

@@ -31,7 +31,7 @@ SWAPPED = 0.03
 DONE = 1.2
 """Selection misfit at which the data allow no better and nothing more is looked for."""
 
-FIRSTS = 3
+FIRSTS = 4
 """First effects from which the search starts again where it ends poorly."""
 
 
@@ -144,7 +144,7 @@ def from_others(problem: Problem, found: Search, most: int) -> Search:
     starts += [(t, q) for t, q in zip(last.terms[1:], last.q[1:], strict=True)]
     seen = {found.history[0][0].term.dofs, *(t.dofs for t, _ in starts)}
     for other in found.history[0][1]:
-        if len(starts) <= FIRSTS and other.term.dofs not in seen:
+        if len(starts) < FIRSTS and other.term.dofs not in seen:
             seen.add(other.term.dofs)
             starts.append((other.term, other.fit.q[-1]))
     for term, q in starts:
