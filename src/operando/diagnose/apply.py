@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from operando.data import Geometry, ModalModel
-from operando.diagnose.diagnosis import effects_of, ladder, make_problem
+from operando.diagnose.diagnosis import effects_of, ladder, make_problem, with_what_was_learnt
 from operando.diagnose.model import Model
 from operando.diagnose.predict import Term
 from operando.diagnose.problem import Problem, choose, scan, step
@@ -25,6 +25,9 @@ Array = NDArray[Any]
 
 ENOUGH = 1.5
 """A judge misfit above this after an effect was added is held against the best candidate of its step."""
+
+DONE = 0.01
+"""Part of the idle model's misfit below which its own errors are what is left."""
 
 LITTLE = 0.1
 """One that lowers it by less than this part has no support in the data."""
@@ -111,6 +114,8 @@ def apply_effects(
             fits.append(problem.settled(problem.joint(terms[: k + 1], [*q, begin])))
             q = list(fits[-1].q)
         rows, fits = ladder(problem, fits)
+        if rows[-1]["heldout_misfit"] < max(ENOUGH, DONE * rows[0]["heldout_misfit"]):
+            rows, fits = with_what_was_learnt(problem, rows, fits)
         for k, fit in enumerate(fits[1:], 1):
             words.append(words_of(effects_of(fit)[-1], rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]))
             if rows[k]["heldout_misfit"] > ENOUGH and rows[k - 1]["heldout_misfit"] > ENOUGH:

@@ -16,6 +16,7 @@ from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
+from operando.diagnose.learn import learn
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
@@ -233,7 +234,6 @@ def _search(
     kept = lowering([r["heldout_misfit"] for r in rows]) if one_system else len(rows)
     if kept < len(rows):
         rows, final, fits, history = rows[:kept], final[:kept], fits[:kept], history[: kept - 1]
-    effects = tuple(effects_of(final[-1], problem.idle.dofs))
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     judged = problem.sets[JUDGE]
     notes = list(problem.lines.notes)
@@ -258,6 +258,11 @@ def _search(
     if not one_system and verdict in ("explained", "ambiguous"):
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
+    if verdict in ("explained", "ambiguous"):
+        rows, final = with_what_was_learnt(problem, rows, final)
+        if final[-1].learnt is not None:
+            notes.append(CORRECTED)
+    effects = tuple(effects_of(final[-1], problem.idle.dofs))
     ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
     proposal = propose(problem, final[-1], alternatives, verdict)
     where = where_it_fails(problem.idle, check, band)
@@ -338,6 +343,26 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> tuple[list[dict[str, Any]],
             }
         )
     return rows, told
+
+
+CORRECTED = (
+    "with the effects known, the check lines also corrected the frequencies, damping ratios and shapes of the idle model, "
+    "within their uncertainty; the last step of the ladder has them corrected"
+)
+
+
+def with_what_was_learnt(problem: Problem, rows: list[dict[str, Any]], fits: list[Fit]) -> tuple[list[dict[str, Any]], list[Fit]]:
+    """The last step with the idle model corrected by the lines: for effects that leave nothing but the idle model's own errors.
+
+    Kept where lines that were not fitted are predicted better.
+    """
+    if not fits[-1].terms:
+        return rows, fits
+    corrected = learn(problem, fits[-1])
+    again, _ = ladder(problem, [*fits[:-1], corrected])
+    if corrected.learnt is None or again[-1]["heldout_misfit"] > rows[-1]["heldout_misfit"]:
+        return rows, fits
+    return again, [*fits[:-1], corrected]
 
 
 def candidate_row(tried: Tried, before: Sequence[float]) -> dict[str, Any]:

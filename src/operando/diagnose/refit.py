@@ -33,6 +33,28 @@ POOR = 2.5
 
 
 @dataclass(frozen=True)
+class Learnt:
+    """Effects and idle model after the lines told what they could of all parameters.
+
+    Parameters
+    ----------
+    q : tuple of arrays
+        Moving numbers of each term.
+    idle : ModalModel
+        Moved frequencies, damping ratios and shapes.
+    joint : (n_parameters + n_q, n_parameters + n_q) array
+        Covariance of θ = [f (Hz), ζ, shapes mode by mode] and all q.
+    excess : float
+        Misfit by the noise alone where it is above 1: what the variances of the numbers are told larger by.
+    """
+
+    q: tuple[Array, ...]
+    idle: ModalModel
+    joint: Array
+    excess: float
+
+
+@dataclass(frozen=True)
 class Fit:
     """Effects fitted together.
 
@@ -52,6 +74,8 @@ class Fit:
         2·Σ|e|²/var + |z|² on the fitted lines.
     excess : float
         Misfit of the last fit where it is above 1: what the numbers' variances are told larger by, the covariance not.
+    learnt : Learnt, optional
+        Sizes and idle model after the lines told what they could of all parameters (:func:`operando.diagnose.learn.learn`).
     """
 
     terms: tuple[Term, ...]
@@ -62,20 +86,23 @@ class Fit:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     cost: float = np.inf
     excess: float = 1.0
+    learnt: Learnt | None = None
+
+    @property
+    def sizes(self) -> tuple[Array, ...]:
+        """Moving numbers of each term, after all that the lines told."""
+        return self.q if self.learnt is None else self.learnt.q
 
     @property
     def std(self) -> tuple[Array, ...]:
-        """Standard deviation of each term's moving numbers on the search scale."""
-        diagonal = (
-            np.sqrt(np.maximum(np.diag(self.covariance), 0) * self.excess)
-            if self.covariance.size
-            else np.zeros(sum(v.size for v in self.q))
-        )
-        out, start = [], 0
-        for v in self.q:
-            out.append(diagonal[start : start + v.size])
-            start += v.size
-        return tuple(out)
+        """Standard deviation of each term's moving numbers (:attr:`sizes`) on the search scale."""
+        count = sum(v.size for v in self.q)
+        variance, excess = np.zeros(count), self.excess
+        if self.learnt is not None:
+            variance, excess = np.diag(self.learnt.joint)[-count:], self.learnt.excess
+        elif self.covariance.size:
+            variance = np.diag(self.covariance)[:count]
+        return split(np.sqrt(np.maximum(variance, 0) * excess), self.terms)
 
 
 def refit(
@@ -368,6 +395,8 @@ def _by_shapes_of_pair(p: Prediction, lines: CheckLines, dofs: Array, n_modes: i
 
 def predicted(arrays: IdleArrays, lines: CheckLines, fit: Fit, variance: bool = False) -> tuple[Array, Array | None]:
     """Receptance on other lines, and (if wanted) the variance left by what the fit could not determine."""
+    if fit.learnt is not None:
+        return predict(IdleArrays.of(fit.learnt.idle), lines, fit.terms, fit.learnt.q).data, None
     here = arrays.with_phi(fit.phi)
     p = predict(here, lines, fit.terms, fit.q)
     if not variance or not fit.covariance.size:

@@ -26,7 +26,7 @@ Array = NDArray[Any]
 def effects_of(fit: Fit, dofs: Sequence[Dof] = ()) -> list[Effect]:
     """The fitted terms as effects with values and standard deviations; an added mode's shape needs the idle model's DOFs."""
     out = []
-    for term, q, spread in zip(fit.terms, fit.q, fit.std, strict=True):
+    for term, q, spread in zip(fit.terms, fit.sizes, fit.std, strict=True):
         values = term.values(q)
         shape = values.pop("shape", None)
         std = {
@@ -73,31 +73,36 @@ def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Mo
     """Idle model with the refitted shape values, the effects, and one covariance of all."""
     idle = problem.idle
     effects = tuple(effects_of(fit, idle.dofs))
-    updated = replace(idle, shapes=fit.phi)
+    updated = fit.learnt.idle if fit.learnt else replace(idle, shapes=fit.phi)
     if idle.covariance is None or not fit.covariance.size:
         return Model(updated, effects, geometry)
-    covariance = given_shapes(idle, fit)
-    n_q = sum(v.size for v in fit.q)
-    root = moves_of(idle, fit)
-    covariance += root @ fit.covariance[n_q:, n_q:] @ root.T
+    n_q, p = sum(v.size for v in fit.q), idle.n_parameters
+    together = fit.learnt.joint if fit.learnt else _joint(idle, fit)
     # Rows of the values: all parameters of each effect, those held with no variance.
     size = sum(len(e.definition.parameters) for e in effects)
-    lift = np.zeros((size, n_q))
-    row = column = 0
+    lift = np.zeros((p + size, p + n_q))
+    lift[:p, :p] = np.eye(p)
+    row, column = p, p
     for term, effect in zip(fit.terms, effects, strict=True):
         for k, number in enumerate(effect.definition.parameters):
             if number.name in term.moving:
                 lift[row + k, column + term.moving.index(number.name)] = number.slope(float(effect.values[number.name]))
         row += len(effect.definition.parameters)
         column += term.size
-    p = idle.n_parameters
-    joint = np.zeros((p + size, p + size))
-    joint[:p, :p] = covariance
-    joint[p:, p:] = lift @ fit.covariance[:n_q, :n_q] @ lift.T
-    across = root @ fit.covariance[n_q:, :n_q] @ lift.T
-    joint[:p, p:] = across
-    joint[p:, :p] = across.T
-    return _without_unused(problem, fit, Model(replace(updated, covariance=covariance), effects, geometry, joint))
+    joint = lift @ together @ lift.T
+    return _without_unused(problem, fit, Model(replace(updated, covariance=joint[:p, :p]), effects, geometry, joint))
+
+
+def _joint(idle: ModalModel, fit: Fit) -> Array:
+    """Covariance of θ and the moving numbers: the idle model's own, with what was fitted in the place of what was open."""
+    n_q, p = sum(v.size for v in fit.q), idle.n_parameters
+    root = moves_of(idle, fit)
+    joint = np.zeros((p + n_q, p + n_q))
+    joint[:p, :p] = given_shapes(idle, fit) + root @ fit.covariance[n_q:, n_q:] @ root.T
+    joint[p:, p:] = fit.covariance[:n_q, :n_q]
+    joint[:p, p:] = root @ fit.covariance[n_q:, :n_q]
+    joint[p:, :p] = joint[:p, p:].T
+    return joint
 
 
 def _without_unused(problem: Problem, fit: Fit, model: Model) -> Model:

@@ -1,0 +1,240 @@
+"""What the check lines tell of the idle model once the effects are known: all its modal parameters, under their covariance.
+
+The search refits what the places of the effects leave open, and no more. Where the idle model knows its driven columns to a few per
+cent and the check to a few per mille, the rest of the difference is the idle model's own error; it is common to all lines, and is
+taken out here, together with what it did to the sizes of the effects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnose.levenberg import inverse, jacobian, solve, split, weights
+from operando.diagnose.predict import IdleArrays, Prediction, by_poles, predict
+from operando.diagnose.refit import Fit, Learnt, mean_misfit
+from operando.diagnose.result import given_shapes, moves_of
+from operando.diagnose.sets import FIT, SELECT, CheckLines
+from operando.diagnose.shapes import RELATIVE, by_directions
+
+if TYPE_CHECKING:
+    from operando.diagnose.problem import Problem
+
+Array = NDArray[Any]
+
+BEYOND_NOISE = 1.5
+"""Misfit by the variance of the measurement alone above which the check can tell something of the idle model."""
+
+KEPT = 1e-9
+"""Directions of the idle model's covariance (of each parameter in units of its standard deviation) below this share are left out."""
+
+TOLD = 0.02
+"""Directions whose variance the lines would lower by less than about this part stay as they are."""
+
+SURE = 1.2
+"""Directions that moved by more than this, in rms of their spread, had been given too small a one."""
+
+LEAST = 1e-3
+
+STEPS, TRIES, ENDED = 25, 9, 5e-3
+"""Iterations at most; a step that lowers the cost by less than this part is the last."""
+
+
+def learn(problem: Problem, fit: Fit) -> Fit:
+    """Gauss–Newton over the effects' sizes and all modal parameters of the idle model, on the fit and the select lines.
+
+    The prior is what the refit of the effects left of the idle model's covariance, with the directions it moved at their places. The
+    noise that neighbouring lines share counts: each line weighs as much less. The covariance is that of both measurements together.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+        After the last fit.
+
+    Returns
+    -------
+    Fit
+        With ``learnt``; as it was where the idle model has no covariance, the lines agree with it within their noise, or
+        nothing gets better.
+    """
+    if problem.idle.covariance is None or not fit.terms or not fit.covariance.size:
+        return fit
+    mask = np.isin(problem.lines.group, (FIT, SELECT))
+    lines = problem.lines.where(mask)
+    root_w = np.sqrt(weights(lines, np.zeros(lines.data.shape)))
+    p = predict(problem.arrays.with_phi(fit.phi), lines, fit.terms, fit.q)
+    if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
+        return fit
+    state = _Parameters.of(problem, fit, lines, root_w / np.sqrt(max(lines.shared, 1.0)))
+    x = state.start
+    before = state.cost(x)
+    x, cost = state.descend(x, before)
+    wide = float(np.sqrt(np.mean(x[state.n_q :] ** 2))) if x.size > state.n_q else 0.0
+    if wide > SURE:
+        # The prior was too sure of itself.
+        state, x = state.widened(wide), np.r_[x[: state.n_q], x[state.n_q :] / wide]
+        x, cost = state.descend(x, state.cost(x))
+    return state.learnt(x) if np.isfinite(cost) and cost < before else fit
+
+
+@dataclass(frozen=True)
+class _Parameters:
+    """x: the effects' moving numbers, then directions of all parameters that the lines tell something about, of unit variance before."""
+
+    problem: Problem
+    fit: Fit
+    lines: CheckLines
+    root_w: Array
+    poles: Array
+    moves: Array
+    relative: Array
+    start: Array
+    rest: Array
+    alike: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @classmethod
+    def of(cls, problem: Problem, fit: Fit, lines: CheckLines, root_w: Array) -> _Parameters:
+        idle = problem.idle
+        n, m = idle.n_modes, len(idle.dofs)
+        assert idle.covariance is not None
+        unit = np.sqrt(np.maximum(np.diag(idle.covariance), 1e-300))
+        size, vectors = np.linalg.eigh(given_shapes(idle, fit) / unit[:, None] / unit)
+        keep = size > KEPT * max(float(size[-1]), 1e-300)
+        # What the refit moved stays a direction of its own, with where it stands; everything else is counted from there.
+        root = np.c_[moves_of(idle, fit), unit[:, None] * vectors[:, keep] * np.sqrt(size[keep])]
+        stands = np.r_[fit.z, np.zeros(root.shape[1] - fit.z.size)]
+        moves = np.ascontiguousarray(root[2 * n :].reshape(n, m, -1).transpose(1, 0, 2))
+        spread = unit[2 * n :].reshape(n, m).T
+        relative = (np.abs(fit.phi) > RELATIVE * spread) & ~np.asarray(idle.residual)
+        q = np.concatenate(fit.q)
+        made = cls(problem, fit, lines, root_w, root[: 2 * n], moves, relative, np.r_[q, stands], root)
+        slope = made.slope(made.start)[q.size :]
+        information = 2 * slope @ slope.T
+        told, turn = np.linalg.eigh(information)
+        turn = turn[:, told > TOLD]
+        rest = root - (root @ turn) @ turn.T
+        alike = (turn.T * (1 + np.diag(information))) @ turn
+        return replace(
+            made,
+            poles=made.poles @ turn,
+            moves=moves @ turn,
+            start=np.r_[q, turn.T @ stands],
+            rest=rest,
+            alike=alike,
+        )
+
+    @property
+    def n_q(self) -> int:
+        return sum(v.size for v in self.fit.q)
+
+    def widened(self, by: float) -> _Parameters:
+        """Directions of larger spread."""
+        start = np.r_[self.start[: self.n_q], self.start[self.n_q :] / by]
+        return replace(self, poles=self.poles * by, moves=self.moves * by, start=start)
+
+    def q(self, x: Array) -> tuple[Array, ...]:
+        return split(x[: self.n_q], self.fit.terms)
+
+    def factor(self, x: Array) -> Array:
+        """What shapes that move by a factor are multiplied by; 1 for others."""
+        share = np.divide(self.moves @ self._gone(x), self.fit.phi, out=np.zeros(self.fit.phi.shape), where=self.relative)
+        return np.exp(np.clip(share, -2, 2))
+
+    def arrays(self, x: Array) -> IdleArrays:
+        """Modal parameters moved from where the refit left them."""
+        idle, n, gone = self.problem.arrays.model, self.problem.idle.n_modes, self._gone(x)
+        poles = self.poles @ gone
+        phi = np.where(self.relative, self.fit.phi * self.factor(x), self.fit.phi + self.moves @ gone)
+        hz = np.maximum(idle.frequencies_hz + poles[:n], 0.5 * idle.frequencies_hz)
+        zeta = np.maximum(idle.damping_ratios + poles[n:], 0.1 * idle.damping_ratios)
+        return IdleArrays(replace(idle, frequencies_hz=hz, damping_ratios=zeta), phi)
+
+    def _gone(self, x: Array) -> Array:
+        return x[self.n_q :] - self.start[self.n_q :]
+
+    def slope(self, x: Array, p: Prediction | None = None) -> Array:
+        """∂(weighted H)/∂x, real and imaginary parts side by side, (x.size, 2·lines)."""
+        here, q, n, terms = self.arrays(x), self.q(x), self.problem.idle.n_modes, self.fit.terms
+        p = p or predict(here, self.lines, terms, q)
+        changed = here.model
+        for t, v in zip(terms, q, strict=True):
+            if t.kind.acts == "modal_change":
+                changed = t.kind.modal_change(changed, t.values(v))
+        both = np.concatenate([by[:n] for by in by_poles(p, changed, self.lines)]).astype(np.complex64)
+        own = by_directions(p, self.lines, np.where(self.relative, self.factor(x), 1.0)[:, :, None] * self.moves)
+        own += np.tensordot(self.poles.T.astype(np.float32), both, 1)
+        sizes = jacobian(here, self.lines, terms, q, self.fit.prior.bare(), np.zeros(0), p)
+        flat = (np.concatenate([sizes, own]) * self.root_w).reshape(x.size, -1)
+        return np.concatenate([flat.real, flat.imag], axis=1)
+
+    def _state(self, x: Array) -> tuple[Prediction, Array, float]:
+        p = predict(self.arrays(x), self.lines, self.fit.terms, self.q(x))
+        error = (self.root_w * (self.lines.data - p.data)).ravel()
+        error = np.concatenate([error.real, error.imag])
+        return p, error, 2 * float(error @ error) + float(x[self.n_q :] @ x[self.n_q :])
+
+    def cost(self, x: Array) -> float:
+        """2·Σ|e|²/var + |z|²."""
+        return self._state(x)[2]
+
+    def descend(self, x: Array, cost: float) -> tuple[Array, float]:
+        """Levenberg's steps from x: damped alike in all directions of unit spread, so that what the lines know best is followed first."""
+        bounds = [t.bounds() for t in self.fit.terms]
+        low, high = (np.concatenate([b[side] for b in bounds]) for side in (0, 1))
+        damping = 0.0
+        alike = np.zeros((x.size, x.size))
+        alike[self.n_q :, self.n_q :] = self.alike
+        for _ in range(STEPS):
+            p, error, cost = self._state(x)
+            slope = self.slope(x, p)
+            down = 2 * slope @ error
+            down[self.n_q :] -= x[self.n_q :]
+            normal = self._normal(slope)
+            first = True
+            for _ in range(TRIES):
+                new = x + solve(normal + damping * alike, down)
+                new[: self.n_q] = np.clip(new[: self.n_q], low, high)
+                reached = self.cost(new)
+                if np.isfinite(reached) and reached < cost:
+                    break
+                damping, first = max(10 * damping, LEAST), False
+            else:
+                break
+            gain, x, cost = cost - reached, new, reached
+            if first:
+                damping = damping / 10 if damping > LEAST else 0.0
+            if gain < ENDED * cost:
+                break
+        return x, cost
+
+    def _normal(self, slope: Array) -> Array:
+        normal = 2 * slope @ slope.T
+        k = np.arange(self.n_q, len(normal))
+        normal[k, k] += 1
+        return np.asarray(normal)
+
+    def learnt(self, x: Array) -> Fit:
+        """The fit there, with the covariance of what was told and what was not."""
+        idle, fit, k = self.problem.idle, self.fit, self.n_q
+        here = self.arrays(x)
+        known = inverse(self._normal(self.slope(x)))
+        moves = np.where(self.relative, self.factor(x), 1.0)[:, :, None] * self.moves
+        told = np.concatenate([self.poles, moves.transpose(1, 0, 2).reshape(-1, x.size - k)])
+        own = told @ known[k:, k:] @ told.T + self.rest @ self.rest.T
+        across = told @ known[k:, :k]
+        moved = replace(
+            idle,
+            frequencies_hz=here.model.frequencies_hz,
+            damping_ratios=here.model.damping_ratios,
+            shapes=here.phi,
+            covariance=None,
+            std=None,
+        )
+        joint = np.block([[own, across], [across.T, known[:k, :k]]])
+        now = predict(here, self.lines, fit.terms, self.q(x)).data
+        excess = max(1.0, mean_misfit(self.lines, np.zeros(now.shape), now))
+        return replace(fit, learnt=Learnt(self.q(x), moved, (joint + joint.T) / 2, excess))
