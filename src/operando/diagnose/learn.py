@@ -18,7 +18,7 @@ from operando.diagnose.predict import IdleArrays, Prediction, by_poles, predict
 from operando.diagnose.refit import Fit, Learnt, mean_misfit
 from operando.diagnose.result import given_shapes, moves_of
 from operando.diagnose.sets import FIT, SELECT, CheckLines
-from operando.diagnose.shapes import RELATIVE, by_directions
+from operando.diagnose.shapes import by_directions
 
 if TYPE_CHECKING:
     from operando.diagnose.problem import Problem
@@ -33,6 +33,9 @@ KEPT = 1e-9
 
 TOLD = 0.02
 """Directions whose variance the lines would lower by less than about this part stay as they are."""
+
+RELATIVE = 4.0
+"""Shape values known to better than one part in so many move by a factor, which keeps products of two of them; others by a sum."""
 
 SURE = 1.2
 """Directions that moved by more than this, in rms of their spread, had been given too small a one."""
@@ -234,7 +237,12 @@ class _Parameters:
             covariance=None,
             std=None,
         )
-        joint = np.block([[own, across], [across.T, known[:k, :k]]])
+        sizes = known[:k, :k]
         now = predict(here, self.lines, fit.terms, self.q(x)).data
         excess = max(1.0, mean_misfit(self.lines, np.zeros(now.shape), now))
+        if excess > BEYOND_NOISE:
+            # Something is left that none of these parameters is: sizes are no better known than before.
+            grow = np.sqrt(np.maximum(np.diag(fit.covariance)[:k] * fit.excess / (np.diag(sizes) * excess), 1.0))
+            sizes, across = grow[:, None] * sizes * grow, across * grow
+        joint = np.block([[own, across], [across.T, sizes]])
         return replace(fit, learnt=Learnt(self.q(x), moved, (joint + joint.T) / 2, excess))
