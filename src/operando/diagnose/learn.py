@@ -25,8 +25,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-BEYOND_NOISE = 1.5
+BEYOND_NOISE = 1.2
 """Misfit by the variance of the measurement alone above which the check can tell something of the idle model."""
+
+LEFT = 1.25
+"""Misfit by the noise alone above which something is left that no parameter of the idle model is."""
 
 KEPT = 1e-9
 """Directions of the idle model's covariance (of each parameter in units of its standard deviation) below this share are left out."""
@@ -42,8 +45,12 @@ SURE = 1.2
 
 LEAST = 1e-3
 
-STEPS, TRIES, ENDED = 25, 9, 5e-3
-"""Iterations at most; a step that lowers the cost by less than this part is the last."""
+STEPS, TRIES, ENDED = 25, 9, 3e-3
+"""Iterations of a stage at most; a step that lowers the cost by less than this part is the last."""
+
+
+STAGES = ((0.1, 4), (0.02, 4), (0.003, 4), (0.0, 2), (0.0, 1))
+"""Doubt of the prediction, as a part of what was measured, and one line in so many, stage by stage."""
 
 
 def learn(problem: Problem, fit: Fit) -> Fit:
@@ -68,20 +75,28 @@ def learn(problem: Problem, fit: Fit) -> Fit:
         return fit
     mask = np.isin(problem.lines.group, (FIT, SELECT))
     lines = problem.lines.where(mask)
-    root_w = np.sqrt(weights(lines, np.zeros(lines.data.shape)))
     p = predict(problem.arrays.with_phi(fit.phi), lines, fit.terms, fit.q)
     if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
         return fit
-    state = _Parameters.of(problem, fit, lines, root_w / np.sqrt(max(lines.shared, 1.0)))
-    x = state.start
-    before = state.cost(x)
-    x, cost = state.descend(x, before)
+    state = _Parameters.of(problem, fit, lines, 4)
+    x = state.found(state.start)
     wide = float(np.sqrt(np.mean(x[state.n_q :] ** 2))) if x.size > state.n_q else 0.0
     if wide > SURE:
         # The prior was too sure of itself.
         state, x = state.widened(wide), np.r_[x[: state.n_q], x[state.n_q :] / wide]
-        x, cost = state.descend(x, state.cost(x))
-    return state.learnt(x) if np.isfinite(cost) and cost < before else fit
+        x = state.found(x, STAGES[-2:])
+    state = state.on(lines)
+    cost = state.cost(x)
+    return state.learnt(x) if np.isfinite(cost) and cost < state.cost(state.start) else fit
+
+
+def _thinned(lines: CheckLines, every: int) -> tuple[CheckLines, Array]:
+    """One line in so many, as far as they share their noise, and 1/std of each; what lines still share weighs them down."""
+    step = max(1, min(every, int(lines.shared / 2)))
+    keep = np.zeros(lines.hz.size, bool)
+    keep[step // 2 :: step] = True
+    few = lines.where(keep)
+    return few, np.sqrt(weights(few, np.zeros(few.data.shape)) / max(lines.shared / step, 1.0))
 
 
 @dataclass(frozen=True)
@@ -90,6 +105,7 @@ class _Parameters:
 
     problem: Problem
     fit: Fit
+    every: CheckLines
     lines: CheckLines
     root_w: Array
     poles: Array
@@ -100,7 +116,7 @@ class _Parameters:
     alike: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit, lines: CheckLines, root_w: Array) -> _Parameters:
+    def of(cls, problem: Problem, fit: Fit, lines: CheckLines, every: int) -> _Parameters:
         idle = problem.idle
         n, m = idle.n_modes, len(idle.dofs)
         assert idle.covariance is not None
@@ -114,7 +130,8 @@ class _Parameters:
         spread = unit[2 * n :].reshape(n, m).T
         relative = (np.abs(fit.phi) > RELATIVE * spread) & ~np.asarray(idle.residual)
         q = np.concatenate(fit.q)
-        made = cls(problem, fit, lines, root_w, root[: 2 * n], moves, relative, np.r_[q, stands], root)
+        few, root_w = _thinned(lines, every)
+        made = cls(problem, fit, lines, few, root_w, root[: 2 * n], moves, relative, np.r_[q, stands], root)
         slope = made.slope(made.start)[q.size :]
         information = 2 * slope @ slope.T
         told, turn = np.linalg.eigh(information)
@@ -129,6 +146,21 @@ class _Parameters:
             rest=rest,
             alike=alike,
         )
+
+    def on(self, lines: CheckLines) -> _Parameters:
+        """The same on these lines."""
+        return replace(self, lines=lines, root_w=_thinned(lines, 1)[1])
+
+    def found(self, x: Array, stages: tuple[tuple[float, int], ...] = STAGES) -> Array:
+        """The minimum, reached with less and less doubt of the prediction and on more and more lines.
+
+        A peak beside the one measured is pulled there only where lines are not weighed as if the prediction had to meet their noise.
+        """
+        for doubt, every in stages:
+            lines, root_w = _thinned(self.every, every)
+            loose = root_w / np.sqrt(1 + (doubt * np.abs(lines.data) * root_w) ** 2)
+            x = replace(self, lines=lines, root_w=loose).descend(x)
+        return x
 
     @property
     def n_q(self) -> int:
@@ -184,7 +216,7 @@ class _Parameters:
         """2·Σ|e|²/var + |z|²."""
         return self._state(x)[2]
 
-    def descend(self, x: Array, cost: float) -> tuple[Array, float]:
+    def descend(self, x: Array) -> Array:
         """Levenberg's steps from x: damped alike in all directions of unit spread, so that what the lines know best is followed first."""
         bounds = [t.bounds() for t in self.fit.terms]
         low, high = (np.concatenate([b[side] for b in bounds]) for side in (0, 1))
@@ -212,7 +244,7 @@ class _Parameters:
                 damping = damping / 10 if damping > LEAST else 0.0
             if gain < ENDED * cost:
                 break
-        return x, cost
+        return x
 
     def _normal(self, slope: Array) -> Array:
         normal = 2 * slope @ slope.T
@@ -237,12 +269,9 @@ class _Parameters:
             covariance=None,
             std=None,
         )
-        sizes = known[:k, :k]
+        joint = np.block([[own, across], [across.T, known[:k, :k]]])
         now = predict(here, self.lines, fit.terms, self.q(x)).data
-        excess = max(1.0, mean_misfit(self.lines, np.zeros(now.shape), now))
-        if excess > BEYOND_NOISE:
-            # Something is left that none of these parameters is: sizes are no better known than before.
-            grow = np.sqrt(np.maximum(np.diag(fit.covariance)[:k] * fit.excess / (np.diag(sizes) * excess), 1.0))
-            sizes, across = grow[:, None] * sizes * grow, across * grow
-        joint = np.block([[own, across], [across.T, sizes]])
+        misfit = mean_misfit(self.lines, np.zeros(now.shape), now)
+        # What is left is alike on all lines of a peak: it moves the sizes as it stands, not as its mean over many lines.
+        excess = misfit**2 if misfit > LEFT else 1.0
         return replace(fit, learnt=Learnt(self.q(x), moved, (joint + joint.T) / 2, excess))

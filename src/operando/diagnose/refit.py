@@ -45,7 +45,7 @@ class Learnt:
     joint : (n_parameters + n_q, n_parameters + n_q) array
         Covariance of θ = [f (Hz), ζ, shapes mode by mode] and all q.
     excess : float
-        Misfit by the noise alone where it is above 1: what the variances of the numbers are told larger by.
+        What the variances of the numbers are told larger by: where something is left by the noise alone, the square of that misfit.
     """
 
     q: tuple[Array, ...]
