@@ -132,7 +132,7 @@ def rank_places(
     """Places by what no force there explains, the best first: all of them without, the best with what lies outside the band."""
     few = [Weighted.of(r.on(strided(r, RANK_LINES))) for r in case.fitted]
     none = Outside.none([w.run for w in few], case.n_dofs, case.band[1])
-    first = sorted((look(few, case.modes, case.b(p), case.doubt, none, 0).misfit, p) for p in places)
+    first = sorted((look(few, case.modes, case.b(p), case.doubt, none, 1).misfit, p) for p in places)
     if say:
         say(f"look at {min(LOOKED, len(first))} of {len(first)} places")
     return sorted((look(few, case.modes, case.b(p), case.doubt, none, 3).misfit, p) for _, p in first[:LOOKED])
