@@ -73,11 +73,12 @@ def at_level(
     low, high = band or idle.band_hz or (0.6 * float(np.min(idle.frequencies_hz)), 1.1 * float(np.max(idle.frequencies_hz)))
     modes = Modes.of(idle)
     free = modes.hz > 1e-3
-    modes = Modes(modes.hz[free], modes.zeta[free], modes.phi[:, free])
+    modes = modes.only(free)
     (row,), (sign,) = match_dofs(tuple(parse_dofs((reference,))), idle.dofs)
     pairs = [law_of(e, idle) for e in effects]
     if not pairs:
         return []
+    modes = modes.only(~np.all([modes.invented(b, low) for _, b in pairs], axis=0))
     laws, shapes = [law for law, _ in pairs], np.stack([modes.phi.T @ b for _, b in pairs])
     rate = OVER * high
     samples = WALKED if any(getattr(e.definition, "has_state", False) for e in effects) else SAMPLES

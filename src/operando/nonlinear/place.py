@@ -20,6 +20,8 @@ from operando.nonlinear.run import Complex, Modes, Real, Run, decay_in_time
 FINE_BELOW = 8.0
 """Motions are brought to twice the rate where a record has fewer samples than this in a period of the last line."""
 
+EDGE = 8.0
+"""Periods of the last line at each end of a record in which the motion may be no larger than elsewhere."""
 
 SLOPE_STEP, SLOPES = 0.01, 2
 """Relative change of the motion for the slope of a law; turns in which it is taken anew."""
@@ -63,7 +65,7 @@ class Weighted:
             j = run.decays.shape[0]
             gram = decay_gram(run.decays, run.decay_shapes, root)
             gram[np.diag_indices(j)] *= 1 + 1e-10
-            gram[np.diag_indices(j)] += 1e-300
+            gram[np.diag_indices(j)] += 1 / np.maximum(run.decay_size, 1e-150) ** 2
         return cls(run, root, weighted, gram, right, float(np.sum(np.abs(weighted) ** 2)))
 
     def with_error(self, error: Complex) -> Weighted:
@@ -226,6 +228,8 @@ class Crossing:
     omega : (N//2+1,) array
     fine : int
         Steps a sample: a force with kinks has a wider spectrum than the motion, and would fold back.
+    edge : int
+        Steps at each end where the motion is doubtful.
     """
 
     base: Complex
@@ -234,6 +238,7 @@ class Crossing:
     fall_v: Real
     omega: Real
     fine: int
+    edge: int = 1
 
     @classmethod
     def of(cls, along: Along, modes: Modes, amplitudes: Real, extra: Complex | None = None) -> Crossing:
@@ -244,6 +249,7 @@ class Crossing:
         top = int(run.lines[-1]) + 1
         across = modes.phi.T @ along.b
         kernel = modes.receptance_kernel(hz[:top]) * across[:, None]
+        kernel[modes.invented(along.b, float(run.hz[0])), : run.lines[0]] = 0
         base, compliance = np.zeros(hz.size, complex), np.zeros(hz.size, complex)
         for shape, force in zip(run.directions @ modes.phi, run.forces, strict=True):
             base[:top] += (shape @ kernel) * force[:top]
@@ -260,7 +266,8 @@ class Crossing:
         if measured.size == np.count_nonzero(along.b):
             a = along.b[run.rows[measured]] @ run.responses[measured] - sfft.rfft(fall[2, ::fine])
             base[top:] = -a[top:] / w[top:] ** 2
-        return cls(base, compliance, fall[0], fall[1], w, fine)
+        edge = max(1, int(EDGE * run.sampling_hz * fine / run.hz[-1]))
+        return cls(base, compliance, fall[0], fall[1], w, fine, edge)
 
     def in_time(self, x: Complex) -> tuple[Real, Real]:
         """Displacement and velocity of a spectrum of displacement, without the decays."""
@@ -277,8 +284,25 @@ class Crossing:
 
     def move(self, force: Complex) -> tuple[Real, Real]:
         """Displacement and velocity across the place under a restoring force given on all lines."""
-        x, v = self.in_time(self.base - self.compliance * force)
-        return x + self.fall_x, v + self.fall_v
+        return self.moved(self.base - self.compliance * force)
+
+    def moved(self, x: Complex) -> tuple[Real, Real]:
+        """Displacement and velocity of a spectrum of displacement and the decays, the ends no larger than the rest."""
+        displacement, velocity = self.in_time(x)
+        return self.within(displacement + self.fall_x), self.within(velocity + self.fall_v)
+
+    def within(self, motion: Real) -> Real:
+        """The motion with its ends no larger than the rest.
+
+        States at the ends are known as far as the band shows them; what is wrong there, a law of high order would make into the largest
+        force of all. A wrong force of usual size at the ends is but a free decay.
+        """
+        edge = min(self.edge, motion.size // 8)
+        reach = float(np.max(np.abs(motion[edge:-edge])))
+        out = motion.copy()
+        for part in (slice(None, edge), slice(-edge, None)):
+            out[part] = np.clip(motion[part], -reach, reach)
+        return out
 
 
 def settle(
@@ -309,31 +333,33 @@ def settle(
     -------
     x, v : (N,) arrays
     """
-    x, v = start
     share = np.zeros(crossing.base.size)
     share[along.run.lines] = taken
     share[along.run.lines[-1] + 1 :] = 1.0
     seen = np.zeros(crossing.base.size, complex)
     seen[along.run.lines] = force
-    relax, last, slope = 1.0, np.inf, 0.0
-    for turn in range(turns):
-        s = law(x, v)
-        # Newton's step with the law's slope, weighted with the motion: the plain substitution diverges where the contact is stiffer
-        # than the structure.
-        if turn < SLOPES:
-            slope = float(x @ (law(x * (1 + SLOPE_STEP), v) - s)) / SLOPE_STEP / max(float(x @ x), 1e-300)
-        damping = relax / (1 + crossing.compliance * (1 - share) * max(slope, 0.0))
-        target = crossing.base - crossing.compliance * (share * seen + (1 - share) * crossing.lines(s))
-        now = crossing.lines(x - crossing.fall_x)
-        miss = float(np.sum(np.abs(target - now) ** 2))
-        if miss > last:
-            # Went too far: half as fast, from where it was.
-            relax *= 0.5
-            damping = 0.5 * damping
-        last = miss
-        change = damping * (target - now)
-        x, v = crossing.in_time(now + change)
-        x, v = x + crossing.fall_x, v + crossing.fall_v
-        if miss < 1e-8 * np.sum(np.abs(now) ** 2):
-            break
-    return x, v
+    now = crossing.lines(start[0] - crossing.fall_x)
+    kept, best, change, slope = start, now, np.zeros_like(now), 0.0
+    relax, least = 1.0, np.inf
+    with np.errstate(over="ignore", invalid="ignore"):
+        for turn in range(turns):
+            x, v = start if turn == 0 else crossing.moved(now)
+            s = law(x, v)
+            # Newton's step with the law's slope, weighted with the motion: the plain substitution diverges where the contact is stiffer
+            # than the structure.
+            if turn < SLOPES:
+                slope = float(x @ (law(x * (1 + SLOPE_STEP), v) - s)) / SLOPE_STEP / max(float(x @ x), 1e-300)
+            target = crossing.base - crossing.compliance * (share * seen + (1 - share) * crossing.lines(s))
+            miss = float(np.sum(np.abs(target - now) ** 2))
+            if not miss < least:
+                # Went too far, or beyond all bounds: half as far, from where it was.
+                relax *= 0.5
+                change *= 0.5
+                now = best + change
+                continue
+            kept, best, least = (x, v), now, miss
+            if miss < 1e-8 * np.sum(np.abs(now) ** 2):
+                break
+            change = relax / (1 + crossing.compliance * (1 - share) * max(slope, 0.0)) * (target - now)
+            now = best + change
+    return kept

@@ -31,6 +31,15 @@ VARIANCE_LINES, EVEN_LINES = 48, 16
 REACH = 1.04
 """A model is known to this much beyond its last identified mode."""
 
+LITTLE = 0.1
+"""Residual modes below the band count there if they make this part of the compliance at its first line."""
+
+MASS = 0.1
+"""A residual mode below this part of the lowest identified one stands for a mass, of which an acceleration shows no decay."""
+
+SLACK = 5.0
+"""Standard deviation of the free decays over the rms state of their modes."""
+
 OWN_STRIDE = 4
 """The idle model's own variance is computed on one line of so many: resonances are wider."""
 
@@ -39,20 +48,22 @@ OWN_STRIDE = 4
 class Modes:
     """The idle model as arrays: poles λ (n,) [rad/s], shapes (m, n), and which modes ring visibly at the sampling rate.
 
-    ``known_hz`` is how far up its modes were identified; beyond it residual modes stand for what is there.
+    ``known_hz`` is how far up its modes were identified, ``low_hz`` how far down; beyond, residual modes stand for what is there.
     """
 
     hz: Real
     zeta: Real
     phi: Real
     known_hz: float = 0.0
+    low_hz: float = 0.0
 
     @classmethod
     def of(cls, idle: ModalModel) -> Modes:
         """All modes, residual ones included."""
         hz = np.asarray(idle.frequencies_hz)
-        known = REACH * float(np.max(hz[~np.asarray(idle.residual)], initial=0.0))
-        return cls(hz, np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float), known)
+        proper = hz[~np.asarray(idle.residual)]
+        known, low = REACH * float(np.max(proper, initial=0.0)), float(np.min(proper, initial=np.inf))
+        return cls(hz, np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float), known, low if np.isfinite(low) else 0.0)
 
     @property
     def poles(self) -> Complex:
@@ -65,9 +76,24 @@ class Modes:
         w, w0 = 2 * np.pi * hz[None, :], 2 * np.pi * self.hz[:, None]
         return np.asarray(1 / (w0**2 - w**2 + 2j * self.zeta[:, None] * w0 * w))
 
+    def invented(self, b: Real, first_hz: float) -> NDArray[np.bool_]:
+        """Residual modes below all others that matter little across a place b at the first line, (n,).
+
+        What stands for little in the band grows without bound below it: there it says nothing.
+        """
+        low = (self.hz < self.low_hz) & (self.hz < first_hz)
+        own = (self.phi.T @ b) ** 2 * self.receptance_kernel(np.array([first_hz]))[:, 0]
+        if not np.any(low) or abs(np.sum(own[low])) > LITTLE * abs(np.sum(own)):
+            return np.zeros(self.hz.size, bool)
+        return np.asarray(low)
+
+    def only(self, keep: NDArray[np.bool_]) -> Modes:
+        """Some of the modes."""
+        return replace(self, hz=self.hz[keep], zeta=self.zeta[keep], phi=self.phi[:, keep])
+
     def ringing(self, sampling_hz: float) -> NDArray[np.int_]:
-        """Modes whose free decay the record can show: below its Nyquist frequency, not of zero frequency."""
-        return np.flatnonzero((self.hz < 0.49 * sampling_hz) & (self.hz > 1e-3))
+        """Modes whose free decay the record can show: below its Nyquist frequency, and no residual ones that are but a mass in the band."""
+        return np.flatnonzero((self.hz < 0.49 * sampling_hz) & (self.hz > max(1e-3, MASS * self.low_hz)))
 
 
 @dataclass(frozen=True)
@@ -103,6 +129,8 @@ class Run:
     decays : (2r, L) complex array
         Free decays (two real amplitudes a ringing mode) in modal acceleration.
     decay_shapes : (q, 2r) array
+    decay_size : (2r,) array
+        Largest amplitudes to be expected of the decays.
     force_level : float
         rms of all forces [N].
     """
@@ -123,6 +151,7 @@ class Run:
     own: Real
     decays: Complex
     decay_shapes: Real
+    decay_size: Real
     force_level: float
 
     @property
@@ -245,6 +274,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         own,
         decays,
         np.concatenate([shapes, shapes], axis=1),
+        decay_sizes(modes, ringing, directions, forces, hz, float(f[0])),
         float(np.sqrt(np.mean(data[driven] ** 2))),
     )
 
@@ -269,6 +299,27 @@ def evened(values: Real, count: int, width: int, lines: int) -> Real:
     starts = np.arange(0, values.shape[1], width)
     size = np.diff(np.append(starts, values.shape[1]))
     return np.asarray(np.repeat(np.add.reduceat(values, starts, axis=1) / size, lines, axis=1)[:, :count])
+
+
+def decay_sizes(modes: Modes, ringing: NDArray[np.int_], directions: Real, forces: Complex, hz: Real, low_hz: float) -> Real:
+    """Sizes (2r,) of the free decays in modal acceleration: some times the state (rms) that forces (k, N//2+1) from ``low_hz`` on keep up.
+
+    A mode beyond the band rings as others do, but hardly shows in it: left free it would take any size, and move the place by any
+    distance. Forces that are not measured drive modes, too, so each mode counts as driven where it moves as usual at least.
+    """
+    n = 2 * (hz.size - 1)
+    w0 = 2 * np.pi * modes.hz[ringing]
+    keep = hz >= low_hz
+    w = 2 * np.pi * hz[keep]
+    here = replace(modes, hz=modes.hz[ringing], zeta=modes.zeta[ringing])
+    gain = np.abs(here.receptance_kernel(hz[keep])) ** 2 * (w0[:, None] ** 2 + w**2)
+    phi = modes.phi[:, ringing]
+    usual = np.mean(phi**2, axis=0)
+    power = np.zeros(ringing.size)
+    for b, f in zip(directions, forces, strict=True):
+        power += np.maximum((b @ phi) ** 2, usual) * (gain @ np.abs(f[keep]) ** 2)
+    size = SLACK * w0 * np.sqrt(power) / n
+    return np.concatenate([size, size])
 
 
 def free_decays(hz: Real, poles: Complex, step: float) -> Complex:

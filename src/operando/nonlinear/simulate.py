@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft as sfft
 
 from operando.data import Channel, ModalModel, TimeRecord
@@ -64,7 +65,7 @@ def simulate(idle: ModalModel, effects: Sequence[Effect], force: TimeRecord, res
     wanted = idle.dofs if responses is None else tuple(parse_dofs(responses))
     modes = Modes.of(idle)
     free = modes.hz > 1e-3
-    modes = Modes(modes.hz[free], modes.zeta[free], modes.phi[:, free])
+    modes = modes.only(free)
     at, signs = match_dofs(tuple(d for i in driven if (d := force.channels[i].dof) is not None), idle.dofs)
     rows, senses = match_dofs(wanted, idle.dofs)
     n, rate = force.n_samples, force.sampling_hz
@@ -148,7 +149,9 @@ def tracks_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) ->
     _, amplitudes, _ = m.along.free_force(0.0, m.spectra(last.law.force(m.x, m.v, m.step)))
     hz = run.all_hz
     drive = run.drive(case.modes)
-    base = np.stack([(case.modes.phi.T @ t.spot.b) @ (case.modes.receptance_kernel(hz) * drive) for t in accepted])
+    kernel = case.modes.receptance_kernel(hz)
+    kernel[invented(case, accepted), : run.lines[0]] = 0
+    base = np.stack([(case.modes.phi.T @ t.spot.b) @ (kernel * drive) for t in accepted])
     return track(run, case.modes, loop, base, places, amplitudes)
 
 
@@ -160,7 +163,14 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
         reach = max(float(np.max(np.abs(m.x))) for m in t.spot.whole)
         steep = max(steep, steepness(t.law, case.modes.phi.T @ t.spot.b, reach))
     step = 1 / (run.sampling_hz * fineness(float(run.hz[-1]), run.sampling_hz, steep))
-    return loop_of(case.modes, [t.spot.b for t in accepted], [t.spot.outside for t in accepted], run, step)
+    modes = case.modes.only(~invented(case, accepted))
+    return loop_of(modes, [t.spot.b for t in accepted], [t.spot.outside for t in accepted], run, step)
+
+
+def invented(case: Case, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
+    """Modes (n,) that say nothing below the band at any of the places."""
+    first = float(case.fitted[0].hz[0])
+    return np.all([case.modes.invented(t.spot.b, first) for t in accepted], axis=0)
 
 
 def lowest_hz(case: Case) -> float:

@@ -1,0 +1,103 @@
+"""The motion across a place: at the ends of a record, below the band, and under laws that no structure could bear."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from tests.nonlinear_truth import Strip, measure_many, place
+
+from operando.data import ModalModel
+from operando.nonlinear import diagnose_records
+from operando.nonlinear.laws import LawFit
+from operando.nonlinear.search import Field, examine, make_case, rank_places, settled
+from operando.nonlinear.steps import weighed
+
+STRIP = Strip(seed=3)
+STIFFNESS, GAP = 8e3, 6e-4
+
+
+@cache
+def records():
+    hidden = [(place(STRIP, 4), "one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})]
+    return measure_many(STRIP, {"contact": hidden}, seconds=12.0, run_in=3.0)["contact"]
+
+
+@cache
+def case():
+    first = make_case(STRIP.idle(), records())
+    return weighed(first, (4,))
+
+
+@cache
+def spot():
+    return examine(Field.of(case()), (4,))
+
+
+def with_low_residuals(idle: ModalModel, size: float) -> ModalModel:
+    """Residual modes far below the band, as an identification may leave them: hardly anything in the band."""
+    rng = np.random.default_rng(5)
+    low = np.array([0.07, 0.07, 2.0])
+    shapes = size * rng.standard_normal((idle.shapes.shape[0], 3))
+    return replace(
+        idle,
+        frequencies_hz=np.append(idle.frequencies_hz, low),
+        damping_ratios=np.append(idle.damping_ratios, np.full(3, 0.01)),
+        shapes=np.concatenate([idle.shapes, shapes], axis=1),
+        residual=np.append(idle.residual, np.ones(3, bool)),
+        in_band=np.append(idle.in_band, np.zeros(3, bool)),
+    )
+
+
+@pytest.mark.parametrize("coefficient", [1e13, 1e40, 1e200])
+def test_a_law_that_runs_away_leaves_the_last_motion_that_can_be(coefficient):
+    law = LawFit("cubic_stiffness", 1.0, {"coefficient": coefficient}, 0.0, 1)
+    moved = settled(spot(), case(), law)
+    for before, after in zip(spot().whole, moved.whole, strict=True):
+        assert np.all(np.isfinite(after.x))
+        assert np.all(np.isfinite(after.v))
+        assert after.x.std() < 2 * before.x.std()
+
+
+def test_the_motion_settles_under_the_law_that_acts():
+    law = LawFit("one_sided_contact", 1.0, {"stiffness": STIFFNESS, "gap": GAP}, 0.0, 2)
+    once = settled(spot(), case(), law)
+    again = settled(once, case(), law)
+    for one, two in zip(once.whole, again.whole, strict=True):
+        assert np.std(one.x - two.x) < 0.01 * np.std(one.x)
+        assert one.x.mean() < 0, "a stop on one side pushes the mean to the other"
+
+
+def test_the_ends_of_a_motion_are_no_larger_than_the_rest():
+    crossing = spot().whole[0].crossing
+    motion = np.sin(0.1 * np.arange(spot().whole[0].x.size))
+    spoilt = motion.copy()
+    spoilt[:3], spoilt[-2:], spoilt[5000] = 20.0, -30.0, 1.5
+    mended = crossing.within(spoilt)
+    assert np.max(np.abs(mended)) == 1.5
+    inside = slice(3, -2)
+    assert np.array_equal(mended[inside], spoilt[inside])
+
+
+def test_residual_modes_far_below_the_band_say_nothing_there():
+    idle = with_low_residuals(STRIP.idle(), 0.02)
+    found = diagnose_records(idle, records(), places=["5+Z", "3+Z"])
+    effect = found.effects[0]
+    assert (effect.kind, str(effect.location[0])) == ("one_sided_contact", "5+Z")
+    assert effect.values["stiffness"] == pytest.approx(STIFFNESS, rel=0.02)
+    assert effect.values["gap"] == pytest.approx(GAP, rel=0.02)
+    assert found.simulation["gain_db"] > 15
+
+
+def test_residual_modes_that_carry_the_structure_count():
+    idle = with_low_residuals(STRIP.idle(), 2.0)
+    modes = make_case(idle, records()[:2]).modes
+    assert not np.any(modes.invented(place(STRIP, 4), 5.0))
+    assert np.any(make_case(with_low_residuals(STRIP.idle(), 0.02), records()[:2]).modes.invented(place(STRIP, 4), 5.0))
+
+
+def test_places_are_compared_with_what_lies_outside_the_band():
+    bare = make_case(STRIP.idle(residual=False), records())
+    assert rank_places(bare, bare.places)[0][1] == (4,)
