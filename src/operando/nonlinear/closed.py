@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft as sfft
 from scipy.optimize import nnls
 
@@ -84,7 +85,9 @@ def steepness(law: LawFit, shape: Real, reach: float) -> float:
     return float(np.sqrt(slope * np.sum(shape**2)))
 
 
-def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None], run: Run, step: float) -> Loop:
+def loop_of(
+    modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None], run: Run, step: float, invented: NDArray[np.bool_]
+) -> Loop:
     """Response across the places to forces along them; for one place with what lies outside the band made passive.
 
     Parameters
@@ -97,6 +100,8 @@ def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None],
         For its lines.
     step : float
         [s].
+    invented : (n,) bool array
+        Modes that say nothing below the band; for one place what they add in the band counts among what lies outside.
     """
     shapes = np.stack([modes.phi.T @ b for b in bs])
     poles = modes.poles
@@ -105,7 +110,7 @@ def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None],
     if len(bs) == 1 and outside[0] is not None:
         top = outside[0].top_hz
         hz = run.hz[:: max(1, run.hz.size // 200)]
-        above = modes.hz[keep] > max(top, modes.known_hz)
+        above = (modes.hz[keep] > max(top, modes.known_hz)) | invented[keep]
         extra_hz = np.array(FACTORS) * max(top, modes.known_hz)
         extra = Modes(extra_hz, np.full(extra_hz.size, DAMPING), np.zeros((1, extra_hz.size)))
         wanted = (shapes[0, above] ** 2) @ modes.receptance_kernel(hz)[keep][above] + outside[0].compliance(hz, bs[0])
@@ -114,6 +119,8 @@ def loop_of(modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None],
         weights, _ = nnls(table / scale, wanted.real / scale)
         poles = np.concatenate([poles[~above], extra.poles])
         shapes = np.concatenate([shapes[:, ~above], np.sqrt(weights)[None]], axis=1)
+    else:
+        poles, shapes = poles[~invented[keep]], shapes[:, ~invented[keep]]
     return Loop(poles, shapes, step)
 
 

@@ -248,8 +248,8 @@ class Crossing:
         w = 2 * np.pi * hz
         top = int(run.lines[-1]) + 1
         across = modes.phi.T @ along.b
-        kernel = modes.receptance_kernel(hz[:top]) * across[:, None]
-        kernel[modes.invented(along.b, float(run.hz[0])), : run.lines[0]] = 0
+        first_hz = float(run.hz[0])
+        kernel = modes.bounded_kernel(hz[:top], modes.invented(along.b, first_hz), first_hz) * across[:, None]
         base, compliance = np.zeros(hz.size, complex), np.zeros(hz.size, complex)
         for shape, force in zip(run.directions @ modes.phi, run.forces, strict=True):
             base[:top] += (shape @ kernel) * force[:top]

@@ -31,8 +31,8 @@ VARIANCE_LINES, EVEN_LINES = 48, 16
 REACH = 1.04
 """A model is known to this much beyond its last identified mode."""
 
-LITTLE = 0.1
-"""Residual modes below the band count there if they make this part of the compliance at its first line."""
+LITTLE = 0.5
+"""Residual modes below the band are masses that count there if they make this part of the compliance at its first line."""
 
 MASS = 0.1
 """A residual mode below this part of the lowest identified one stands for a mass, of which an acceleration shows no decay."""
@@ -77,7 +77,7 @@ class Modes:
         return np.asarray(1 / (w0**2 - w**2 + 2j * self.zeta[:, None] * w0 * w))
 
     def invented(self, b: Real, first_hz: float) -> NDArray[np.bool_]:
-        """Residual modes below all others that matter little across a place b at the first line, (n,).
+        """Residual modes below all others that do not prevail across a place b at the first line, (n,).
 
         What stands for little in the band grows without bound below it: there it says nothing.
         """
@@ -86,6 +86,12 @@ class Modes:
         if not np.any(low) or abs(np.sum(own[low])) > LITTLE * abs(np.sum(own)):
             return np.zeros(self.hz.size, bool)
         return np.asarray(low)
+
+    def bounded_kernel(self, hz: Real, invented: NDArray[np.bool_], first_hz: float) -> Complex:
+        """The receptance kernel, invented modes below the first line as they are there: structures that stand are flat below it."""
+        kernel = self.receptance_kernel(hz)
+        kernel[invented] = self.only(invented).receptance_kernel(np.maximum(hz, first_hz))
+        return kernel
 
     def only(self, keep: NDArray[np.bool_]) -> Modes:
         """Some of the modes."""

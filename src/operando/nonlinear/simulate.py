@@ -149,8 +149,7 @@ def tracks_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) ->
     _, amplitudes, _ = m.along.free_force(0.0, m.spectra(last.law.force(m.x, m.v, m.step)))
     hz = run.all_hz
     drive = run.drive(case.modes)
-    kernel = case.modes.receptance_kernel(hz)
-    kernel[invented(case, accepted), : run.lines[0]] = 0
+    kernel = case.modes.bounded_kernel(hz, invented(case, accepted), float(run.hz[0]))
     base = np.stack([(case.modes.phi.T @ t.spot.b) @ (kernel * drive) for t in accepted])
     return track(run, case.modes, loop, base, places, amplitudes)
 
@@ -163,8 +162,8 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
         reach = max(float(np.max(np.abs(m.x))) for m in t.spot.whole)
         steep = max(steep, steepness(t.law, case.modes.phi.T @ t.spot.b, reach))
     step = 1 / (run.sampling_hz * fineness(float(run.hz[-1]), run.sampling_hz, steep))
-    modes = case.modes.only(~invented(case, accepted))
-    return loop_of(modes, [t.spot.b for t in accepted], [t.spot.outside for t in accepted], run, step)
+    bs, outside = [t.spot.b for t in accepted], [t.spot.outside for t in accepted]
+    return loop_of(case.modes, bs, outside, run, step, invented(case, accepted))
 
 
 def invented(case: Case, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
