@@ -223,6 +223,8 @@ def _search(
     final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
     rows, final = ladder(problem, [renamed(f, sensors) for f in final])
+    if found.corrected:
+        rows, final = with_what_was_learnt(problem, rows, final)
     if one_system and rises(rows) and rows[-1]["heldout_misfit"] < GOOD:
         # Effects that make up for each other: told in an order in which each helps, if there is one.
         for other_fits, other_history in other_orders(problem, fits[-1], history):
@@ -259,7 +261,8 @@ def _search(
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
     if verdict in ("explained", "ambiguous"):
-        rows, final = with_what_was_learnt(problem, rows, final)
+        if final[-1].learnt is None:
+            rows, final = with_what_was_learnt(problem, rows, final)
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
     effects = tuple(effects_of(final[-1], problem.idle.dofs))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from operando.diagnose.levenberg import inverse, jacobian, solve, split, weights
 from operando.diagnose.predict import IdleArrays, Prediction, by_poles, predict
-from operando.diagnose.refit import Fit, Learnt, mean_misfit
+from operando.diagnose.refit import Fit, Learnt, mean_misfit, predicted
 from operando.diagnose.result import given_shapes, moves_of
 from operando.diagnose.sets import FIT, SELECT, CheckLines
 from operando.diagnose.shapes import by_directions
@@ -28,8 +28,8 @@ Array = NDArray[Any]
 BEYOND_NOISE = 1.2
 """Misfit by the variance of the measurement alone above which the check can tell something of the idle model."""
 
-LEFT = 1.25
-"""Misfit by the noise alone above which something is left that no parameter of the idle model is."""
+AGREE = 1.5
+"""Misfit by the noise alone up to which lines agree with the prediction."""
 
 KEPT = 1e-9
 """Directions of the idle model's covariance (of each parameter in units of its standard deviation) below this share are left out."""
@@ -45,16 +45,17 @@ SURE = 1.2
 
 LEAST = 1e-3
 
-STEPS, TRIES, ENDED = 25, 9, 3e-3
-"""Iterations of a stage at most; a step that lowers the cost by less than this part is the last."""
+STEPS, TRIES, ENDED, LAST = 25, 9, 5e-3, 5e-4
+"""Iterations of a stage at most; a step that lowers the cost by less than this part is the last; in the end by this part."""
 
 
-STAGES = ((0.1, 4), (0.02, 4), (0.003, 4), (0.0, 2), (0.0, 1))
-"""Doubt of the prediction, as a part of what was measured, and one line in so many, stage by stage."""
+AT_ONCE = ((0.0, 4),)
+BY_DOUBT = ((0.1, 4), (0.02, 4), (0.003, 4), (0.0, 4))
+"""Doubt of the prediction, as a part of what was measured, and one line in so many, stage by stage: two ways down."""
 
 
-def learn(problem: Problem, fit: Fit) -> Fit:
-    """Gauss–Newton over the effects' sizes and all modal parameters of the idle model, on the fit and the select lines.
+def learn(problem: Problem, fit: Fit, groups: tuple[int, ...] = (FIT, SELECT)) -> Fit:
+    """Gauss–Newton over the effects' sizes and all modal parameters of the idle model.
 
     The prior is what the refit of the effects left of the idle model's covariance, with the directions it moved at their places. The
     noise that neighbouring lines share counts: each line weighs as much less. The covariance is that of both measurements together.
@@ -64,6 +65,8 @@ def learn(problem: Problem, fit: Fit) -> Fit:
     problem : Problem
     fit : Fit
         After the last fit.
+    groups : tuple of int
+        Sets of lines that tell.
 
     Returns
     -------
@@ -73,21 +76,24 @@ def learn(problem: Problem, fit: Fit) -> Fit:
     """
     if problem.idle.covariance is None or not fit.terms or not fit.covariance.size:
         return fit
-    mask = np.isin(problem.lines.group, (FIT, SELECT))
-    lines = problem.lines.where(mask)
+    lines = problem.lines.where(np.isin(problem.lines.group, groups))
     p = predict(problem.arrays.with_phi(fit.phi), lines, fit.terms, fit.q)
     if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
         return fit
     state = _Parameters.of(problem, fit, lines, 4)
-    x = state.found(state.start)
-    wide = float(np.sqrt(np.mean(x[state.n_q :] ** 2))) if x.size > state.n_q else 0.0
-    if wide > SURE:
-        # The prior was too sure of itself.
-        state, x = state.widened(wide), np.r_[x[: state.n_q], x[state.n_q :] / wide]
-        x = state.found(x, STAGES[-2:])
-    state = state.on(lines)
-    cost = state.cost(x)
-    return state.learnt(x) if np.isfinite(cost) and cost < state.cost(state.start) else fit
+    ends = [state.settled(stages) for stages in (AT_ONCE, BY_DOUBT)]
+    there, x = min(((there.on(lines, 2), x) for there, x in ends), key=lambda end: end[0].cost(end[1]))
+    x = there.descend(x, LAST)
+    return there.on(lines).learnt(x) if there.cost(x) < state.on(lines, 2).cost(state.start) else fit
+
+
+def all_but_the_idle_model(problem: Problem, fit: Fit) -> bool:
+    """Whether these effects leave nothing but errors of the idle model: once it is corrected, the lines agree within their noise."""
+    corrected = learn(problem, problem.settled(fit))
+    if corrected.learnt is None:
+        return False
+    lines = problem.sets[SELECT]
+    return mean_misfit(lines, np.zeros(lines.data.shape), predicted(problem.arrays, lines, corrected)[0]) < AGREE
 
 
 def _thinned(lines: CheckLines, every: int) -> tuple[CheckLines, Array]:
@@ -147,19 +153,29 @@ class _Parameters:
             alike=alike,
         )
 
-    def on(self, lines: CheckLines) -> _Parameters:
-        """The same on these lines."""
-        return replace(self, lines=lines, root_w=_thinned(lines, 1)[1])
+    def on(self, lines: CheckLines, every: int = 1) -> _Parameters:
+        """The same on one in so many of these lines."""
+        few, root_w = _thinned(lines, every)
+        return replace(self, lines=few, root_w=root_w)
 
-    def found(self, x: Array, stages: tuple[tuple[float, int], ...] = STAGES) -> Array:
+    def settled(self, stages: tuple[tuple[float, int], ...]) -> tuple[_Parameters, Array]:
+        """The minimum; with a wider prior where that was too sure of itself."""
+        x = self.found(self.start, stages)
+        wide = float(np.sqrt(np.mean(x[self.n_q :] ** 2))) if x.size > self.n_q else 0.0
+        if wide <= SURE:
+            return self, x
+        other = self.widened(wide)
+        return other, other.found(np.r_[x[: self.n_q], x[self.n_q :] / wide], AT_ONCE)
+
+    def found(self, x: Array, stages: tuple[tuple[float, int], ...]) -> Array:
         """The minimum, reached with less and less doubt of the prediction and on more and more lines.
 
         A peak beside the one measured is pulled there only where lines are not weighed as if the prediction had to meet their noise.
         """
         for doubt, every in stages:
-            lines, root_w = _thinned(self.every, every)
-            loose = root_w / np.sqrt(1 + (doubt * np.abs(lines.data) * root_w) ** 2)
-            x = replace(self, lines=lines, root_w=loose).descend(x)
+            here = self.on(self.every, every)
+            loose = here.root_w / np.sqrt(1 + (doubt * np.abs(here.lines.data) * here.root_w) ** 2)
+            x = replace(here, root_w=loose).descend(x)
         return x
 
     @property
@@ -216,7 +232,7 @@ class _Parameters:
         """2·Σ|e|²/var + |z|²."""
         return self._state(x)[2]
 
-    def descend(self, x: Array) -> Array:
+    def descend(self, x: Array, ended: float = ENDED) -> Array:
         """Levenberg's steps from x: damped alike in all directions of unit spread, so that what the lines know best is followed first."""
         bounds = [t.bounds() for t in self.fit.terms]
         low, high = (np.concatenate([b[side] for b in bounds]) for side in (0, 1))
@@ -242,7 +258,7 @@ class _Parameters:
             gain, x, cost = cost - reached, new, reached
             if first:
                 damping = damping / 10 if damping > LEAST else 0.0
-            if gain < ENDED * cost:
+            if gain < ended * cost:
                 break
         return x
 
@@ -273,5 +289,5 @@ class _Parameters:
         now = predict(here, self.lines, fit.terms, self.q(x)).data
         misfit = mean_misfit(self.lines, np.zeros(now.shape), now)
         # What is left is alike on all lines of a peak: it moves the sizes as it stands, not as its mean over many lines.
-        excess = misfit**2 if misfit > LEFT else 1.0
+        excess = max(misfit, 1.0) ** 2
         return replace(fit, learnt=Learnt(self.q(x), moved, (joint + joint.T) / 2, excess))

@@ -45,7 +45,7 @@ class Learnt:
     joint : (n_parameters + n_q, n_parameters + n_q) array
         Covariance of θ = [f (Hz), ζ, shapes mode by mode] and all q.
     excess : float
-        What the variances of the numbers are told larger by: where something is left by the noise alone, the square of that misfit.
+        What the variances of the numbers are told larger by: the square of the misfit by the noise alone, where that is above 1.
     """
 
     q: tuple[Array, ...]

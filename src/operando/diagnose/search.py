@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry
+from operando.diagnose.learn import all_but_the_idle_model
 from operando.diagnose.levenberg import effect_dofs
 from operando.diagnose.predict import Term
 from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
@@ -30,6 +31,9 @@ SWAPPED = 0.03
 
 DONE = 1.2
 """Selection misfit at which the data allow no better and nothing more is looked for."""
+
+NEARLY = 0.05
+"""Part of the misfit without it up to which the first effect may leave errors of the idle model alone."""
 
 FIRSTS = 4
 """First effects from which the search starts again where it ends poorly."""
@@ -57,6 +61,8 @@ class Search:
         Selection misfit with the best further candidate over that without it.
     elsewhere : tuple, optional
         Problem, geometry and search in which a place between sensors explains the data.
+    corrected : bool
+        Whether the data agree with the effects once the idle model is corrected by them.
     """
 
     fits: list[Fit]
@@ -65,6 +71,7 @@ class Search:
     last: list[Tried] = field(default_factory=list)
     further: float = 1.0
     elsewhere: tuple[Problem, Geometry, Search] | None = None
+    corrected: bool = False
 
     @property
     def done(self) -> bool:
@@ -89,6 +96,9 @@ def search(
     if one_mode(problem.idle):
         most = 1  # two effects on one mode are one
     found = greedy(problem, problem.empty(), 1)
+    if found.history and not found.done and found.before[-1] < NEARLY * found.before[0] and all_but_the_idle_model(problem, found.fits[-1]):
+        # What the idle model is wrong by must not be made up for by further, small effects.
+        return replace(simplified(problem, found), corrected=True)
     if elsewhere is not None and found.before[-1] > POOR:
         there = elsewhere(found)
         if there is not None:
