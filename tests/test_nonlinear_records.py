@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from tests.nonlinear_truth import Strip, measure_many, place
 
+from operando.diagnose.diagnosis import Diagnosis
+from operando.diagnose.from_records import FAINT, diagnose_levels
 from operando.dof import Dof
 from operando.errors import DataError, MissingError
-from operando.nonlinear import diagnose_records, linear_effects
+from operando.nonlinear import diagnose_records, linear_effects, measured_distortion
 
 STRIP = Strip()
 CASES = {
     "clearance": [(place(STRIP, 4), "clearance", {"stiffness": 6e3, "gap": 1e-3})],
     "cubic": [(place(STRIP, 2), "cubic_stiffness", {"coefficient": 1e8})],
     "coulomb": [(place(STRIP, 3, 6), "coulomb_friction", {"force": 1.0, "speed": 3e-3})],
+    "quadratic": [(place(STRIP, 2), "quadratic_stiffness", {"coefficient": 5e4})],
     "spring": [(place(STRIP, 3), "ground_spring", {"stiffness": 3e3})],
     "none": [],
 }
@@ -90,6 +93,24 @@ def test_levels_are_compared_before_anything_is_named():
     assert found("coulomb").detection["level_dependent"]
     assert not found("spring").detection["level_dependent"]
     assert not found("none").detection["level_dependent"]
+
+
+def test_levels_of_a_linear_structure_leave_the_same_share():
+    assert 0.5 < measured_distortion(STRIP.idle(), records()["none"]) < 0.7 * FAINT
+
+
+def test_a_law_of_even_order_is_found_where_frfs_see_nothing():
+    idle, own = STRIP.idle(), records()["quadratic"]
+    assert measured_distortion(idle, own) > 2 * FAINT
+    silent = Diagnosis("no_misfit", (), (), None, (), (), {}, None, ("check_frf",), {}, (), idle, None)
+    effect = diagnose_levels(lambda: silent, idle, (), own).effects[0]
+    assert (effect.kind, str(effect.location[0])) == ("quadratic_stiffness", "3+Z")
+    assert effect.values["coefficient"] == pytest.approx(5e4, rel=0.02)
+    assert diagnose_levels(lambda: silent, idle, (), records()["none"]) is silent
+
+
+def test_one_level_alone_has_no_distortion_to_compare():
+    assert measured_distortion(STRIP.idle(), records()["none"][:2]) is None
 
 
 def test_the_document_is_plain_json():

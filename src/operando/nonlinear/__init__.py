@@ -4,7 +4,7 @@ from operando.nonlinear.apply import AppliedToRecords, apply_to_records
 from operando.nonlinear.equivalent import linear_effects
 from operando.nonlinear.levels import at_level
 from operando.nonlinear.periodic import PeriodicResponse, best_linear_approximation
-from operando.nonlinear.records import diagnose_records
+from operando.nonlinear.records import diagnose_records, measured_distortion
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.simulate import simulate
 from operando.nonlinear.single import SingleFit, fit_single
@@ -23,5 +23,6 @@ __all__ = [
     "fit_loop",
     "fit_single",
     "linear_effects",
+    "measured_distortion",
     "simulate",
 ]

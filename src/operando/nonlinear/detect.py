@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import fft as sfft
 
-from operando.nonlinear.run import Complex, Real, Run
+from operando.nonlinear.place import Weighted
+from operando.nonlinear.run import Complex, Modes, Real, Run
 
 if TYPE_CHECKING:
     from operando.nonlinear.search import Case
+
+STRETCH = 40
+"""Neighbouring lines over which what is proportional to the force, and what rings, is smooth."""
 
 BLOCK_SECONDS = 4.0
 """Length of the Hann blocks for coherence and levels."""
@@ -48,8 +52,9 @@ def detect(case: Case) -> dict[str, Any]:
     -------
     dict
         ``levels_n`` force levels [N rms]; ``inhomogeneity``: mean square difference between the best linear approximations of two levels
-        over its variance (1: one linear system); ``coherence`` (mean over responses and lines, lowest and highest level);
-        ``level_dependent``: whether the levels differ; a bilinear stiffness scales with the level and does not show here.
+        over its variance (1: one linear system); ``distortion`` as of that function; ``coherence`` (mean over responses and lines, lowest
+        and highest level); ``level_dependent``: whether the levels differ; a bilinear stiffness scales with the level and does not show
+        here.
     """
     groups: dict[tuple[int, ...], list[Run]] = {}
     for run in (*case.fitted, *case.judged):
@@ -71,5 +76,67 @@ def detect(case: Case) -> dict[str, Any]:
         "levels_n": [float(level) for level, _ in coherences],
         "coherence": [c for _, c in coherences],
         "inhomogeneity": worst if np.isfinite(worst) else None,
+        "distortion": distortion(case),
         "level_dependent": bool(worst > 2.0) if np.isfinite(worst) else None,
     }
+
+
+def distortion(case: Case) -> float | None:
+    """How much more is not proportional to the force at the highest level than at the lowest, over the power of the force.
+
+    Both levels of one linear structure leave the same share, or less at the higher one, where noise does not grow with the level. A law of
+    even order leaves the best linear approximation as it is, and shows here.
+
+    Returns
+    -------
+    float or None
+        Largest over stretches of lines, in the mean over responses (one linear system: 1, with the scatter of noise up to 2);
+        None where there is one level.
+    """
+    groups: dict[tuple[int, ...], list[Run]] = {}
+    for run in (*case.fitted, *case.judged):
+        groups.setdefault(run.forces_at, []).append(run)
+    largest = []
+    for runs in groups.values():
+        low, high = (f(runs, key=lambda r: r.force_level) for f in (min, max))
+        if high.force_level < 1.5 * low.force_level or low.rows.size != high.rows.size:
+            continue
+        (low_hz, quiet), (high_hz, loud) = unproportional(low, case.modes), unproportional(high, case.modes)
+        if not low_hz.size or not high_hz.size:
+            continue
+        near = np.abs(low_hz[:, None] - high_hz).argmin(axis=0)
+        ratio = loud / np.maximum(quiet[near], 1e-300) * (low.force_level / high.force_level) ** 2
+        largest.append(float(np.max(np.mean(ratio, axis=1))))
+    return max(largest, default=None)
+
+
+def free_of_decays(run: Run) -> Complex:
+    """What the idle model leaves of a run (q, L), without the free decays, which stand as sharp as the resonances."""
+    weighted = Weighted.of(run)
+    amplitudes, _ = weighted.ringing()
+    return np.asarray(run.error - run.decay_shapes @ (amplitudes[:, None] * run.decays))
+
+
+def unproportional(run: Run, modes: Modes) -> tuple[Real, Real]:
+    """Power of the error that is neither free decays, nor the forces or a constant times a parabola, over stretches: hz (s,), (s, q).
+
+    Over the power that the idle model and the mean of the lines would lead one to expect: noise of the force stands at resonances, and few
+    lines of a sharp one would outweigh all others.
+    """
+    starts = np.arange(0, run.lines.size - STRETCH + 1, STRETCH)
+    # No stretch over lines that were left out.
+    starts = starts[run.lines[starts + STRETCH - 1] - run.lines[starts] == STRETCH - 1] if starts.size else starts
+    index = starts[:, None] + np.arange(STRETCH)
+    parabola = np.linspace(-1, 1, STRETCH)[:, None] ** np.arange(3)
+    forces = run.forces[: len(run.forces_at), run.lines][:, index]
+    columns = [f[:, :, None] * parabola for f in forces]
+    table = np.concatenate([*columns, np.broadcast_to(parabola, (starts.size, STRETCH, 3))], axis=2)
+    if table.shape[2] > STRETCH // 2:
+        return np.zeros(0), np.zeros((0, run.rows.size))
+    q, _ = np.linalg.qr(table)
+    density = np.mean(np.abs(run.forces[: len(run.forces_at), run.lines]) ** 2, axis=1)
+    model = sum(p * np.abs(run.accelerance(modes, b)) ** 2 for p, b in zip(density, run.directions, strict=False))
+    size = np.sqrt(model + np.mean(model, axis=1, keepdims=True)) / np.sqrt(np.sum(density))
+    error = (free_of_decays(run) / size)[:, index].transpose(1, 2, 0)
+    rest = error - q @ (q.conj().transpose(0, 2, 1) @ error)
+    return run.hz[index].mean(axis=1), np.asarray(np.sum(np.abs(rest) ** 2, axis=1) / (STRETCH - table.shape[2]))

@@ -13,7 +13,7 @@ from operando.dof import Dof, parse_dofs
 from operando.effects import catalogue, kind_of
 from operando.errors import DataError
 from operando.nonlinear.conclude import conclude
-from operando.nonlinear.detect import detect
+from operando.nonlinear.detect import detect, distortion
 from operando.nonlinear.polish import polished
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case, make_case
@@ -74,6 +74,27 @@ def diagnose_records(
         case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands)
         wanted = wanted_kinds(kinds)
         return _diagnose(case, wanted, geometry, progress)
+
+
+def measured_distortion(
+    idle: ModalModel,
+    records: Sequence[TimeRecord],
+    band: tuple[float, float] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
+) -> float | None:
+    """How much more than at the lowest level is not proportional to the force at the highest.
+
+    As :func:`operando.nonlinear.detect.distortion`. Cheap: nothing is searched. None where there is one level.
+
+    Raises
+    ------
+    DataError
+        If a force is not at a DOF of the idle model.
+    MissingError
+        If there is no record.
+    """
+    with threadpool_limits(1, "blas"):
+        return distortion(make_case(idle, records, band, (), exclude_bands))
 
 
 def place_rows(idle: ModalModel, places: Sequence[Any]) -> list[tuple[int, ...]]:
