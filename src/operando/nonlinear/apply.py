@@ -132,7 +132,7 @@ def apply_to_records(
 
 
 def _force(tried: Tried, motion: Any) -> Any:
-    return motion.spectra(tried.law.force(motion.x, motion.v, motion.step))
+    return motion.under(tried.law)
 
 
 def _held(effect: Effect) -> bool:

@@ -70,7 +70,7 @@ def conclude(
         errors = []
         for m in best.spot.whole:
             corrected = m.along.weighted.error / m.along.weighted.root
-            errors.append(corrected + m.along.h * m.spectra(best.law.force(m.x, m.v, m.step)))
+            errors.append(corrected + m.along.h * m.under(best.law))
         rows.append(ladder_row(k + 1, effect, weighted, n, errors))
         for t in steps[k].tried:
             if t.key != best.key and not nested(best, t) and alike(best, t):

@@ -27,6 +27,9 @@ SLIP_TURNS, EASY = 4, 1.03
 STEP = float(np.log(EASY))
 """Hysteresis: grid over the largest deflection and exponents, Gauss–Newton steps, relative change of a value for a difference quotient."""
 
+MADE = 8
+"""Spectra of laws that a motion keeps."""
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -42,6 +45,8 @@ class Motion:
         Restoring force without a law, on all lines of the run.
     taken : (L,) array
         How far the data decide about it.
+    made : dict
+        Spectra on all lines of laws taken along this motion: the sets of lines share it.
     """
 
     x: Real
@@ -51,11 +56,21 @@ class Motion:
     crossing: Crossing
     force: Complex
     taken: Real
+    made: dict[Any, Complex] = field(default_factory=dict, compare=False, repr=False)
 
     def settled(self, law: Callable[[Real, Real], Real], turns: int = 12) -> Motion:
         """The motion where the data say nothing as the law has it."""
         x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v), turns)
-        return replace(self, x=x, v=v)
+        return replace(self, x=x, v=v, made={})
+
+    def under(self, law: LawFit) -> Complex:
+        """Transform of a law's restoring force (L,) on the lines."""
+        key = (law.kind, law.side, *law.values.items())
+        if key not in self.made:
+            if len(self.made) >= MADE:
+                self.made.clear()
+            self.made[key] = np.asarray(sfft.rfft(law.force(self.x, self.v, self.step)))
+        return np.asarray(self.made[key][self.along.run.lines] / self.crossing.fine)
 
     def spectra(self, forces: Real) -> Complex:
         """Transforms of restoring forces (c, N) on the lines."""
@@ -280,7 +295,7 @@ def law_cost(fit: LawFit | None, motions: Sequence[Motion]) -> tuple[float, int]
         if fit is None:
             cost += m.along.weighted.ringing()[1]
             continue
-        gram, right, total = m.along.normal(m.spectra(fit.force(m.x, m.v, m.step))[None])
+        gram, right, total = m.along.normal(m.under(fit)[None])
         cost += total - 2 * float(right[0]) + float(gram[0, 0])
     return cost, count
 

@@ -38,8 +38,8 @@ def linearised(law: LawFit, motions: Sequence[Motion], names: Sequence[str]) -> 
     """Normal equations of relative changes of the values about the law as it stands, and the cost with it."""
     parts = []
     for m in motions:
-        base = m.spectra(law.force(m.x, m.v, m.step))
-        moved = [m.spectra(replace(law, values=law.values | {n: law.values[n] * (1 + EASY)}).force(m.x, m.v, m.step)) for n in names]
+        base = m.under(law)
+        moved = [m.under(replace(law, values=law.values | {n: law.values[n] * (1 + EASY)})) for n in names]
         gram, right, total = m.along.normal(np.stack([base, *((f - base) / EASY for f in moved)]))
         # The error is total − base's own part: what a small change of each value would still take away.
         parts.append((gram[1:, 1:], right[1:] - gram[1:, 0], total - 2 * float(right[0]) + float(gram[0, 0])))

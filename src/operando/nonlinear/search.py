@@ -17,8 +17,8 @@ from operando.nonlinear.outside import Doubt, Outside, force_columns, look
 from operando.nonlinear.place import Along, Crossing, Weighted
 from operando.nonlinear.run import Modes, Real, Run, make_run
 
-RANK_LINES = 600
-"""Lines of a run on which all places are compared."""
+FIRST_LINES, RANK_LINES = 300, 600
+"""Lines of a run on which all places are compared, and the best of them again."""
 
 LOOKED, KEPT = 20, 4
 """Places looked at with what lies outside the band; places at which laws are fitted."""
@@ -130,12 +130,16 @@ def rank_places(
     case: Case, places: Sequence[tuple[int, ...]], say: Callable[[str], None] | None = None
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Places by what no force there explains, the best first: all of them without, the best with what lies outside the band."""
-    few = [Weighted.of(r.on(strided(r, RANK_LINES))) for r in case.fitted]
-    none = Outside.none([w.run for w in few], case.n_dofs, case.band[1])
-    first = sorted((look(few, case.modes, case.b(p), case.doubt, none, 1).misfit, p) for p in places)
+    none = Outside.none(case.fitted, case.n_dofs, case.band[1])
+
+    def compared(some: Sequence[tuple[int, ...]], lines: int, turns: int) -> list[tuple[float, tuple[int, ...]]]:
+        few = [Weighted.of(r.on(strided(r, lines))) for r in case.fitted]
+        return sorted((look(few, case.modes, case.b(p), case.doubt, none, turns).misfit, p) for p in some)
+
     if say:
-        say(f"look at {min(LOOKED, len(first))} of {len(first)} places")
-    return sorted((look(few, case.modes, case.b(p), case.doubt, none, 3).misfit, p) for _, p in first[:LOOKED])
+        say(f"look at {min(LOOKED, len(places))} of {len(places)} places")
+    best = [p for _, p in compared(places, FIRST_LINES, 1)[:LOOKED]] if len(places) > LOOKED else places
+    return compared(best, RANK_LINES, 3)
 
 
 @dataclass
@@ -239,7 +243,7 @@ def settled(spot: Spot, case: Case, law: LawFit) -> Spot:
     turns = WALKED if getattr(kind_of(law.kind), "has_state", False) else 12
     whole = [m.settled(lambda x, v, step=m.step: law.force(x, v, step), turns) for m in spot.whole]  # type: ignore[misc]
     n = len(case.fitted)
-    renew = lambda parts, motions: [replace(p, x=m.x, v=m.v) for p, m in zip(parts, motions, strict=True)]  # noqa: E731
+    renew = lambda parts, motions: [replace(p, x=m.x, v=m.v, made=m.made) for p, m in zip(parts, motions, strict=True)]  # noqa: E731
     judge = whole[n:] or renew(spot.judge, whole[:n])
     return replace(spot, whole=whole, fit=renew(spot.fit, whole[:n]), select=renew(spot.select, whole[:n]), judge=judge)
 

@@ -146,7 +146,7 @@ def tracks_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) ->
             memory = kind.memory(m.x, t.law.values)[:: m.crossing.fine]  # type: ignore[attr-defined]
         places.append((t.spot.b, m.crossing.lines(s), memory))
     last, m = accepted[-1], accepted[-1].spot.whole[number]
-    _, amplitudes, _ = m.along.free_force(0.0, m.spectra(last.law.force(m.x, m.v, m.step)))
+    _, amplitudes, _ = m.along.free_force(0.0, m.under(last.law))
     hz = run.all_hz
     drive = run.drive(case.modes)
     kernel = case.modes.bounded_kernel(hz, invented(case, accepted), float(run.hz[0]))

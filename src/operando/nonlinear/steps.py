@@ -271,7 +271,7 @@ def block_misfits(tried: Tried, blocks: int = 18) -> Real:
     """Misfit on each block of the select set."""
     out = []
     for m in tried.spot.select:
-        r = residual(m, m.spectra(tried.law.force(m.x, m.v, m.step)))
+        r = residual(m, m.under(tried.law))
         part = np.minimum(m.along.run.lines * blocks // (m.along.run.lines[-1] + 1), blocks - 1)
         power = np.mean(np.abs(r) ** 2, axis=0)
         out += [float(np.mean(power[part == b])) for b in np.unique(part)]

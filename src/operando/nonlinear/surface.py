@@ -137,7 +137,7 @@ def goodness(motions: Sequence[Motion], law: LawFit) -> float:
         good = m.taken > 0.5
         if m.along.run.lines.size != m.force.size:
             continue
-        expected = m.spectra(law.force(m.x, m.v, m.step))
+        expected = m.under(law)
         rest += float(np.sum(np.abs(m.force - expected)[good] ** 2))
         total += float(np.sum(np.abs(m.force)[good] ** 2))
     return 1 - rest / total if total > 0 else 0.0
