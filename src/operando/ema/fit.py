@@ -16,7 +16,7 @@ from operando.ema.findings import fit_findings, turned_finding
 from operando.ema.heldout import heldout_misfit
 from operando.ema.model_error import relative_model_error, with_model_error
 from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
-from operando.ema.outside import OutsideModes, outside_modes
+from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import choose_core, remaining_rows
@@ -172,7 +172,11 @@ def _fit(
     fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, log=log, progress=progress)
     final = _final(weighted, n_dofs, fit, lower, select_hz, reject_hz, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
-    outside = outside_modes(core_runs, final, band, lower)
+    gone = make_up(core_runs, final)
+    outside = outside_modes(core_runs, final, band, lower, gone=gone)
+    if gone.size:
+        log.rounds.append(f"{gone.size} modes beyond the lines taken for part of what lies outside")
+        final = without_modes(final, gone)
     if core is not None:
         runs = _turn(runs, turned)
         final, outside = remaining_rows(runs, core, len(dofs), final, outside)

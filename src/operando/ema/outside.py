@@ -9,7 +9,7 @@ driven, the prior's remaining variance stands as a local compliance.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,15 @@ A few modes at fixed frequencies cannot do much better; asked to, they buy the l
 too large at undriven DOFs, where only their squares show.
 """
 
+OUTER_TOLERANCE = 0.3
+"""The same on lines above the analysis band."""
+
+LARGEST, VAGUEST = 8.0, 1.5
+"""Shape values of a mode beyond the lines, and standard deviations of them, over the shape values of the others, above which it is no mode.
+
+It makes up for what lies outside: driven by next to nothing, its shape anywhere else is what the columns hold over next to nothing.
+"""
+
 NEGLIGIBLE = 1e-4
 """The same in units of the in-band part: less than this is nothing."""
 
@@ -47,7 +56,44 @@ class OutsideModes:
     covariance: Real
 
 
-def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, float], lower: bool, max_dofs: int = 60) -> OutsideModes:
+def make_up(runs: Sequence[RunSpectra], fit: Polished) -> NDArray[np.int_]:
+    """Modes of the fit beyond its lines that nothing but the driven columns tells of: part of what lies outside."""
+    theta = fit.parameters
+    top, bottom = max(run.top_hz for run in runs), min(float(run.frequencies_hz[0]) for run in runs)
+    beyond = (theta.hz > top) | (theta.hz < bottom)
+    if beyond.all() or not beyond.any():
+        return np.zeros(0, int)
+    m, n = theta.shapes.shape
+    rms = float(np.median(np.sqrt(np.mean(theta.shapes[:, ~beyond] ** 2, axis=0))))
+    std = np.sqrt(np.maximum(np.diag(fit.covariance)[2 * n :], 0)).reshape(n, m).T
+    odd = (np.max(np.abs(theta.shapes), axis=0) > LARGEST * rms) | (np.max(std, axis=0) > VAGUEST * rms)
+    return np.flatnonzero(beyond & odd)
+
+
+def without_modes(fit: Polished, gone: NDArray[np.int_]) -> Polished:
+    """The fit without some of its modes; the others as they were found beside them."""
+    theta = fit.parameters
+    m, n = theta.shapes.shape
+    keep = np.setdiff1d(np.arange(n), gone)
+    rows = np.concatenate([keep, n + keep, (2 * n + keep[:, None] * m + np.arange(m)).ravel()])
+    fewer = replace(
+        theta,
+        hz=theta.hz[keep],
+        zeta=theta.zeta[keep],
+        shapes=theta.shapes[:, keep],
+        transients=tuple(t[:, keep] if t.shape[1] == n else t for t in theta.transients),
+    )
+    return replace(fit, parameters=fewer, covariance=fit.covariance[np.ix_(rows, rows)])
+
+
+def outside_modes(
+    runs: Sequence[RunSpectra],
+    fit: Polished,
+    band: tuple[float, float],
+    lower: bool,
+    max_dofs: int = 60,
+    gone: NDArray[np.int_] | None = None,
+) -> OutsideModes:
     """Residual modes of all DOFs from the out-of-band part of the driven columns.
 
     Parameters
@@ -61,13 +107,21 @@ def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, 
         Whether kernels below the band were fitted.
     max_dofs : int
         DOFs in the nonlinear part of the fit; further ones follow by linear least squares.
+    gone : int array, optional
+        Modes of the fit that are no modes (:func:`make_up`): what they add to the driven columns lies outside.
     """
+    moved = fit.parameters
+    fit = fit if gone is None or not gone.size else without_modes(fit, gone)
     theta = fit.parameters
     top = max([run.top_hz for run in runs] + [float(h) for h in theta.hz])
     bottom = min(float(run.frequencies_hz[0]) for run in runs)
     f = np.geomspace(max(band[0], 1e-3 * band[1]), max(run.top_hz for run in runs), N_LINES)
     m_dofs, n = theta.shapes.shape
     target, known, refs = _driven(runs, theta, f)
+    if gone is not None and gone.size:
+        part = moved.shapes[:, gone]
+        more = np.einsum("kp,jp,pl->kjl", part[refs], part, kernels(f, moved.hz[gone], moved.zeta[gone])[0].real)
+        target = target + np.where(known[:, :, None], more, 0.0)
     rms = float(np.median(np.sqrt(np.mean(theta.shapes**2, axis=0))))
     spacing = float((theta.hz.max() - theta.hz.min()) / max(n - 1, 1)) or top / max(n, 1)
     upper_hz = np.array(UPPER) * top
@@ -83,7 +137,8 @@ def outside_modes(runs: Sequence[RunSpectra], fit: Polished, band: tuple[float, 
     std = std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
     inside = synthesise(f, theta.hz, theta.zeta, theta.shapes, theta.shapes[refs])
     floor = NEGLIGIBLE * np.sqrt(np.mean(np.abs(inside) ** 2, axis=(0, 1)))
-    weight = 1 / np.sqrt((TOLERANCE * scale) ** 2 + floor**2 + _noise(runs, fit, f))
+    asked = np.where(f <= band[1], TOLERANCE, OUTER_TOLERANCE)
+    weight = 1 / np.sqrt((asked * scale) ** 2 + floor**2 + _noise(runs, fit, f))
     if not np.any(target[known]):
         return _empty(m_dofs)
     core = np.array(sorted(set(refs) | set(_most_telling(target, known, max_dofs))))
