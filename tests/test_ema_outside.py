@@ -1,0 +1,96 @@
+"""What lies outside the band: modes beyond the lines that next to nothing drives belong to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from operando.data import Frf
+from operando.dof import Dof
+from operando.ema.outside import make_up, outside_modes, without_modes
+from operando.ema.polish import Polished
+from operando.ema.polish_model import Parameters
+from operando.ema.spectra import frf_spectra
+from structures import Chain
+
+N, INSIDE, REFS = 9, 6, (0, 3)
+BAND = (4.0, 112.0)
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return Chain(N)
+
+
+@pytest.fixture(scope="module")
+def runs(chain):
+    dofs = tuple(Dof.parse(f"{i + 1}+Z") for i in range(N))
+    hz = np.arange(2.0, 118.0, 0.25)
+    frf = Frf(chain.accelerance(hz, ref=REFS), hz, dofs, tuple(dofs[r] for r in REFS), variance=np.full((N, len(REFS), hz.size), 1e-8))
+    return frf_spectra(frf, dofs, (float(hz[0]), float(hz[-1])))
+
+
+def fitted(chain, runs, odd_shape, odd_std):
+    """The modes inside as they are, and one beyond the lines that holds part of the driven columns, driven by next to nothing."""
+    n = INSIDE + 1
+    shapes = np.c_[chain.phi[:, :INSIDE], odd_shape]
+    std = np.full((n, N), 1e-3)
+    std[-1] = odd_std
+    hz = np.r_[chain.hz[:INSIDE], 121.0]
+    outside_hz = np.array([140.0, 170.0])
+    theta = Parameters(
+        hz,
+        np.full(n, 0.01),
+        shapes,
+        outside_hz,
+        tuple(np.zeros((2, 0)) for _ in runs),
+        tuple(np.full((N, outside_hz.size * run.force_rows.size), 1e-3) for run in runs),
+    )
+    information = [(np.zeros(0), 1e12 * np.eye(N * outside_hz.size * run.force_rows.size)) for run in runs]
+    variance = np.r_[np.full(2 * n, 1e-8), (std**2).ravel()]
+    return Polished(theta, np.diag(variance), tuple(information), 0.0, 1, 1, True)
+
+
+def odd(scale):
+    shape = np.linspace(-1, 1, N) * scale
+    shape[list(REFS)] = 0.01 / scale
+    return shape
+
+
+def test_a_mode_driven_by_next_to_nothing_is_found(chain, runs):
+    usual = float(np.sqrt(np.mean(chain.phi**2)))
+    assert make_up(runs, fitted(chain, runs, odd(20 * usual), 1e-3)).tolist() == [INSIDE]
+    assert make_up(runs, fitted(chain, runs, odd(usual), 5 * usual)).tolist() == [INSIDE]
+    # A mode beyond the lines of usual size, known well, is a mode; and so is a large one among the lines.
+    assert make_up(runs, fitted(chain, runs, odd(usual), 1e-3)).size == 0
+    inside = fitted(chain, runs, odd(usual), 1e-3)
+    inside.parameters.shapes[:, 2] *= 20
+    assert make_up(runs, inside).size == 0
+
+
+def test_the_others_stay_with_their_covariance(chain, runs):
+    fit = fitted(chain, runs, odd(5.0), 1e-3)
+    fit.covariance[np.diag_indices(len(fit.covariance))] = np.arange(1.0, len(fit.covariance) + 1)
+    fewer = without_modes(fit, np.array([INSIDE]))
+    n = INSIDE + 1
+    assert np.array_equal(fewer.parameters.shapes, chain.phi[:, :INSIDE])
+    expected = np.r_[np.arange(1, n), n + np.arange(1, n), 2 * n + np.arange(1, INSIDE * N + 1)]
+    assert np.array_equal(np.diag(fewer.covariance), expected)
+
+
+def test_its_share_of_the_driven_columns_stays_and_no_shape_is_out_of_size(chain, runs):
+    usual = float(np.sqrt(np.mean(chain.phi[:, :INSIDE] ** 2)))
+    fit = fitted(chain, runs, odd(20 * usual), 1.0)
+    gone = make_up(runs, fit)
+    made = outside_modes(runs, fit, BAND, False, gone=gone)
+    f = np.linspace(*BAND, 60)[:, None]
+    kernel = lambda hz, zeta: np.real(-(f**2) / (hz**2 - f**2 + 2j * zeta * hz * f))  # noqa: E731
+    theta = fit.parameters
+    local = sum(kernel(h, 0.01) * 1e-3 for h in theta.outside_hz)
+    for row in REFS:
+        wanted = local + kernel(theta.hz[-1], theta.zeta[-1]) * (theta.shapes[:, -1] * theta.shapes[row, -1])[None]
+        found = kernel(made.hz, made.zeta) @ (made.shapes * made.shapes[row]).T
+        # Not exact: that a place is moved by forces which hardly move where they act is what no shape of usual size does.
+        assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.15 * np.sqrt(np.mean(wanted**2))
+    assert np.max(np.abs(made.shapes)) < 8 * usual
+    assert np.max(np.abs(theta.shapes[:, -1])) > 15 * usual
