@@ -59,12 +59,13 @@ def odd(scale):
 
 def test_a_mode_driven_by_next_to_nothing_is_found(chain, runs):
     usual = float(np.sqrt(np.mean(chain.phi**2)))
-    assert make_up(runs, fitted(chain, runs, odd(20 * usual), 1e-3)).tolist() == [INSIDE]
-    assert make_up(runs, fitted(chain, runs, odd(usual), 5 * usual)).tolist() == [INSIDE]
-    # A mode beyond the lines of usual size, known well, is a mode; and so is a large one among the lines.
+    assert make_up(runs, fitted(chain, runs, odd(20 * usual), 20 * usual)).tolist() == [INSIDE]
+    assert make_up(runs, fitted(chain, runs, odd(usual), 20 * usual)).tolist() == [INSIDE]
+    # A mode beyond the lines that is known well is a mode, however large; and so is a vague one among the lines.
+    assert make_up(runs, fitted(chain, runs, odd(20 * usual), 1e-3)).size == 0
     assert make_up(runs, fitted(chain, runs, odd(usual), 1e-3)).size == 0
     inside = fitted(chain, runs, odd(usual), 1e-3)
-    inside.parameters.shapes[:, 2] *= 20
+    inside.covariance[2 * (INSIDE + 1) + 2 * N, 2 * (INSIDE + 1) + 2 * N] = 100.0
     assert make_up(runs, inside).size == 0
 
 

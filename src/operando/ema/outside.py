@@ -36,8 +36,8 @@ too large at undriven DOFs, where only their squares show.
 OUTER_TOLERANCE = 0.3
 """The same on lines above the analysis band."""
 
-LARGEST, VAGUEST = 8.0, 1.5
-"""Shape values of a mode beyond the lines, and standard deviations of them, over the shape values of the others, above which it is no mode.
+VAGUE = 5.0
+"""Standard deviation of a shape value of a mode beyond the lines, over the shape values of the others, above which it is no mode.
 
 It makes up for what lies outside: driven by next to nothing, its shape anywhere else is what the columns hold over next to nothing.
 """
@@ -66,8 +66,7 @@ def make_up(runs: Sequence[RunSpectra], fit: Polished) -> NDArray[np.int_]:
     m, n = theta.shapes.shape
     rms = float(np.median(np.sqrt(np.mean(theta.shapes[:, ~beyond] ** 2, axis=0))))
     std = np.sqrt(np.maximum(np.diag(fit.covariance)[2 * n :], 0)).reshape(n, m).T
-    odd = (np.max(np.abs(theta.shapes), axis=0) > LARGEST * rms) | (np.max(std, axis=0) > VAGUEST * rms)
-    return np.flatnonzero(beyond & odd)
+    return np.flatnonzero(beyond & (np.max(std, axis=0) > VAGUE * rms))
 
 
 def without_modes(fit: Polished, gone: NDArray[np.int_]) -> Polished:
