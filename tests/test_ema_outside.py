@@ -81,7 +81,7 @@ def test_the_others_stay_with_their_covariance(chain, runs):
 
 def test_its_share_of_the_driven_columns_stays_and_no_shape_is_out_of_size(chain, runs):
     usual = float(np.sqrt(np.mean(chain.phi[:, :INSIDE] ** 2)))
-    fit = fitted(chain, runs, odd(20 * usual), 1.0)
+    fit = fitted(chain, runs, odd(20 * usual), 20 * usual)
     gone = make_up(runs, fit)
     made = outside_modes(runs, fit, BAND, False, gone=gone)
     f = np.linspace(*BAND, 60)[:, None]
