@@ -34,7 +34,10 @@ too large at undriven DOFs, where only their squares show.
 """
 
 OUTER_TOLERANCE = 0.3
-"""The same on lines above the analysis band."""
+"""The same on lines above the analysis band, where the nearest pseudo-modes would else be out of size."""
+
+LARGEST, NEAREST = 8.0, 4
+"""Out of size: over so many times the shape values in the band; the nearest so many pseudo-modes are looked at."""
 
 VAGUE = 5.0
 """Standard deviation of a shape value of a mode beyond the lines, over the shape values of the others, above which it is no mode.
@@ -136,13 +139,17 @@ def outside_modes(
     std = std * np.sqrt(min(float(np.median(scale / np.maximum(expected, 1e-300))), 2.0))
     inside = synthesise(f, theta.hz, theta.zeta, theta.shapes, theta.shapes[refs])
     floor = NEGLIGIBLE * np.sqrt(np.mean(np.abs(inside) ** 2, axis=(0, 1)))
-    asked = np.where(f <= band[1], TOLERANCE, OUTER_TOLERANCE)
-    weight = 1 / np.sqrt((asked * scale) ** 2 + floor**2 + _noise(runs, fit, f))
+    noise = _noise(runs, fit, f)
     if not np.any(target[known]):
         return _empty(m_dofs)
     core = np.array(sorted(set(refs) | set(_most_telling(target, known, max_dofs))))
     at = {int(row): i for i, row in enumerate(core)}
-    psi_core, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), g, weight, std)
+    for outer in (TOLERANCE, OUTER_TOLERANCE):
+        asked = np.where(f <= band[1], TOLERANCE, outer)
+        weight = 1 / np.sqrt((asked * scale) ** 2 + floor**2 + noise)
+        psi_core, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), g, weight, std)
+        if np.max(np.abs(psi_core[:, :NEAREST])) < LARGEST * rms:
+            break
     shapes = np.zeros((m_dofs, hz.size))
     variance = np.broadcast_to(std**2, (m_dofs, hz.size)).copy()
     shapes[core] = psi_core
