@@ -261,7 +261,7 @@ def _search(
         verdict = "partial"
         notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
     if verdict in ("explained", "ambiguous"):
-        if final[-1].learnt is None:
+        if not found.corrected:
             rows, final = with_what_was_learnt(problem, rows, final)
         if final[-1].learnt is not None:
             notes.append(CORRECTED)

@@ -44,17 +44,20 @@ SURE = 1.2
 """Directions that moved by more than this, in rms of their spread, had been given too small a one."""
 
 LEAST = 1e-3
+"""First damping of a step, of the prior's own curvature, after steps without any."""
 
 STEPS, TRIES, ENDED, LAST = 25, 9, 5e-3, 5e-4
 """Iterations of a stage at most; a step that lowers the cost by less than this part is the last; in the end by this part."""
 
+EVERY = 4
+"""One line in so many shows what the lines tell."""
 
-AT_ONCE = ((0.0, 4),)
-BY_DOUBT = ((0.1, 4), (0.02, 4), (0.003, 4), (0.0, 4))
-"""Doubt of the prediction, as a part of what was measured, and one line in so many, stage by stage: two ways down."""
+AT_ONCE = (0.0,)
+BY_DOUBT = (0.1, 0.02, 0.003, 0.0)
+"""Doubt of the prediction, as a part of what was measured, stage by stage: two ways down."""
 
 
-def learn(problem: Problem, fit: Fit, groups: tuple[int, ...] = (FIT, SELECT)) -> Fit:
+def learn(problem: Problem, fit: Fit) -> Fit:
     """Gauss–Newton over the effects' sizes and all modal parameters of the idle model.
 
     The prior is what the refit of the effects left of the idle model's covariance, with the directions it moved at their places. The
@@ -65,8 +68,6 @@ def learn(problem: Problem, fit: Fit, groups: tuple[int, ...] = (FIT, SELECT)) -
     problem : Problem
     fit : Fit
         After the last fit.
-    groups : tuple of int
-        Sets of lines that tell.
 
     Returns
     -------
@@ -76,15 +77,15 @@ def learn(problem: Problem, fit: Fit, groups: tuple[int, ...] = (FIT, SELECT)) -
     """
     if problem.idle.covariance is None or not fit.terms or not fit.covariance.size:
         return fit
-    lines = problem.lines.where(np.isin(problem.lines.group, groups))
+    lines = problem.lines.where(np.isin(problem.lines.group, (FIT, SELECT)))
     p = predict(problem.arrays.with_phi(fit.phi), lines, fit.terms, fit.q)
     if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
         return fit
-    state = _Parameters.of(problem, fit, lines, 4)
+    state = _Parameters.of(problem, fit, lines)
     ends = [state.settled(stages) for stages in (AT_ONCE, BY_DOUBT)]
-    there, x = min(((there.on(lines, 2), x) for there, x in ends), key=lambda end: end[0].cost(end[1]))
+    there, x = min(((there.on(2), x) for there, x in ends), key=lambda end: end[0].cost(end[1]))
     x = there.descend(x, LAST)
-    return there.on(lines).learnt(x) if there.cost(x) < state.on(lines, 2).cost(state.start) else fit
+    return there.on(1).learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
 
 
 def all_but_the_idle_model(problem: Problem, fit: Fit) -> bool:
@@ -107,11 +108,14 @@ def _thinned(lines: CheckLines, every: int) -> tuple[CheckLines, Array]:
 
 @dataclass(frozen=True)
 class _Parameters:
-    """x: the effects' moving numbers, then directions of all parameters that the lines tell something about, of unit variance before."""
+    """x: the effects' moving numbers, then directions of all parameters that the lines tell something about, of unit variance before.
+
+    ``told``: all lines that tell; ``lines``: those in use, with 1/std of each; ``alike``: the curvature by which steps are damped.
+    """
 
     problem: Problem
     fit: Fit
-    every: CheckLines
+    told: CheckLines
     lines: CheckLines
     root_w: Array
     poles: Array
@@ -122,7 +126,7 @@ class _Parameters:
     alike: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit, lines: CheckLines, every: int) -> _Parameters:
+    def of(cls, problem: Problem, fit: Fit, lines: CheckLines) -> _Parameters:
         idle = problem.idle
         n, m = idle.n_modes, len(idle.dofs)
         assert idle.covariance is not None
@@ -136,7 +140,7 @@ class _Parameters:
         spread = unit[2 * n :].reshape(n, m).T
         relative = (np.abs(fit.phi) > RELATIVE * spread) & ~np.asarray(idle.residual)
         q = np.concatenate(fit.q)
-        few, root_w = _thinned(lines, every)
+        few, root_w = _thinned(lines, EVERY)
         made = cls(problem, fit, lines, few, root_w, root[: 2 * n], moves, relative, np.r_[q, stands], root)
         slope = made.slope(made.start)[q.size :]
         information = 2 * slope @ slope.T
@@ -153,12 +157,12 @@ class _Parameters:
             alike=alike,
         )
 
-    def on(self, lines: CheckLines, every: int = 1) -> _Parameters:
-        """The same on one in so many of these lines."""
-        few, root_w = _thinned(lines, every)
+    def on(self, every: int) -> _Parameters:
+        """The same on one in so many of the lines that tell."""
+        few, root_w = _thinned(self.told, every)
         return replace(self, lines=few, root_w=root_w)
 
-    def settled(self, stages: tuple[tuple[float, int], ...]) -> tuple[_Parameters, Array]:
+    def settled(self, stages: tuple[float, ...]) -> tuple[_Parameters, Array]:
         """The minimum; with a wider prior where that was too sure of itself."""
         x = self.found(self.start, stages)
         wide = float(np.sqrt(np.mean(x[self.n_q :] ** 2))) if x.size > self.n_q else 0.0
@@ -167,13 +171,13 @@ class _Parameters:
         other = self.widened(wide)
         return other, other.found(np.r_[x[: self.n_q], x[self.n_q :] / wide], AT_ONCE)
 
-    def found(self, x: Array, stages: tuple[tuple[float, int], ...]) -> Array:
-        """The minimum, reached with less and less doubt of the prediction and on more and more lines.
+    def found(self, x: Array, stages: tuple[float, ...]) -> Array:
+        """The minimum, reached with less and less doubt of the prediction.
 
         A peak beside the one measured is pulled there only where lines are not weighed as if the prediction had to meet their noise.
         """
-        for doubt, every in stages:
-            here = self.on(self.every, every)
+        here = self.on(EVERY)
+        for doubt in stages:
             loose = here.root_w / np.sqrt(1 + (doubt * np.abs(here.lines.data) * here.root_w) ** 2)
             x = replace(here, root_w=loose).descend(x)
         return x
@@ -233,7 +237,10 @@ class _Parameters:
         return self._state(x)[2]
 
     def descend(self, x: Array, ended: float = ENDED) -> Array:
-        """Levenberg's steps from x: damped alike in all directions of unit spread, so that what the lines know best is followed first."""
+        """Gauss–Newton steps from x, damped where they fail by Marquardt's diagonal in the covariance's own directions.
+
+        Apart from ``levenberg``: the damping is of another basis than x, and begins at none.
+        """
         bounds = [t.bounds() for t in self.fit.terms]
         low, high = (np.concatenate([b[side] for b in bounds]) for side in (0, 1))
         damping = 0.0
