@@ -136,46 +136,43 @@ def _one_memory(x: Array, reach: float, exponent: float, start: float) -> Array:
     On one way z follows the displacement alone: back to zero it falls with it, and out it grows as dz/dy = 1 − zⁿ, y = |x|/reach.
     So only the values at reversals follow from each other; all samples between are looked up.
     """
-    out_of, even, way_to = _way_out(exponent)
+    table, even, way_to = _way_out(exponent)
     ways_to, per = way_to.tolist(), 1 / float(even[1])
-    end = len(ways_to) - 2
+    last = len(ways_to) - 2
     y = x / reach
     change = np.diff(y)
-    sense = np.sign(change)
-    # A rest belongs to the way before it.
-    still = sense == 0
+    up = change > 0
+    still = change == 0
     if still.any():
-        last = np.maximum.accumulate(np.where(still, 0, np.arange(sense.size)))
-        sense = sense[last]
-    turns = np.flatnonzero(np.diff(sense) != 0) + 1
-    begins = np.concatenate([[0], turns])
-    ways = np.abs(np.diff(np.append(y[begins], y[-1])))
-    table, most = out_of.tolist(), out_of.size - 2
-    z, z_begin = start, []
-    for way, s in zip(ways.tolist(), sense[begins].tolist(), strict=True):
-        z_begin.append(z)
-        size = abs(z)
-        if z * s < 0:
-            if way <= size:
-                z += s * way
+        # A rest belongs to the way before it.
+        up = up[np.maximum.accumulate(np.where(still, 0, np.arange(up.size)))]
+    begins = np.concatenate([[0], np.flatnonzero(up[1:] != up[:-1]) + 1])
+    sense = np.where(up[begins], 1.0, -1.0)
+    out_of, most = table.tolist(), table.size - 2
+    # z seen along the way that begins, so its sign turns with each way; and how far out from zero each begins.
+    z, starts = start * float(sense[0]), []
+    for way in np.abs(np.diff(np.append(y[begins], y[-1]))).tolist():
+        if z < 0:
+            starts.append(z)
+            out = way + z
+            if out <= 0:
+                z = -out
                 continue
-            u = way - size
         else:
-            at = -math.log1p(-size) * per if size < 1 else end
-            i = int(at) if at < end else end
-            u = way + ways_to[i] + (at - i) * (ways_to[i + 1] - ways_to[i])
-        at = u / WAY
+            at = -math.log1p(-z) * per if z < 1 else last
+            i = int(at) if at < last else last
+            starts.append(ways_to[i] + (at - i) * (ways_to[i + 1] - ways_to[i]))
+            out = way + starts[-1]
+        at = out / WAY
         i = int(at)
-        z = s * (table[i] + (at - i) * (table[i + 1] - table[i]) if i < most else table[-1])
-    which = np.repeat(np.arange(begins.size), np.diff(np.append(begins, y.size - 1)))
-    started = np.array(z_begin)
-    z0, s0 = started[which], sense
-    gone = np.abs(y[1:] - y[begins][which])
-    back = z0 * s0 < 0
-    u0 = np.interp(-np.log1p(-np.minimum(np.abs(started), 1 - 1e-15)), even, way_to)[which]
-    u = np.where(back, gone - np.abs(z0), u0 + gone)
-    outward = s0 * np.interp(u, WAY * np.arange(out_of.size), out_of)
-    return np.concatenate([[start], np.where(back & (u <= 0), z0 + s0 * gone, outward)])
+        z = -(out_of[i] + (at - i) * (out_of[i + 1] - out_of[i]) if i < most else out_of[-1])
+    counts = np.diff(np.append(begins, y.size - 1))
+    senses = np.repeat(sense, counts)
+    gone = np.repeat(np.array(starts) - sense * y[begins], counts) + senses * y[1:]
+    ahead = np.clip(gone / WAY, 0, table.size - 1)
+    index = np.minimum(ahead.astype(np.intp), most)
+    outward = table[index] + (ahead - index) * np.diff(table)[index]
+    return np.concatenate([[start], senses * np.where(gone <= 0, gone, outward)])
 
 
 WAY, LONGEST = 0.002, 24.0

@@ -14,6 +14,7 @@ from operando.effects.base import EffectKind
 from operando.effects.friction import mean_sign
 from operando.nonlinear.place import Along, Crossing, settle
 from operando.nonlinear.run import Complex, Real
+from operando.nonlinear.threads import each
 
 GRID = 18
 """Gaps and knees tried first, evenly spaced in their logarithm between these shares of the largest deflection."""
@@ -66,11 +67,13 @@ class Motion:
     def under(self, law: LawFit) -> Complex:
         """Transform of a law's restoring force (L,) on the lines."""
         key = (law.kind, law.side, *law.values.items())
-        if key not in self.made:
+        whole = self.made.get(key)
+        if whole is None:
+            whole = np.asarray(sfft.rfft(law.force(self.x, self.v, self.step)))
             if len(self.made) >= MADE:
                 self.made.clear()
-            self.made[key] = np.asarray(sfft.rfft(law.force(self.x, self.v, self.step)))
-        return np.asarray(self.made[key][self.along.run.lines] / self.crossing.fine)
+            self.made[key] = whole
+        return np.asarray(whole[self.along.run.lines] / self.crossing.fine)
 
     def spectra(self, forces: Real) -> Complex:
         """Transforms of restoring forces (c, N) on the lines."""
@@ -116,7 +119,7 @@ def law_force(kind: EffectKind, x: Real, v: Real, values: Mapping[str, Any], ste
 
 def pooled(motions: Sequence[Motion], forces: Sequence[Real]) -> tuple[Real, Real, float]:
     """Normal equations over runs of restoring forces (c, N) each."""
-    return summed([m.along.normal(m.spectra(f)) for m, f in zip(motions, forces, strict=True)])
+    return summed(each(lambda pair: pair[0].along.normal(pair[0].spectra(pair[1])), zip(motions, forces, strict=True)))
 
 
 def summed(parts: Sequence[tuple[Real, Real, float]]) -> tuple[Real, Real, float]:
@@ -245,7 +248,7 @@ def _memories(motions: Sequence[Motion], reach: float, exponent: float) -> list[
     """Transform of the internal z of each run, walked at the record's own rate."""
     kind = kind_of("hysteresis")
     values = {"stiffness": 1.0 / reach, "yield_force": 1.0, "exponent": exponent}
-    return [_on_lines(m, kind.memory(m.x[:: m.crossing.fine], values)) for m in motions]  # type: ignore[attr-defined]
+    return each(lambda m: _on_lines(m, kind.memory(m.x[:: m.crossing.fine], values)), motions)  # type: ignore[attr-defined]
 
 
 def _on_lines(m: Motion, signal: Real) -> Complex:

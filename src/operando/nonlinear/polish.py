@@ -12,6 +12,7 @@ from operando.nonlinear.laws import LawFit, Motion, law_cost, summed
 from operando.nonlinear.run import Real
 from operando.nonlinear.search import Case, settled
 from operando.nonlinear.steps import Tried
+from operando.nonlinear.threads import each
 
 EASY = 0.01
 """Relative change of a value for a difference quotient."""
@@ -36,14 +37,15 @@ def free_names(law: LawFit) -> list[str]:
 
 def linearised(law: LawFit, motions: Sequence[Motion], names: Sequence[str]) -> tuple[Real, Real, float]:
     """Normal equations of relative changes of the values about the law as it stands, and the cost with it."""
-    parts = []
-    for m in motions:
+
+    def part(m: Motion) -> tuple[Real, Real, float]:
         base = m.under(law)
         moved = [m.under(replace(law, values=law.values | {n: law.values[n] * (1 + EASY)})) for n in names]
         gram, right, total = m.along.normal(np.stack([base, *((f - base) / EASY for f in moved)]))
         # The error is total − base's own part: what a small change of each value would still take away.
-        parts.append((gram[1:, 1:], right[1:] - gram[1:, 0], total - 2 * float(right[0]) + float(gram[0, 0])))
-    return summed(parts)
+        return gram[1:, 1:], right[1:] - gram[1:, 0], total - 2 * float(right[0]) + float(gram[0, 0])
+
+    return summed(each(part, motions))
 
 
 def polished(case: Case, tried: Tried) -> Tried:
@@ -111,8 +113,7 @@ def std_of(tried: Tried) -> dict[str, float]:
 def own_values(law: LawFit, motions: Sequence[Motion], names: Sequence[str]) -> Real:
     """Scatter of the values that each run by itself would have, relative, weighted by how well each run knows them."""
     weights, moves = [], []
-    for m in motions:
-        gram, right, _ = linearised(law, [m], names)
+    for gram, right, _ in each(lambda m: linearised(law, [m], names), motions):
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-9) / np.outer(scale, scale)
         weights.append(1 / np.maximum(np.diag(inverse), 1e-300))

@@ -16,6 +16,7 @@ from operando.nonlinear.laws import LawFit, Motion
 from operando.nonlinear.outside import Doubt, Outside, force_columns, look
 from operando.nonlinear.place import Along, Crossing, Weighted
 from operando.nonlinear.run import Modes, Real, Run, make_run
+from operando.nonlinear.threads import each
 
 FIRST_LINES, RANK_LINES = 300, 600
 """Lines of a run on which all places are compared, and the best of them again."""
@@ -241,7 +242,7 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
 def settled(spot: Spot, case: Case, law: LawFit) -> Spot:
     """The spot with the motions settled under a law."""
     turns = WALKED if getattr(kind_of(law.kind), "has_state", False) else 12
-    whole = [m.settled(lambda x, v, step=m.step: law.force(x, v, step), turns) for m in spot.whole]  # type: ignore[misc]
+    whole = each(lambda m: m.settled(lambda x, v: law.force(x, v, m.step), turns), spot.whole)
     n = len(case.fitted)
     renew = lambda parts, motions: [replace(p, x=m.x, v=m.v, made=m.made) for p, m in zip(parts, motions, strict=True)]  # noqa: E731
     judge = whole[n:] or renew(spot.judge, whole[:n])

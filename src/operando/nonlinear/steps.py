@@ -13,6 +13,7 @@ from operando.nonlinear.laws import LawFit, fit_law, law_cost, linear_law, turne
 from operando.nonlinear.outside import Outside, force_columns, look
 from operando.nonlinear.run import Real, Run, smoothed_variance
 from operando.nonlinear.search import NOISE_FLOOR, WITHIN, Case, Field, Spot, examine, rank_places, settled
+from operando.nonlinear.threads import each
 
 EARNED, PARSIMONY = 0.10, 0.03
 """An effect lowers the selection misfit by more than this part; within this part of the best the fewest parameters win."""
@@ -79,19 +80,11 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     singles = [p for _, p in ranked if len(p) == 1]
     if singles and singles[0] not in near:
         near.append(singles[0])
-    spots = [examine(stage, p) for p in near]
-    rough: list[tuple[float, Spot, LawFit]] = []
-    for spot in spots:
-        if say:
-            say(f"fit laws at {place_name(case, spot.place)}")
-        for name in kinds:
-            if name == "hysteresis":
-                continue
-            for side in sides(name):
-                law = fit_law(spot.fit, name, side)
-                if law is not None:
-                    cost, count = law_cost(law, spot.select)
-                    rough.append((cost / count, spot, law))
+    spots = each(lambda p: examine(stage, p), near)
+    if say:
+        say(f"fit laws at {'; '.join(place_name(case, spot.place) for spot in spots)}")
+    wanted = [(spot, name, side) for spot in spots for name in kinds if name != "hysteresis" for side in sides(name)]
+    rough = [r for r in each(lambda w: roughly(*w), wanted) if r is not None]
     rough.sort(key=lambda r: r[0])
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
     have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
@@ -99,7 +92,7 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     finalists += [
         (spot, turned(law)) for spot, law in finalists if len(sides(law.kind)) > 1 and (spot.place, law.kind, -law.side) not in have
     ]
-    tried = [settle_law(stage, spot, law) for spot, law in finalists]
+    tried = each(lambda f: settle_law(stage, *f), finalists)
     floor = min((s.free for s in spots), default=1.0)
     best = min((t.selection for t in tried), default=np.inf)
     if "hysteresis" in kinds and spots and best > max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select)):
@@ -109,6 +102,15 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
                 tried.append(settle_law(stage, spot, law, turns=2))
     tried.sort(key=lambda t: t.selection)
     return Step(case, base_select, base_judge, tried, floor)
+
+
+def roughly(spot: Spot, kind: str, side: float) -> tuple[float, Spot, LawFit] | None:
+    """A law with the motion as measured, and its misfit on the select set."""
+    law = fit_law(spot.fit, kind, side)
+    if law is None:
+        return None
+    cost, count = law_cost(law, spot.select)
+    return cost / count, spot, law
 
 
 def sides(kind: str) -> tuple[float, ...]:

@@ -1,0 +1,48 @@
+"""Threads over places, laws and runs: NumPy frees the interpreter on arrays of a record's length."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+MOST = 4
+_here = threading.local()
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(MOST, cores()), "operando")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process has none of its parent's threads
+
+
+def each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Results in the order of the items; what runs in a thread already does its own items one after another."""
+    todo = list(items)
+    if len(todo) < 2 or cores() == 1 or getattr(_here, "busy", False):
+        return [function(item) for item in todo]
+
+    def guarded(item: Item) -> Result:
+        _here.busy = True
+        try:
+            return function(item)
+        finally:
+            _here.busy = False
+
+    return list(_pool().map(guarded, todo))
