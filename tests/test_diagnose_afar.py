@@ -13,6 +13,8 @@ from operando.diagnose import diagnose
 from operando.diagnose.afar import from_afar, hardly_known
 from operando.diagnose.diagnosis import make_problem
 from operando.diagnose.problem import scan
+from operando.diagnose.search import Search, from_everywhere
+from operando.diagnose.sets import SELECT
 from operando.results import CheckRun
 
 N, DRIVEN, AT, SIZE = 9, 4, 2, 2500.0
@@ -73,3 +75,16 @@ def test_what_no_drive_point_saw_does_not_hide_the_effect(known):
     answer = diagnose(idle, check=[check])
     assert [(e.kind, str(e.location[0])) for e in answer.effects] == [("ground_damper", str(idle.dofs[AT]))]
     assert answer.effects[0].values["damping"] == pytest.approx(SIZE, rel=0.02)
+
+
+def test_a_search_that_ended_wrong_starts_again_from_every_candidate(known):
+    idle, check = known
+    problem = make_problem(idle, [check], None, None, idle.band_hz)
+    spring = next(c for c in scan(problem, problem.empty()) if c.term.kind.kind == "ground_spring")
+    wrong = problem.joint([spring.term], [spring.q])
+    before = [problem.misfit(SELECT, problem.empty()), problem.misfit(SELECT, wrong)]
+    ended = Search([problem.empty(), wrong], [(problem.tried(wrong), [problem.tried(wrong)])], before)
+    again = from_everywhere(problem, ended, 1)
+    assert [(t.kind.kind, t.dofs) for t in again.fits[-1].terms] == [("ground_damper", (idle.dofs[AT],))]
+    assert problem.misfit(SELECT, again.fits[-1]) < 0.1 * before[-1]
+    assert from_everywhere(problem, again, 1) is again  # nothing better than the right one

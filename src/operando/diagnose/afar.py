@@ -70,9 +70,25 @@ def from_afar(problem: Problem, found: Sequence[Candidate]) -> list[Fit]:
         return []
     if problem.say:
         problem.say(f"{len(there)} candidates at {len(unknown)} places that the idle model hardly knows")
+    return on_few_lines(problem, there)
+
+
+def on_few_lines(problem: Problem, candidates: Sequence[Candidate]) -> list[Fit]:
+    """The best of these as the first effect, each fitted on a few lines together with what is not known of its places.
+
+    Parameters
+    ----------
+    problem : Problem
+    candidates : sequence of Candidate
+
+    Returns
+    -------
+    list of Fit
+        On all lines of the fit set, at most three.
+    """
     lines, own = _few(problem)
     rough = []
-    for c in there:
+    for c in candidates:
         prior = shape_prior(problem.idle, effect_dofs([c.term]))
         rough.append(refit(problem.arrays, lines, own, [c.term], [c.q], prior, steps=STEPS))
     rough.sort(key=lambda f: f.cost)

@@ -24,7 +24,7 @@ from operando.diagnose.places import candidates as all_candidates
 from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
-from operando.diagnose.search import MAX_EFFECTS, other_orders, search
+from operando.diagnose.search import EXCUSED, MAX_EFFECTS, other_orders, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
 from operando.diagnose.verdict import FURTHER_PART, GOOD, ambiguous_with, verdict_of
@@ -36,9 +36,6 @@ Array = NDArray[Any]
 
 WHERE_LINES = 600
 """Lines of a run on which failure by DOF and band is judged."""
-
-EXCUSED = 10.0
-"""Judge misfit above which the model's own variance at the places of effects, where larger than the idle model's, does not count."""
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry
+from operando.diagnose.afar import on_few_lines
 from operando.diagnose.learn import all_but_the_idle_model
 from operando.diagnose.levenberg import effect_dofs
 from operando.diagnose.predict import Term
-from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, step
+from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose, scan, step
 from operando.diagnose.refit import POOR, Fit, refit
 from operando.diagnose.sets import FIT, SELECT
 from operando.diagnose.shapes import shape_prior
@@ -38,6 +39,12 @@ NEARLY = 0.05
 FIRSTS = 4
 """First effects from which the search starts again where it ends poorly."""
 
+
+EXCUSED = 10.0
+"""Misfit by the idle model's own variance above which that of the model with effects, where larger, does not count."""
+
+AGAIN = 2
+"""Times that a fit which begins far from its end is taken up again."""
 
 NO_EXCHANGE = 10.0
 """Selection misfit with as many effects as are looked for above which exchanging one of them cannot make them good."""
@@ -109,6 +116,8 @@ def search(
         return simplified(problem, found)
     if found.before[-1] > POOR:
         found = from_others(problem, found, most)
+    if found.before[-1] > POOR or problem.misfit(SELECT, found.fits[-1]) > EXCUSED:
+        found = from_everywhere(problem, found, most)
     hopeless = len(found.history) == most and found.before[-1] > NO_EXCHANGE
     if len(found.history) > 1 and not hopeless:
         fits, history = swap(problem, found.fits, found.history)
@@ -173,6 +182,24 @@ def from_others(problem: Problem, found: Search, most: int) -> Search:
         return found
     fits, history = in_order(problem, best.fits[-1], {t.term.key: tried for t, tried in best.history})
     return replace(best, fits=fits, history=history)
+
+
+def from_everywhere(problem: Problem, found: Search, most: int) -> Search:
+    """Search again with every candidate of the scan fitted: where a strong effect meets columns known poorly the scan ranks nothing."""
+    candidates = [c for c in scan(problem, problem.empty()) if c.term.kind.acts == "dynamic_stiffness"]
+    if problem.say:
+        problem.say(f"nothing explains the lines: fit {len(candidates)} candidates")
+    fits = on_few_lines(problem, candidates)
+    for _ in range(AGAIN):
+        fits = [problem.joint(f.terms, f.q, start=f) for f in fits]
+    tried = sorted((problem.tried(f) for f in fits), key=lambda t: t.selection)
+    if not tried or not separates(tried[0].selection, problem.misfit(SELECT, found.fits[-1]), SWAPPED):
+        return found
+    first = tried[0].fit
+    start = Search([problem.empty(), first], [(tried[0], tried)], [found.before[0], problem.allowing(first).misfit(SELECT, first)])
+    if all_but_the_idle_model(problem, first):
+        return replace(start, corrected=True)
+    return greedy(problem, problem.empty(), most, start)
 
 
 def swap(problem: Problem, fits: list[Fit], history: History) -> tuple[list[Fit], History]:
