@@ -10,6 +10,7 @@ import numpy as np
 
 from operando.data import Geometry, ModalModel
 from operando.diagnose.predict import Term
+from operando.diagnose.refit import POOR
 from operando.diagnose.sets import SELECT
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ HOPELESS = 100.0
 """Selection misfit with all effects found above which it is idle to ask which of them could be exchanged."""
 
 ONE_MODE = 0.1
-"""With one mode in band kinds differ only by what lies outside of it: whatever explains all but this part, or all that
-the data allow, counts as alike."""
+"""With one mode in band kinds differ only by what lies outside of it, which is known least: whatever explains all but this part, or is no
+poor fit, counts as alike."""
 
 
 def separates(new: float, old: float, part: float) -> bool:
@@ -146,7 +147,7 @@ def ambiguous_with(problem: Problem, history: Sequence[tuple[Tried, list[Tried]]
     hopeless = len(history) > 1 and problem.allowing(final.fit).misfit(SELECT, final.fit) > HOPELESS
     for best, tried in history:
         for t in tried:
-            as_good = alike(best, t) or (alone and t.selection < max(ONE_MODE * start, GOOD))
+            as_good = alike(best, t) or (alone and t.selection < max(ONE_MODE * start, POOR))
             if t.term.key in accepted or not as_good or nested(best.term, t.term):
                 continue
             if len(history) > 1 and best is not final and (hopeless or not alike(*in_the_end(problem, final.fit, best, t))):
