@@ -116,7 +116,8 @@ def search(
         return simplified(problem, found)
     if found.before[-1] > POOR:
         found = from_others(problem, found, most)
-    if found.before[-1] > POOR or problem.misfit(SELECT, found.fits[-1]) > EXCUSED:
+    excused = not found.done and problem.misfit(SELECT, found.fits[-1]) > EXCUSED
+    if found.before[-1] > POOR or (excused and not all_but_the_idle_model(problem, found.fits[-1])):
         found = from_everywhere(problem, found, most)
     hopeless = len(found.history) == most and found.before[-1] > NO_EXCHANGE
     if len(found.history) > 1 and not hopeless:
