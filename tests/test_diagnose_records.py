@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -52,6 +53,16 @@ def test_distortion_is_suspicious_even_where_levels_agree():
     loud = type(run)(run.name, run.level, type(run.frf)(**{**run.frf.__dict__, "variance": 3 * DISTORTION * run.frf.variance}))
     assert "proportional" in suspicion([loud], at_rest())
     assert suspicion([loud]) is None
+
+
+def test_distortion_at_some_responses_is_suspicious_and_at_one_it_is_not():
+    (run,) = frfs("none")
+    assert len(run.frf.responses) == 8
+    for count, suspicious in ((3, True), (1, False)):
+        factor = np.ones((8, 1, 1))
+        factor[:count] = 4 * DISTORTION
+        loud = replace(run, frf=replace(run.frf, variance=factor * run.frf.variance))
+        assert (suspicion([loud], at_rest()) is not None) == suspicious
 
 
 def test_a_clearance_is_found_from_the_records():

@@ -39,7 +39,6 @@ NEARLY = 0.05
 FIRSTS = 4
 """First effects from which the search starts again where it ends poorly."""
 
-
 EXCUSED = 10.0
 """Misfit by the idle model's own variance above which that of the model with effects, where larger, does not count."""
 
@@ -103,7 +102,9 @@ def search(
     if one_mode(problem.idle):
         most = 1  # two effects on one mode are one
     found = greedy(problem, problem.empty(), 1)
-    if found.history and not found.done and found.before[-1] < NEARLY * found.before[0] and all_but_the_idle_model(problem, found.fits[-1]):
+    alone = found.fits[-1]
+    nearly = bool(found.history) and not found.done and found.before[-1] < NEARLY * found.before[0]
+    if nearly and all_but_the_idle_model(problem, alone):
         # What the idle model is wrong by must not be made up for by further, small effects.
         return replace(simplified(problem, found), corrected=True)
     if elsewhere is not None and found.before[-1] > POOR:
@@ -116,8 +117,10 @@ def search(
         return simplified(problem, found)
     if found.before[-1] > POOR:
         found = from_others(problem, found, most)
-    excused = not found.done and problem.misfit(SELECT, found.fits[-1]) > EXCUSED
-    if found.before[-1] > POOR or (excused and not all_but_the_idle_model(problem, found.fits[-1])):
+    last = found.fits[-1]
+    excused = not found.done and problem.misfit(SELECT, last) > EXCUSED
+    asked = nearly and last is alone  # and answered no
+    if found.before[-1] > POOR or (excused and (asked or not all_but_the_idle_model(problem, last))):
         found = from_everywhere(problem, found, most)
     hopeless = len(found.history) == most and found.before[-1] > NO_EXCHANGE
     if len(found.history) > 1 and not hopeless:

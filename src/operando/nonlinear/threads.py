@@ -13,6 +13,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST = 4
+"""Threads at most: few pieces of work are more, and what stays in the interpreter runs one at a time."""
+
 _here = threading.local()
 
 
