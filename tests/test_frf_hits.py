@@ -242,6 +242,14 @@ def test_low_coherence_is_reported():
     assert [(item.kind, item.dof) for item in frf.findings] == [("low_coherence", "3+Z")]
 
 
+def test_coherence_counts_where_the_analysis_is():
+    lines = np.arange(1.0, 1000.0)
+    driven = np.where(lines < 190, 1.0, 0.1)
+    frf = Frf(np.ones((1, 1, lines.size)), lines, ["1+Z"], ["1+Z"], coherence=driven[None, None])
+    assert [item.kind for item in check_frf(frf).findings] == ["low_coherence"]
+    assert check_frf(frf, (5.0, 140.0)).findings == (), "a shaker leaves nothing above its own band"
+
+
 def free_body(spread=0.0):
     """Accelerance of a free bar of four points: translation, rotation of a given share, one bending mode at 40 Hz."""
     f = np.arange(1.0, 80.0, 0.25)

@@ -10,10 +10,12 @@ import pytest
 from tests.nonlinear_truth import Strip, measure_many, place
 
 from operando.data import ModalModel
+from operando.effects import Effect
 from operando.nonlinear import diagnose_records
+from operando.nonlinear.conclude import too_fast
 from operando.nonlinear.laws import LawFit
 from operando.nonlinear.search import Field, examine, make_case, rank_places, settled
-from operando.nonlinear.steps import weighed
+from operando.nonlinear.steps import Tried, weighed
 
 STRIP = Strip(seed=3)
 STIFFNESS, GAP = 8e3, 6e-4
@@ -101,3 +103,31 @@ def test_residual_modes_that_carry_the_structure_count():
 def test_places_are_compared_with_what_lies_outside_the_band():
     bare = make_case(STRIP.idle(residual=False), records())
     assert rank_places(bare, bare.places)[0][1] == (4,)
+
+
+def faster(motion, part, hz=235.0):
+    """The same motion with a tone near the end of the recorded band, of a part of its rms, added."""
+    t = motion.step * np.arange(motion.x.size)
+    tone = part * motion.x.std() * np.sqrt(2)
+    w = 2 * np.pi * hz
+    return replace(motion, x=motion.x + tone * np.cos(w * t), v=motion.v - w * tone * np.sin(w * t), made={})
+
+
+def test_motion_at_the_end_of_the_recorded_band_counts_where_a_law_has_a_knee():
+    contact = LawFit("one_sided_contact", 1.0, {"stiffness": STIFFNESS, "gap": GAP}, 0.0, 2)
+    spring = LawFit("ground_spring", 1.0, {"stiffness": STIFFNESS}, 0.0, 1)
+    motion = spot().whole[0]
+    change = [faster(motion, part).without_fastest(contact, 0.8) for part in (0.0, 0.3, 1.0)]
+    assert 2 * change[0] < change[1] < change[2]
+    assert faster(motion, 1.0).without_fastest(spring, 0.8) < 1e-2 * change[2], "a linear law mixes no frequencies"
+
+
+def test_records_too_slow_for_the_motion_are_said_to_be():
+    effect = Effect("one_sided_contact", ("5+Z",), {"stiffness": STIFFNESS, "gap": GAP})
+    law = LawFit("one_sided_contact", 1.0, dict(effect.values), 0.0, 2)
+    quick = replace(spot(), whole=tuple(faster(m, 1.0) for m in spot().whole))
+    (note,) = too_fast([effect], [Tried(quick, law, 5.0, 5.0)], 2, 5.0)
+    assert "7.0 dB above the floor" in note
+    assert "record at 2048 samples a second or more" in note
+    assert too_fast([effect], [Tried(quick, law, 1.5, 1.5)], 2, 1.5) == [], "nothing is left to explain"
+    assert too_fast([effect], [Tried(spot(), law, 5.0, 5.0)], 2, 5.0) == [], "what is left has another reason"

@@ -2,7 +2,7 @@
 
 The response without the effect is exact, line by line, as for the linear kinds. What the effect adds obeys z' = λz − φ_b·s(x, v) for each
 pole λ, x = x_linear + what z makes at the place: integrated by an exponential Runge-Kutta method of second order (Cox and Matthews
-2002) at sixteen steps a sample, brought through the logger's filter and then to its rate.
+2002) at 8192 steps a second, brought through the logger's filter and then to its rate.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NONLINEAR = (
     "quintic",
 )
 RESPONSE_NOISE = 0.002
-FINE, KEPT = 16, 4  # steps a sample of the integration; of what is kept for the filter
+RATE, FINE = 512.0, 16  # samples a second, and steps a sample of the integration at that rate
 LEAD = 8.0  # s that the effect has acted before the record begins
 MOST_DB = 3.0
 UNITS = {
@@ -132,7 +132,7 @@ def _law(kind: str, size: float, x: float, v: float, rng: np.random.Generator, m
         return {"coefficient": c}, lambda x, v, z: c * v * np.abs(v), none
     if kind == "coulomb_friction":
         level = size * v * np.sqrt(np.pi / 2)
-        speed = max(0.02 * v, level * mobility * 2.5 / (512 * FINE))
+        speed = max(0.02 * v, level * mobility * 2.5 / (RATE * FINE))
         return {"force": level}, lambda x, v, z: level * np.tanh(v / speed), none
     if kind == "clearance":
         gap = rng.uniform(0.3, 0.8) * x
@@ -184,17 +184,17 @@ def added(
     ``linear`` (runs, lines) are displacement spectra at the place over the period without the effect, ``starts`` the samples at which the
     records begin; ``gain(hz)`` is the logger's filter.
     """
-    lead = int(LEAD * rate)
-    n = (lead + samples + int(rate)) * FINE
-    spectra = np.zeros((len(linear), period * FINE // 2 + 1), complex)
-    spectra[:, : linear.shape[1]] = linear * FINE
-    hz = fft.rfftfreq(period * FINE, 1 / (rate * FINE))
-    x_free, v_free = (fft.irfft(s, period * FINE, axis=1) for s in (spectra, spectra * 2j * np.pi * hz))
-    index = ((starts - lead)[:, None] * FINE + np.arange(n + 1)) % (period * FINE)
+    lead, fine = int(LEAD * rate), max(round(FINE * RATE / rate), 2)
+    n = (lead + samples + int(rate)) * fine
+    spectra = np.zeros((len(linear), period * fine // 2 + 1), complex)
+    spectra[:, : linear.shape[1]] = linear * fine
+    hz = fft.rfftfreq(period * fine, 1 / (rate * fine))
+    x_free, v_free = (fft.irfft(s, period * fine, axis=1) for s in (spectra, spectra * 2j * np.pi * hz))
+    index = ((starts - lead)[:, None] * fine + np.arange(n + 1)) % (period * fine)
     x_free, v_free = (np.ascontiguousarray(np.take_along_axis(a, index, axis=1).T) for a in (x_free, v_free))
     w = 2 * np.pi * structure.hz
     pole = w * (-structure.zeta + 1j * np.sqrt(1 - structure.zeta**2))
-    step = 1 / (rate * FINE)
+    step = 1 / (rate * fine)
     e = np.exp(pole * step)
     first = (e - 1) / pole
     second = (e - 1 - pole * step) / (pole**2 * step)

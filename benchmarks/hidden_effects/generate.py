@@ -50,17 +50,19 @@ class Spec:
     excitation: str = "shaker"  # or hammer
     check: bool = True
     orders: bool = False
+    rate: int = 512  # samples a second
 
     @property
     def name(self) -> str:
-        ends = ("" if self.check else "-nocheck") + ("-orders" if self.orders else "")
+        ends = ("" if self.check else "-nocheck") + ("-orders" if self.orders else "") + ("" if self.rate == 512 else f"-{self.rate}Hz")
         return f"{self.family}-{self.kind}-{self.seed}-r{self.references}-{self.excitation}{ends}"
 
 
 def parse(name: str) -> Spec:
     """A Spec from its name."""
     family, kind, seed, references, excitation, *more = name.split("-")
-    return Spec(family, kind, int(seed), int(references[1:]), excitation, "nocheck" not in more, "orders" in more)
+    rate = next((int(m[:-2]) for m in more if m.endswith("Hz")), 512)
+    return Spec(family, kind, int(seed), int(references[1:]), excitation, "nocheck" not in more, "orders" in more, rate)
 
 
 @dataclass(frozen=True)
@@ -147,11 +149,13 @@ def write(spec: Spec, folder: Path, case: Path | None = None) -> Path:
     case, answers = case or folder / "cases" / spec.name, folder / "answers"
     known = truth(spec)
     structure, state = known.structure, known.state
+    if spec.rate != 512 and known.contact is None:
+        raise ValueError("another sampling rate is for level-dependent kinds")
     rng = np.random.default_rng(
         [spec.seed, FAMILIES.index(spec.family), KINDS.index(spec.kind), spec.references, spec.excitation == "hammer", 99]
     )
     units = (("m/s^2", "N"), ("g", "N"), ("g", "lbf"))[int(rng.choice(3, p=[0.6, 0.25, 0.15]))]
-    logger = Logger(structure, rng, units, CONTACT_NOISE if known.contact else None)
+    logger = Logger(structure, rng, units, CONTACT_NOISE if known.contact else None, float(spec.rate))
     seconds = 48 if spec.excitation == "hammer" else 40
     rest = idle(structure)
     files = {"geometry.uff": geometry(structure), "test.toml": _test_file(spec, known.band).encode()}

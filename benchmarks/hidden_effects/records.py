@@ -8,10 +8,11 @@ structure moves; a hammer record begins at rest, for the rest of its period is s
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from contacts import LEAD, Contact, added
+from contacts import LEAD, RATE, Contact, added
 from families import Structure
 from hidden import Hidden, System
 from scipy import fft
@@ -19,7 +20,6 @@ from scipy import fft
 sys.path.append(str(Path(__file__).resolve().parents[1] / "example_data"))
 from uff import Trace, time_record
 
-RATE = 512.0
 RESPONSE_NOISE, FORCE_NOISE = 0.01, 0.002
 GRAVITY, POUND = 9.80665, 4.4482216152605
 FILTER_END = 250.0
@@ -32,30 +32,31 @@ def anti_alias(hz: np.ndarray) -> np.ndarray:
     return 0.5 * (1 + np.cos(np.pi * np.clip((hz - 170) / 80, 0, 1)))
 
 
-def logger_gain(hz: np.ndarray) -> np.ndarray:
-    """What the logger keeps of a motion that is not limited to its band: flat to where no force is left, then a sharp end.
+def logger_gain(hz: np.ndarray, rate: float = RATE) -> np.ndarray:
+    """What a logger of this rate keeps of a motion that is not limited to its band: flat to where no force is left, then a sharp end.
 
     Forces and the motion they make by themselves are recorded as they are, so the motion that an effect adds must not be filtered by more.
     """
-    return 0.5 * (1 + np.cos(np.pi * np.clip((hz - SHARP[0]) / (SHARP[1] - SHARP[0]), 0, 1)))
+    low, high = (edge * rate / RATE for edge in SHARP)
+    return 0.5 * (1 + np.cos(np.pi * np.clip((hz - low) / (high - low), 0, 1)))
 
 
-def lines(period: int) -> np.ndarray:
-    return fft.rfftfreq(period, 1 / RATE)
+def lines(period: int, rate: float = RATE) -> np.ndarray:
+    return fft.rfftfreq(period, 1 / rate)
 
 
-def random_force(rng: np.random.Generator, period: int, rms: np.ndarray, low: float, high: float) -> np.ndarray:
+def random_force(rng: np.random.Generator, period: int, rms: np.ndarray, low: float, high: float, rate: float = RATE) -> np.ndarray:
     """Spectra (forces, lines) of stationary random forces of given rms [N] between two frequencies, with soft edges."""
-    hz = lines(period)
+    hz = lines(period, rate)
     shape = anti_alias(hz) / (1 + (low / np.maximum(hz, 1e-6)) ** 8) / (1 + (hz / high) ** 8)
     spectra = (rng.standard_normal((len(rms), hz.size)) + 1j * rng.standard_normal((len(rms), hz.size))) * shape
     spectra[:, 0] = spectra[:, -1] = 0
     return spectra * (rms * period / np.sqrt(2 * np.sum(np.abs(spectra) ** 2, axis=1)))[:, None]
 
 
-def hammer_force(rng: np.random.Generator, period: int, seconds: float, level: float) -> np.ndarray:
+def hammer_force(rng: np.random.Generator, period: int, seconds: float, level: float, rate: float = RATE) -> np.ndarray:
     """Spectrum (1, lines) of half-sine hits of 3 to 5 ms every 7.5 to 9 s, of varying peak."""
-    hz = lines(period)
+    hz = lines(period, rate)
     spectrum = np.zeros(hz.size, complex)
     start = 1.5
     while start < seconds - 6:
@@ -65,12 +66,12 @@ def hammer_force(rng: np.random.Generator, period: int, seconds: float, level: f
         pulse = 2 * peak * width / np.pi * np.cos(np.pi * x / 2) / (1 - x**2)
         spectrum += pulse * np.exp(-2j * np.pi * hz * (start + width / 2))
         start += rng.uniform(7.5, 9.0)
-    return (spectrum * anti_alias(hz) * RATE)[None]
+    return (spectrum * anti_alias(hz) * rate)[None]
 
 
-def steady(system: System, rows: np.ndarray, columns: np.ndarray, forces: np.ndarray, period: int) -> np.ndarray:
+def steady(system: System, rows: np.ndarray, columns: np.ndarray, forces: np.ndarray, period: int, rate: float = RATE) -> np.ndarray:
     """Acceleration spectra (rows, lines) over the period: H·F on every line, nothing above the filter's end."""
-    hz = lines(period)
+    hz = lines(period, rate)
     wanted = hz < FILTER_END
     spectra = np.zeros((len(rows), hz.size), complex)
     spectra[:, wanted] = system.respond(hz[wanted], forces[:, wanted], rows, columns)
@@ -92,8 +93,10 @@ def faults(state: Hidden, spectra: np.ndarray, period: int) -> np.ndarray:
 class Logger:
     """Adds noise and writes runs in given units."""
 
-    def __init__(self, structure: Structure, rng: np.random.Generator, units: tuple[str, str], noise: float | None = None) -> None:
-        self.structure, self.rng, self.units, self.noise = structure, rng, units, noise
+    def __init__(
+        self, structure: Structure, rng: np.random.Generator, units: tuple[str, str], noise: float | None = None, rate: float = RATE
+    ) -> None:
+        self.structure, self.rng, self.units, self.noise, self.rate = structure, rng, units, noise, rate
 
     def run(self, acceleration: np.ndarray, force: np.ndarray | None, reference: int | None, name: str) -> bytes:
         sensors, (a_unit, f_unit) = self.structure.sensors, self.units
@@ -108,28 +111,28 @@ class Logger:
             noisy = row + share * row.std() * self.rng.standard_normal(row.shape)
             scale = GRAVITY if a_unit == "g" else 1.0
             traces.append(Trace(f"acceleration {s.name}", s.label, s.sense * (s.axis + 1), "acceleration", a_unit, noisy / scale))
-        return time_record(traces, RATE, name, DATE)
+        return time_record(traces, self.rate, name, DATE)
 
 
 def forced_run(
     logger: Logger, state: Hidden, reference: int, excitation: str, seconds: float, level: float, name: str, *, check: bool = False
 ) -> bytes:
     """A run with one measured force at a sensor; in a check run the set-up's faults act."""
-    rng = logger.rng
-    samples = int(seconds * RATE)
-    period = fft.next_fast_len(samples + int((60 if excitation == "hammer" else 20) * RATE), real=True)
+    rng, rate = logger.rng, logger.rate
+    samples = int(seconds * rate)
+    period = fft.next_fast_len(samples + int((60 if excitation == "hammer" else 20) * rate), real=True)
     period += period % 2
     if excitation == "hammer":
-        forces = hammer_force(rng, period, seconds, 15 * level)
+        forces = hammer_force(rng, period, seconds, 15 * level, rate)
     else:
-        forces = random_force(rng, period, np.array([level]), 3.0, 190.0)
+        forces = random_force(rng, period, np.array([level]), 3.0, 190.0, rate)
     system = state.check_system if check and state.check_system is not None else state.system
-    spectra = steady(system, state.rows, state.rows[[reference]], forces, period)
+    spectra = steady(system, state.rows, state.rows[[reference]], forces, period, rate)
     measured = forces[0]
     if check:
         spectra = faults(state, spectra, period)
         delay = state.force_delay.get(reference, 0.0)
-        measured = measured * state.force_gain.get(reference, 1.0) * np.exp(-2j * np.pi * lines(period) * delay)
+        measured = measured * state.force_gain.get(reference, 1.0) * np.exp(-2j * np.pi * lines(period, rate) * delay)
     acceleration = fft.irfft(spectra, period)[:, :samples]
     return logger.run(acceleration, fft.irfft(measured, period)[:samples], reference, name)
 
@@ -165,25 +168,29 @@ def contact_runs(
     logger: Logger, state: Hidden, contact: Contact, references: list[int], levels: list[float], seconds: float
 ) -> list[bytes]:
     """Runs with a measured random force each, then one without (forces at 24 places), of a state with a level-dependent effect."""
-    rng = logger.rng
-    samples = int(seconds * RATE)
-    period = fft.next_fast_len(samples + int((LEAD + 20) * RATE), real=True)
+    rng, rate = logger.rng, logger.rate
+    samples = int(seconds * rate)
+    period = fft.next_fast_len(samples + int((LEAD + 20) * rate), real=True)
     period += period % 2
     size = np.abs(state.shapes).max(axis=1)
     places = rng.choice(np.flatnonzero(size > 0.05 * size.max()), 24, replace=False)
-    drives = [(random_force(rng, period, np.array([v]), 3.0, 190.0), state.rows[[r]]) for r, v in zip(references, levels, strict=True)]
+    drives = [
+        (random_force(rng, period, np.array([v]), 3.0, 190.0, rate), state.rows[[r]]) for r, v in zip(references, levels, strict=True)
+    ]
     # Together they shake the machine about as much as the shaker does.
-    drives.append((random_force(rng, period, rng.uniform(0.2, 0.6, places.size) * max(levels) / 12, 3.0, 190.0), state.shapes[places]))
-    hz = lines(period)
+    drives.append(
+        (random_force(rng, period, rng.uniform(0.2, 0.6, places.size) * max(levels) / 12, 3.0, 190.0, rate), state.shapes[places])
+    )
+    hz = lines(period, rate)
     away = np.where(hz > 0, -1 / np.maximum(2 * np.pi * hz, 1e-9) ** 2, 0)
-    at_place = np.array([steady(state.system, contact.row[None], columns, forces, period)[0] * away for forces, columns in drives])
-    start = int(LEAD * RATE)
+    at_place = np.array([steady(state.system, contact.row[None], columns, forces, period, rate)[0] * away for forces, columns in drives])
+    start = int(LEAD * rate)
     starts = np.full(len(drives), start)
-    more = added(logger.structure, state.rows, contact, at_place, period, starts, samples, RATE, logger_gain)
+    more = added(logger.structure, state.rows, contact, at_place, period, starts, samples, rate, partial(logger_gain, rate=rate))
     out = []
     for k, (forces, columns) in enumerate(drives):
         # Exact for forces within the filter's band, as they are.
-        linear = fft.irfft(steady(state.system, state.rows, columns, forces, period), period)[:, start : start + samples]
+        linear = fft.irfft(steady(state.system, state.rows, columns, forces, period, rate), period)[:, start : start + samples]
         driven = k < len(references)
         measured = fft.irfft(forces[0], period)[start : start + samples] if driven else None
         name = f"running state, shaker at {logger.structure.sensors[references[k]].name}" if driven else "running"

@@ -198,8 +198,8 @@ def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
     return out
 
 
-def check_frf(frf: Frf) -> Frf:
-    """The FRF with the findings of all checks: drive points, reciprocity, coherence."""
+def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:
+    """The FRF with the findings of all checks: drive points, reciprocity, and coherence in a band [Hz], else on all lines."""
     findings = [*check_drive_points(frf), *check_rigid_body_signs(frf)]
     for (first, second), error in reciprocity_pairs(frf).items():
         if error > NOT_RECIPROCAL:
@@ -215,18 +215,20 @@ def check_frf(frf: Frf) -> Frf:
                 )
             )
     if frf.coherence is not None:
-        findings += _low_coherence(frf)
+        findings += _low_coherence(frf, band)
     return frf.with_findings(findings)
 
 
-def _low_coherence(frf: Frf) -> list[Finding]:
-    """Responses whose coherence is low on most lines."""
+def _low_coherence(frf: Frf, band: tuple[float, float] | None) -> list[Finding]:
+    """Responses whose coherence is low on most lines of the band: above it a shaker may leave nothing to see."""
     out = []
     assert frf.coherence is not None
+    low_hz, high_hz = band or (0.0, np.inf)
+    lines = (frf.frequencies_hz >= low_hz) & (frf.frequencies_hz <= high_hz)
     for j, reference in enumerate(frf.references):
         low = {}
         for i, response in enumerate(frf.responses):
-            values = frf.coherence[i, j][np.isfinite(frf.coherence[i, j])]
+            values = frf.coherence[i, j][lines & np.isfinite(frf.coherence[i, j])]
             if values.size and float(np.median(values)) < LOW_COHERENCE:
                 low[str(response)] = float(np.median(values))
         if low:

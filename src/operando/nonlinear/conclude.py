@@ -24,6 +24,16 @@ from operando.nonlinear.surface import surface
 GOOD_LAW = 0.5
 """A law without a formula that leaves less than this part of the named law's misfit says that the name is wrong."""
 
+TWICE = 2.0
+"""Judge misfit, 3 dB above the floor, from which it is asked where the rest comes from."""
+
+SEEN_PART, SHARE = 0.8, 0.25
+"""Motion above this part of the recorded band is left out; the records are too slow if that changes the misfit by this share of what
+remains. Records four times as fast of a dry friction changed by 0.001, at 512 samples a second by 2, 2.5 remaining."""
+
+FASTER = 4
+"""Times the sampling rate that is proposed."""
+
 
 def effect_of(case: Case, tried: Tried) -> Effect:
     """The law as an effect; a one-sided law towards the other side turns its place round."""
@@ -89,6 +99,7 @@ def conclude(
                 f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
                 "the place is right, the law is none of the catalogue"
             )
+    notes += too_fast(effects, accepted, n, judged[-1])
     if not first.judged:
         notes.append("one level alone: a third of the blocks of lines judges; a second level would show what scales")
     step = steps[0]
@@ -106,6 +117,37 @@ def conclude(
         simulated(steps[0].case, accepted, notes),
         tuple(notes),
     )
+
+
+def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, left: float) -> list[str]:
+    """What says that places move faster than the records show, so that no law can be taken of that motion.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    accepted : sequence of Tried
+        The same with their motions.
+    fitted : int
+        Runs that were fitted; those behind them judge (all where there are none).
+    left : float
+        Misfit of the judge records with all effects.
+    """
+    if left < TWICE:
+        return []
+    out = []
+    for effect, tried in zip(effects, accepted, strict=True):
+        if effect.definition.acts != "pseudo_force":
+            continue
+        motions = tried.spot.whole[fitted:] or tried.spot.whole
+        change = float(np.mean([m.without_fastest(tried.law, SEEN_PART) for m in motions]))
+        if change > SHARE * (left - 1):
+            top = motions[0].along.run.sampling_hz / 2
+            out.append(
+                f"the judge records stay {10 * np.log10(left):.1f} dB above the floor, and the motion across {effect.place} is faster than "
+                f"they show: what lies between {SEEN_PART * top:.0f} and {top:.0f} Hz changes the force in the band by {change:.2g} times "
+                f"the floor, so what lies above counts, too; record at {FASTER * 2 * top:.0f} samples a second or more"
+            )
+    return out
 
 
 def pictures_of(case: Case, effects: Sequence[Effect], accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:

@@ -75,6 +75,14 @@ class Motion:
             self.made[key] = whole
         return np.asarray(whole[self.along.run.lines] / self.crossing.fine)
 
+    def without_fastest(self, law: LawFit, part: float) -> float:
+        """Mean weighted square by which the responses change if the law is taken without the motion above a part of the recorded band."""
+        n = self.x.size
+        slow = sfft.rfftfreq(n, self.step) < part * self.along.run.sampling_hz / 2
+        x, v = (sfft.irfft(sfft.rfft(motion) * slow, n) for motion in (self.x, self.v))
+        change = self.spectra(law.force(x, v, self.step)[None])[0] - self.under(law)
+        return float(np.sum(np.abs(self.along.gain * change) ** 2) / self.along.weighted.root.size)
+
     def spectra(self, forces: Real) -> Complex:
         """Transforms of restoring forces (c, N) on the lines."""
         return np.asarray(sfft.rfft(forces, axis=-1)[..., self.along.run.lines] / self.crossing.fine)

@@ -112,7 +112,7 @@ def idle_frf(work: Work) -> dict[str, Any]:
             frf = frf.select(references=work.analysis.references)
     else:
         frf = estimate(work.inputs.records(idle, force=True), work.analysis, findings)
-    return {"idle_frf": check_frf(frf), "findings": findings}
+    return {"idle_frf": check_frf(frf, work.analysis.band), "findings": findings}
 
 
 def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding]) -> Frf:
@@ -219,7 +219,8 @@ def check_runs(work: Work) -> dict[str, Any]:
         runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings))
     for file in check.frfs:
         runs.append(CheckRun(work.inputs.label(file), "as given", work.inputs.frf(State(frfs=(file,)))))
-    return {"check": [replace(run, frf=_of_check(check_frf(run.frf))) for run in runs], "findings": list(dict.fromkeys(findings))}
+    checked = [replace(run, frf=_of_check(check_frf(run.frf, work.analysis.band))) for run in runs]
+    return {"check": checked, "findings": list(dict.fromkeys(findings))}
 
 
 def _of_check(frf: Frf) -> Frf:
