@@ -18,7 +18,7 @@ from operando.diagnose.predict import IdleArrays, Prediction, by_poles, predict
 from operando.diagnose.refit import Fit, Learnt, mean_misfit, predicted
 from operando.diagnose.result import given_shapes, moves_of
 from operando.diagnose.sets import FIT, SELECT, CheckLines
-from operando.diagnose.shapes import by_directions
+from operando.diagnose.shapes import Scales, by_directions
 
 if TYPE_CHECKING:
     from operando.diagnose.problem import Problem
@@ -36,9 +36,6 @@ KEPT = 1e-9
 
 TOLD = 0.02
 """Directions whose variance the lines would lower by less than about this part stay as they are."""
-
-RELATIVE = 4.0
-"""Shape values known to better than one part in so many move by a factor, which keeps products of two of them; others by a sum."""
 
 SURE = 1.2
 """Directions that moved by more than this, in rms of their spread, had been given too small a one."""
@@ -120,7 +117,7 @@ class _Parameters:
     root_w: Array
     poles: Array
     moves: Array
-    relative: Array
+    scales: Scales
     start: Array
     rest: Array
     alike: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -131,17 +128,15 @@ class _Parameters:
         n, m = idle.n_modes, len(idle.dofs)
         assert idle.covariance is not None
         unit = np.sqrt(np.maximum(np.diag(idle.covariance), 1e-300))
-        size, vectors = np.linalg.eigh(given_shapes(idle, fit) / unit[:, None] / unit)
+        size, vectors = np.linalg.eigh(given_shapes(idle, fit, driven=True) / unit[:, None] / unit)
         keep = size > KEPT * max(float(size[-1]), 1e-300)
         # What the refit moved stays a direction of its own, with where it stands; everything else is counted from there.
         root = np.c_[moves_of(idle, fit), unit[:, None] * vectors[:, keep] * np.sqrt(size[keep])]
         stands = np.r_[fit.z, np.zeros(root.shape[1] - fit.z.size)]
         moves = np.ascontiguousarray(root[2 * n :].reshape(n, m, -1).transpose(1, 0, 2))
-        spread = unit[2 * n :].reshape(n, m).T
-        relative = (np.abs(fit.phi) > RELATIVE * spread) & ~np.asarray(idle.residual)
         q = np.concatenate(fit.q)
         few, root_w = _thinned(lines, EVERY)
-        made = cls(problem, fit, lines, few, root_w, root[: 2 * n], moves, relative, np.r_[q, stands], root)
+        made = cls(problem, fit, lines, few, root_w, root[: 2 * n], moves, Scales.of(idle), np.r_[q, stands], root)
         slope = made.slope(made.start)[q.size :]
         information = 2 * slope @ slope.T
         told, turn = np.linalg.eigh(information)
@@ -194,22 +189,21 @@ class _Parameters:
     def q(self, x: Array) -> tuple[Array, ...]:
         return split(x[: self.n_q], self.fit.terms)
 
-    def factor(self, x: Array) -> Array:
-        """What shapes that move by a factor are multiplied by; 1 for others."""
-        share = np.divide(self.moves @ self._gone(x), self.fit.phi, out=np.zeros(self.fit.phi.shape), where=self.relative)
-        return np.exp(np.clip(share, -2, 2))
-
     def arrays(self, x: Array) -> IdleArrays:
         """Modal parameters moved from where the refit left them."""
         idle, n, gone = self.problem.arrays.model, self.problem.idle.n_modes, self._gone(x)
         poles = self.poles @ gone
-        phi = np.where(self.relative, self.fit.phi * self.factor(x), self.fit.phi + self.moves @ gone)
+        phi = self.scales.moved(self.fit.phi, self.moves @ gone)
         hz = np.maximum(idle.frequencies_hz + poles[:n], 0.5 * idle.frequencies_hz)
         zeta = np.maximum(idle.damping_ratios + poles[n:], 0.1 * idle.damping_ratios)
         return IdleArrays(replace(idle, frequencies_hz=hz, damping_ratios=zeta), phi)
 
     def _gone(self, x: Array) -> Array:
         return x[self.n_q :] - self.start[self.n_q :]
+
+    def shape_slope(self, x: Array) -> Array:
+        """∂φ/∂x, (n_dofs, n_modes, ·)."""
+        return self.scales.slope(self.fit.phi, self.moves, self.moves @ self._gone(x))
 
     def slope(self, x: Array, p: Prediction | None = None) -> Array:
         """∂(weighted H)/∂x, real and imaginary parts side by side, (x.size, 2·lines)."""
@@ -220,7 +214,7 @@ class _Parameters:
             if t.kind.acts == "modal_change":
                 changed = t.kind.modal_change(changed, t.values(v))
         both = np.concatenate([by[:n] for by in by_poles(p, changed, self.lines)]).astype(np.complex64)
-        own = by_directions(p, self.lines, np.where(self.relative, self.factor(x), 1.0)[:, :, None] * self.moves)
+        own = by_directions(p, self.lines, self.shape_slope(x))
         own += np.tensordot(self.poles.T.astype(np.float32), both, 1)
         sizes = jacobian(here, self.lines, terms, q, self.fit.prior.bare(), np.zeros(0), p)
         flat = (np.concatenate([sizes, own]) * self.root_w).reshape(x.size, -1)
@@ -280,7 +274,7 @@ class _Parameters:
         idle, fit, k = self.problem.idle, self.fit, self.n_q
         here = self.arrays(x)
         known = inverse(self._normal(self.slope(x)))
-        moves = np.where(self.relative, self.factor(x), 1.0)[:, :, None] * self.moves
+        moves = self.shape_slope(x)
         told = np.concatenate([self.poles, moves.transpose(1, 0, 2).reshape(-1, x.size - k)])
         own = told @ known[k:, k:] @ told.T + self.rest @ self.rest.T
         across = told @ known[k:, :k]

@@ -57,12 +57,13 @@ def moves_of(idle: ModalModel, fit: Fit) -> Array:
     return root
 
 
-def given_shapes(idle: ModalModel, fit: Fit) -> Array:
-    """Covariance of θ given the directions of the shapes that were fitted."""
+def given_shapes(idle: ModalModel, fit: Fit, driven: bool = False) -> Array:
+    """Covariance of θ given the directions of the shapes that were fitted, and (then, or if wanted) what lies outside at driven DOFs."""
     assert idle.covariance is not None
     covariance = np.array(idle.covariance)
-    if fit.prior.size:
+    if fit.prior.size or driven:
         covariance[2 * idle.n_modes :, 2 * idle.n_modes :] = given_driven(idle)
+    if fit.prior.size:
         across = covariance[:, 2 * idle.n_modes :] @ fit.prior.told
         own = fit.prior.told.T @ across[2 * idle.n_modes :]
         covariance -= across @ np.linalg.pinv(own, rcond=1e-10, hermitian=True) @ across.T

@@ -32,8 +32,81 @@ MOST = 36
 KNOWN = 0.3
 """A DOF counts as driven where its compliance from outside the band is known to better than this part."""
 
-RELATIVE = 1.5
-"""Shape values known to better than one part in so many move by a factor, which keeps products of two of them; others by a sum."""
+TOGETHER = 0.5
+"""Part of the relative variance of a mode's shape that must go together to be called its scale."""
+
+FARTHEST = 3.0
+"""A mode's scale moves by no more than this, on a logarithmic scale."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """How shapes move along directions: each mode's scale by a factor, what is left by a sum.
+
+    A mode that the drive points hardly see has products φ_i·φ_j known well with j driven, but not its scale: φ_j·e^t and φ_i·e^−t leave
+    them as they were measured. A sum would do so for small t only: fits crept along a bent valley and ended far from its floor.
+
+    Parameters
+    ----------
+    row : (n_modes,) int array
+        DOF whose relative move is taken for that of the scale.
+    sense : (n_dofs, n_modes) array
+        1 where values grow with that at ``row``, −1 where they shrink; 0 for modes that move by sums alone.
+    """
+
+    row: Array
+    sense: Array
+
+    @classmethod
+    def of(cls, idle: ModalModel) -> Scales:
+        """Of an idle model with covariance: a mode's scale moves where relative errors of most of its values go together."""
+        assert idle.covariance is not None
+        phi, n = np.asarray(idle.shapes), idle.n_modes
+        m = len(phi)
+        row, sense = np.zeros(n, int), np.zeros((m, n))
+        for mode in np.flatnonzero(~np.asarray(idle.residual)):
+            own = slice(2 * n + mode * m, 2 * n + (mode + 1) * m)
+            block = idle.covariance[own, own]
+            spread = np.sqrt(np.maximum(np.diag(block), 0))
+            if not np.any(spread > 0):
+                continue
+            unit = np.divide(np.sign(phi[:, mode]), spread, out=np.zeros(m), where=spread > 0)
+            values, vectors = np.linalg.eigh(block * unit[:, None] * unit)
+            if values[-1] > TOGETHER * np.sum(values):
+                common = vectors[:, -1]
+                row[mode] = int(np.argmax(np.abs(common * phi[:, mode])))
+                sense[:, mode] = np.where(common * common[row[mode]] >= 0, 1.0, -1.0)
+        return cls(row, sense)
+
+    @classmethod
+    def none(cls, shape: tuple[int, int]) -> Scales:
+        """Of shapes (n_dofs, n_modes) that move by sums alone."""
+        return cls(np.zeros(shape[1], int), np.zeros(shape))
+
+    def parts(self, base: Array, moves: Array) -> tuple[Array, Array]:
+        """Logarithmic scales (n_modes, …) and the rest (n_dofs, n_modes, …) of moves of the shapes (n_dofs, n_modes, …)."""
+        modes = np.arange(self.row.size)
+        own = np.where(np.any(self.sense != 0, axis=0), base[self.row, modes], np.inf)
+        extra = (1,) * (moves.ndim - 2)
+        scale = moves[self.row, modes] / own.reshape(-1, *extra)
+        return scale, moves - (self.sense * base).reshape(*base.shape, *extra) * scale[None]
+
+    def moved(self, base: Array, move: Array) -> Array:
+        """Shapes (n_dofs, n_modes) after one move."""
+        scale, rest = self.parts(base, move)
+        return np.asarray(self.factor(scale) * (base + rest))
+
+    def factor(self, scale: Array) -> Array:
+        """What the values of shapes (n_dofs, n_modes) are multiplied by."""
+        return np.asarray(np.exp(self.sense * np.clip(scale, -FARTHEST, FARTHEST)))
+
+    def slope(self, base: Array, moves: Array, move: Array) -> Array:
+        """∂φ of moves along each of ``moves`` (n_dofs, n_modes, k) where the shapes have gone ``move``."""
+        scale, rest = self.parts(base, move)
+        scales, rests = self.parts(base, moves)
+        factor = self.factor(scale)
+        here = self.sense * factor * (base + rest)
+        return np.asarray(factor[:, :, None] * rests + here[:, :, None] * scales[None])
 
 
 @dataclass(frozen=True)
@@ -48,8 +121,7 @@ class ShapePrior:
         Move of each shape value for unit z; z has unit variance before the fit.
     told : (n_dofs·n_modes, k) array
         z of given errors of the shapes (mode by mode, as in the covariance): z = toldᵀ δφ.
-    relative : (n_dofs, n_modes) bool array
-        Values that move by the factor exp(δ/φ) instead of the sum φ + δ.
+    scales : Scales
     scale : float
         What ``root`` was widened by where the covariance had proved too sure of itself.
     """
@@ -57,7 +129,7 @@ class ShapePrior:
     base: Array
     root: Array
     told: Array
-    relative: Array
+    scales: Scales
     scale: float = 1.0
 
     @property
@@ -65,24 +137,13 @@ class ShapePrior:
         """Number of directions."""
         return int(self.root.shape[2])
 
-    def _factor(self, z: Array) -> tuple[Array, Array]:
-        move = self.root @ z
-        share = np.divide(move, self.base, out=np.zeros_like(move), where=self.relative)
-        return move, np.exp(np.clip(share, -2, 2))
-
     def moved(self, z: Array) -> Array:
         """Shapes with these directions moved."""
-        if not self.size:
-            return self.base
-        move, factor = self._factor(z)
-        return np.where(self.relative, self.base * factor, self.base + move)
+        return self.scales.moved(self.base, self.root @ z) if self.size else self.base
 
     def slope(self, z: Array) -> Array:
         """∂φ/∂z, (n_dofs, n_modes, k)."""
-        if not self.size:
-            return self.root
-        _, factor = self._factor(z)
-        return np.where(self.relative, factor, 1.0)[:, :, None] * self.root
+        return self.scales.slope(self.base, self.root, self.root @ z) if self.size else self.root
 
     def widened(self, by: float) -> ShapePrior:
         """Directions of larger spread."""
@@ -110,7 +171,7 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
     n, m = idle.n_modes, len(idle.dofs)
     base = np.array(idle.shapes)
     if idle.covariance is None or dofs.size == 0:
-        return ShapePrior(base, np.zeros((m, n, 0)), np.zeros((m * n, 0)), np.zeros((m, n), bool))
+        return ShapePrior(base, np.zeros((m, n, 0)), np.zeros((m * n, 0)), Scales.none((m, n)))
     shapes = given_driven(idle)
     index = (np.arange(n)[None, :] * m + dofs[:, None]).ravel()
     values, vectors = np.linalg.eigh(shapes[np.ix_(index, index)])
@@ -118,9 +179,7 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
     told = np.zeros((n * m, int(keep.sum())))
     told[index] = vectors[:, keep] / np.sqrt(values[keep])
     root = (shapes @ told).reshape(n, m, -1).transpose(1, 0, 2)
-    spread = np.sqrt(np.maximum(np.diag(idle.covariance)[2 * n :], 0)).reshape(n, m).T
-    relative = (np.abs(base) > RELATIVE * spread) & ~np.asarray(idle.residual)
-    return ShapePrior(base, np.ascontiguousarray(root), told, relative)
+    return ShapePrior(base, np.ascontiguousarray(root), told, Scales.of(idle))
 
 
 def own_compliances(prior: ShapePrior, rows: Array) -> Array:
