@@ -16,7 +16,7 @@ from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
-from operando.diagnose.learn import learn
+from operando.diagnose.learn import learn, on_all_lines
 from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
@@ -262,6 +262,10 @@ def _search(
             rows, final = with_what_was_learnt(problem, rows, final)
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
+        if final[-1].terms:
+            final[-1] = on_all_lines(problem, final[-1])
+            rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
+            notes.append(AFTERWARDS)
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
     ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
     proposal = propose(problem, final[-1], alternatives, verdict)
@@ -348,6 +352,11 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> tuple[list[dict[str, Any]],
 CORRECTED = (
     "with the effects known, the check lines also corrected the frequencies, damping ratios and shapes of the idle model, "
     "within their uncertainty; the last step of the ladder has them corrected"
+)
+
+
+AFTERWARDS = (
+    "after they had judged, the lines of the judge set counted for the values and the model, too; the ladder's errors are those unseen"
 )
 
 

@@ -7,6 +7,7 @@ taken out here, together with what it did to the sizes of the effects.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,7 @@ BY_DOUBT = (0.1, 0.02, 0.003, 0.0)
 """Doubt of the prediction, as a part of what was measured, stage by stage: two ways down."""
 
 
-def learn(problem: Problem, fit: Fit) -> Fit:
+def learn(problem: Problem, fit: Fit, ways: Sequence[tuple[float, ...]] = (AT_ONCE, BY_DOUBT)) -> Fit:
     """Gauss–Newton over the effects' sizes and all modal parameters of the idle model.
 
     The prior is what the refit of the effects left of the idle model's covariance, with the directions it moved at their places. The
@@ -65,6 +66,8 @@ def learn(problem: Problem, fit: Fit) -> Fit:
     problem : Problem
     fit : Fit
         After the last fit.
+    ways : sequence of tuple
+        Doubt of the prediction stage by stage, of each way down.
 
     Returns
     -------
@@ -79,10 +82,24 @@ def learn(problem: Problem, fit: Fit) -> Fit:
     if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
         return fit
     state = _Parameters.of(problem, fit, lines)
-    ends = [state.settled(stages) for stages in (AT_ONCE, BY_DOUBT)]
+    ends = [state.settled(stages) for stages in ways]
     there, x = min(((there.on(2), x) for there, x in ends), key=lambda end: end[0].cost(end[1]))
     x = there.descend(x, LAST)
     return there.on(1).learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
+
+
+def on_all_lines(problem: Problem, fit: Fit) -> Fit:
+    """The last fit once more, with the lines that judged, too: when nothing is left to choose, a mode among them is known by them as well.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+        As it was judged: with ``learnt`` where that proved itself, else as it was settled.
+    """
+    every = problem.judged()
+    again = every.settled(replace(fit, learnt=None))
+    return again if fit.learnt is None else learn(every, again, (AT_ONCE,))
 
 
 def all_but_the_idle_model(problem: Problem, fit: Fit) -> bool:

@@ -159,6 +159,11 @@ class Problem:
         """The same problem judged with another variance of the model."""
         return Problem(self.idle, self.lines, own, self.templates, self.say, self.extra)
 
+    def judged(self) -> Problem:
+        """The problem once all is chosen and judged: the judge lines are lines as others."""
+        group = np.where(self.lines.group == JUDGE, SELECT, self.lines.group)
+        return Problem(self.idle, replace(self.lines, group=group), self.own, self.templates, self.say, self.extra)
+
     def tried(self, fit: Fit) -> Tried:
         """A fit with its figures on the select set."""
         return Tried(fit.terms[-1], fit, self.misfit(SELECT, fit), self.by_block(fit))
