@@ -16,6 +16,7 @@ from operando.diagnose.output_only_idle import completion, settled
 from operando.diagnose.output_only_residuals import target_of
 from operando.diagnose.output_only_sets import Sets, partners, sets_of
 from operando.effects import Effect
+from operando.report.words_diagnosis import FAINT, diagnosis_words
 from test_diagnose_output_only import DOFS, IN_BAND, SENSORS, chain, idle_of, running
 
 DRIVEN = (0, 4)
@@ -250,6 +251,21 @@ def test_a_damper_that_hardly_shows_is_ambiguous_with_the_others(seed, size):
     assert found.verdict == "ambiguous"
     assert any((e.kind, str(e.location[0])) == ("ground_damper", "5+Z") for e in (*found.effects, *found.ambiguous_with))
     assert "measure" in found.proposed_measurement
+
+
+@pytest.mark.parametrize(("size", "named"), [(2.0, True), (0.0, False)])
+def test_what_both_halves_speak_for_too_faintly_is_named_as_not_excluded(size, named):
+    c = chain(1)
+    idle, truth = idle_of(c, 1), ("ground_damper", ("5+Z",), size) if size else None
+    whole, *halves = (running(c, truth, seed=10 + k) for k in range(3))
+    found = diagnose_output_only(idle, whole, halves=halves, kinds=("ground_damper", "coupling_damper"))
+    assert (found.verdict, found.effects) == ("no_misfit", ())
+    assert [(e.kind, e.place) for e in found.ambiguous_with] == ([("ground_damper", "5+Z")] if named else [])
+    assert any("do not tell ground_damper at 5+Z from nothing" in note for note in found.notes) == named
+    assert (found.proposed_measurement or "").startswith("measure FRFs in operation with a force at 5+Z") == named
+    told = diagnosis_words(found.to_dict())
+    assert (told.title == FAINT[0]) == named
+    assert any("but not excluded" in s for s in told.sentences) == named
 
 
 def test_standard_deviations_count_what_modes_share():

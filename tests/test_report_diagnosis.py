@@ -545,7 +545,8 @@ def test_every_verdict_renders(whole, verdict, kind):
     effects = () if verdict == "no_misfit" else (MASS,)
     n = 1 + len(effects)
     if kind == "check":
-        results = replace(whole, diagnosis=document(verdict, effects, (3.0, 2.0)[:n], (90.0, 30.0)[:n], ambiguous_with=[spring()]))
+        alike = [spring()] if effects else []
+        results = replace(whole, diagnosis=document(verdict, effects, (3.0, 2.0)[:n], (90.0, 30.0)[:n], ambiguous_with=alike))
     else:
         results = replace(whole, diagnosis=output_only(verdict, effects), check=[], comparison=None)
     made = sections(results)

@@ -17,6 +17,7 @@ from operando.diagnose.output_only_forward import Action, Basis, action_of
 from operando.diagnose.output_only_idle import settled
 from operando.diagnose.output_only_scan import REFINED, best_of, candidate_effects, refine, scan
 from operando.diagnose.output_only_sets import Sets, judge_rows, rows_of, sets_of
+from operando.diagnose.output_only_undecided import Undecided, undecided, words
 from operando.diagnose.verdict import spacing, verdict_of
 from operando.dof import Dof
 from operando.effects import Effect
@@ -217,12 +218,15 @@ def _diagnose(
     actions = [action_of(e, idle) for e in candidate_effects(idle, kinds, places)]
     bare = basis.touched(rows_of((), basis))
     found = _search(sets, basis, bare, actions, progress)
+    faint: list[Undecided] = []
     if sets.apart and len(found.ladder) == 1:
         # The half that chose may be the poorer one of the two.
         changed = sets.exchanged()
         other = _search(changed, basis, bare, actions, progress)
         if len(other.ladder) > 1:
             found, sets = other, changed
+        else:
+            faint = undecided(sets, basis, found.first, other.first, found.ranked, other.ranked)
     current, ladder, rivals = found.fit, found.ladder, found.rivals
     everything = np.ones((sets.whole.n, sets.whole.per_mode), bool)
     near = basis.touched(rows_of(current.actions, basis))
@@ -240,17 +244,21 @@ def _diagnose(
         }
         for k in range(sets.whole.n)
     )
+    others = tuple(effects_of(u.found)[-1] for u in faint) or tuple(other for _, other in rivals)
+    proposal = _propose(*rivals[0]) if rivals else None
+    if faint:
+        proposal = f"measure FRFs in operation with a force at {others[0].place or 'two points'}; or {others[0].confirm}"
     return Diagnosis(
         verdict,
         effects,
-        tuple(other for _, other in rivals),
-        _propose(*rivals[0]) if rivals else None,
+        others,
+        proposal,
         tuple(ladder),
         candidates,
         {"by_dof": [], "by_band": [], "by_mode": list(by_mode)},
         None,
         ("operating_modes",),
-        notes=(sets.note,),
+        notes=(sets.note, *([words(faint, others)] if faint else [])),
         idle=given,
         model=_model(idle, basis, full, geometry) if effects else Model(given, (), geometry),
     )

@@ -286,7 +286,8 @@ def _candidates(found: Mapping[str, Any], words: DiagnosisWords) -> str:
     if alike:
         items = "".join(f"<li>{esc(effect_words(e).sentence)}.</li>" for e in alike)
         opened = " open" if len(alike) <= 4 else ""
-        out.append(f"<details{opened}><summary>Could not be told apart from ({len(alike)})</summary><ul>{items}</ul></details>")
+        what = "Could not be told apart from" if words.effects else "Not excluded"
+        out.append(f"<details{opened}><summary>{what} ({len(alike)})</summary><ul>{items}</ul></details>")
     elif words.effects and words.verdict == "explained":
         out.append(paragraph("No other candidate does as well within what the data can tell."))
     proposed = [s for s in words.decide if s.startswith("What would decide")]

@@ -23,6 +23,9 @@ VERDICTS: dict[str, tuple[str, str]] = {
 FAULT = "The measurement is at fault, not the structure"
 """What ``explained`` means where only channels are to blame."""
 
+FAINT = ("No effect is shown to be missing, yet one is not excluded", "fair")
+"""Title and colour class of ``no_misfit`` where candidates are neither shown nor excluded."""
+
 BY_HAND = ("changed_by_hand", "Effects were added or taken out by hand", "none")
 """What stands in the place of verdict, title and colour class then."""
 
@@ -256,6 +259,8 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
         verdict, title, grade = BY_HAND
     elif verdict == "explained" and effects and all(e.group in ("sensor", "force") for e in effects):
         title = FAULT
+    elif verdict == "no_misfit" and document.get("ambiguous_with"):
+        title, grade = FAINT
     ladder = ladder_of(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
@@ -336,6 +341,8 @@ def _deviations(misfit: float) -> str:
 
 def _others(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectWords]) -> str:
     others = [effect_words(e).label for e in document.get("ambiguous_with") or []]
+    if others and not effects:
+        return f"Too faint to be accepted, but not excluded: {listing(others, MOST_NAMED)}."
     if others:
         return f"The data cannot tell {'it' if len(effects) < 2 else 'them'} from: {listing(others, MOST_NAMED)}."
     if verdict == "explained" and effects:
