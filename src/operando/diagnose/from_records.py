@@ -13,6 +13,7 @@ from operando.diagnose.apply import Applied, words_of
 from operando.diagnose.at_level import level_picture, levels_of
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
 from operando.diagnose.model import Model
+from operando.diagnose.verdict import GOOD
 from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
 from operando.nonlinear import AppliedToRecords, NonlinearDiagnosis, apply_to_records, diagnose_records, linear_effects, measured_distortion
@@ -126,7 +127,7 @@ def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | N
         What its responses leave unexplained at rest is noise; what is beyond it in operation is distortion. A stiffness that changes
         with the sign of the motion shows only there: it scales with the level.
     """
-    if any(f.kind == "nonlinear" for run in check for f in run.frf.findings):
+    if levels_disagree(check):
         return "runs of different level disagree"
     if idle_frf is None:
         return None
@@ -139,6 +140,11 @@ def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | N
     if ratios and max(ratios) > DISTORTION:
         return f"the responses in operation hold {max(ratios):.3g} times as much as at rest that is not proportional to the force"
     return None
+
+
+def levels_disagree(check: Sequence[CheckRun]) -> bool:
+    """Whether runs of different level differ by more than noise."""
+    return any(f.kind == "nonlinear" for run in check for f in run.frf.findings)
 
 
 def unexplained(frf: Frf) -> dict[tuple[int, str], float]:
@@ -194,6 +200,7 @@ def diagnose_levels(
     if linear is None:
         return merged(look(), idle, check, geometry, band)
     reason, notes = suspicion(check, idle_frf), []
+    levels = levels_disagree(check)
     seen: NonlinearDiagnosis | None = None
     if reason is not None:
         if progress:
@@ -208,7 +215,9 @@ def diagnose_levels(
             notes.append(f"{reason}, but no level-dependent effect of the catalogue earns a place")
     found = linear()
     if reason is not None:
-        return replace(found, verdict="partial" if found.verdict == "explained" else found.verdict, notes=(*found.notes, *notes))
+        # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
+        doubt = found.verdict == "explained" and (seen is None or levels or found.ladder[-1]["heldout_misfit"] > GOOD)
+        return replace(found, verdict="partial" if doubt else found.verdict, notes=(*found.notes, *notes))
     reason = f"the linear diagnosis is {found.verdict}"
     try:
         if found.verdict in SURE:

@@ -67,7 +67,7 @@ def learn(problem: Problem, fit: Fit, ways: Sequence[tuple[float, ...]] = (AT_ON
     fit : Fit
         After the last fit.
     ways : sequence of tuple
-        Doubt of the prediction stage by stage, of each way down.
+        Doubt of the prediction stage by stage, of each way down; the next is gone where one ends poorly.
 
     Returns
     -------
@@ -82,7 +82,12 @@ def learn(problem: Problem, fit: Fit, ways: Sequence[tuple[float, ...]] = (AT_ON
     if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
         return fit
     state = _Parameters.of(problem, fit, lines)
-    ends = [state.settled(stages) for stages in ways]
+    ends: list[tuple[_Parameters, Array]] = []
+    for stages in ways:
+        ends.append(state.settled(stages))
+        there, x = ends[-1]
+        if there.misfit(x) < AGREE:
+            break  # no other way ends lower by much
     there, x = min(((there.on(2), x) for there, x in ends), key=lambda end: end[0].cost(end[1]))
     x = there.descend(x, LAST)
     return there.on(1).learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
@@ -98,8 +103,10 @@ def on_all_lines(problem: Problem, fit: Fit) -> Fit:
         As it was judged: with ``learnt`` where that proved itself, else as it was settled.
     """
     every = problem.judged()
-    again = every.settled(replace(fit, learnt=None))
-    return again if fit.learnt is None else learn(every, again, (AT_ONCE,))
+    if fit.learnt is None:
+        return every.settled(fit)
+    again = learn(every, replace(fit, learnt=None), (AT_ONCE,))
+    return fit if again.learnt is None else again
 
 
 def all_but_the_idle_model(problem: Problem, fit: Fit) -> bool:
@@ -242,6 +249,11 @@ class _Parameters:
         error = (self.root_w * (self.lines.data - p.data)).ravel()
         error = np.concatenate([error.real, error.imag])
         return p, error, 2 * float(error @ error) + float(x[self.n_q :] @ x[self.n_q :])
+
+    def misfit(self, x: Array) -> float:
+        """Mean of |e|²/var on the lines in use."""
+        data = predict(self.arrays(x), self.lines, self.fit.terms, self.q(x)).data
+        return mean_misfit(self.lines, np.zeros(data.shape), data)
 
     def cost(self, x: Array) -> float:
         """2·Σ|e|²/var + |z|²."""
