@@ -6,12 +6,13 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.test_nonlinear_records import STRIP, records
 
-from operando.diagnose import diagnose
+from operando.diagnose import diagnose, from_records
 from operando.diagnose.from_records import DISTORTION, standing, suspicion
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
@@ -115,3 +116,18 @@ def test_the_practice_case_with_a_clearance_from_raw_files(tmp_path):
     assert results.diagnosis["verdict"] == "explained"
     assert (tmp_path / "ofrf_effect.uff").is_file()
     assert not [f for f in results.findings if f.severity == "error"]
+
+
+@pytest.mark.parametrize(("left", "levels", "verdict"), [(0.8, False, "explained"), (2.0, False, "partial"), (0.8, True, "partial")])
+def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, left, levels, verdict):
+    """Where the records show nothing that depends on the level, what the linear effect leaves decides."""
+    said = "runs of different level disagree" if levels else "the responses hold more than at rest"
+    monkeypatch.setattr(from_records, "suspicion", lambda check, idle_frf: said)
+    monkeypatch.setattr(from_records, "levels_disagree", lambda check: levels)
+    monkeypatch.setattr(from_records, "diagnose_records", lambda *a, **k: SimpleNamespace(nonlinear=()))
+    linear = found("spring")
+    assert linear.verdict == "explained"
+    ladder = (*linear.ladder[:-1], {**linear.ladder[-1], "heldout_misfit": left})
+    made = from_records.diagnose_levels(lambda: replace(linear, ladder=ladder), STRIP.idle(), frfs("spring"), records()["spring"])
+    assert made.verdict == verdict
+    assert any(said in note for note in made.notes)

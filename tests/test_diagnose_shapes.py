@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from operando.data import ModalModel
-from operando.diagnose.shapes import driven_rows, shape_prior
+from operando.diagnose.refit import Fit
+from operando.diagnose.result import given_shapes
+from operando.diagnose.shapes import Scales, driven_rows, shape_prior
 from operando.dof import Dof
 
 M, DRIVEN = 6, [0, 4]
@@ -76,3 +78,52 @@ def test_a_local_mode_tells_an_undriven_dof_however_well_its_compliance_is_known
     shapes = np.concatenate([model.shapes, local], axis=1)
     wider = ModalModel(hz, np.full(hz.size, 0.01), shapes, dofs, "unit_modal_mass", residual=residual, covariance=covariance)
     assert driven_rows(wider).tolist() == DRIVEN
+
+
+def scale_unknown(spread):
+    """One reference that hardly drives the second mode: φ_i·φ_j is known well with j driven, the scale to ``spread``."""
+    rng = np.random.default_rng(8)
+    shapes = rng.normal(0, 0.4, (M, 3))
+    sense = np.where(np.arange(M) == DRIVEN[0], 1.0, -1.0)
+    common = np.zeros((3, M))
+    common[1] = spread * sense * shapes[:, 1]
+    covariance = np.diag(np.full(6 + 3 * M, 1e-12))
+    covariance[6:, 6:] += np.outer(common, common)
+    dofs = tuple(Dof.parse(f"{i + 1}+Z") for i in range(M))
+    return ModalModel(HZ[:3], np.full(3, 0.01), shapes, dofs, "unit_modal_mass", residual=np.zeros(3, bool), covariance=covariance)
+
+
+@pytest.mark.parametrize("far", [-2.0, 0.3, 2.0])
+def test_a_scale_that_nothing_has_shown_moves_by_a_factor(far):
+    model = scale_unknown(0.8)
+    prior = shape_prior(model, np.array([2]))
+    z = np.zeros(prior.size)
+    z[int(np.argmax(np.abs(prior.root[2, 1])))] = far
+    phi = prior.moved(z)
+    factor = phi[2, 1] / model.shapes[2, 1]
+    assert factor == pytest.approx(np.exp(np.sign(np.log(factor)) * 0.8 * abs(far)), rel=1e-3)
+    others = np.arange(M) != DRIVEN[0]
+    assert (phi * phi[DRIVEN[0]])[others] == pytest.approx((model.shapes * model.shapes[DRIVEN[0]])[others], rel=1e-4)
+
+
+def test_the_slope_of_moved_shapes_is_theirs():
+    model = scale_unknown(0.8)
+    rng = np.random.default_rng(9)
+    moves = 0.1 * rng.standard_normal((M, 3, 2))
+    scales = Scales.of(model)
+    assert np.any(scales.sense != 0, axis=0)[1]
+    gone, step = np.array([0.7, -0.4]), 1e-6
+    made = scales.slope(np.asarray(model.shapes), moves, moves @ gone)
+    for k in range(2):
+        ends = [scales.moved(np.asarray(model.shapes), moves @ (gone + s * step * np.eye(2)[k])) for s in (1, -1)]
+        assert made[:, :, k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-6, abs=1e-8)
+
+
+def test_what_lies_outside_is_held_at_driven_dofs_when_the_idle_model_learns(idle):
+    """Else products of two values that move would change columns which the check does not drive."""
+    model = idle[0]
+    fit = Fit((), (), np.asarray(model.shapes), shape_prior(model, np.zeros(0, int)))
+    n = model.n_modes
+    held = 2 * n + (np.flatnonzero(RESIDUAL)[:, None] * M + np.array(DRIVEN)).ravel()
+    assert np.all(given_shapes(model, fit, driven=True)[held] == 0)
+    assert np.all(np.diag(given_shapes(model, fit))[held] > 0)
