@@ -15,6 +15,7 @@ from operando.diagnose.refit import Fit, refit
 from operando.diagnose.scan import Candidate
 from operando.diagnose.sets import FIT, CheckLines
 from operando.diagnose.shapes import by_directions, shape_prior
+from operando.threads import each
 
 if TYPE_CHECKING:
     from operando.diagnose.problem import Problem
@@ -87,11 +88,11 @@ def on_few_lines(problem: Problem, candidates: Sequence[Candidate]) -> list[Fit]
         On all lines of the fit set, at most three.
     """
     lines, own = _few(problem)
-    rough = []
-    for c in candidates:
-        prior = shape_prior(problem.idle, effect_dofs([c.term]))
-        rough.append(refit(problem.arrays, lines, own, [c.term], [c.q], prior, steps=STEPS))
-    rough.sort(key=lambda f: f.cost)
+
+    def roughly(c: Candidate) -> Fit:
+        return refit(problem.arrays, lines, own, [c.term], [c.q], shape_prior(problem.idle, effect_dofs([c.term])), steps=STEPS)
+
+    rough = sorted(each(roughly, candidates), key=lambda f: f.cost)
     out = []
     for f in rough[:KEPT]:
         both = (problem.joint(f.terms, f.q), problem.joint(f.terms, f.q, start=f))

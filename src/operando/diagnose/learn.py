@@ -7,7 +7,6 @@ taken out here, together with what it did to the sizes of the effects.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -44,8 +43,9 @@ SURE = 1.2
 LEAST = 1e-3
 """First damping of a step, of the prior's own curvature, after steps without any."""
 
-STEPS, TRIES, ENDED, LAST = 25, 9, 5e-3, 5e-4
-"""Iterations of a stage at most; a step that lowers the cost by less than this part is the last; in the end by this part."""
+STEPS, TRIES, ENDED, LAST, ONE_STEP = 25, 9, 5e-3, 2e-3, 1.0
+"""Iterations of a stage at most; a step that lowers the cost by less than this part is the last; in the end by this part;
+from where other lines have been fitted the first step is."""
 
 EVERY = 4
 """One line in so many shows what the lines tell."""
@@ -55,7 +55,7 @@ BY_DOUBT = (0.1, 0.02, 0.003, 0.0)
 """Doubt of the prediction, as a part of what was measured, stage by stage: two ways down."""
 
 
-def learn(problem: Problem, fit: Fit, ways: Sequence[tuple[float, ...]] = (AT_ONCE, BY_DOUBT)) -> Fit:
+def learn(problem: Problem, fit: Fit) -> Fit:
     """Gauss–Newton over the effects' sizes and all modal parameters of the idle model.
 
     The prior is what the refit of the effects left of the idle model's covariance, with the directions it moved at their places. The
@@ -66,8 +66,6 @@ def learn(problem: Problem, fit: Fit, ways: Sequence[tuple[float, ...]] = (AT_ON
     problem : Problem
     fit : Fit
         After the last fit.
-    ways : sequence of tuple
-        Doubt of the prediction stage by stage, of each way down; the next is gone where one ends poorly.
 
     Returns
     -------
@@ -77,20 +75,20 @@ def learn(problem: Problem, fit: Fit, ways: Sequence[tuple[float, ...]] = (AT_ON
     """
     if problem.idle.covariance is None or not fit.terms or not fit.covariance.size:
         return fit
-    lines = problem.lines.where(np.isin(problem.lines.group, (FIT, SELECT)))
+    lines = _telling(problem)
     p = predict(problem.arrays.with_phi(fit.phi), lines, fit.terms, fit.q)
     if mean_misfit(lines, np.zeros(p.data.shape), p.data) < BEYOND_NOISE:
         return fit
     state = _Parameters.of(problem, fit, lines)
     ends: list[tuple[_Parameters, Array]] = []
-    for stages in ways:
+    for stages in (AT_ONCE, BY_DOUBT):  # two ways down
         ends.append(state.settled(stages))
         there, x = ends[-1]
         if there.misfit(x) < AGREE:
             break  # no other way ends lower by much
     there, x = min(((there.on(2), x) for there, x in ends), key=lambda end: end[0].cost(end[1]))
     x = there.descend(x, LAST)
-    return there.on(1).learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
+    return there.learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
 
 
 def on_all_lines(problem: Problem, fit: Fit) -> Fit:
@@ -105,8 +103,13 @@ def on_all_lines(problem: Problem, fit: Fit) -> Fit:
     every = problem.judged()
     if fit.learnt is None:
         return every.settled(fit)
-    again = learn(every, replace(fit, learnt=None), (AT_ONCE,))
-    return fit if again.learnt is None else again
+    state = _Parameters.of(every, replace(fit, learnt=None), _telling(every)).on(2)
+    return state.learnt(state.descend(state.at(fit.learnt), ONE_STEP))
+
+
+def _telling(problem: Problem) -> CheckLines:
+    """The lines that may be fitted."""
+    return problem.lines.where(np.isin(problem.lines.group, (FIT, SELECT)))
 
 
 def all_but_the_idle_model(problem: Problem, fit: Fit) -> bool:
@@ -175,6 +178,17 @@ class _Parameters:
             rest=rest,
             alike=alike,
         )
+
+    def at(self, known: Learnt) -> Array:
+        """x of what was learnt before, as far as the directions hold it."""
+        idle = self.problem.idle
+        gone = np.r_[known.idle.frequencies_hz - idle.frequencies_hz, known.idle.damping_ratios - idle.damping_ratios]
+        move = self.scales.move(self.fit.phi, np.asarray(known.idle.shapes))
+        assert idle.covariance is not None
+        unit = np.sqrt(np.maximum(np.diag(idle.covariance), 1e-300))
+        directions = np.concatenate([self.poles, self.moves.transpose(1, 0, 2).reshape(-1, self.moves.shape[2])])
+        z = np.linalg.lstsq(directions / unit[:, None], np.r_[gone, move.T.ravel()] / unit, rcond=1e-9)[0]
+        return np.r_[np.concatenate(known.q), self.start[self.n_q :] + z]
 
     def on(self, every: int) -> _Parameters:
         """The same on one in so many of the lines that tell."""

@@ -28,6 +28,7 @@ from operando.diagnose.refit import (
 from operando.diagnose.scan import COLUMN_DOUBT, Candidate, Reduced, channel_candidates, fit_place, reduce_place, scan_weights
 from operando.diagnose.sets import FIT, JUDGE, SELECT, CheckLines
 from operando.diagnose.shapes import shape_prior
+from operando.threads import each
 
 Array = NDArray[Any]
 
@@ -272,20 +273,16 @@ def step(problem: Problem, fit: Fit) -> tuple[list[Tried], Problem]:
         That with the variance by which all of them were judged.
     """
     found = scan(problem, fit)
-    first = [problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False) for c in shortlist(found)]
+    first = each(lambda c: problem.joint([*fit.terms, c.term], [*fit.q, c.q], shapes=False), shortlist(found))
     lines, own = problem.sets[FIT], problem.owns[FIT]
     first.sort(key=lambda f: f.cost)
     clear = not first or first[0].cost < 2 * CLEAR * lines.data.size
     if not clear:
         # Nothing fits with the columns as they are: which could, if what the idle model leaves open about its place were free?
-        costs = {id(f): foreseen(problem.arrays, lines, own, f, shape_prior(problem.idle, effect_dofs(f.terms))) for f in first}
-        first.sort(key=lambda f: costs[id(f)])
-        first = [replace(f, cost=costs[id(f)]) for f in first]
-    tried = []
-    for k, f in enumerate(first):
-        if k < REFITTED and (k < 2 or f.cost < NEAR * first[0].cost):
-            f = with_shapes(problem, f)
-        tried.append(problem.tried(f))
+        costs = each(lambda f: foreseen(problem.arrays, lines, own, f, shape_prior(problem.idle, effect_dofs(f.terms))), first)
+        first = sorted((replace(f, cost=cost) for f, cost in zip(first, costs, strict=True)), key=lambda f: f.cost)
+    near = [f for k, f in enumerate(first[:REFITTED]) if k < 2 or f.cost < NEAR * first[0].cost]
+    tried = [problem.tried(f) for f in (*each(lambda f: with_shapes(problem, f), near), *first[len(near) :])]
     if not tried:
         return [], problem
     best = min(tried, key=lambda t: t.selection)

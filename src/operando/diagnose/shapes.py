@@ -96,6 +96,14 @@ class Scales:
         scale, rest = self.parts(base, move)
         return np.asarray(self.factor(scale) * (base + rest))
 
+    def move(self, base: Array, shapes: Array) -> Array:
+        """The move after which the shapes are these: :meth:`moved` the other way round."""
+        modes = np.flatnonzero(np.any(self.sense != 0, axis=0))
+        scale = np.zeros(self.row.size)
+        grown = shapes[self.row[modes], modes] / base[self.row[modes], modes]
+        scale[modes] = np.clip(np.log(np.maximum(grown, 1e-9)), -FARTHEST, FARTHEST)
+        return np.asarray(shapes / self.factor(scale) - base + self.sense * base * scale)
+
     def factor(self, scale: Array) -> Array:
         """What the values of shapes (n_dofs, n_modes) are multiplied by."""
         return np.asarray(np.exp(self.sense * np.clip(scale, -FARTHEST, FARTHEST)))

@@ -14,7 +14,7 @@ from operando.effects.base import EffectKind
 from operando.effects.friction import mean_sign
 from operando.nonlinear.place import Along, Crossing, settle
 from operando.nonlinear.run import Complex, Real
-from operando.nonlinear.threads import each
+from operando.threads import each
 
 GRID = 18
 """Gaps and knees tried first, evenly spaced in their logarithm between these shares of the largest deflection."""

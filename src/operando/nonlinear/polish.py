@@ -12,7 +12,7 @@ from operando.nonlinear.laws import LawFit, Motion, law_cost, summed
 from operando.nonlinear.run import Real
 from operando.nonlinear.search import Case, settled
 from operando.nonlinear.steps import Tried
-from operando.nonlinear.threads import each
+from operando.threads import each
 
 EASY = 0.01
 """Relative change of a value for a difference quotient."""

@@ -16,7 +16,7 @@ from operando.nonlinear.laws import LawFit, Motion
 from operando.nonlinear.outside import Doubt, Outside, force_columns, look
 from operando.nonlinear.place import Along, Crossing, Weighted
 from operando.nonlinear.run import Modes, Real, Run, make_run
-from operando.nonlinear.threads import each
+from operando.threads import each
 
 FIRST_LINES, RANK_LINES = 300, 600
 """Lines of a run on which all places are compared, and the best of them again."""

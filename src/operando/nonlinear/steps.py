@@ -13,7 +13,7 @@ from operando.nonlinear.laws import LawFit, fit_law, law_cost, linear_law, turne
 from operando.nonlinear.outside import Outside, force_columns, look
 from operando.nonlinear.run import Real, Run, smoothed_variance
 from operando.nonlinear.search import NOISE_FLOOR, WITHIN, Case, Field, Spot, examine, rank_places, settled
-from operando.nonlinear.threads import each
+from operando.threads import each
 
 EARNED, PARSIMONY = 0.10, 0.03
 """An effect lowers the selection misfit by more than this part; within this part of the best the fewest parameters win."""

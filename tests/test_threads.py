@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from operando.nonlinear import threads
-from operando.nonlinear.threads import each
+from operando.threads import each
 
 
 def test_results_keep_the_order_of_the_items_and_inner_calls_stay_in_their_thread(monkeypatch):
