@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from operando.nonlinear import threads
+from operando import threads
 from operando.threads import each
 
 
