@@ -119,6 +119,13 @@ def test_the_slope_of_moved_shapes_is_theirs():
         assert made[:, :, k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-6, abs=1e-8)
 
 
+def test_the_move_of_moved_shapes_is_found_again():
+    model = scale_unknown(0.8)
+    base, scales = np.asarray(model.shapes), Scales.of(model)
+    move = 0.2 * np.random.default_rng(10).standard_normal(base.shape)
+    assert scales.move(base, scales.moved(base, move)) == pytest.approx(move, abs=1e-12)
+
+
 def test_what_lies_outside_is_held_at_driven_dofs_when_the_idle_model_learns(idle):
     """Else products of two values that move would change columns which the check does not drive."""
     model = idle[0]

@@ -126,10 +126,14 @@ def level_dependent(rows: list[dict]) -> str:
             ("residual of the judge records over the floor: median", f"{np.median(floor):.1f} dB, worst {np.max(floor):.1f}", "3 dB")
         )
         lines.append(("  within 3 dB", f"{sum(f <= 3 for f in floor)}/{len(floor)}", "all"))
-    gains = [r["diagnosis"]["closed_loop_gain_db"] for r in right if r["diagnosis"].get("closed_loop_gain_db") is not None]
+    looped = [r["diagnosis"] for r in right if r["diagnosis"].get("closed_loop_gain_db") is not None]
+    gains, shows = [d["closed_loop_gain_db"] for d in looped], [10 * np.log10(d["heldout"][0]) for d in looped]
     if gains:
         lines.append(("closed-loop gain: median, least", f"{np.median(gains):.1f} dB, {np.min(gains):.1f}", "8 dB"))
         lines.append(("  8 dB or more", f"{sum(g >= 8 for g in gains)}/{len(gains)}", "all"))
+        # Where the judge records hardly show the effect there is no more to gain than that.
+        seen = [g for g, shown in zip(gains, shows, strict=True) if shown > 11]
+        lines.append(("  of those whose judge records show it by 11 dB over the floor", f"{sum(g >= 8 for g in seen)}/{len(seen)}", "all"))
     return "Level-dependent\n" + "\n".join(f"  {name:58s} {value:>22s}   asked: {wanted}" for name, value, wanted in lines)
 
 
