@@ -17,7 +17,7 @@ from operando.threads import each
 EASY = 0.01
 """Relative change of a value for a difference quotient."""
 
-TURNS, ENOUGH = 4, 1e-3
+TURNS, ENOUGH = 8, 1e-3
 """Gauss–Newton steps at most; relative change that ends them."""
 
 FARTHEST = 0.3
@@ -31,8 +31,8 @@ SYSTEMATIC, SHARE = 3.0, 0.5
 
 
 def free_names(law: LawFit) -> list[str]:
-    """Values that a fit may move: those above zero, without the speed over which friction is smoothed."""
-    return [n for n in law.values if law.values[n] > 0 and n != "slip_speed"]
+    """Values that a fit may move: those above zero."""
+    return [n for n in law.values if law.values[n] > 0]
 
 
 def linearised(law: LawFit, motions: Sequence[Motion], names: Sequence[str]) -> tuple[Real, Real, float]:
