@@ -28,6 +28,9 @@ COMPLIANCES = (0.0, 2.0, 3.5)
 BEGIN = 1.5
 """Further starts of a size that fits poorly: so much larger and smaller on a logarithmic scale."""
 
+ASTRAY = 8.0
+"""A last fit that needs shapes to move by so many times more than they were expected to has lost its way."""
+
 POOR = 2.5
 """Misfit, what the idle model may not know allowed for, above which something more is missing."""
 
@@ -346,9 +349,14 @@ def settled(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array,
         return fit
     if fit.prior.size:
         own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
-    fit = refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z)
-    own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
-    return honest(idle, arrays, lines, own, refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z))
+    begun, begun_own = fit, own
+    for _ in range(2):
+        fit = refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z)
+        if fit.prior.scale > ASTRAY * begun.prior.scale:
+            # The way down was lost, and shapes make up for wrong sizes: rather the fit as it was.
+            return honest(idle, arrays, lines, begun_own, begun)
+        own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
+    return honest(idle, arrays, lines, own, fit)
 
 
 def honest(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array, fit: Fit) -> Fit:
