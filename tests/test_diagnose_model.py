@@ -10,6 +10,7 @@ import pytest
 from effect_truth import at, chain_and_idle, pole_list, receptance, skew
 from operando.data import Geometry, ModalModel
 from operando.diagnose import Model, joint_covariance
+from operando.diagnose.apply import words_of
 from operando.effects import Effect, EffectKind, Parameter, catalogue, parse_effect, register, unregister
 from operando.errors import ConfigError, DataError, DofError
 
@@ -449,3 +450,17 @@ def test_a_kind_of_the_users_own_serves_frfs_and_poles():
         assert np.allclose(model.modes().poles, pole_list(chain.M + 0.4 * at(N, 1, 4), chain.C, chain.K), rtol=1e-9)
     finally:
         unregister("inerter_for_test")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (100.0, 0.9, "lower by 99.1"),
+        (100.0, 99.0, "the data do not support it"),
+        (100.0, 110.0, "makes the prediction worse"),
+        (100.0, 70.0, "most of the misfit remains"),
+        (0.9, 0.7, "nothing was left to explain"),
+    ],
+)
+def test_what_is_said_of_an_effect_added_by_hand(before, after, said):
+    assert said in words_of(Effect("ground_damper", ("3+Z",), {"damping": 1.0}), before, after)

@@ -154,6 +154,8 @@ def words_of(effect: Effect, before: float, after: float) -> str:
         return f"{start}: it makes the prediction worse; nothing in the data speaks for it"
     if fall < LITTLE:
         return f"{start}: lower by only {100 * fall:.1f} %; the data do not support it"
+    if before < 1:
+        return f"{start}: lower by {100 * fall:.0f} %, but it was no more than the data allow: nothing was left to explain"
     if fall < 0.5 and after > 1.5:
         return f"{start}: lower by {100 * fall:.0f} %; most of the misfit remains, so something else is missing"
     return f"{start}: lower by {100 * fall:.{1 if fall < 0.99 else 3}f} %"
