@@ -17,7 +17,7 @@ from operando.threads import each
 EASY = 0.01
 """Relative change of a value for a difference quotient."""
 
-TURNS, ENOUGH = 8, 1e-3
+TURNS, ENOUGH = 4, 1e-3
 """Gauss–Newton steps at most; relative change that ends them."""
 
 FARTHEST = 0.3
