@@ -86,7 +86,7 @@ def test_prediction_and_size_get_better_and_the_intervals_hold(chain):
     assert 0.85 <= np.mean(np.abs(z) < 1.96) <= 1.0
     assert 0.6 < np.std(z) < 1.4
     assert np.median(last) < np.median(after)
-    assert 0.85 <= np.mean(np.abs(z_last) < 1.96) <= 1.0
+    assert np.mean(np.abs(z_last) < 1.96) >= 0.85
     assert 0.6 < np.std(z_last) < 1.4
     # |complex normal|² over its variance is below 3 in 95 % of cases.
     assert 0.88 < np.mean(held) <= 0.99
@@ -128,6 +128,7 @@ def test_where_nothing_was_learnt_the_last_fit_has_all_lines_too(chain):
     problem, fit = settled(drawn_idle(chain, 3), check_of(chain, 103))
     every = on_all_lines(problem, fit)
     assert every.learnt is None
+    assert on_all_lines(problem, replace(fit, excess=9.0)).excess == 9.0, "no surer than the judge lines let it be"
     assert every.std[0][0] < 1.05 * fit.std[0][0]
     assert every.q[0][0] != fit.q[0][0]
     assert abs(every.q[0][0] - fit.q[0][0]) < 4 * fit.std[0][0]

@@ -262,10 +262,9 @@ def _search(
             rows, final = with_what_was_learnt(problem, rows, final)
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
-        if final[-1].terms:
-            final[-1] = on_all_lines(problem, final[-1])
-            rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
-            notes.append(AFTERWARDS)
+        final[-1] = on_all_lines(problem, final[-1])
+        rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
+        notes.append(AFTERWARDS)
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
     ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
     proposal = propose(problem, final[-1], alternatives, verdict)

@@ -102,7 +102,8 @@ def on_all_lines(problem: Problem, fit: Fit) -> Fit:
     """
     every = problem.judged()
     if fit.learnt is None:
-        return every.settled(fit)
+        again = every.settled(fit)
+        return replace(again, excess=max(again.excess, fit.excess))  # no surer than the lines that judged alone let it be
     state = _Parameters.of(every, replace(fit, learnt=None), _telling(every)).on(2)
     return state.learnt(state.descend(state.at(fit.learnt), ONE_STEP))
 

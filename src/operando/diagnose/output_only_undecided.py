@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from operando.diagnose.output_only_fit import Fit, fit
 from operando.diagnose.output_only_forward import Action, Basis
-from operando.diagnose.output_only_sets import Sets, judged, rows_of
+from operando.diagnose.output_only_sets import Sets, rows_of
 from operando.effects import Effect
 
 FAINT = 0.05
@@ -61,8 +61,8 @@ def undecided(sets: Sets, basis: Basis, bare: Fit, other: Fit, ranked: Sequence[
         if one is None or two is None or float(one.sizes[-1]) * float(two.sizes[-1]) <= 0:
             continue
         falls = (
-            (before[0] - judged(sets.judge, basis, one, sets.held)) * sets.held_rows,
-            (before[1] - judged(sets.choose, basis, two, sets.use)) * sets.rows,
+            (before[0] - sets.misfit(basis, one)) * sets.held_rows,
+            (before[1] - back.misfit(basis, two)) * sets.rows,
         )
         if min(falls) > 0 and sum(falls) >= FAINT * total:
             out.append(Undecided(one if falls[0] >= falls[1] else two, sum(falls) / total))
@@ -86,6 +86,3 @@ def _key(action: Action) -> tuple[str, tuple]:
 def _fitted(sets: Sets, basis: Basis, seed: Fit) -> Fit | None:
     near = basis.touched(rows_of(seed.actions, basis))
     return fit(sets.choose, near, seed.actions, list(seed.sizes), sets.use)
-
-
-__all__ = ["Undecided", "undecided", "words"]

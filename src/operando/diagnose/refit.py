@@ -350,12 +350,13 @@ def settled(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array,
     if fit.prior.size:
         own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
     begun, begun_own = fit, own
-    for _ in range(2):
+    for turn in range(2):
+        if turn:
+            own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
         fit = refit(arrays, lines, own, fit.terms, fit.q, fit.prior, fit.z)
         if fit.prior.scale > ASTRAY * begun.prior.scale:
             # The way down was lost, and shapes make up for wrong sizes: rather the fit as it was.
             return honest(idle, arrays, lines, begun_own, begun)
-        own, _ = carried(idle, arrays, lines, fit, predict(arrays.with_phi(fit.phi), lines, fit.terms, fit.q))
     return honest(idle, arrays, lines, own, fit)
 
 
