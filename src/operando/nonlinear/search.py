@@ -135,7 +135,7 @@ def rank_places(
 
     def compared(some: Sequence[tuple[int, ...]], lines: int, turns: int) -> list[tuple[float, tuple[int, ...]]]:
         few = [Weighted.of(r.on(strided(r, lines))) for r in case.fitted]
-        return sorted((look(few, case.modes, case.b(p), case.doubt, none, turns).misfit, p) for p in some)
+        return sorted(each(lambda p: (look(few, case.modes, case.b(p), case.doubt, none, turns).misfit, p), some))
 
     if say:
         say(f"look at {min(LOOKED, len(places))} of {len(places)} places")
