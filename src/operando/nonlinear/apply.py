@@ -14,6 +14,7 @@ from operando.dof import match_dofs
 from operando.effects import Effect
 from operando.errors import ConfigError, DataError
 from operando.nonlinear.conclude import effect_of, pictures_of, simulated
+from operando.nonlinear.forward import by_loop
 from operando.nonlinear.judge import ladder_row
 from operando.nonlinear.laws import LawFit, fit_law
 from operando.nonlinear.place import Weighted
@@ -177,8 +178,8 @@ def _fitted(case: Case, effect: Effect, law: LawFit, held: bool) -> Tried:
     spot = _spot(stage, effect)
     found = None if held or effect.removed else fit_law(spot.fit, law.kind)
     if found is not None:
-        return polished(case, settle_law(stage, spot, found))
-    return Tried(settled(spot, case, law), law, np.nan, np.nan)
+        return by_loop(case, polished(case, settle_law(stage, spot, found)))
+    return by_loop(case, Tried(settled(spot, case, law), law, np.nan, np.nan), fitted=False)
 
 
 def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> list[Tried]:
@@ -188,7 +189,8 @@ def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> lis
     out: list[Tried] = []
     for effect, t in zip(effects, tried, strict=True):
         stage = Field.of(_case_with(case, out))
-        out.append(Tried(settled(_spot(stage, effect), stage.case, t.law), t.law, t.selection, t.judge))
+        here = Tried(settled(_spot(stage, effect), stage.case, t.law), t.law, t.selection, t.judge)
+        out.append(by_loop(stage.case, here, fitted=False))
     return out
 
 

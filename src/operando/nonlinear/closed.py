@@ -7,7 +7,7 @@ gives at its beginning; all windows of all records run side by side.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +18,12 @@ from scipy.optimize import nnls
 from operando.effects import kind_of
 from operando.errors import DataError
 from operando.nonlinear.laws import LawFit, law_force
-from operando.nonlinear.loop import FrictionLaw, Loop, MemoryLaw, StepLaw, run_loop
+from operando.nonlinear.loop import FrictionLaw, Loop, MemoryLaw, SlipLaw, StepLaw, run_loop
 from operando.nonlinear.outside import DAMPING, FACTORS, Outside
 from operando.nonlinear.run import Complex, Modes, Real, Run, decay_in_time
 
-PER_CYCLE = 8.0
-"""Steps in a period of the highest frequency compared, at least."""
+PER_CYCLE, STICK_PER_CYCLE = 8.0, 48.0
+"""Steps in a period of the highest frequency compared, at least; with dry friction."""
 
 SHARE, FINEST = 0.8, 100
 """Part of a radian that a body moves on the steepest part of a law in a step, at most; steps a sample, at most."""
@@ -59,18 +59,26 @@ class Track:
     memory: Real
 
 
-def fineness(top_hz: float, sampling_hz: float, steepest: float = 0.0) -> int:
+def fineness(top_hz: float, sampling_hz: float, steepest: float = 0.0, sticks: bool = False) -> int:
     """Steps a sample for lines up to ``top_hz`` and laws as steep as ``steepest`` [rad/s]: the frequency a body would have on them alone.
+
+    With dry friction that ``sticks`` the step that takes hold is solved for, so its kinks alone ask for shorter ones.
 
     Raises
     ------
     DataError
         If it would take too many.
     """
-    fine = max(1, int(np.ceil(PER_CYCLE * top_hz / sampling_hz)), int(np.ceil(steepest / (SHARE * sampling_hz))))
+    per_cycle = STICK_PER_CYCLE if sticks else PER_CYCLE
+    fine = max(1, int(np.ceil(per_cycle * top_hz / sampling_hz)), int(np.ceil(steepest / (SHARE * sampling_hz))))
     if fine > FINEST:
         raise DataError(f"so stiff a law takes {fine} steps a sample to be simulated", hint="give the force at a higher sampling rate")
     return fine
+
+
+def sticks(laws: Iterable[LawFit]) -> bool:
+    """Whether there is dry friction among laws."""
+    return any(law.kind == "coulomb_friction" for law in laws)
 
 
 def steepness(law: LawFit, shape: Real, reach: float) -> float:
@@ -141,12 +149,10 @@ def track(run: Run, modes: Modes, loop: Loop, base: Complex, places: Sequence[tu
     """
     fine = round(1 / (run.sampling_hz * loop.step))
     n, hz = run.n_samples, run.all_hz
-    top = max(int(run.lines[-1]) + 1, int(np.searchsorted(hz, min(modes.known_hz, 0.47 * run.sampling_hz))))
     w = 2 * np.pi * hz
-    # Beyond its last mode the model knows nothing of a place that was not driven.
     spectra = np.zeros((2, len(places), n * fine // 2 + 1), complex)
-    spectra[0, :, :top] = base[:, :top] * fine
-    spectra[1, :, :top] = spectra[0, :, :top] * 1j * w[:top]
+    spectra[0, :, : hz.size] = base * fine
+    spectra[1, :, : hz.size] = spectra[0, :, : hz.size] * 1j * w
     x, v = sfft.irfft(spectra, n * fine, axis=-1)
     force = np.stack([s for _, s, _ in places])
     poles = loop.poles
@@ -193,6 +199,8 @@ def step_law(fits: Sequence[LawFit], step: float, memory: Real) -> StepLaw:
         level, speed = values["force"], values.get("slip_speed", np.zeros(len(fits)))
         if np.all(speed <= 0):
             return FrictionLaw(level)
+        if np.all(speed > 0):
+            return SlipLaw(level, speed)
         return StepLaw(lambda x, v: level * np.tanh(v / speed))
     return StepLaw(lambda x, v: side * law_force(kind, side * x, side * v, values, step))
 

@@ -31,6 +31,9 @@ SEEN_PART, SHARE = 0.8, 0.25
 """Motion above this part of the recorded band is left out; the records are too slow if that changes the misfit by this share of what
 remains. Records four times as fast of a dry friction changed by 0.001, at 512 samples a second by 2, 2.5 remaining."""
 
+FAST_SEEN = 4.0
+"""Power of the measured acceleration over noise from which motion above that part is seen at all."""
+
 FASTER = 4
 """Times the sampling rate that is proposed."""
 
@@ -140,7 +143,8 @@ def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, 
             continue
         motions = tried.spot.whole[fitted:] or tried.spot.whole
         change = float(np.mean([m.without_fastest(tried.law, SEEN_PART) for m in motions]))
-        if change > SHARE * (left - 1):
+        # What is but noise up there says nothing of what lies above.
+        if change > SHARE * (left - 1) and max(m.above_noise(SEEN_PART) for m in motions) > FAST_SEEN:
             top = motions[0].along.run.sampling_hz / 2
             out.append(
                 f"the judge records stay {10 * np.log10(left):.1f} dB above the floor, and the motion across {effect.place} is faster than "

@@ -48,6 +48,9 @@ class Motion:
         How far the data decide about it.
     made : dict
         Spectra on all lines of laws taken along this motion: the sets of lines share it.
+    closed : dict
+        Spectra on all lines of the record that laws made in the closed loop, by :attr:`LawFit.key`: they stand for the law along the
+        motion.
     """
 
     x: Real
@@ -58,30 +61,55 @@ class Motion:
     force: Complex
     taken: Real
     made: dict[Any, Complex] = field(default_factory=dict, compare=False, repr=False)
+    closed: Mapping[Any, Complex] = field(default_factory=dict, compare=False, repr=False)
 
     def settled(self, law: Callable[[Real, Real], Real], turns: int = 12) -> Motion:
         """The motion where the data say nothing as the law has it."""
         x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v), turns)
-        return replace(self, x=x, v=v, made={})
+        return replace(self, x=x, v=v, made={}, closed={})
+
+    def spectrum(self, law: LawFit) -> Complex:
+        """Transform of a law's restoring force on all lines of the record, (N//2+1,)."""
+        known = self.closed.get(law.key)
+        if known is not None:
+            return known
+        whole = self.made.get(law.key)
+        if whole is None:
+            whole = self.crossing.lines(law.force(self.x, self.v, self.step))
+            if len(self.made) >= MADE:
+                self.made.clear()
+            self.made[law.key] = whole
+        return whole
 
     def under(self, law: LawFit) -> Complex:
         """Transform of a law's restoring force (L,) on the lines."""
-        key = (law.kind, law.side, *law.values.items())
-        whole = self.made.get(key)
-        if whole is None:
-            whole = np.asarray(sfft.rfft(law.force(self.x, self.v, self.step)))
-            if len(self.made) >= MADE:
-                self.made.clear()
-            self.made[key] = whole
-        return np.asarray(whole[self.along.run.lines] / self.crossing.fine)
+        return np.asarray(self.spectrum(law)[self.along.run.lines])
+
+    @property
+    def coarse(self) -> Motion:
+        """The motion at the record's own rate, for comparing laws: what a kink folds back is small beside what tells them apart."""
+        fine = self.crossing.fine
+        if fine == 1:
+            return self
+        crossing = replace(self.crossing, fine=1)
+        return replace(self, x=self.x[::fine], v=self.v[::fine], step=self.step * fine, crossing=crossing, made={}, closed={})
 
     def without_fastest(self, law: LawFit, part: float) -> float:
         """Mean weighted square by which the responses change if the law is taken without the motion above a part of the recorded band."""
         n = self.x.size
         slow = sfft.rfftfreq(n, self.step) < part * self.along.run.sampling_hz / 2
         x, v = (sfft.irfft(sfft.rfft(motion) * slow, n) for motion in (self.x, self.v))
-        change = self.spectra(law.force(x, v, self.step)[None])[0] - self.under(law)
+        change = self.spectra((law.force(x, v, self.step) - law.force(self.x, self.v, self.step))[None])[0]
         return float(np.sum(np.abs(self.along.gain * change) ** 2) / self.along.weighted.root.size)
+
+    def above_noise(self, part: float) -> float:
+        """Power of the acceleration measured across the place above a part of the recorded band, over that of the noise."""
+        run = self.along.run
+        rows = np.flatnonzero(self.along.b[run.rows])
+        weights = self.along.b[run.rows[rows]]
+        fast = run.all_hz > part * run.sampling_hz / 2
+        noise = float(np.sum(weights**2 * np.median(run.variance[rows], axis=1)))
+        return float(np.mean(np.abs(weights @ run.responses[np.ix_(rows, fast)]) ** 2)) / noise
 
     def spectra(self, forces: Real) -> Complex:
         """Transforms of restoring forces (c, N) on the lines."""
@@ -110,6 +138,11 @@ class LawFit:
     cost: float
     size: int
     notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Kind, side and values."""
+        return (self.kind, self.side, *self.values.items())
 
     def force(self, x: Real, v: Real, step: float) -> Real:
         """Restoring force along the place as searched (not turned round)."""
@@ -142,7 +175,7 @@ def single_costs(gram: Real, right: Real, total: float) -> tuple[Real, Real]:
     return factor, total - factor * right
 
 
-def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> LawFit | None:
+def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0, rounds: int = 3) -> LawFit | None:
     """Best values of one kind; None where no positive size helps.
 
     Parameters
@@ -152,12 +185,14 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> Law
         A level-dependent kind, or a spring or damper of one or two places.
     side : float
         −1 turns the place round.
+    rounds : int
+        Times that the grid over a gap, a knee or a speed is refined.
     """
     kind = kind_of(kind_name)
     if kind_name == "hysteresis":
         return fit_hysteresis(motions)
     if kind_name == "coulomb_friction":
-        return fit_friction(motions)
+        return fit_friction(motions, rounds)
     name = kind.parameters[0].name
     # A user's own kind may have any further parameters; those of the catalogue say which of theirs are lengths.
     declared = getattr(kind, "shape_names", None)
@@ -175,7 +210,7 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0) -> Law
         return fit_general(motions, kind, side)
     reach = max(float(np.max(np.abs(m.x))) for m in motions)
     low, high = (reach * r for r in GRID_RANGE)
-    best = _search_shape(columns, name, shapes[0], low, high)
+    best = _search_shape(columns, name, shapes[0], low, high, rounds=rounds)
     if best is None:
         return None
     size, value, least = best
@@ -189,11 +224,12 @@ def _search_shape(
     low: float,
     high: float,
     first: int = GRID,
+    rounds: int = 3,
 ) -> tuple[float, float, float] | None:
-    """Grid over one shape parameter, refined three times around the best."""
+    """Grid over one shape parameter, refined some times around the best."""
     grid = np.geomspace(low, high, first)
     found: tuple[float, float, float] | None = None
-    for _ in range(4):
+    for _ in range(1 + rounds):
         factor, cost = single_costs(*columns([{shape: float(g)} for g in grid]))
         if not np.any(factor > 0):
             return found
@@ -206,14 +242,14 @@ def _search_shape(
     return found
 
 
-def fit_friction(motions: Sequence[Motion]) -> LawFit | None:
+def fit_friction(motions: Sequence[Motion], rounds: int = 3) -> LawFit | None:
     """Dry friction, smoothed over a speed that is found with it."""
     rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
 
     def columns(values: Sequence[dict[str, float]]) -> tuple[Real, Real, float]:
         return pooled(motions, [np.stack([mean_sign(m.v, v["slip_speed"]) for v in values]) for m in motions])
 
-    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 7)
+    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 7, rounds)
     if best is None:
         return None
     return LawFit("coulomb_friction", 1.0, {"force": best[0], "slip_speed": best[1]}, best[2], 1)

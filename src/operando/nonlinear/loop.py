@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from operando.nonlinear.run import Complex, Real
 
 BLOCK = 16
 """Steps between two updates of the modal state: inside, the response is a short convolution."""
+
+NEWTON, SOLVED = 12, 1e-6
+"""Steps at most, and the change of v/v₀ that ends them."""
 
 Law = Callable[[Real, Real], Real]
 """Restoring force of displacement and velocity, each (cases,)."""
@@ -102,7 +106,18 @@ def run_loop(
             block_v[j, i - 1] += first_v[j - i]
             block_v[j, i] += last_v[j - i]
     done = 0
-    gains = (block_x[:, :, 0, 0], block_v[:, :, 0, 0])
+    gains = np.stack([block_x[:, :, 0, 0], block_v[:, :, 0, 0]])
+
+    @lru_cache(maxsize=2)
+    def push(count: int) -> Real:
+        """What forces within a block add to the state at its end, real parts above imaginary ones, (2n, (count + 1)·p)."""
+        back = powers[count - 1 :: -1] / e
+        weights = np.zeros((count + 1, e.size), complex)
+        weights[:-1] += back * c0
+        weights[1:] += back * c1
+        both = (weights[:, None, :] * drive[None]).reshape(-1, e.size).T
+        return np.concatenate([both.real, both.imag])
+
     while done < n - 1:
         count = min(BLOCK, n - 1 - done)
         stacked = np.concatenate([z.real, z.imag])
@@ -112,10 +127,8 @@ def run_loop(
         inside[0] = s
         for j in range(1, count + 1):
             if single:
-                past = inside[:j, 0]
-                s1, xs[j - 1, 0], vs[j - 1, 0] = laws[0].solve(
-                    xs[j - 1, 0] - gains[0][j, :j] @ past, vs[j - 1, 0] - gains[1][j, :j] @ past, near_x[0, 0], near_v[0, 0]
-                )
+                x_past, v_past = gains[:, j, :j] @ inside[:j, 0]
+                s1, xs[j - 1, 0], vs[j - 1, 0] = laws[0].solve(xs[j - 1, 0] - x_past, vs[j - 1, 0] - v_past, near_x[0, 0], near_v[0, 0])
                 inside[j, 0] = s1
                 continue
             x = xs[j - 1] - np.einsum("ipq,iqc->pc", block_x[j, :j], inside[:j])
@@ -129,10 +142,8 @@ def run_loop(
                         x[p] - near_x[p] @ others, v[p] - near_v[p] @ others, near_x[p, p], near_v[p, p], commit=turn == 2
                     )
             inside[j] = s_new
-        u = drive.T @ inside.transpose(1, 0, 2).reshape(places, -1)
-        u = u.reshape(-1, count + 1, cases)
-        back = powers[count - 1 :: -1] if count else powers[:0]
-        z = z * (e**count)[:, None] - np.einsum("jn,njc->nc", back / e * c0, u[:, :-1]) - np.einsum("jn,njc->nc", back / e * c1, u[:, 1:])
+        pushed = push(count) @ inside.reshape(-1, cases)
+        z = z * (e**count)[:, None] - (pushed[: e.size] + 1j * pushed[e.size :])
         s = inside[count]
         span = slice(done + 1, done + 1 + count)
         s_all[:, :, span] = inside[1:].transpose(1, 2, 0)
@@ -210,6 +221,33 @@ class FrictionLaw(StepLaw):
 
     def solve(self, x: Real, v: Real, near_x: float, near_v: float, commit: bool = True) -> tuple[Real, Real, Real]:
         b = np.clip(v / near_v, -self.level, self.level)
+        return b, x - near_x * b, v - near_v * b
+
+
+class SlipLaw(StepLaw):
+    """Dry friction F·tanh(v/v₀).
+
+    Parameters
+    ----------
+    level, speed : (cases,) arrays
+        F [N] and v₀ [m/s].
+    """
+
+    def __init__(self, level: Real, speed: Real) -> None:
+        super().__init__(lambda x, v: level * np.tanh(v / speed))
+        self.level, self.speed = level, speed
+
+    def solve(self, x: Real, v: Real, near_x: float, near_v: float, commit: bool = True) -> tuple[Real, Real, Real]:
+        # u = v/v₀ of the root of u + a·tanh(u) = w: concave for w > 0, so Newton's steps from below never pass it.
+        size, a = np.abs(v) / self.speed, near_v * self.level / self.speed
+        u = np.maximum(size / (1 + a), size - a)
+        for _ in range(NEWTON):
+            t = np.tanh(u)
+            step = (size - u - a * t) / (1 + a * (1 - t * t))
+            u = u + step
+            if step.max() < SOLVED:
+                break
+        b = np.copysign(self.level * np.tanh(u), v)
         return b, x - near_x * b, v - near_v * b
 
 

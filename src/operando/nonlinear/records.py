@@ -14,6 +14,7 @@ from operando.effects import catalogue, kind_of
 from operando.errors import DataError
 from operando.nonlinear.conclude import conclude
 from operando.nonlinear.detect import detect, distortion
+from operando.nonlinear.forward import by_loop
 from operando.nonlinear.polish import polished
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case, make_case
@@ -132,7 +133,7 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
         if not earns(step, best, accepted):
             further = max(further, 1 - EARNED)
             break
-        best = polished(case, best)
+        best = by_loop(case, polished(case, best))
         accepted.append(best)
         further = 1.0
         if len(accepted) == MAX_EFFECTS or best.judge < 1.5:

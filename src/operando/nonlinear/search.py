@@ -242,11 +242,17 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
 def settled(spot: Spot, case: Case, law: LawFit) -> Spot:
     """The spot with the motions settled under a law."""
     turns = WALKED if getattr(kind_of(law.kind), "has_state", False) else 12
-    whole = each(lambda m: m.settled(lambda x, v: law.force(x, v, m.step), turns), spot.whole)
+    return moving(spot, case, each(lambda m: m.settled(lambda x, v: law.force(x, v, m.step), turns), spot.whole))
+
+
+def moving(spot: Spot, case: Case, whole: list[Motion]) -> Spot:
+    """The spot with other motions of all runs."""
     n = len(case.fitted)
-    renew = lambda parts, motions: [replace(p, x=m.x, v=m.v, made=m.made) for p, m in zip(parts, motions, strict=True)]  # noqa: E731
-    judge = whole[n:] or renew(spot.judge, whole[:n])
-    return replace(spot, whole=whole, fit=renew(spot.fit, whole[:n]), select=renew(spot.select, whole[:n]), judge=judge)
+
+    def renew(parts: Sequence[Motion]) -> list[Motion]:
+        return [replace(p, x=m.x, v=m.v, made=m.made, closed=m.closed) for p, m in zip(parts, whole[:n], strict=True)]
+
+    return replace(spot, whole=whole, fit=renew(spot.fit), select=renew(spot.select), judge=whole[n:] or renew(spot.judge))
 
 
 def smooth_size(force: Any, width: int = 61) -> Real:

@@ -13,7 +13,7 @@ from operando.data import Channel, ModalModel, TimeRecord
 from operando.dof import match_dofs, parse_dofs
 from operando.effects import Effect, kind_of
 from operando.errors import ConfigError, DataError
-from operando.nonlinear.closed import Track, fineness, follow, loop_of, on_lines, steepness, track
+from operando.nonlinear.closed import Track, fineness, follow, loop_of, on_lines, steepness, sticks, track
 from operando.nonlinear.judge import decayed
 from operando.nonlinear.laws import LawFit
 from operando.nonlinear.loop import Loop
@@ -79,7 +79,7 @@ def simulate(idle: ModalModel, effects: Sequence[Effect], force: TimeRecord, res
     top = min(float(modes.hz[modes.hz < 0.5 * rate].max(initial=0.1 * rate)), 0.5 * rate)
     linear = from_rest(modes, modes.phi[np.asarray(at)].T @ forces, n, 1 / rate)[0]
     steep = [steepness(law, shape, float(np.max(np.abs(shape @ linear)))) for law, shape in zip(laws, shapes, strict=True)]
-    fine = fineness(top, rate, max(steep, default=0.0))
+    fine = fineness(top, rate, max(steep, default=0.0), sticks(laws))
     total, step = n * fine, 1 / (rate * fine)
     drive = np.zeros((modes.hz.size, total // 2 + 1), complex)
     drive[:, : forces.shape[1]] = modes.phi[np.asarray(at)].T @ forces * fine
@@ -139,18 +139,19 @@ def tracks_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) ->
     places = []
     for t in accepted:
         m = t.spot.whole[number]
-        s = t.law.force(m.x, m.v, m.step)
         memory = np.zeros(run.n_samples)
         kind = kind_of(t.law.kind)
         if getattr(kind, "has_state", False):
             memory = kind.memory(m.x, t.law.values)[:: m.crossing.fine]  # type: ignore[attr-defined]
-        places.append((t.spot.b, m.crossing.lines(s), memory))
+        places.append((t.spot.b, m.spectrum(t.law), memory))
     last, m = accepted[-1], accepted[-1].spot.whole[number]
     _, amplitudes, _ = m.along.free_force(0.0, m.under(last.law))
     hz = run.all_hz
     drive = run.drive(case.modes)
     kernel = case.modes.bounded_kernel(hz, invented(case, accepted), float(run.hz[0]))
     base = np.stack([(case.modes.phi.T @ t.spot.b) @ (kernel * drive) for t in accepted])
+    # Beyond its last mode the model knows nothing of a place that was not driven.
+    base[:, max(int(run.lines[-1]) + 1, int(np.searchsorted(hz, min(case.modes.known_hz, 0.47 * run.sampling_hz)))) :] = 0
     return track(run, case.modes, loop, base, places, amplitudes)
 
 
@@ -161,7 +162,7 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
     for t in accepted:
         reach = max(float(np.max(np.abs(m.x))) for m in t.spot.whole)
         steep = max(steep, steepness(t.law, case.modes.phi.T @ t.spot.b, reach))
-    step = 1 / (run.sampling_hz * fineness(float(run.hz[-1]), run.sampling_hz, steep))
+    step = 1 / (run.sampling_hz * fineness(float(run.hz[-1]), run.sampling_hz, steep, sticks(t.law for t in accepted)))
     bs, outside = [t.spot.b for t in accepted], [t.spot.outside for t in accepted]
     return loop_of(case.modes, bs, outside, run, step, invented(case, accepted))
 

@@ -23,6 +23,7 @@ KEPT = 4
 """Places at which laws are fitted."""
 
 FINALISTS = 5
+ROUGH_ROUNDS = 1
 FLOOR, NEARLY = 3.0, 0.01
 """Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do."""
 
@@ -105,11 +106,11 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
 
 
 def roughly(spot: Spot, kind: str, side: float) -> tuple[float, Spot, LawFit] | None:
-    """A law with the motion as measured, and its misfit on the select set."""
-    law = fit_law(spot.fit, kind, side)
+    """A law with the motion as measured, and its misfit on the select set; enough to tell which laws are worth more."""
+    law = fit_law([m.coarse for m in spot.fit], kind, side, rounds=ROUGH_ROUNDS)
     if law is None:
         return None
-    cost, count = law_cost(law, spot.select)
+    cost, count = law_cost(law, [m.coarse for m in spot.select])
     return cost / count, spot, law
 
 
@@ -263,8 +264,7 @@ def with_law(case: Case, best: Tried) -> Case:
     """The case with the restoring force of an accepted law as one more known force."""
     runs: list[Run] = []
     for run, m in zip([*case.fitted, *case.judged], best.spot.whole, strict=True):
-        force = -m.crossing.lines(best.law.force(m.x, m.v, m.step))
-        runs.append(run.with_force(case.modes, best.spot.b, m.along.h, force))
+        runs.append(run.with_force(case.modes, best.spot.b, m.along.h, -m.spectrum(best.law)))
     n = len(case.fitted)
     return replace(case, fitted=tuple(runs[:n]), judged=tuple(runs[n:]))
 

@@ -1,0 +1,88 @@
+"""Laws in the closed loop in place of the motion seen, against structures integrated by other code."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from tests.nonlinear_truth import Strip, measure, place
+
+from operando.effects import Effect
+from operando.nonlinear import apply_to_records, diagnose_records
+from operando.nonlinear.forward import by_loop
+from operando.nonlinear.laws import fit_law
+from operando.nonlinear.loop import SlipLaw
+from operando.nonlinear.polish import polished, std_of
+from operando.nonlinear.search import Field, examine, make_case
+from operando.nonlinear.steps import settle_law, weighed
+
+STRIP = Strip()
+FORCE = 1.0
+
+
+@cache
+def records():
+    return tuple(measure(STRIP, [(place(STRIP, 3, 6), "coulomb_friction", {"force": FORCE, "speed": 3e-3})]))
+
+
+@cache
+def before_and_after():
+    """The case, and friction at its place with the force of the motion seen and with that of the loop."""
+    case = weighed(make_case(STRIP.idle(), records()), (3, 6))
+    stage = Field.of(case)
+    spot = examine(stage, (3, 6))
+    tried = polished(case, settle_law(stage, spot, fit_law(spot.fit, "coulomb_friction")))
+    return case, tried, by_loop(case, tried)
+
+
+def test_the_slip_law_holds_at_the_end_of_each_step():
+    rng = np.random.default_rng(0)
+    level, speed, v = rng.uniform(0.1, 5, 60), 10 ** rng.uniform(-5, -1, 60), rng.normal(0, 0.1, 60)
+    near = 3e-3
+    s, x, moved = SlipLaw(level, speed).solve(np.zeros(60), v, 1e-6, near)
+    for k in range(60):
+        wanted = brentq(lambda f, k=k: f - level[k] * np.tanh((v[k] - near * f) / speed[k]), -level[k], level[k], xtol=1e-14)
+        assert s[k] == pytest.approx(wanted, rel=1e-5)
+    assert moved == pytest.approx(v - near * s)
+    assert x == pytest.approx(-1e-6 * s)
+
+
+def test_the_loop_finds_friction_that_sticks_where_the_motion_seen_does_not():
+    _, seen, made = before_and_after()
+    # Nothing was fitted to the lower level, at which it sticks most of the time.
+    assert made.judge < 0.4 * seen.judge
+    assert abs(made.law.values["force"] - FORCE) < 0.3 * abs(seen.law.values["force"] - FORCE)
+    assert abs(made.law.values["force"] - FORCE) < 2 * std_of(made)["force"] < 0.05
+    assert made.law.values["slip_speed"] == seen.law.values["slip_speed"]
+
+
+def test_the_force_of_the_loop_stands_for_its_law_alone():
+    _, seen, made = before_and_after()
+    motion = made.spot.whole[0]
+    own = motion.spectrum(made.law)
+    assert own is motion.closed[made.law.key]
+    other = replace(made.law, values=made.law.values | {"force": 2 * made.law.values["force"]})
+    assert np.allclose(motion.spectrum(other), motion.crossing.lines(other.force(motion.x, motion.v, motion.step)))
+    assert not seen.spot.whole[0].closed
+    settled = motion.settled(lambda x, v: made.law.force(x, v, motion.step))
+    assert not settled.closed
+
+
+def test_values_held_stay_and_laws_that_follow_the_motion_are_left():
+    case, seen, _ = before_and_after()
+    held = by_loop(case, seen, fitted=False)
+    assert held.law.values == seen.law.values
+    assert held.judge < seen.judge
+    spring = fit_law(seen.spot.fit, "ground_damper")
+    tried = replace(seen, law=spring)
+    assert by_loop(case, tried) is tried
+
+
+def test_diagnosis_and_add_give_the_same_friction():
+    found = diagnose_records(STRIP.idle(), records())
+    (effect,) = found.effects
+    added = apply_to_records(STRIP.idle(), [Effect("coulomb_friction", ("4+Z", "7+Z"), {"force": 1.0})], records())
+    assert added.effects[0].values["force"] == pytest.approx(effect.values["force"], rel=2e-3)
+    assert added.ladder[-1]["heldout_misfit"] == pytest.approx(found.ladder[-1]["heldout_misfit"], rel=0.2)
+    assert effect.values["force"] == pytest.approx(FORCE, rel=0.01)
