@@ -115,6 +115,10 @@ class Hysteresis(NonlinearKind):
         return f"push {place} slowly to and fro and record force over deflection: the loop must close at {values['yield_force']:.2g} N"
 
 
+SATURATED = 18.0
+"""v/v₀ from which tanh differs from one by less than rounding."""
+
+
 def mean_sign(v: Array, speed: float) -> Array:
     """tanh(v/v₀) (sign where v₀ is 0) in the mean over a step around each sample, the velocity taken as straight in it.
 
@@ -126,8 +130,13 @@ def mean_sign(v: Array, speed: float) -> Array:
         return np.asarray(np.clip(2 * v / np.maximum(change, 1e-300), -1, 1))
     half = np.maximum(0.5 * change / speed, 1e-4)
     u = v / speed
+    out = np.sign(u)
+    # tanh is one to all digits beyond: most of a fast motion.
+    slow = np.nonzero(np.abs(u) - half < SATURATED)
+    high, low = u[slow] + half[slow], u[slow] - half[slow]
     log_cosh = lambda a: np.abs(a) + np.log1p(np.exp(-2 * np.abs(a)))  # noqa: E731
-    return np.asarray((log_cosh(u + half) - log_cosh(u - half)) / (2 * half))
+    out[slow] = (log_cosh(high) - log_cosh(low)) / (high - low)
+    return np.asarray(out)
 
 
 def _one_memory(x: Array, reach: float, exponent: float, start: float) -> Array:

@@ -28,6 +28,9 @@ SLIP_TURNS, EASY = 4, 1.03
 STEP = float(np.log(EASY))
 """Hysteresis: grid over the largest deflection and exponents, Gauss–Newton steps, relative change of a value for a difference quotient."""
 
+ABOUT = 1.5
+"""A gap, knee or speed is first sought within this factor of one found before."""
+
 MADE = 8
 """Spectra of laws that a motion keeps."""
 
@@ -175,7 +178,7 @@ def single_costs(gram: Real, right: Real, total: float) -> tuple[Real, Real]:
     return factor, total - factor * right
 
 
-def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0, rounds: int = 3) -> LawFit | None:
+def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0, rounds: int = 3, near: LawFit | None = None) -> LawFit | None:
     """Best values of one kind; None where no positive size helps.
 
     Parameters
@@ -187,12 +190,14 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0, rounds
         −1 turns the place round.
     rounds : int
         Times that the grid over a gap, a knee or a speed is refined.
+    near : LawFit, optional
+        The law found before, for a motion that differs little: sought about it first.
     """
     kind = kind_of(kind_name)
     if kind_name == "hysteresis":
-        return fit_hysteresis(motions)
+        return fit_hysteresis(motions, near)
     if kind_name == "coulomb_friction":
-        return fit_friction(motions, rounds)
+        return fit_friction(motions, rounds, near)
     name = kind.parameters[0].name
     # A user's own kind may have any further parameters; those of the catalogue say which of theirs are lengths.
     declared = getattr(kind, "shape_names", None)
@@ -210,7 +215,7 @@ def fit_law(motions: Sequence[Motion], kind_name: str, side: float = 1.0, rounds
         return fit_general(motions, kind, side)
     reach = max(float(np.max(np.abs(m.x))) for m in motions)
     low, high = (reach * r for r in GRID_RANGE)
-    best = _search_shape(columns, name, shapes[0], low, high, rounds=rounds)
+    best = _search_shape(columns, name, shapes[0], low, high, rounds=rounds, near=near)
     if best is None:
         return None
     size, value, least = best
@@ -225,8 +230,14 @@ def _search_shape(
     high: float,
     first: int = GRID,
     rounds: int = 3,
+    near: LawFit | None = None,
 ) -> tuple[float, float, float] | None:
-    """Grid over one shape parameter, refined some times around the best."""
+    """Grid over one shape parameter, refined some times around the best; about a law near where the best lies inside."""
+    if near is not None:
+        a, b = (float(np.clip(near.values[shape] * f, low, high)) for f in (1 / ABOUT, ABOUT))
+        inside = _search_shape(columns, name, shape, a, b, 5, 2) if a < b else None
+        if inside is not None and a * EASY < inside[1] < b / EASY:
+            return inside
     grid = np.geomspace(low, high, first)
     found: tuple[float, float, float] | None = None
     for _ in range(1 + rounds):
@@ -242,25 +253,30 @@ def _search_shape(
     return found
 
 
-def fit_friction(motions: Sequence[Motion], rounds: int = 3) -> LawFit | None:
+def fit_friction(motions: Sequence[Motion], rounds: int = 3, near: LawFit | None = None) -> LawFit | None:
     """Dry friction, smoothed over a speed that is found with it."""
     rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
 
     def columns(values: Sequence[dict[str, float]]) -> tuple[Real, Real, float]:
         return pooled(motions, [np.stack([mean_sign(m.v, v["slip_speed"]) for v in values]) for m in motions])
 
-    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 7, rounds)
+    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 7, rounds, near)
     if best is None:
         return None
     return LawFit("coulomb_friction", 1.0, {"force": best[0], "slip_speed": best[1]}, best[2], 1)
 
 
-def fit_hysteresis(motions: Sequence[Motion]) -> LawFit | None:
-    """Bouc–Wen: a coarse grid over how far it moves before it slips and how sharply, then Gauss–Newton; the forces by regression."""
-    reach = max(float(np.max(np.abs(m.x))) for m in motions)
-    best = min(
-        (f for r in REACHES for n in EXPONENTS if (f := _slip_fit(motions, reach * r, n)) is not None), key=lambda f: f[0], default=None
-    )
+def fit_hysteresis(motions: Sequence[Motion], near: LawFit | None = None) -> LawFit | None:
+    """Bouc–Wen: a coarse grid over how far it moves before it slips and how sharply, or from a law near; then Gauss–Newton.
+
+    The forces come by regression.
+    """
+    if near is None:
+        reach = max(float(np.max(np.abs(m.x))) for m in motions)
+        starts = [(reach * r, n) for r in REACHES for n in EXPONENTS]
+    else:
+        starts = [(near.values["yield_force"] / near.values["stiffness"], near.values["exponent"])]
+    best = min((f for start in starts if (f := _slip_fit(motions, *start)) is not None), key=lambda f: f[0], default=None)
     if best is None:
         return None
     for _ in range(SLIP_TURNS):
@@ -274,9 +290,8 @@ def fit_hysteresis(motions: Sequence[Motion]) -> LawFit | None:
         found = np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale
         move = np.clip(found[2:] / (found[1] if found[1] > 0 else force), -0.5, 0.5)
         ends = [(a * float(np.exp(f * move[0])), float(np.clip(n * np.exp(f * move[1]), 0.5, 10))) for f in (1, 0.4)]
-        trials = [_slip_fit(motions, *end) for end in ends]
-        better = min((t for t in trials if t is not None), key=lambda f: f[0], default=best)
-        if not better[0] < cost:
+        better = next((t for end in ends if (t := _slip_fit(motions, *end)) is not None and t[0] < cost), None)
+        if better is None:
             break
         best = better
         if np.max(np.abs(move)) < 0.01:

@@ -17,8 +17,8 @@ from operando.nonlinear.run import Complex, Real
 BLOCK = 16
 """Steps between two updates of the modal state: inside, the response is a short convolution."""
 
-NEWTON, SOLVED = 12, 1e-6
-"""Steps at most, and the change of v/v₀ that ends them."""
+NEWTON, SOLVED = 12, 1e-4
+"""Steps at most, and the change of v/v₀ that ends them: each squares the error."""
 
 Law = Callable[[Real, Real], Real]
 """Restoring force of displacement and velocity, each (cases,)."""

@@ -24,8 +24,20 @@ KEPT = 4
 
 FINALISTS = 5
 ROUGH_ROUNDS = 1
+TURNS, FIRST_TURNS, STILL_OPEN = 6, 2, 2.0
+"""Turns in which law and motion are brought together; turns for all finalists, and how far from the best one is worth the others."""
+
 FLOOR, NEARLY = 3.0, 0.01
 """Hysteresis takes a walk through time: only where no simpler law comes this near to what any force at the place could do."""
+
+WORTH = 1.2
+"""Another place is worth its laws where what no force there explains is less than this part of what the best law so far leaves."""
+
+FAR = 3.0
+"""Hysteresis is tried before the others are settled where they leave this part more than it takes."""
+
+HOPE = 0.98
+"""Part of the misfit without any law above which the best one after its first turns is given up."""
 
 UNSETTLED = 0.02
 """Relative change of a value that is still swinging."""
@@ -81,11 +93,20 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     singles = [p for _, p in ranked if len(p) == 1]
     if singles and singles[0] not in near:
         near.append(singles[0])
-    spots = each(lambda p: examine(stage, p), near)
     if say:
-        say(f"fit laws at {'; '.join(place_name(case, spot.place) for spot in spots)}")
-    wanted = [(spot, name, side) for spot in spots for name in kinds if name != "hysteresis" for side in sides(name)]
-    rough = [r for r in each(lambda w: roughly(*w), wanted) if r is not None]
+        say(f"fit laws at {'; '.join(place_name(case, p) for p in near)}")
+
+    def compared(places: Sequence[tuple[int, ...]]) -> tuple[list[Spot], list[tuple[float, Spot, LawFit]]]:
+        spots = each(lambda p: examine(stage, p), places)
+        wanted = [(spot, name, side) for spot in spots for name in kinds if name != "hysteresis" for side in sides(name)]
+        return spots, [r for r in each(lambda w: roughly(*w), wanted) if r is not None]
+
+    spots, rough = compared(near[:1])
+    # No law leaves less than what no force at its place explains.
+    bound = WORTH * min((r[0] for r in rough), default=np.inf)
+    misfits = {place: misfit for misfit, place in ranked}
+    further = compared([p for p in near[1:] if misfits[p] <= bound])
+    spots, rough = spots + further[0], rough + further[1]
     rough.sort(key=lambda r: r[0])
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
     have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
@@ -93,14 +114,26 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     finalists += [
         (spot, turned(law)) for spot, law in finalists if len(sides(law.kind)) > 1 and (spot.place, law.kind, -law.side) not in have
     ]
-    tried = each(lambda f: settle_law(stage, *f), finalists)
+    tried = each(lambda f: settle_law(stage, *f, turns=FIRST_TURNS), finalists)
     floor = min((s.free for s in spots), default=1.0)
-    best = min((t.selection for t in tried), default=np.inf)
-    if "hysteresis" in kinds and spots and best > max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select)):
-        for spot in spots[:1]:
-            law = fit_law(spot.fit, "hysteresis")
-            if law is not None:
-                tried.append(settle_law(stage, spot, law, turns=2))
+    simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
+    walked: list[Tried] = []
+
+    def least() -> float:
+        return min((t.selection for t in (*tried, *walked)), default=np.inf)
+
+    def remember() -> None:
+        law = fit_law(spots[0].fit, "hysteresis") if "hysteresis" in kinds and not walked and least() > simple else None
+        if law is not None:
+            walked.append(settle_law(stage, spots[0], law, turns=FIRST_TURNS))
+
+    if least() > FAR * simple:
+        remember()
+    # Where two turns earn nothing more of them do not.
+    close = STILL_OPEN * least() if least() < HOPE * base_select else 0.0
+    tried = each(lambda t: settle_law(stage, t.spot, t.law, turns=TURNS - FIRST_TURNS) if t.selection <= close else t, tried)
+    remember()
+    tried += walked
     tried.sort(key=lambda t: t.selection)
     return Step(case, base_select, base_judge, tried, floor)
 
@@ -124,7 +157,7 @@ def place_name(case: Case, place: tuple[int, ...]) -> str:
     return ", ".join(str(case.idle.dofs[i]) for i in place)
 
 
-def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 6) -> Tried:
+def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = TURNS) -> Tried:
     """The law refitted with motions that it makes itself where the data say nothing (the mean among them).
 
     Motion and values are found in turn. Where one answers the other too strongly they swing about what they seek: so every second turn the
@@ -135,7 +168,7 @@ def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 6) -> Tried:
     trail, seen, step = [law], [law], 0.0
     for turn in range(turns):
         moved = settled(here, stage.case, trail[-1])
-        again = fit_law(moved.fit, law.kind, law.side)
+        again = fit_law(moved.fit, law.kind, law.side, near=trail[-1])
         if again is None:
             break
         new, _ = law_cost(trail[-1], moved.select)
@@ -150,7 +183,7 @@ def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = 6) -> Tried:
             break
         if len(trail) == 3:
             trail = [towards(*trail)]
-    if step > UNSETTLED and len(law.values) == 1 and len(sides(law.kind)) > 1:
+    if step > UNSETTLED and turns > FIRST_TURNS and len(law.values) == 1 and len(sides(law.kind)) > 1:
         best, here, cost = narrowed(stage, here, best, cost, seen)
     judged, n = law_cost(best, here.judge)
     return Tried(here, best, cost / count, judged / n)
