@@ -9,12 +9,13 @@ from scipy.optimize import brentq
 from tests.nonlinear_truth import Strip, measure, place
 
 from operando.effects import Effect
-from operando.nonlinear import apply_to_records, diagnose_records
-from operando.nonlinear.forward import by_loop
+from operando.nonlinear import apply_to_records, diagnose_records, forward
+from operando.nonlinear.forward import by_loop, followed, groups, recorded
 from operando.nonlinear.laws import fit_law
 from operando.nonlinear.loop import SlipLaw
 from operando.nonlinear.polish import polished, std_of
 from operando.nonlinear.search import Field, examine, make_case
+from operando.nonlinear.simulate import loop_for
 from operando.nonlinear.steps import settle_law, weighed
 
 STRIP = Strip()
@@ -86,3 +87,17 @@ def test_diagnosis_and_add_give_the_same_friction():
     assert added.effects[0].values["force"] == pytest.approx(effect.values["force"], rel=2e-3)
     assert added.ladder[-1]["heldout_misfit"] == pytest.approx(found.ladder[-1]["heldout_misfit"], rel=0.2)
     assert effect.values["force"] == pytest.approx(FORCE, rel=0.01)
+
+
+def test_long_records_are_followed_one_after_the_other(monkeypatch):
+    assert groups([5, 5, 5]) == [[0, 1, 2]]
+    case, seen, _ = before_and_after()
+    loop = recorded(loop_for(case, [seen]), 512.0)
+    assert np.all(np.abs(loop.poles) < 2 * np.pi * 256)
+    forces = [m.spectrum(seen.law) for m in seen.spot.whole]
+    at_once = followed(case, seen.spot, seen.law, ["force"], forces, loop)
+    monkeypatch.setattr(forward, "MOST", 1)
+    assert groups([5, 5, 5]) == [[0], [1], [2]]
+    in_turn = followed(case, seen.spot, seen.law, ["force"], forces, loop)
+    for a, b in zip(at_once.whole, in_turn.whole, strict=True):
+        assert a.spectrum(seen.law) == pytest.approx(b.spectrum(seen.law), rel=1e-6, abs=1e-6)

@@ -29,6 +29,9 @@ KINDS = ("coulomb_friction",)
 WINDOW = 0.5
 """Length of the windows that run side by side [s]; each begins with the state that the force found so far gives."""
 
+MOST = 12_000_000
+"""Steps of all windows followed at once: some hundred megabytes."""
+
 TURNS, ENOUGH, FARTHEST = 6, 0.02, 0.3
 """Turns of force and values at most; fall of the misfit that is worth another; relative change of the size in one turn, at most."""
 
@@ -100,7 +103,10 @@ def followed(case: Case, spot: Spot, law: LawFit, names: Sequence[str], forces: 
         _, amplitudes, _ = m.along.free_force(0.0, force[run.lines])
         tracks.append(track(run, case.modes, loop, base[None], [(spot.b, force, np.zeros(run.n_samples))], amplitudes))
     variants = [law, *(replace(law, values=law.values | {n: law.values[n] * (1 + EASY)}) for n in names)]
-    made = follow(tracks, [[v] for v in variants], WINDOW)
+    made: list[list[Real]] = [[] for _ in variants]
+    for together in groups([t.n_samples * t.fine * len(variants) for t in tracks]):
+        for rows, more in zip(made, follow([tracks[i] for i in together], [[v] for v in variants], WINDOW), strict=True):
+            rows += more
 
     def moved(number: int) -> tuple[Real, Real, dict]:
         m = spot.whole[number]
@@ -110,6 +116,19 @@ def followed(case: Case, spot: Spot, law: LawFit, names: Sequence[str], forces: 
 
     motions = each(moved, range(len(tracks)))
     return moving(spot, case, [replace(m, x=x, v=v, made={}, closed=c) for m, (x, v, c) in zip(spot.whole, motions, strict=True)])
+
+
+def groups(sizes: Sequence[int]) -> list[list[int]]:
+    """Neighbours taken together up to the most that is to be in memory, one at least."""
+    out: list[list[int]] = []
+    left = 0
+    for i, size in enumerate(sizes):
+        if not out or size > left:
+            out.append([])
+            left = MOST
+        out[-1].append(i)
+        left -= size
+    return out
 
 
 def recorded(loop: Loop, sampling_hz: float) -> Loop:
