@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.nonlinear_truth import Strip, measure, place
+from tests.nonlinear_truth import Strip, measure, measure_many, place
 
 from operando.effects import Effect
 from operando.nonlinear import apply_to_records, diagnose_records, forward
@@ -101,3 +101,15 @@ def test_long_records_are_followed_one_after_the_other(monkeypatch):
     in_turn = followed(case, seen.spot, seen.law, ["force"], forces, loop)
     for a, b in zip(at_once.whole, in_turn.whole, strict=True):
         assert a.spectrum(seen.law) == pytest.approx(b.spectrum(seen.law), rel=1e-6, abs=1e-6)
+
+
+def test_friction_that_sticks_nearly_always_is_told_from_a_damper():
+    # Its speed is smoothed over more than the rms velocity: F/v₀ alone is all that a damper would say.
+    held = {"friction": ("coulomb_friction", {"force": 8.0, "speed": 0.06}), "damper": ("ground_damper", {"damping": 130.0})}
+    made = measure_many(STRIP, {name: [(place(STRIP, 4), *law)] for name, law in held.items()})
+    for name, (kind, values) in held.items():
+        (effect,) = diagnose_records(STRIP.idle(), made[name]).effects
+        assert (effect.kind, effect.place) == (kind, "5+Z")
+        first = next(iter(values))
+        assert effect.values[first] == pytest.approx(values[first], rel=0.02)
+        assert abs(effect.values[first] - values[first]) < 3 * effect.std[first]

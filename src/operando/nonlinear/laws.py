@@ -20,7 +20,7 @@ GRID = 18
 """Gaps and knees tried first, evenly spaced in their logarithm between these shares of the largest deflection."""
 
 GRID_RANGE = (0.005, 0.93)
-SMOOTHINGS = (3.0, 300.0)
+SMOOTHINGS = (0.3, 300.0)
 """Rms velocity over the smoothing speed of dry friction, least and most."""
 
 REACHES, EXPONENTS = (0.03, 0.1, 0.25, 0.6), (1.0, 2.5)
@@ -260,10 +260,10 @@ def fit_friction(motions: Sequence[Motion], rounds: int = 3, near: LawFit | None
     def columns(values: Sequence[dict[str, float]]) -> tuple[Real, Real, float]:
         return pooled(motions, [np.stack([mean_sign(m.v, v["slip_speed"]) for v in values]) for m in motions])
 
-    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 7, rounds, near)
+    best = _search_shape(columns, "force", "slip_speed", rms / SMOOTHINGS[1], rms / SMOOTHINGS[0], 9, rounds, near)
     if best is None:
         return None
-    return LawFit("coulomb_friction", 1.0, {"force": best[0], "slip_speed": best[1]}, best[2], 1)
+    return LawFit("coulomb_friction", 1.0, {"force": best[0], "slip_speed": best[1]}, best[2], 2)
 
 
 def fit_hysteresis(motions: Sequence[Motion], near: LawFit | None = None) -> LawFit | None:
