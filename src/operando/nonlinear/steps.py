@@ -36,6 +36,9 @@ WORTH = 1.2
 FAR = 3.0
 """Hysteresis is tried before the others are settled where they leave this part more than it takes."""
 
+UNPROMISING = 0.8
+"""A second law at the same place is not settled where it leaves more than this part of the misfit with the motion as seen."""
+
 HOPE = 0.98
 """Part of the misfit without any law above which the best one after its first turns is given up."""
 
@@ -108,6 +111,10 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     further = compared([p for p in near[1:] if misfits[p] <= bound])
     spots, rough = spots + further[0], rough + further[1]
     rough.sort(key=lambda r: r[0])
+    floor = min((s.free for s in spots), default=1.0)
+    simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
+    if at_first is not None and len(case.places) == 1 and rough and base_select <= simple and rough[0][0] > UNPROMISING * base_select:
+        return Step(case, base_select, base_judge, [], floor)
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
     have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
     # Without the mean deflection an even law may seem to act towards the other side.
@@ -115,8 +122,6 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
         (spot, turned(law)) for spot, law in finalists if len(sides(law.kind)) > 1 and (spot.place, law.kind, -law.side) not in have
     ]
     tried = each(lambda f: settle_law(stage, *f, turns=FIRST_TURNS), finalists)
-    floor = min((s.free for s in spots), default=1.0)
-    simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
     walked: list[Tried] = []
 
     def least() -> float:
