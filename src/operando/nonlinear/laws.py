@@ -66,9 +66,9 @@ class Motion:
     made: dict[Any, Complex] = field(default_factory=dict, compare=False, repr=False)
     closed: Mapping[Any, Complex] = field(default_factory=dict, compare=False, repr=False)
 
-    def settled(self, law: Callable[[Real, Real], Real], turns: int = 12) -> Motion:
+    def settled(self, law: Callable[[Real, Real], Real], turns: int = 12, remembers: bool = False) -> Motion:
         """The motion where the data say nothing as the law has it."""
-        x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v), turns)
+        x, v = settle(self.along, self.crossing, self.force, self.taken, law, (self.x, self.v), turns, remembers)
         return replace(self, x=x, v=v, made={}, closed={})
 
     def spectrum(self, law: LawFit) -> Complex:

@@ -313,6 +313,7 @@ def settle(
     law: Callable[[Real, Real], Real],
     start: tuple[Real, Real],
     turns: int = 12,
+    remembers: bool = False,
 ) -> tuple[Real, Real]:
     """Motion where the law stands in for the restoring force on the lines the data say nothing about (the mean among them).
 
@@ -328,6 +329,8 @@ def settle(
         (x, v) → restoring force in time.
     start : (x, v)
     turns : int
+    remembers : bool
+        Of a law that walks through the whole record the secant stands for its slope: a second walk costs as much as a turn.
 
     Returns
     -------
@@ -348,7 +351,8 @@ def settle(
             # Newton's step with the law's slope, weighted with the motion: the plain substitution diverges where the contact is stiffer
             # than the structure.
             if turn < SLOPES:
-                slope = float(x @ (law(x * (1 + SLOPE_STEP), v) - s)) / SLOPE_STEP / max(float(x @ x), 1e-300)
+                grown = s if remembers else (law(x * (1 + SLOPE_STEP), v) - s) / SLOPE_STEP
+                slope = float(x @ grown) / max(float(x @ x), 1e-300)
             target = crossing.base - crossing.compliance * (share * seen + (1 - share) * crossing.lines(s))
             miss = float(np.sum(np.abs(target - now) ** 2))
             if not miss < least:

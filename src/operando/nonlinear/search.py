@@ -241,8 +241,9 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
 
 def settled(spot: Spot, case: Case, law: LawFit) -> Spot:
     """The spot with the motions settled under a law."""
-    turns = WALKED if getattr(kind_of(law.kind), "has_state", False) else 12
-    return moving(spot, case, each(lambda m: m.settled(lambda x, v: law.force(x, v, m.step), turns), spot.whole))
+    remembers = bool(getattr(kind_of(law.kind), "has_state", False))
+    turns = WALKED if remembers else 12
+    return moving(spot, case, each(lambda m: m.settled(lambda x, v: law.force(x, v, m.step), turns, remembers), spot.whole))
 
 
 def moving(spot: Spot, case: Case, whole: list[Motion]) -> Spot:
