@@ -59,7 +59,7 @@ def judge(draw: Draw, estimates: Path | None = None) -> dict:
         for name, model in hybrid.alternative_models.items()
     }
     driven = np.array([[i.replace("-", "+") in known or o.replace("-", "+") in known for i in inputs] for o in labels])
-    on = _near_modes(hybrid.operating.modes_proper(), draw.lines)
+    on = _near_modes(hybrid.operating, draw.lines)
     return {
         "name": draw.name,
         "effects": draw.effects,

@@ -174,7 +174,7 @@ def make_trial(seed: int, kind: str, m: int = 12, n: int = 12, shape_noise: floa
     idle_z = np.concatenate([z[: n + extra], np.full(4, 0.01)])
     nn = idle_hz.size
     var_e = np.concatenate([(1e-5 * idle_hz) ** 2, (5e-4 * idle_z) ** 2, np.repeat(np.concatenate([sd_idle**2, np.zeros(4)]), m)])
-    idle = ModalModel(
+    idle = ModalModel.from_terms(
         idle_hz, idle_z, np.concatenate([real, rest], axis=1), dofs, "unit_modal_mass",
         residual=np.arange(nn) >= n, in_band=np.arange(nn) < n,
         covariance=np.diag(var_e) if idle_noise else None, band_hz=(low, high),

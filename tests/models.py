@@ -19,7 +19,7 @@ def idle_model():
     chain = idle_chain()
     n = 4
     std = np.concatenate([1e-5 * chain.hz, 2e-3 * chain.zeta, 1e-3 * np.abs(chain.phi).T.ravel() + 1e-5])
-    return ModalModel(
+    return ModalModel.from_terms(
         chain.hz,
         chain.zeta,
         chain.phi,

@@ -28,7 +28,7 @@ class Strip:
         inside = self.hz < 1.2 * top
         keep = inside | residual
         dofs = tuple(Dof(i + 1, "Z", 1) for i in range(len(self.at)))
-        return ModalModel(
+        return ModalModel.from_terms(
             self.hz[keep],
             self.zeta[keep],
             self.phi[:, keep],

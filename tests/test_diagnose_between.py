@@ -26,7 +26,7 @@ def made(mass_at: float, mass: float) -> tuple[ModalModel, CheckRun, Geometry]:
     dofs = tuple(Dof(10 * (i + 1), "Z", 1) for i in range(NODES))
     n, m = MODES, NODES
     spread = np.r_[1e-6 * hz_modes, np.full(n, 1e-6), 1e-5 * np.ones(n * m)]
-    idle = ModalModel(
+    idle = ModalModel.from_terms(
         hz_modes,
         np.full(n, 0.01),
         shapes,

@@ -27,7 +27,7 @@ def chain():
 def model(hz, zeta, phi, residual=None, band=None):
     n = hz.size
     std = np.r_[1e-6 * hz, 1e-4 * zeta, np.full(N * n, 1e-4)]
-    return ModalModel(hz, zeta, phi, DOFS, "unit_modal_mass", covariance=np.diag(std**2), residual=residual, band_hz=band)
+    return ModalModel.from_terms(hz, zeta, phi, DOFS, "unit_modal_mass", covariance=np.diag(std**2), residual=residual, band_hz=band)
 
 
 def check_of(chain, mass, lines=HZ, noise=2e-3, law=None):
@@ -89,7 +89,7 @@ def test_a_mass_that_the_operating_record_does_not_know_is_a_sensor(chain, there
 def test_one_mode_in_band_leaves_kinds_apart_undecided(chain):
     residual = np.arange(N) != 1
     low, high = np.sqrt(chain.hz[0] * chain.hz[1]), np.sqrt(chain.hz[1] * chain.hz[2])
-    idle = replace(model(chain.hz, chain.zeta, chain.phi, residual, (low, high)), in_band=~residual)
+    idle = model(chain.hz, chain.zeta, chain.phi, residual, (low, high))
     found = diagnose(idle, check=[check_of(chain, lump(4, 0.15), np.arange(low, high, 0.02))], band=(low, high))
     assert found.verdict == "ambiguous"
     assert len({e.kind for e in (*found.effects, *found.ambiguous_with)}) >= 2

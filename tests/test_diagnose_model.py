@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from effect_truth import at, chain_and_idle, pole_list, receptance, skew
-from operando.data import Geometry, ModalModel
+from operando.data import Geometry, ModalModel, ResidualTerms
 from operando.diagnose import Model, joint_covariance
 from operando.diagnose.apply import words_of
 from operando.effects import Effect, EffectKind, Parameter, catalogue, parse_effect, register, unregister
@@ -221,10 +221,11 @@ def test_poles_and_left_shapes_make_the_same_frf_as_the_update(text):
 
 def test_shapes_are_those_of_the_matrices_and_residual_modes_stay_residual():
     chain, idle = chain_and_idle()
-    flagged = replace(idle, residual=[False] * 4 + [True] * 2, in_band=None)
-    modes = Model(flagged).add("ground_spring@3+Z=stiffness:2e4").modes()
-    assert modes.residual.tolist() == [False] * 4 + [True] * 2
-    assert modes.in_band.tolist() == [True] * 4 + [False] * 2
+    rest = ResidualTerms(idle.frequencies_hz[4:], idle.damping_ratios[4:], idle.shapes[:, 4:])
+    flagged = replace(idle.select_modes(range(4)), residuals=rest, covariance=None)
+    running = Model(flagged).add("ground_spring@3+Z=stiffness:2e4").modes()
+    assert (running.n_modes, running.n_residuals, running.in_band.tolist()) == (4, 2, [True] * 4)
+    modes = running.terms
     truth = pole_list(chain.M, chain.C, chain.K + 2e4 * at(N, 2))
     for pole, shape in zip(truth, modes.shapes.T, strict=True):
         d = pole**2 * chain.M + pole * chain.C + chain.K + 2e4 * at(N, 2)

@@ -36,7 +36,7 @@ def idle_of(c, seed=0, scatter=0.05):
     std = np.full((m, n), 2e-4) * np.sqrt(np.mean(phi**2))
     std[:, IN_BAND:] = scatter * np.sqrt(np.mean(phi**2))
     variance = np.r_[(1e-6 * c.hz) ** 2, (1e-3 * c.zeta) ** 2, (std.T**2).ravel()]
-    return ModalModel(
+    return ModalModel.from_terms(
         c.hz,
         c.zeta,
         phi + std * rng.standard_normal((m, n)),
@@ -112,7 +112,7 @@ def test_forward_modes_are_those_of_the_physical_matrices(truth):
     kind, places, size = truth
     exact = running(c, truth, noise=0.0)
     idle = idle_of(c, scatter=0.0)
-    true = ModalModel(c.hz, c.zeta, c.phi[list(SENSORS)], DOFS, scaling="unit_modal_mass", residual=idle.residual)
+    true = ModalModel.from_terms(c.hz, c.zeta, c.phi[list(SENSORS)], DOFS, scaling="unit_modal_mass", residual=idle.terms.residual)
     action = action_of(Effect(kind, places), true)
     modes = solve(Basis.of(true), [action], [size])
     poles = modes.poles[modes.poles.imag > 0]
@@ -262,7 +262,7 @@ def test_the_model_handed_on_predicts_the_running_structure(truth):
     kind, places, size = truth
     idle = idle_of(c)
     found = diagnose_output_only(idle, running(c, truth), kinds=(kind,))
-    true = ModalModel(c.hz, c.zeta, c.phi[list(SENSORS)], DOFS, scaling="unit_modal_mass", residual=idle.residual)
+    true = ModalModel.from_terms(c.hz, c.zeta, c.phi[list(SENSORS)], DOFS, scaling="unit_modal_mass", residual=idle.terms.residual)
     hz = np.linspace(2.0, 1.05 * c.hz[IN_BAND - 1], 150)
     exact = Model(true, (Effect(kind, places, {Effect(kind, places).names[0]: size}),)).frf(hz)
     got, before = found.model.frf(hz), idle.frf(hz)

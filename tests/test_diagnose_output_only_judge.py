@@ -24,9 +24,9 @@ DRIVEN = (0, 4)
 
 def out_of_band(model, s, rows=slice(None), columns=slice(None)):
     """Receptance of the modes above the band at ω = s."""
-    up = model.frequencies_hz > model.band_hz[1]
-    w = 2 * np.pi * model.frequencies_hz[up]
-    phi = np.asarray(model.shapes)[:, up]
+    up = model.terms.frequencies_hz > model.band_hz[1]
+    w = 2 * np.pi * model.terms.frequencies_hz[up]
+    phi = np.asarray(model.terms.shapes)[:, up]
     return ((phi / (w**2 - s**2)) @ phi.T)[rows, columns]
 
 
@@ -35,17 +35,17 @@ def badly_completed(c):
     true = idle_of(c, scatter=0.0)
     m = len(SENSORS)
     undriven = np.array([i for i in range(m) if i not in DRIVEN])
-    rms = float(np.sqrt(np.mean(true.shapes[:, :IN_BAND] ** 2)))
+    rms = float(np.sqrt(np.mean(true.terms.shapes[:, :IN_BAND] ** 2)))
     top = true.band_hz[1]
     wild = np.zeros((m, 2))
     wild[undriven] = 12 * rms * np.random.default_rng(4).standard_normal((undriven.size, 2))
     local = np.zeros((m, undriven.size))
     local[undriven, np.arange(undriven.size)] = rms
-    shapes = np.concatenate([true.shapes, wild, local], axis=1)
+    shapes = np.concatenate([true.terms.shapes, wild, local], axis=1)
     n = shapes.shape[1]
-    hz = np.r_[true.frequencies_hz, 1.7 * top, 2.4 * top, np.full(undriven.size, 2 * top)]
+    hz = np.r_[true.terms.frequencies_hz, 1.7 * top, 2.4 * top, np.full(undriven.size, 2 * top)]
     std = np.full((n, m), 1e-3 * rms)
-    return true, ModalModel(
+    return true, ModalModel.from_terms(
         hz,
         np.full(n, 0.01),
         shapes,
@@ -72,9 +72,10 @@ def test_settled_keeps_what_was_driven_and_bounds_what_was_not():
         ratio = np.diag(after)[u] / np.diag(exact)[u]
         assert ratio.min() > 0.2
         assert ratio.max() < 6
-    np.testing.assert_allclose(calm.shapes[:, : IN_BAND + 1], bad.shapes[:, : IN_BAND + 1])
+    np.testing.assert_allclose(calm.shapes, bad.shapes)
     assert np.linalg.eigvalsh(calm.covariance).min() > -1e-12
     # The local modes say how little is known there: as much again, or nothing.
+    calm = calm.terms
     local = np.count_nonzero(calm.shapes, axis=0) == 1
     k = int(np.flatnonzero(local)[0])
     assert calm.shape_std[:, k].max() == pytest.approx(np.abs(calm.shapes[:, k]).max())
@@ -84,14 +85,14 @@ def test_settled_keeps_what_was_driven_and_bounds_what_was_not():
 @pytest.mark.parametrize("known", [True, False])
 def test_an_identified_mode_the_drive_points_hardly_see_stays_if_it_is_known(known):
     _, bad = badly_completed(chain())
-    n, m = bad.n_modes, len(bad.dofs)
-    shapes = np.array(bad.shapes)
+    n, m = bad.terms.n, len(bad.dofs)
+    shapes = np.array(bad.terms.shapes)
     shapes[list(DRIVEN), IN_BAND] *= 0.05
     covariance = np.array(bad.covariance)
     at = 2 * n + IN_BAND * m + np.arange(m)
     covariance[at, at] = (1e-3 if known else 0.6) ** 2 * np.mean(shapes[:, IN_BAND] ** 2)
-    calm = settled(replace(bad, shapes=shapes, covariance=covariance, std=None))
-    stays = np.any(np.abs(calm.frequencies_hz - bad.frequencies_hz[IN_BAND]) < 1e-9)
+    calm = settled(bad.with_terms(shapes=shapes, covariance=covariance, std=None))
+    stays = np.any(np.abs(calm.terms.frequencies_hz - bad.terms.frequencies_hz[IN_BAND]) < 1e-9)
     assert stays == known
 
 

@@ -25,7 +25,7 @@ def chain(suspension=0.3):
 def model(**changes):
     hz, phi = chain()
     given = {"scaling": "unit_modal_mass", "residual": [True, False, False], "band_hz": (5.0, 60.0)} | changes
-    return ModalModel(hz, np.full(3, 0.01), phi, DOFS, **given)
+    return ModalModel.from_terms(hz, np.full(3, 0.01), phi, DOFS, **given)
 
 
 def test_mass_of_a_free_chain_is_the_sum_of_its_masses():
@@ -38,12 +38,12 @@ def test_mass_of_a_free_chain_is_the_sum_of_its_masses():
 
 def test_standard_deviation_is_the_scatter_of_draws():
     covariance = np.diag(np.full(15, 1e-12))
-    covariance[6:9, 6:9] = 1e-4 * np.array([[1.0, 0.5, 0], [0.5, 4, 0], [0, 0, 1]])
+    covariance[6:9, 6:9] = 1e-4 * np.array([[1.0, 0.5, 0], [0.5, 4, 0], [0, 0, 1]])  # in the order given: the suspension first
     given = model(covariance=covariance)
     found = rigid_body_mass(given, "2+Z")
     rng = np.random.default_rng(0)
     shift = np.sqrt(covariance[7, 7]) * rng.standard_normal(4000)
-    phi = given.shapes[1, 0] + shift
+    phi = given.residuals.shapes[1, 0] + shift
     scatter = np.std((1 - 0.06**2) / phi**2)
     assert found.std_kg == pytest.approx(scatter, rel=0.06)
 

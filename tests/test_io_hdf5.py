@@ -54,7 +54,7 @@ def samples():
     details = Stabilization(
         table, np.ones(1), np.ones(1), np.ones((3, 1)), (np.array([0, 1]),), (RejectedPole(1.0, 0.2, "unstable", "no"),)
     )
-    model = ModalModel(
+    model = ModalModel.from_terms(
         np.array([1.0, 2.0]), np.array([0.01, 0.02]), rng.normal(size=(4, 2)), dofs, "unit_modal_mass",
         residual=np.array([False, True]), covariance=np.eye(12), band_hz=(0.5, 3.0), misfit=float("nan"), details=details,
     )  # fmt: skip
@@ -85,7 +85,8 @@ def test_file_round_trip_and_names(tmp_path):
     write_hdf5(path, samples())
     assert equal(read_hdf5(path), dict(sorted(samples().items())))
     with h5py.File(path) as file:
-        assert file["model/frequencies_hz"][1] == 2.0  # readable without operando
+        assert file["model/frequencies_hz"][:].tolist() == [1.0]  # readable without operando
+        assert file["model/residuals/frequencies_hz"][:].tolist() == [2.0]
         assert file["model/details/table/order"][1] == 4
         assert file["model/dofs"].asstr()[1] == "2-X"
     assert [p.name for p in tmp_path.iterdir()] == ["model.h5"]

@@ -43,13 +43,10 @@ def with_low_residuals(idle: ModalModel, size: float) -> ModalModel:
     rng = np.random.default_rng(5)
     low = np.array([0.07, 0.07, 2.0])
     shapes = size * rng.standard_normal((idle.shapes.shape[0], 3))
-    return replace(
-        idle,
-        frequencies_hz=np.append(idle.frequencies_hz, low),
-        damping_ratios=np.append(idle.damping_ratios, np.full(3, 0.01)),
-        shapes=np.concatenate([idle.shapes, shapes], axis=1),
-        residual=np.append(idle.residual, np.ones(3, bool)),
-        in_band=np.append(idle.in_band, np.zeros(3, bool)),
+    return idle.with_terms(
+        frequencies_hz=np.append(idle.terms.frequencies_hz, low),
+        damping_ratios=np.append(idle.terms.damping_ratios, np.full(3, 0.01)),
+        shapes=np.concatenate([idle.terms.shapes, shapes], axis=1),
     )
 
 

@@ -54,7 +54,9 @@ def test_judged_by_exact_modes(states):
     zeta, size = np.full(n, experiment.DAMPING), n * (2 + m)
     residual = at_rest.hz[:n] > experiment.BAND[1]
     small = np.diag(np.full(size, 1e-12))
-    idle = ModalModel(at_rest.hz[:n], zeta, at_rest.shapes[:, :n], dofs, "unit_modal_mass", residual=residual, covariance=small, si=True)
+    idle = ModalModel.from_terms(
+        at_rest.hz[:n], zeta, at_rest.shapes[:, :n], dofs, "unit_modal_mass", residual=residual, covariance=small, si=True
+    )
     k = int(np.sum(running.hz < experiment.BAND[1]))
     noise = np.diag(np.full(k * (2 + 2 * m), 1e-12))
     operating = ModalModel(running.hz[:k], zeta[:k], running.shapes[:, :k] * (2 - 1j), dofs, "unscaled", covariance=noise)

@@ -100,9 +100,9 @@ def whole():
     residual = np.r_[np.zeros(N, bool), True]
     hz, zeta = np.r_[rest.hz, 190.0], np.r_[rest.zeta, 0.01]
     shapes = np.column_stack([rest.phi, 0.02 * np.ones(N)])
-    idle = ModalModel(
-        hz, zeta, shapes, dofs(), "unit_modal_mass", residual, covariance=covariance(N + 1, N, hz, zeta, shapes, 0.01), band_hz=BAND,
-        misfit=1.04, details=Details(diagram(rest.hz, rest.zeta, 3)),
+    idle = ModalModel.from_terms(
+        hz, zeta, shapes, dofs(), "unit_modal_mass", residual=residual, covariance=covariance(N + 1, N, hz, zeta, shapes, 0.01),
+        band_hz=BAND, misfit=1.04, details=Details(diagram(rest.hz, rest.zeta, 3)),
     )  # fmt: skip
     rng = np.random.default_rng(5)
     factor = np.exp(1j * rng.uniform(0, 6, N)) * rng.uniform(1, 9, N)

@@ -109,9 +109,7 @@ def whole():
     """Results whose check has the mass of the document at 103+Z; no hybrid model."""
     chain = Chain(N, mass=1.0, stiffness=2e5, zeta=0.008, seed=1)
     std = np.r_[1e-4 * chain.hz, 0.01 * chain.zeta, 2e-4 * np.ones(N * N)]
-    idle = ModalModel(
-        chain.hz, chain.zeta, chain.phi, dofs(), "unit_modal_mass", np.zeros(N, bool), covariance=np.diag(std**2), band_hz=BAND, misfit=1.0
-    )
+    idle = ModalModel(chain.hz, chain.zeta, chain.phi, dofs(), "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND, misfit=1.0)
     truth = Model(idle).add("point_mass@103+Z=mass:0.2")
     check = [CheckRun("check/run1.uff", "5 N", measured(truth, 0.002, 2))]
 

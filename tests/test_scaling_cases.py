@@ -72,7 +72,7 @@ def exact(name):
     value, vector = np.linalg.eigh((static + static.T) / 2)
     pseudo = (vector * np.sqrt(np.maximum(value, 0)))[:, value > 0]
     n = 16 + pseudo.shape[1]
-    idle = ModalModel(
+    idle = ModalModel.from_terms(
         np.r_[hz, np.full(n - 16, far)], np.r_[zeta, np.full(n - 16, 0.01)], np.c_[phi, pseudo], dofs, "unit_modal_mass",
         residual=np.arange(n) >= 16, in_band=np.arange(n) < 12, band_hz=(f[0], f[-1]),
     )  # fmt: skip

@@ -66,7 +66,7 @@ def test_the_band_holds_a_mode_that_operation_pushed_out_of_the_band():
         hz[inside], chain.zeta[:k], phi[:, inside] + 0j, DOFS, "unscaled", covariance=np.diag(np.full(k * (2 + 2 * N), 1e-12)), band_hz=band
     )
     hybrid = scale_operational(idle, running, threshold=0.5)
-    assert hybrid.modal.frequencies_hz[-1] == pytest.approx(band[1] * BEYOND)
+    assert hybrid.modal.residuals.frequencies_hz[-1] == pytest.approx(band[1] * BEYOND)
     assert "beyond the band" in hybrid.residuals
     assert [f for f in hybrid.findings if f.kind == "mode_not_found"]
     # The exact FRF at the place of the support, with the mode far above, lies within the band.
@@ -75,7 +75,7 @@ def test_the_band_holds_a_mode_that_operation_pushed_out_of_the_band():
     gain = -(w**2) / (own**2 - w**2 + 2j * chain.zeta[0] * own * w)
     exact = np.einsum("or,sr,rl->osl", phi, phi, gain)
     frf = hybrid.frf(lines)
-    without = hybrid.modal.select_modes(np.arange(hybrid.modal.n_modes - 1)).frf(lines)
+    without = hybrid.modal.select_terms(np.arange(hybrid.modal.terms.n - 1)).frf(lines)
     inside_band = [np.mean(np.abs(made.data - exact) ** 2 < 3 * made.variance) for made in (frf, without)]
     assert inside_band[0] > 0.95
     assert inside_band[1] < inside_band[0]

@@ -49,7 +49,7 @@ def idle_model(modes: Modes, chosen: slice, residual: Array | None = None, in_ba
     """Exact modes as EMA would give them."""
     hz = modes.hz[chosen]
     dofs = tuple(Dof.parse(d) for d in DOFS)
-    return ModalModel(
+    return ModalModel.from_terms(
         hz, np.full(hz.size, DAMPING), modes.shapes[:, chosen], dofs, "unit_modal_mass", residual=residual, in_band=in_band, si=True
     )
 
@@ -136,7 +136,8 @@ def study(idle: Modes, target: Modes, case: str) -> ExactStudy:
         for name, model in richer.alternative_models.items()
     }
     residuals["auto"] = residuals[richer.method]
-    carried = np.asarray(richer.modal.residual)
-    hz = np.concatenate([target.hz[all_25], richer.modal.frequencies_hz[carried]])
-    shapes = np.hstack([target.shapes[:, all_25], np.asarray(richer.modal.shapes)[:, carried]])
+    terms = richer.modal.terms
+    carried = terms.residual
+    hz = np.concatenate([target.hz[all_25], terms.frequencies_hz[carried]])
+    shapes = np.hstack([target.shapes[:, all_25], np.asarray(terms.shapes)[:, carried]])
     return ExactStudy(hybrid, rows, residuals, error_db(accelerance(hz, shapes, LINES), reference), richer)

@@ -202,7 +202,7 @@ def _table_a3(modes: Mapping[str, Modes], runs: Sequence[RawStudy]) -> str:
     study = next(r for r in runs if r.case == "case 2" and r.band[1] > 200)
     idle = {i: k for i, k, _ in study.found["idle"]}
     operating = {i: (k, m) for i, k, m in study.found["operating"]}
-    ema, oma = study.results.idle.modes_proper().frequencies_hz, study.results.operating.modes_proper().frequencies_hz
+    ema, oma = study.results.idle.frequencies_hz, study.results.operating.frequencies_hz
     rows = []
     for j in range(IN_BAND):
         i, o = j + 1, int(published.CASE_2_MODES[j])
@@ -318,11 +318,10 @@ def _raw_modes(runs: Sequence[RawStudy], modes: Mapping[str, Modes]) -> str:
     for r in runs:
         for state, truth, model in (("at rest", modes["original"], r.results.idle), ("in operation", modes[r.case], r.results.operating)):
             found = [(i, k, m) for i, k, m in r.found["idle" if state == "at rest" else "operating"] if truth.hz[i] < r.band[1]]
-            proper = model.modes_proper()
             good = [(i, k, m) for i, k, m in found if k >= 0]
-            f = max(abs(proper.frequencies_hz[k] / truth.hz[i] - 1) for i, k, _ in good)
-            z = max(abs(proper.damping_ratios[k] / exact.DAMPING - 1) for _, k, _ in good)
-            extra = int(np.sum((proper.frequencies_hz > r.band[0]) & (proper.frequencies_hz < r.band[1]))) - len(good)
+            f = max(abs(model.frequencies_hz[k] / truth.hz[i] - 1) for i, k, _ in good)
+            z = max(abs(model.damping_ratios[k] / exact.DAMPING - 1) for _, k, _ in good)
+            extra = int(np.sum((model.frequencies_hz > r.band[0]) & (model.frequencies_hz < r.band[1]))) - len(good)
             low = min(m for _, _, m in good)
             cells = [f"{len(good)} of {len(found)}", str(extra), f"{100 * f:.4f}", f"{100 * z:.2f}", f"{low:.5f}"]
             rows.append([esc(r.case), f"{r.band[0]:g}–{r.band[1]:g}", state, *cells])

@@ -64,7 +64,7 @@ def found_modes(study: Experiment) -> dict[str, tuple[int, int, int]]:
         ("B", study.at_rest, study.idle["B"]),
         ("OMA", study.running, study.operating),
     ):
-        hz = model.modes_proper().frequencies_hz
+        hz = model.frequencies_hz
         hz = hz[(hz > BAND[0]) & (hz < BAND[1])]
         exact = in_band(state)
         good = int(np.sum([np.any(np.abs(hz / f - 1) < 0.01) for f in exact]))
@@ -99,11 +99,11 @@ def _frequencies(study: Experiment) -> str:
     columns = {
         "paper, at rest": published.EXPERIMENT_A4[:, 0],
         "exact, at rest": rest,
-        "EMA A": _nearest(study.idle["A"].modes_proper().frequencies_hz, rest),
-        "EMA B": _nearest(study.idle["B"].modes_proper().frequencies_hz, rest),
+        "EMA A": _nearest(study.idle["A"].frequencies_hz, rest),
+        "EMA B": _nearest(study.idle["B"].frequencies_hz, rest),
         "paper, operating": published.EXPERIMENT_A4[:, 1],
         "exact, operating": running,
-        "OMA": _nearest(study.operating.modes_proper().frequencies_hz, running),
+        "OMA": _nearest(study.operating.frequencies_hz, running),
     }
     rows = []
     for k in range(max(len(v) for v in columns.values())):
@@ -158,7 +158,7 @@ def _figures(study: Experiment, draw: Callable[[str, str], str]) -> str:
     rest, running = study.at_rest.shapes[:, first[0] : first[0] + n], study.running.shapes[:, first[1] : first[1] + m]
     rows, columns = ([f"{f:.0f}" for f in in_band(s)] for s in (study.at_rest, study.running))
     changed = [
-        f"{study.operating.modes_proper().frequencies_hz[p.operating]:.1f} Hz ({p.mac:.2f})"
+        f"{study.operating.frequencies_hz[p.operating]:.1f} Hz ({p.mac:.2f})"
         for p in study.hybrid["A"].pairing.pairs
         if p.kind == "changed"
     ]

@@ -88,9 +88,8 @@ def study(
         errors[source]["auto"] = errors[source][results.hybrid.method]
     found = {}
     for name, modes, model in (("idle", idle, results.idle), ("operating", target, results.operating)):
-        proper = model.modes_proper()
-        rows = [[str(d) for d in proper.dofs].index(label) for label in DOFS]
-        found[name] = match(modes, proper.frequencies_hz, np.asarray(proper.shapes)[rows])
+        rows = [[str(d) for d in model.dofs].index(label) for label in DOFS]
+        found[name] = match(modes, model.frequencies_hz, np.asarray(model.shapes)[rows])
     return RawStudy(case, band, results, errors, found, time.perf_counter() - start)
 
 

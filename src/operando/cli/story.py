@@ -132,17 +132,16 @@ def comparison_table(comparison: dict[str, Any]) -> str:
 def mode_table(model: Any, hybrid: Any = None) -> str:
     """Frequency and damping with standard deviations; the idle partner of operational modes."""
     rows = []
-    proper = model.modes_proper()
-    f_std, z_std = proper.frequency_std_hz, proper.damping_ratio_std
+    f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
     pairs = {p["operating"]: p for p in hybrid.to_dict()["pairing"]} if hybrid is not None else {}
-    for i in range(proper.n_modes):
+    for i in range(model.n_modes):
         row: list[Any] = [
             i,
-            f"{proper.frequencies_hz[i]:.4f}",
+            f"{model.frequencies_hz[i]:.4f}",
             "" if f_std is None else f"{f_std[i]:.2g}",
-            f"{100 * proper.damping_ratios[i]:.4f}",
+            f"{100 * model.damping_ratios[i]:.4f}",
             "" if z_std is None else f"{100 * z_std[i]:.2g}",
-            "" if proper.in_band[i] else "outside",
+            "" if model.in_band[i] else "outside",
         ]
         if hybrid is not None:
             p = pairs.get(i)
@@ -171,7 +170,7 @@ def findings_text(results: Results, most: int = 12) -> str:
 
 
 def _count(model: Any) -> int:
-    return int((~model.residual & model.in_band).sum())
+    return int(model.in_band.sum())
 
 
 def _scaling(model: Any) -> str:

@@ -4,6 +4,7 @@ from operando.data.findings import Finding
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
 from operando.data.geometry import Geometry
 from operando.data.modal import ModalModel, phase_collinearity
+from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.provenance import Provenance, file_hash
 from operando.data.time import Channel, TimeRecord
 
@@ -15,7 +16,9 @@ __all__ = [
     "Frf",
     "Geometry",
     "ModalModel",
+    "ModalTerms",
     "Provenance",
+    "ResidualTerms",
     "TimeRecord",
     "file_hash",
     "phase_collinearity",

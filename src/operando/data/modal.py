@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from operando.data.arrays import frozen
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
+from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_terms, shape_rows
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
@@ -20,27 +22,29 @@ from operando.synthesis import synthesis_variance, synthesise
 
 @dataclass(frozen=True)
 class ModalModel:
-    """Modes of a structure.
+    """Modes of a structure, and beside them the residual terms that complete its FRFs.
 
     Parameters
     ----------
     frequencies_hz : (n_modes,) array
-        |λ|/2π [Hz], increasing within the modes proper; residual modes may stand anywhere.
+        |λ|/2π [Hz] of the modes, increasing.
     damping_ratios : (n_modes,) array
         −Re λ/|λ|.
     shapes : (n_dofs, n_modes) array
         Real, of unit modal mass [kg^(−1/2)] if ``scaling`` is "unit_modal_mass"; complex of arbitrary scale if "unscaled".
     dofs : tuple of Dof
     scaling : {"unit_modal_mass", "unscaled"}
-    residual : (n_modes,) bool array, optional
-        Pseudo-modes below or above the band that stand for what lies outside it: part of every synthesis, never listed as modes.
+    residuals : ResidualTerms, optional
+        Pseudo-modes below or above the band that stand for what lies outside it: part of every synthesis, never modes. None where there
+        are none. ``terms`` shows modes and residual terms together.
     in_band : (n_modes,) bool array, optional
-        Modes inside the analysis band (default: all that are not residual).
+        Modes inside the analysis band (default: all).
     covariance : (p, p) array, optional
-        Covariance of θ = [f (Hz), ζ, shapes mode by mode (all DOFs of mode 0, of mode 1, …)]; for complex shapes
-        the real parts of all modes come first, then the imaginary parts.
+        Covariance of θ = [f (Hz), ζ, shapes term by term (all DOFs of term 0, of term 1, …)] of all terms: modes first, residual terms
+        last, in each of the three parts; for complex shapes the real parts of all terms come first, then the imaginary parts.
     std : dict, optional
-        Standard deviations ``{"frequencies_hz", "damping_ratios", "shapes"}`` where no full covariance is kept.
+        Standard deviations ``{"frequencies_hz", "damping_ratios", "shapes"}`` of all terms (modes first, residual terms last) where no
+        full covariance is kept.
     band_hz : (float, float), optional
         Analysis band [Hz].
     misfit : float, optional
@@ -65,7 +69,7 @@ class ModalModel:
     shapes: NDArray[Any]
     dofs: tuple[Dof, ...]
     scaling: str = "unscaled"
-    residual: NDArray[np.bool_] | None = None
+    residuals: ResidualTerms | None = None
     in_band: NDArray[np.bool_] | None = None
     covariance: NDArray[np.float64] | None = None
     std: dict[str, NDArray[np.float64]] | None = None
@@ -78,111 +82,184 @@ class ModalModel:
 
     def __post_init__(self) -> None:
         put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
-        put("frequencies_hz", frozen(self.frequencies_hz, float, 1, "frequencies_hz"))
-        put("damping_ratios", frozen(self.damping_ratios, float, 1, "damping_ratios"))
-        shapes = np.asarray(self.shapes)
-        put("shapes", frozen(shapes, complex if np.iscomplexobj(shapes) else float, 2, "shapes"))
         put("dofs", parse_dofs(self.dofs))
         put("findings", tuple(self.findings))
-        n = self.frequencies_hz.size
-        if self.damping_ratios.shape != (n,) or self.shapes.shape != (len(self.dofs), n):
-            raise DataError(
-                f"{n} frequencies, {self.damping_ratios.size} damping ratios and shapes {self.shapes.shape} "
-                f"for {len(self.dofs)} DOFs do not belong together"
-            )
+        arrays = checked_terms(self.frequencies_hz, self.damping_ratios, self.shapes, "modes", len(self.dofs))
+        for name, value in zip(("frequencies_hz", "damping_ratios", "shapes"), arrays, strict=True):
+            put(name, value)
+        residuals = self.residuals if self.residuals is not None and len(self.residuals) else None
+        put("residuals", residuals)
+        if residuals is not None and residuals.shapes.shape[0] != len(self.dofs):
+            raise DataError(f"residual terms of {residuals.shapes.shape[0]} DOFs do not belong to modes of {len(self.dofs)} DOFs")
+        n = self.n_modes
+        in_band = frozen(np.ones(n, bool) if self.in_band is None else self.in_band, bool, 1, "in_band")
+        put("in_band", in_band)
+        if in_band.shape != (n,):
+            raise DataError("in_band needs one entry a mode")
+        if self.covariance is not None:
+            put("covariance", frozen(self.covariance, float, 2, "covariance"))
         if self.scaling not in ("unit_modal_mass", "unscaled"):
             raise DataError(f"scaling {self.scaling!r} is neither unit_modal_mass nor unscaled")
-        if self.scaling == "unit_modal_mass" and np.iscomplexobj(self.shapes):
+        if self.scaling == "unit_modal_mass" and np.iscomplexobj(self.terms.shapes):
             raise DataError("shapes of unit modal mass must be real")
-        if not (np.all(np.isfinite(self.frequencies_hz)) and np.all(self.frequencies_hz >= 0)):
-            raise DataError("frequencies must be finite and not negative")
-        residual = np.zeros(n, bool) if self.residual is None else np.asarray(self.residual, bool)
-        put("residual", frozen(residual, bool, 1, "residual"))
-        in_band = ~residual if self.in_band is None else np.asarray(self.in_band, bool)
-        put("in_band", frozen(in_band, bool, 1, "in_band"))
-        if residual.shape != (n,) or in_band.shape != (n,):
-            raise DataError("residual and in_band need one entry a mode")
-        if self.covariance is not None:
-            p = self.n_parameters
-            put("covariance", frozen(self.covariance, float, 2, "covariance"))
-            if self.covariance.shape != (p, p):
-                raise DataError(f"covariance has shape {self.covariance.shape}, expected {(p, p)}")
+        p = self.n_parameters
+        if self.covariance is not None and self.covariance.shape != (p, p):
+            raise DataError(f"covariance has shape {self.covariance.shape}, expected {(p, p)}")
+        for name, values in (self.std or {}).items():
+            if values is not None and np.shape(values)[-1:] != (self.terms.n,):
+                raise DataError(f"std[{name!r}] has shape {np.shape(values)}, expected one value a term, {self.terms.n} in all")
+
+    @classmethod
+    def from_terms(
+        cls,
+        frequencies_hz: ArrayLike,
+        damping_ratios: ArrayLike,
+        shapes: ArrayLike,
+        dofs: Any,
+        scaling: str = "unscaled",
+        *,
+        residual: ArrayLike | None = None,
+        in_band: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        std: dict[str, NDArray[np.float64]] | None = None,
+        **others: Any,
+    ) -> ModalModel:
+        """A model from arrays over modes and residual terms in any order: the modes come first, both kinds keep their order.
+
+        Parameters
+        ----------
+        frequencies_hz, damping_ratios : (n_terms,) array
+        shapes : (n_dofs, n_terms) array
+        dofs : tuple of Dof
+        scaling : {"unit_modal_mass", "unscaled"}
+        residual : (n_terms,) bool array, optional
+            Which terms are residual ones (default: none).
+        in_band : (n_terms,) bool array, optional
+            Modes inside the analysis band; what it says of residual terms is not used.
+        covariance : (p, p) array, optional
+            Of θ in the order given; it is put into the order of the model.
+        std : dict, optional
+            In the order given, too.
+        **others
+            As for :class:`ModalModel`.
+
+        Raises
+        ------
+        DataError
+            If the arrays do not belong together.
+        """
+        labels = parse_dofs(dofs)
+        hz, zeta, values = checked_terms(frequencies_hz, damping_ratios, shapes, "modes and residual terms", len(labels))
+        mask = np.zeros(hz.size, bool) if residual is None else np.asarray(residual, bool)
+        inside = ~mask if in_band is None else np.asarray(in_band, bool)
+        if mask.shape != hz.shape or inside.shape != hz.shape:
+            raise DataError("residual and in_band need one entry a term")
+        given = None if covariance is None else frozen(covariance, float, 2, "covariance")
+        terms = ModalTerms(hz, zeta, values, labels, mask, inside, given, std)
+        if given is not None and given.shape != (terms.n_parameters,) * 2:
+            raise DataError(f"covariance has shape {given.shape}, expected {(terms.n_parameters,) * 2}")
+        if np.any(mask[:-1] & ~mask[1:]):
+            terms = terms.select(np.argsort(mask, kind="stable"))
+        n = int(np.sum(~mask))
+        rest = ResidualTerms(terms.frequencies_hz[n:], terms.damping_ratios[n:], terms.shapes[:, n:])
+        return cls(
+            terms.frequencies_hz[:n], terms.damping_ratios[:n], terms.shapes[:, :n], labels, scaling,
+            residuals=rest, in_band=terms.in_band[:n], covariance=terms.covariance, std=terms.std, **others,
+        )  # fmt: skip
+
+    @classmethod
+    def from_stored(cls, values: dict[str, Any]) -> ModalModel:
+        """A model from the fields a file holds; older files mark residual terms among the modes by a mask ``residual``."""
+        known = {f.name for f in fields(cls)}
+        own = {name: value for name, value in values.items() if name in known}
+        return cls.from_terms(residual=values["residual"], **own) if "residual" in values else cls(**own)
 
     @property
     def n_modes(self) -> int:
-        """Number of modes, residual ones included."""
+        """Number of modes; residual terms do not count."""
         return int(self.frequencies_hz.size)
 
     @property
+    def n_residuals(self) -> int:
+        """Number of residual terms."""
+        return 0 if self.residuals is None else len(self.residuals)
+
+    @cached_property
+    def terms(self) -> ModalTerms:
+        """Modes, then residual terms, in one set of arrays laid out as θ: what a synthesis sums over."""
+        hz, zeta, shapes = self.frequencies_hz, self.damping_ratios, self.shapes
+        if self.residuals is not None:
+            rest = self.residuals
+            hz, zeta = np.concatenate([hz, rest.frequencies_hz]), np.concatenate([zeta, rest.damping_ratios])
+            shapes = np.concatenate([shapes, rest.shapes], axis=1)
+        residual = np.arange(hz.size) >= self.n_modes
+        in_band = np.concatenate([np.asarray(self.in_band, bool), np.zeros(self.n_residuals, bool)])
+        return ModalTerms(hz, zeta, shapes, self.dofs, residual, in_band, self.covariance, self.std)
+
+    @property
     def n_parameters(self) -> int:
-        """Length of θ: 2·n + m·n (real shapes) or 2·n + 2·m·n (complex)."""
-        return self.n_modes * (2 + len(self.dofs) * (2 if np.iscomplexobj(self.shapes) else 1))
+        """Length of θ, over all terms: 2·n + m·n (real shapes) or 2·n + 2·m·n (complex)."""
+        return self.terms.n_parameters
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """λ = −ζω + iω√(1−ζ²) [rad/s]."""
-        w = 2 * np.pi * self.frequencies_hz
-        return -self.damping_ratios * w + 1j * w * np.sqrt(np.maximum(1 - self.damping_ratios**2, 0))
-
-    def _std(self, name: str, block: slice) -> NDArray[np.float64] | None:
-        if self.covariance is not None:
-            return np.sqrt(np.maximum(np.diag(self.covariance)[block], 0))
-        return None if self.std is None or self.std.get(name) is None else np.asarray(self.std[name])
+        """λ = −ζω + iω√(1−ζ²) [rad/s] of the modes."""
+        return self.terms.poles[: self.n_modes]
 
     @property
     def frequency_std_hz(self) -> NDArray[np.float64] | None:
-        """Standard deviation of each frequency [Hz]."""
-        return self._std("frequencies_hz", slice(0, self.n_modes))
+        """Standard deviation of the frequency of each mode [Hz]."""
+        std = self.terms.frequency_std_hz
+        return None if std is None else std[: self.n_modes]
 
     @property
     def damping_ratio_std(self) -> NDArray[np.float64] | None:
-        """Standard deviation of each damping ratio."""
-        return self._std("damping_ratios", slice(self.n_modes, 2 * self.n_modes))
+        """Standard deviation of the damping ratio of each mode."""
+        std = self.terms.damping_ratio_std
+        return None if std is None else std[: self.n_modes]
 
     @property
     def shape_std(self) -> NDArray[np.float64] | None:
         """Standard deviation of each shape value (n_dofs, n_modes); of the modulus, √(σ_re²+σ_im²), for complex shapes."""
-        if self.covariance is None:
-            return None if self.std is None or self.std.get("shapes") is None else np.asarray(self.std["shapes"])
-        n, m = self.n_modes, len(self.dofs)
-        variance = np.maximum(np.diag(self.covariance)[2 * n :], 0)
-        parts = variance.reshape(-1, n, m).sum(axis=0)
-        return np.sqrt(parts).T
+        std = self.terms.shape_std
+        return None if std is None else std[:, : self.n_modes]
 
     def select_modes(self, keep: Sequence[int] | NDArray[Any]) -> ModalModel:
-        """Some of the modes (indices or mask), covariance included."""
-        index = np.arange(self.n_modes)[keep if isinstance(keep, np.ndarray) else list(keep)]
-        n, m = self.n_modes, len(self.dofs)
-        covariance = self.covariance
-        if covariance is not None:
-            shape_rows = (2 * n + index[:, None] * m + np.arange(m)).ravel()
-            rows = [index, n + index, shape_rows]
-            if np.iscomplexobj(self.shapes):
-                rows.append(shape_rows + n * m)
-            rows_all = np.concatenate(rows)
-            covariance = covariance[np.ix_(rows_all, rows_all)]
-        std = None
-        if self.std is not None:
-            std = {k: (v[:, index] if np.ndim(v) == 2 else v[index]) for k, v in self.std.items() if v is not None}
-        return replace(
-            self,
-            frequencies_hz=self.frequencies_hz[index],
-            damping_ratios=self.damping_ratios[index],
-            shapes=self.shapes[:, index],
-            residual=self.residual[index] if self.residual is not None else None,
-            in_band=self.in_band[index] if self.in_band is not None else None,
-            covariance=covariance,
-            std=std,
-        )
+        """Some of the modes (indices or mask), covariance included, without residual terms."""
+        return self.select_terms(np.arange(self.n_modes)[keep if isinstance(keep, np.ndarray) else list(keep)])
 
-    def modes_proper(self) -> ModalModel:
-        """The model without its residual modes."""
-        return self.select_modes(~np.asarray(self.residual))
+    def select_terms(self, keep: Sequence[int] | NDArray[Any]) -> ModalModel:
+        """Some of the terms (indices or mask over ``terms``), covariance included; modes stay modes, residual terms residual."""
+        some = self.terms.select(keep)
+        others = {name: getattr(self, name) for name in ("scaling", "band_hz", "misfit", "si", "findings", "provenance", "details")}
+        return ModalModel.from_terms(
+            some.frequencies_hz, some.damping_ratios, some.shapes, self.dofs,
+            residual=some.residual, in_band=some.in_band, covariance=some.covariance, std=some.std, **others,
+        )  # fmt: skip
+
+    def without_residuals(self) -> ModalModel:
+        """The modes alone: what it synthesises lacks all that lies outside the band."""
+        return self.select_modes(np.arange(self.n_modes))
+
+    def with_terms(
+        self,
+        *,
+        frequencies_hz: ArrayLike | None = None,
+        damping_ratios: ArrayLike | None = None,
+        shapes: ArrayLike | None = None,
+        **others: Any,
+    ) -> ModalModel:
+        """The same modes and residual terms with other values, each array over all ``terms``; ``others`` as for :class:`ModalModel`."""
+        old, n = self.terms, self.n_modes
+        hz = old.frequencies_hz if frequencies_hz is None else np.asarray(frequencies_hz)
+        zeta = old.damping_ratios if damping_ratios is None else np.asarray(damping_ratios)
+        values = old.shapes if shapes is None else np.asarray(shapes)
+        rest = ResidualTerms(hz[n:], zeta[n:], values[:, n:])
+        return replace(self, frequencies_hz=hz[:n], damping_ratios=zeta[:n], shapes=values[:, :n], residuals=rest, **others)
 
     def rows(self, dofs: object) -> NDArray[Any]:
-        """Shape rows at the DOFs asked for, sign by their sense (n_wanted, n_modes)."""
-        i, s = match_dofs(parse_dofs(dofs), self.dofs)
-        return self.shapes[i] * np.asarray(s)[:, None]
+        """Shape rows of the modes at the DOFs asked for, sign by their sense (n_wanted, n_modes)."""
+        return shape_rows(self.shapes, self.dofs, dofs)
 
     def frf(
         self,
@@ -192,7 +269,7 @@ class ModalModel:
         quantity: str = "accelerance",
         variance: bool = True,
     ) -> Frf:
-        """Synthesise FRFs (Shen & Lu 2024, Eq 4) of a model of unit modal mass, residual modes included.
+        """Synthesise FRFs (Shen & Lu 2024, Eq 4) of a model of unit modal mass, residual terms included.
 
         Parameters
         ----------
@@ -217,12 +294,13 @@ class ModalModel:
         resp = self.dofs if responses is None else parse_dofs(responses)
         refs = self.dofs if references is None else parse_dofs(references)
         axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
-        data = synthesise(axis.values, self.frequencies_hz, self.damping_ratios, self.rows(resp), self.rows(refs), quantity)
+        terms = self.terms
+        data = synthesise(axis.values, terms.frequencies_hz, terms.damping_ratios, terms.rows(resp), terms.rows(refs), quantity)
         own = None
         if variance and self.covariance is not None:
             rows, columns = match_dofs(resp, self.dofs)[0], match_dofs(refs, self.dofs)[0]
             own = synthesis_variance(
-                axis.values, self.frequencies_hz, self.damping_ratios, self.shapes, self.covariance, rows, columns, quantity
+                axis.values, terms.frequencies_hz, terms.damping_ratios, terms.shapes, self.covariance, rows, columns, quantity
             )
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.si, provenance=self.provenance.then("ModalModel.frf"))
 
@@ -243,11 +321,10 @@ class ModalModel:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: modes proper, number of residual modes, misfit."""
-        proper = np.flatnonzero(~np.asarray(self.residual))
+        """JSON object: modes, number of residual terms, misfit."""
         return {
-            "modes": [self.mode_dict(int(i)) for i in proper],
-            "residual_modes": int(np.sum(self.residual)),  # type: ignore[arg-type]
+            "modes": [self.mode_dict(i) for i in range(self.n_modes)],
+            "residual_modes": self.n_residuals,
             "misfit": self.misfit,
             "scaling": self.scaling,
         }

@@ -112,13 +112,13 @@ def with_middles(idle: ModalModel, geometry: Geometry, places: list[Middle]) -> 
     node = max((*geometry.nodes, *(d.node for d in idle.dofs)))
     dofs = tuple(Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places))
     weights = np.array([p.weights for p in places])
-    shapes = np.asarray(idle.shapes)
+    shapes = np.asarray(idle.terms.shapes)
     size = np.sqrt(np.mean(shapes**2, axis=0))
     spread = []
     for p in places:
         near = np.sqrt(np.mean(shapes[list(p.ends)] ** 2, axis=0))
         spread.append(np.sqrt((SUGGESTED * near) ** 2 + (AT_LEAST * size) ** 2 + (0.5 * (p.weights - p.doubt) @ shapes) ** 2))
-    n, m, more = idle.n_modes, len(idle.dofs), len(places)
+    n, m, more = idle.terms.n, len(idle.dofs), len(places)
     assert idle.covariance is not None
     lift = np.zeros((2 * n + n * (m + more), idle.n_parameters))
     lift[: 2 * n, : 2 * n] = np.eye(2 * n)
@@ -128,7 +128,7 @@ def with_middles(idle: ModalModel, geometry: Geometry, places: list[Middle]) -> 
     covariance = lift @ idle.covariance @ lift.T
     at = 2 * n + np.arange(n)[None, :] * (m + more) + m + np.arange(more)[:, None]
     covariance[at.ravel(), at.ravel()] += np.array(spread).ravel() ** 2
-    wider = replace(idle, shapes=np.concatenate([shapes, weights @ shapes]), dofs=(*idle.dofs, *dofs), covariance=covariance, std=None)
+    wider = idle.with_terms(shapes=np.concatenate([shapes, weights @ shapes]), dofs=(*idle.dofs, *dofs), covariance=covariance, std=None)
     points = np.concatenate([geometry.coordinates, np.array([p.position for p in places])])
     return wider, replace(geometry, nodes=(*geometry.nodes, *(d.node for d in dofs)), coordinates=points)
 

@@ -153,7 +153,7 @@ class _Parameters:
     @classmethod
     def of(cls, problem: Problem, fit: Fit, lines: CheckLines) -> _Parameters:
         idle = problem.idle
-        n, m = idle.n_modes, len(idle.dofs)
+        n, m = idle.terms.n, len(idle.dofs)
         assert idle.covariance is not None
         unit = np.sqrt(np.maximum(np.diag(idle.covariance), 1e-300))
         size, vectors = np.linalg.eigh(given_shapes(idle, fit, driven=True) / unit[:, None] / unit)
@@ -183,8 +183,9 @@ class _Parameters:
     def at(self, known: Learnt) -> Array:
         """x of what was learnt before, as far as the directions hold it."""
         idle = self.problem.idle
-        gone = np.r_[known.idle.frequencies_hz - idle.frequencies_hz, known.idle.damping_ratios - idle.damping_ratios]
-        move = self.scales.move(self.fit.phi, np.asarray(known.idle.shapes))
+        then, here = known.idle.terms, idle.terms
+        gone = np.r_[then.frequencies_hz - here.frequencies_hz, then.damping_ratios - here.damping_ratios]
+        move = self.scales.move(self.fit.phi, np.asarray(then.shapes))
         assert idle.covariance is not None
         unit = np.sqrt(np.maximum(np.diag(idle.covariance), 1e-300))
         directions = np.concatenate([self.poles, self.moves.transpose(1, 0, 2).reshape(-1, self.moves.shape[2])])
@@ -230,12 +231,12 @@ class _Parameters:
 
     def arrays(self, x: Array) -> IdleArrays:
         """Modal parameters moved from where the refit left them."""
-        idle, n, gone = self.problem.arrays.model, self.problem.idle.n_modes, self._gone(x)
+        idle, n, gone = self.problem.arrays.model, self.problem.idle.terms.n, self._gone(x)
         poles = self.poles @ gone
         phi = self.scales.moved(self.fit.phi, self.moves @ gone)
-        hz = np.maximum(idle.frequencies_hz + poles[:n], 0.5 * idle.frequencies_hz)
-        zeta = np.maximum(idle.damping_ratios + poles[n:], 0.1 * idle.damping_ratios)
-        return IdleArrays(replace(idle, frequencies_hz=hz, damping_ratios=zeta), phi)
+        hz = np.maximum(idle.terms.frequencies_hz + poles[:n], 0.5 * idle.terms.frequencies_hz)
+        zeta = np.maximum(idle.terms.damping_ratios + poles[n:], 0.1 * idle.terms.damping_ratios)
+        return IdleArrays(idle.with_terms(frequencies_hz=hz, damping_ratios=zeta), phi)
 
     def _gone(self, x: Array) -> Array:
         return x[self.n_q :] - self.start[self.n_q :]
@@ -246,7 +247,7 @@ class _Parameters:
 
     def slope(self, x: Array, p: Prediction | None = None) -> Array:
         """∂(weighted H)/∂x, real and imaginary parts side by side, (x.size, 2·lines)."""
-        here, q, n, terms = self.arrays(x), self.q(x), self.problem.idle.n_modes, self.fit.terms
+        here, q, n, terms = self.arrays(x), self.q(x), self.problem.idle.terms.n, self.fit.terms
         p = p or predict(here, self.lines, terms, q)
         changed = here.model
         for t, v in zip(terms, q, strict=True):
@@ -322,10 +323,9 @@ class _Parameters:
         told = np.concatenate([self.poles, moves.transpose(1, 0, 2).reshape(-1, x.size - k)])
         own = told @ known[k:, k:] @ told.T + self.rest @ self.rest.T
         across = told @ known[k:, :k]
-        moved = replace(
-            idle,
-            frequencies_hz=here.model.frequencies_hz,
-            damping_ratios=here.model.damping_ratios,
+        moved = idle.with_terms(
+            frequencies_hz=here.model.terms.frequencies_hz,
+            damping_ratios=here.model.terms.damping_ratios,
             shapes=here.phi,
             covariance=None,
             std=None,

@@ -32,7 +32,7 @@ class Model:
     Parameters
     ----------
     idle : ModalModel
-        Unit modal mass, residual modes included.
+        Unit modal mass, residual terms included.
     effects : tuple of Effect
     geometry : Geometry, optional
         Sensor positions, for effects at places without a sensor.
@@ -206,19 +206,19 @@ class Model:
     def _shown(self, modes: ModalModel, base: ModalModel) -> ModalModel:
         """Shapes through the response channels; a delay acts at each pole."""
         seen = replace(self, effects=tuple(e for e in self.effects if e.definition.group != "force"), covariance=None)
-        carried, factor = seen._channels(base.dofs, base.dofs[:1], modes.poles / 2j / np.pi)
-        return modes if factor is None else replace(modes, shapes=modes.rows(carried) * factor[:, 0])
+        carried, factor = seen._channels(base.dofs, base.dofs[:1], modes.terms.poles / 2j / np.pi)
+        return modes if factor is None else modes.with_terms(shapes=modes.terms.rows(carried) * factor[:, 0])
 
     def _pole_changes(self, modes: ModalModel) -> Array | None:
         """Changes of the poles [rad/s] by independent directions of the effects' values, one standard deviation each."""
         spread = self._spread()
         if spread is None:
             return None
-        slopes = np.zeros((len(spread), modes.n_modes), complex)
+        slopes = np.zeros((len(spread), modes.terms.n), complex)
         for at, ends, step in self._neighbours(np.sqrt(np.diag(spread))):
-            poles = [m.modes().poles for m in ends]
+            poles = [m.modes().terms.poles for m in ends]
             # So small a change leaves each pole nearest to itself.
-            near = [p[np.abs(p[None] - modes.poles[:, None]).argmin(axis=1)] for p in poles]
+            near = [p[np.abs(p[None] - modes.terms.poles[:, None]).argmin(axis=1)] for p in poles]
             slopes[at] = (near[0] - near[1]) / (2 * step)
         size, directions = np.linalg.eigh(spread)
         return np.asarray((directions * np.sqrt(np.maximum(size, 0))).T @ slopes)
@@ -312,9 +312,9 @@ class Model:
         lines: _Lines, base: ModalModel, weights: Array, z: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]
     ) -> tuple[Array, Array, Array]:
         """(I + δZ H_BB)⁻¹ δZ, H0_oB and H0_Bj, lines last."""
-        at = weights @ base.shapes
+        at = weights @ base.terms.shapes
         k = at.shape[0]
-        both = lines.between(np.concatenate([base.rows(resp), base.rows(refs), at]), at)
+        both = lines.between(np.concatenate([base.terms.rows(resp), base.terms.rows(refs), at]), at)
         return woodbury_core(z, both[-k:]), both[: len(resp)], both[len(resp) : -k].transpose(1, 0, 2)
 
     def _variance(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array | None:
@@ -435,7 +435,7 @@ class _Lines:
 
     def __init__(self, model: ModalModel, hz: Array) -> None:
         self.model = model
-        kernel = modal_kernel(hz, model.frequencies_hz, model.damping_ratios, "receptance")
+        kernel = modal_kernel(hz, model.terms.frequencies_hz, model.terms.damping_ratios, "receptance")
         self.stacked = np.concatenate([kernel.real, kernel.imag], axis=1)
         self.kept: tuple[Any, Array] | None = None
 
@@ -451,5 +451,5 @@ class _Lines:
     def idle(self, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array:
         """H0 of these pairs; the last ones asked for are kept."""
         if self.kept is None or self.kept[0] != (resp, refs):
-            self.kept = ((resp, refs), self.between(self.model.rows(resp), self.model.rows(refs)))
+            self.kept = ((resp, refs), self.between(self.model.terms.rows(resp), self.model.terms.rows(refs)))
         return self.kept[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -278,7 +278,7 @@ def _model(idle: ModalModel, basis: Basis, found: Fit, geometry: Geometry | None
     effects = tuple(effects_of(found))
     if idle.covariance is None or not found.covariance.size:
         return Model(idle, effects, geometry)
-    n, m = idle.n_modes, len(idle.dofs)
+    n, m = idle.terms.n, len(idle.dofs)
     # The fit left out local modes that the effects do not touch.
     modes = np.flatnonzero(basis.involved(rows_of(found.actions, basis)))
     index = (2 * n + modes[None, :] * m + found.prior.dofs[:, None]).ravel()
@@ -286,9 +286,9 @@ def _model(idle: ModalModel, basis: Basis, found: Fit, geometry: Geometry | None
     senses = np.r_[[e.sign for e in effects], np.ones(found.eta.size)]
     posterior = found.covariance * senses[:, None] * senses
     updated, joint = joint_covariance(idle, index, found.prior.root, posterior)
-    shapes = np.array(idle.shapes, float)
+    shapes = np.array(idle.terms.shapes, float)
     shapes[np.ix_(found.prior.dofs, modes)] += (found.prior.root @ found.eta).reshape(found.prior.dofs.size, modes.size)
-    return Model(replace(updated, shapes=shapes), effects, geometry, joint)
+    return Model(updated.with_terms(shapes=shapes), effects, geometry, joint)
 
 
 def _candidate(found: Fit, idle_misfit: float) -> dict[str, Any]:

@@ -109,13 +109,14 @@ class Basis:
 
     @classmethod
     def of(cls, idle: ModalModel) -> Basis:
-        """Of an idle model of unit modal mass, residual modes included."""
-        n, m = idle.n_modes, len(idle.dofs)
+        """Of an idle model of unit modal mass, residual terms included."""
+        n, m = idle.terms.n, len(idle.dofs)
         covariance = None
         if idle.covariance is not None:
             # θ orders the shapes mode by mode; here (DOF, DOF, mode, mode).
             covariance = np.asarray(idle.covariance)[2 * n :, 2 * n :].reshape(n, m, n, m).transpose(1, 3, 0, 2)
-        return cls(2 * np.pi * idle.frequencies_hz, np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float), covariance)
+        terms = idle.terms
+        return cls(2 * np.pi * terms.frequencies_hz, np.asarray(terms.damping_ratios), np.asarray(terms.shapes, float), covariance)
 
     def kept(self, keep: NDArray[Any]) -> Basis:
         """Some of the modes."""

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel
+from operando.data import ModalModel, ResidualTerms
 
 Real = NDArray[np.float64]
 
@@ -52,17 +52,18 @@ def settled(idle: ModalModel) -> ModalModel:
         Of unit modal mass. Undriven DOFs are those with a local mode (a residual mode that moves one DOF only); a model without such
         modes or without covariance is given back as it is.
     """
-    shapes = np.asarray(idle.shapes, float)
+    terms = idle.terms
+    shapes = np.asarray(terms.shapes, float)
     m, n = shapes.shape
-    residual = np.asarray(idle.residual)
+    residual = terms.residual
     local = residual & (np.count_nonzero(shapes, axis=0) == 1)
     driven = np.ones(m, bool)
     driven[np.argmax(np.abs(shapes[:, local]), axis=0)] = False
     if not local.any() or not driven.any() or idle.covariance is None or idle.band_hz is None:
         return idle
-    omega, top = 2 * np.pi * idle.frequencies_hz, 2 * np.pi * idle.band_hz[1]
-    outside = (residual | ~np.asarray(idle.in_band)) & ~local
-    rms, std = np.sqrt(np.mean(shapes**2, axis=0)), np.sqrt(np.mean(np.asarray(idle.shape_std) ** 2, axis=0))
+    omega, top = 2 * np.pi * terms.frequencies_hz, 2 * np.pi * idle.band_hz[1]
+    outside = (residual | ~terms.in_band) & ~local
+    rms, std = np.sqrt(np.mean(shapes**2, axis=0)), np.sqrt(np.mean(np.asarray(terms.shape_std) ** 2, axis=0))
     typical_rms = float(np.median(rms[~outside & ~local]))
     solid = (np.abs(shapes[driven]).max(axis=0) > SOLID[0] * rms) & (rms < SOLID[1] * typical_rms) & (std < SOLID[2] * typical_rms)
     solid |= ~residual & (std < IDENTIFIED * rms)
@@ -92,7 +93,7 @@ def settled(idle: ModalModel) -> ModalModel:
     extra = np.zeros((m, rows.size))
     extra[rows, np.arange(rows.size)] = amplitude
     q = completed.shape[1]
-    hz = np.r_[idle.frequencies_hz[kept], own / 2 / np.pi, np.full(rows.size, local_omega / 2 / np.pi)]
+    hz = np.r_[terms.frequencies_hz[kept], own / 2 / np.pi, np.full(rows.size, local_omega / 2 / np.pi)]
     new = np.concatenate([shapes[:, kept], completed, extra], axis=1)
     size = hz.size
     total = np.zeros((size * (2 + m),) * 2)
@@ -107,13 +108,16 @@ def settled(idle: ModalModel) -> ModalModel:
     spread = np.r_[(std.T**2).ravel(), (local_std.T**2).ravel()]
     total[start + np.arange(spread.size), start + np.arange(spread.size)] = spread
     fill = lambda old_values, value: np.r_[old_values[kept], np.full(q + rows.size, value)]  # noqa: E731
+    # Kept modes stay before kept residual terms, and what is new is residual: the order is that of a model.
+    modes = int(np.sum(~residual[kept]))
+    zeta = fill(terms.damping_ratios, float(np.median(terms.damping_ratios[above])))
     return replace(
         idle,
-        frequencies_hz=hz,
-        damping_ratios=fill(idle.damping_ratios, float(np.median(idle.damping_ratios[above]))),
-        shapes=new,
-        residual=fill(residual, True).astype(bool),
-        in_band=fill(np.asarray(idle.in_band), False).astype(bool),
+        frequencies_hz=hz[:modes],
+        damping_ratios=zeta[:modes],
+        shapes=new[:, :modes],
+        residuals=ResidualTerms(hz[modes:], zeta[modes:], new[:, modes:]),
+        in_band=terms.in_band[kept][:modes],
         covariance=total,
         std=None,
     )

@@ -98,9 +98,8 @@ def target_of(idle: ModalModel, operating: ModalModel) -> Target:
     common = tuple(d for d in operating.dofs if (d.node, d.axis) in known)
     if len(common) < 2:
         raise DataError("idle and operating modes share fewer than two DOFs", hint="measure at the same sensors in both states")
-    proper = idle.modes_proper()
-    top = 1.15 * float(proper.frequencies_hz.max()) if proper.n_modes else 0.0
-    inside = ~np.asarray(operating.residual) & np.asarray(operating.in_band) & (operating.frequencies_hz < top)
+    top = 1.15 * float(idle.frequencies_hz.max()) if idle.n_modes else 0.0
+    inside = np.asarray(operating.in_band) & (operating.frequencies_hz < top)
     inside &= (operating.damping_ratios > 0) & (operating.frequencies_hz > 0)
     kept = operating.select_modes(inside)
     if kept.n_modes == 0:

@@ -170,11 +170,12 @@ class IdleArrays:
     @classmethod
     def of(cls, idle: ModalModel) -> IdleArrays:
         """Arrays of a modal model."""
-        return cls(replace(idle, covariance=None, std=None), np.array(idle.shapes))
+        return cls(replace(idle, covariance=None, std=None), np.array(idle.terms.shapes))
 
     def kernel(self, hz: Array) -> Array:
         """1/(ω_r² − ω² + 2iζω_rω), (lines, modes)."""
-        return np.ascontiguousarray(modal_kernel(hz, self.model.frequencies_hz, self.model.damping_ratios, "receptance").T)
+        terms = self.model.terms
+        return np.ascontiguousarray(modal_kernel(hz, terms.frequencies_hz, terms.damping_ratios, "receptance").T)
 
     def with_phi(self, phi: Array) -> IdleArrays:
         """The same poles with other shapes."""
@@ -233,6 +234,9 @@ def predict(idle: IdleArrays, lines: CheckLines, terms: Sequence[Term], q: Seque
             changed = True
     if kernel is None or changed:
         kernel = IdleArrays(model, phi).kernel(lines.hz)
+        n, more = idle.model.n_modes, model.n_modes - idle.model.n_modes
+        # Here modes added stand behind all terms of the idle model, in the model before its residual terms.
+        kernel = kernel if not more else kernel[:, np.r_[:n, n + more : kernel.shape[1], n : n + more]]
     acting = [(t, v) for t, v in zip(terms, values, strict=True) if t.kind.acts == "dynamic_stiffness"]
     rows = np.concatenate([t.rows for t, _ in acting]) if acting else np.zeros((0, idle.phi.shape[0]))
     size, at = rows.shape[0], rows @ phi
@@ -321,8 +325,8 @@ def channel_maps(lines: CheckLines, terms: Sequence[Term], values: Sequence[dict
 def by_poles(p: Prediction, idle: ModalModel, lines: CheckLines) -> tuple[Array, Array]:
     """∂H/∂f_r [1/Hz] and ∂H/∂ζ_r, each (modes, lines, responses, references)."""
     w = lines.omega[:, None]
-    wr = 2 * np.pi * idle.frequencies_hz[None, :]
-    z = idle.damping_ratios[None, :]
+    wr = 2 * np.pi * idle.terms.frequencies_hz[None, :]
+    z = idle.terms.damping_ratios[None, :]
     n = wr.size
     psi = (p.phi[lines.responses][None] - p.left @ (p.rows @ p.phi))[:, :, :n]
     chi = (p.phi[lines.references].T[None] - (p.rows @ p.phi).T @ p.right)[:, :n]

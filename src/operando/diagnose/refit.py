@@ -316,7 +316,7 @@ def carried(
         2 Re Σ conj(weighted)·∂H/∂θ: what an error of θ does to the gradient of the fit; empty without ``weighted``.
     """
     total = np.zeros(p.data.shape)
-    n, m = idle.n_modes, len(idle.dofs)
+    n, m = idle.terms.n, len(idle.dofs)
     reach = np.zeros((0 if weighted is None else len(weighted), idle.n_parameters))
     if idle.covariance is None:
         return total, reach

@@ -51,7 +51,7 @@ def effects_of(fit: Fit, dofs: Sequence[Dof] = ()) -> list[Effect]:
 
 def moves_of(idle: ModalModel, fit: Fit) -> Array:
     """Move of θ for unit z of what was fitted, (n_parameters, k)."""
-    n, m = idle.n_modes, len(idle.dofs)
+    n, m = idle.terms.n, len(idle.dofs)
     root = np.zeros((idle.n_parameters, fit.prior.size))
     root[2 * n : 2 * n + n * m] = np.moveaxis(fit.prior.slope(fit.z), 1, 0).reshape(n * m, -1)
     return root
@@ -62,10 +62,10 @@ def given_shapes(idle: ModalModel, fit: Fit, driven: bool = False) -> Array:
     assert idle.covariance is not None
     covariance = np.array(idle.covariance)
     if fit.prior.size or driven:
-        covariance[2 * idle.n_modes :, 2 * idle.n_modes :] = given_driven(idle)
+        covariance[2 * idle.terms.n :, 2 * idle.terms.n :] = given_driven(idle)
     if fit.prior.size:
-        across = covariance[:, 2 * idle.n_modes :] @ fit.prior.told
-        own = fit.prior.told.T @ across[2 * idle.n_modes :]
+        across = covariance[:, 2 * idle.terms.n :] @ fit.prior.told
+        own = fit.prior.told.T @ across[2 * idle.terms.n :]
         covariance -= across @ np.linalg.pinv(own, rcond=1e-10, hermitian=True) @ across.T
     return covariance
 
@@ -74,7 +74,7 @@ def model_of(problem: Problem, fit: Fit, geometry: Geometry | None = None) -> Mo
     """Idle model with the refitted shape values, the effects, and one covariance of all."""
     idle = problem.idle
     effects = tuple(effects_of(fit, idle.dofs))
-    updated = fit.learnt.idle if fit.learnt else replace(idle, shapes=fit.phi)
+    updated = fit.learnt.idle if fit.learnt else idle.with_terms(shapes=fit.phi)
     if idle.covariance is None or not fit.covariance.size:
         return Model(updated, effects, geometry)
     n_q, p = sum(v.size for v in fit.q), idle.n_parameters
@@ -113,13 +113,13 @@ def _without_unused(problem: Problem, fit: Fit, model: Model) -> Model:
     keep = np.array([i for i in range(m) if i < m - problem.extra or i in used])
     if keep.size == m or idle.covariance is None or model.covariance is None or model.geometry is None:
         return model
-    n = idle.n_modes
+    n = idle.terms.n
     rows = np.r_[np.arange(2 * n), (2 * n + np.arange(n)[:, None] * m + keep[None, :]).ravel()]
     values = np.arange(idle.n_parameters, len(model.covariance))
     gone = {idle.dofs[i].node for i in range(m)} - {idle.dofs[i].node for i in keep}
     nodes = [k for k, node in enumerate(model.geometry.nodes) if node not in gone]
-    smaller = replace(
-        idle, shapes=np.asarray(idle.shapes)[keep], dofs=tuple(idle.dofs[i] for i in keep), covariance=idle.covariance[np.ix_(rows, rows)]
+    smaller = idle.with_terms(
+        shapes=np.asarray(idle.terms.shapes)[keep], dofs=tuple(idle.dofs[i] for i in keep), covariance=idle.covariance[np.ix_(rows, rows)]
     )
     known = replace(model.geometry, nodes=tuple(model.geometry.nodes[k] for k in nodes), coordinates=model.geometry.coordinates[nodes])
     both = np.r_[rows, values]

@@ -41,14 +41,14 @@ def frequency_misfit(model: ModalModel, operating: ModalModel) -> float:
     total = 0.0
     for r in range(n):
         f = operating.frequencies_hz[r]
-        near = np.flatnonzero(np.abs(model.frequencies_hz / f - 1) < NEAR)
+        near = np.flatnonzero(np.abs(model.terms.frequencies_hz / f - 1) < NEAR)
         if not near.size:
             continue
         a = operating.shapes[ours, r] * signs
-        b = model.shapes[np.ix_(theirs, near)]
+        b = model.terms.shapes[np.ix_(theirs, near)]
         mac = np.abs(np.conj(a) @ b) ** 2 / np.maximum(np.sum(np.abs(a) ** 2) * np.sum(np.abs(b) ** 2, axis=0), 1e-300)
         k = int(near[int(np.argmax(mac))])
-        total += float((model.frequencies_hz[k] - f) ** 2 / (std[r] ** 2 + (HZ_FLOOR * f) ** 2))
+        total += float((model.terms.frequencies_hz[k] - f) ** 2 / (std[r] ** 2 + (HZ_FLOOR * f) ** 2))
     return total
 
 
@@ -71,7 +71,7 @@ def of_a_sensor(problem: Problem, fit: Fit, operating: ModalModel | None, geomet
         return []  # one frequency may err, and the mass with it
     out = []
     effects = effects_of(fit, problem.idle.dofs)
-    updated = replace(problem.idle, shapes=fit.phi, covariance=None, std=None)
+    updated = problem.idle.with_terms(shapes=fit.phi, covariance=None, std=None)
     for k, effect in enumerate(effects):
         if effect.kind != "point_mass" or effect.sign < 0:
             continue

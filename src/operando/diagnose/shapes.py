@@ -61,10 +61,10 @@ class Scales:
     def of(cls, idle: ModalModel) -> Scales:
         """Of an idle model with covariance: a mode's scale moves where relative errors of most of its values go together."""
         assert idle.covariance is not None
-        phi, n = np.asarray(idle.shapes), idle.n_modes
+        phi, n = np.asarray(idle.terms.shapes), idle.terms.n
         m = len(phi)
         row, sense = np.zeros(n, int), np.zeros((m, n))
-        for mode in np.flatnonzero(~np.asarray(idle.residual)):
+        for mode in range(idle.n_modes):
             own = slice(2 * n + mode * m, 2 * n + (mode + 1) * m)
             block = idle.covariance[own, own]
             spread = np.sqrt(np.maximum(np.diag(block), 0))
@@ -176,8 +176,8 @@ def shape_prior(idle: ModalModel, dofs: Array) -> ShapePrior:
         Rows of the idle model that effects act at.
     """
     dofs = np.asarray(dofs, int)
-    n, m = idle.n_modes, len(idle.dofs)
-    base = np.array(idle.shapes)
+    n, m = idle.terms.n, len(idle.dofs)
+    base = np.array(idle.terms.shapes)
     if idle.covariance is None or dofs.size == 0:
         return ShapePrior(base, np.zeros((m, n, 0)), np.zeros((m * n, 0)), Scales.none((m, n)))
     shapes = given_driven(idle)
@@ -217,17 +217,17 @@ def driven_rows(idle: ModalModel) -> Array:
     counts as driven where its compliance is known well.
     """
     assert idle.covariance is not None
-    n, m = idle.n_modes, len(idle.dofs)
-    outside = np.flatnonzero(np.asarray(idle.residual))
-    psi = np.asarray(idle.shapes)[:, outside]
+    n, m = idle.terms.n, len(idle.dofs)
+    outside = np.flatnonzero(idle.terms.residual)
+    psi = np.asarray(idle.terms.shapes)[:, outside]
     variance = np.diag(idle.covariance)[2 * n :].reshape(n, m).T[:, outside]
     moves = (psi != 0) | (variance > 0)
     local = np.any(moves, axis=0) & ~np.all(moves, axis=0)
     if local.any():
         return np.flatnonzero(~np.any(moves[:, local], axis=1))
     # Σ ψ²/ω² and its derivative: the static compliance of what lies outside, by its size alone.
-    top = np.max(idle.frequencies_hz[~np.asarray(idle.residual)], initial=0.0)
-    gain = 1 / np.maximum(np.abs(idle.frequencies_hz[outside] ** 2 - top**2), 1e-300)
+    top = np.max(idle.frequencies_hz, initial=0.0)
+    gain = 1 / np.maximum(np.abs(idle.terms.frequencies_hz[outside] ** 2 - top**2), 1e-300)
     out = []
     for row in range(m):
         index = 2 * n + outside * m + row
@@ -245,9 +245,9 @@ def given_driven(idle: ModalModel) -> Array:
     the latter: moves, however large, then leave the driven columns as they were measured.
     """
     assert idle.covariance is not None
-    n, m = idle.n_modes, len(idle.dofs)
+    n, m = idle.terms.n, len(idle.dofs)
     shapes = np.array(idle.covariance[2 * n :, 2 * n :])
-    held = (np.flatnonzero(np.asarray(idle.residual))[None, :] * m + driven_rows(idle)[:, None]).ravel()
+    held = (np.flatnonzero(idle.terms.residual)[None, :] * m + driven_rows(idle)[:, None]).ravel()
     if held.size:
         across = shapes[:, held]
         shapes -= across @ np.linalg.pinv(shapes[np.ix_(held, held)], rcond=1e-10, hermitian=True) @ across.T

@@ -123,7 +123,7 @@ def _points(term: Term, geometry: Geometry) -> list[np.ndarray] | None:
 
 def one_mode(idle: ModalModel) -> bool:
     """Whether no more than one mode lies in the band."""
-    return int(np.sum(np.asarray(idle.in_band) & ~np.asarray(idle.residual))) <= 1
+    return int(np.sum(np.asarray(idle.in_band))) <= 1
 
 
 def in_the_end(problem: Problem, final: Fit, accepted: Tried, other: Tried) -> tuple[Tried, Tried]:

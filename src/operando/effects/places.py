@@ -26,7 +26,7 @@ class VirtualShape:
     std : (n_modes,) array
         Root mean square error of leaving one sensor out and interpolating it from the others.
     weights : (n_dofs,) array
-        ``values = weights @ idle.shapes``.
+        ``values = weights @ idle.terms.shapes``.
     """
 
     values: Array
@@ -128,7 +128,7 @@ def virtual_shape(idle: ModalModel, geometry: Geometry, position: ArrayLike, dir
     if not rows:
         raise DofError(f"no sensor with a known position measures along {direction}", hint="give the geometry, or another direction")
     weights, left_out = spline_weights(np.array(points), np.asarray(position, float)[None])
-    values = np.asarray(idle.shapes)[rows] * np.array(signs)[:, None]
+    values = np.asarray(idle.terms.shapes)[rows] * np.array(signs)[:, None]
     full = np.zeros(len(idle.dofs))
     full[rows] = weights[0] * np.array(signs)
     return VirtualShape(weights[0] @ values, np.sqrt(np.mean((left_out @ values) ** 2, axis=0)), full)
@@ -182,4 +182,4 @@ def _dof_there(effect: Effect, idle: ModalModel, geometry: Geometry | None) -> A
 
 def participation(effect: Effect, idle: ModalModel, geometry: Geometry | None = None) -> Array:
     """Shape values at the place's coordinates (n_coordinates, n_modes): see :func:`place_weights`."""
-    return np.asarray(place_weights(effect, idle, geometry) @ idle.shapes)
+    return np.asarray(place_weights(effect, idle, geometry) @ idle.terms.shapes)

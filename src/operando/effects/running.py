@@ -27,9 +27,9 @@ class RunningDetails:
 
     Parameters
     ----------
-    coordinates : (n_idle_modes, n_modes) complex array
-        Share of each idle mode in each running one.
-    left : (n_dofs, n_modes) complex array or None
+    coordinates : (n_idle_terms, n_terms) complex array
+        Share of each idle term in each running one.
+    left : (n_dofs, n_terms) complex array or None
         Left shapes l of such a scale that the receptance is Σ ψ lᵀ/(iω − λ) and its conjugate part, where no pole is real; equal to
         the shapes up to a factor unless an effect is skew. None where an effect has no finite number of poles (hysteretic, rubber).
     real_poles : array
@@ -60,13 +60,13 @@ def modal_matrices(base: ModalModel, placed: Placed, around: complex | None = No
     bool
         Whether no effect had to be replaced.
     """
-    n = base.n_modes
-    w = 2 * np.pi * base.frequencies_hz
+    n = base.terms.n
+    w = 2 * np.pi * base.terms.frequencies_hz
     s = 1j * float(np.median(w)) if around is None else complex(around)
-    mass, damping, stiffness = np.eye(n), np.diag(2 * base.damping_ratios * w), np.diag(w**2)
+    mass, damping, stiffness = np.eye(n), np.diag(2 * base.terms.damping_ratios * w), np.diag(w**2)
     exact = True
     for effect, weights in placed:
-        at = np.asarray(weights @ base.shapes)
+        at = np.asarray(weights @ base.terms.shapes)
         k = at.shape[0]
         form = effect.definition.quadratic(effect.values, k)
         if form is None:
@@ -100,7 +100,7 @@ def eigenpairs(form: Quadratic) -> tuple[Array, Array, Array]:
 
 
 def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
-    """Poles and complex shapes of the idle modes (residual ones included) under effects of dynamic stiffness.
+    """Poles and complex shapes of the idle modes and residual terms under effects of dynamic stiffness.
 
     The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, each pole is
     refined by Newton's method on D(λ) v = 0. Poles without oscillation are told in the details.
@@ -115,28 +115,28 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
     Returns
     -------
     ModalModel
-        Complex, "unscaled" shapes, sorted by frequency. ``residual`` where residual idle modes make most of a mode; ``in_band`` where it is
-        none and lies in the base's band. ``details`` is a :class:`RunningDetails`.
+        Complex, "unscaled" shapes, sorted by frequency; residual terms where residual idle terms make most of them, sorted too;
+        ``in_band`` where a mode lies in the base's band. ``details`` is a :class:`RunningDetails`.
     """
     form, exact = modal_matrices(base, placed)
     poles, right, left = eigenpairs(form)
     real = np.abs(poles.imag) <= 1e-9 * np.abs(poles)
     up = np.flatnonzero(~real & (poles.imag > 0))
     up = up[np.argsort(np.abs(poles[up]))]
-    n = base.n_modes
+    n = base.terms.n
     value, vector = poles[up], right[:, up]
     if not exact:
         refined = [_refined(base, placed, p, v[:n]) for p, v in zip(value, vector.T, strict=True)]
         value, vector = _distinct(refined)
-    q = vector[:n]
-    norm = np.linalg.norm(q, axis=0)
-    shapes, shares = base.shapes @ q, np.abs(q) ** 2 / norm**2
+    shares = np.abs(vector[:n]) ** 2 / np.linalg.norm(vector[:n], axis=0) ** 2
+    residual = shares[base.terms.residual].sum(axis=0) > 0.5
+    order = np.argsort(residual, kind="stable")
+    value, q, up, residual = value[order], vector[:n, order], up[order] if exact else up, residual[order]
+    shapes = base.terms.shapes @ q
     scale = _normal(shapes)
-    kept = np.asarray(base.residual)
-    residual = shares[kept].sum(axis=0) > 0.5
     hz = np.abs(value) / 2 / np.pi
     low, high = _band(base)
-    return ModalModel(
+    return ModalModel.from_terms(
         hz,
         -value.real / np.abs(value),
         shapes / scale,
@@ -147,7 +147,7 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
         band_hz=base.band_hz,
         si=base.si,
         provenance=base.provenance.then("running_modes"),
-        details=RunningDetails(q / scale, (base.shapes @ left[:n, up]) * scale if exact else None, np.sort(poles[real].real)),
+        details=RunningDetails(q / scale, (base.terms.shapes @ left[:n, up]) * scale if exact else None, np.sort(poles[real].real)),
     )
 
 
@@ -170,7 +170,7 @@ def _band(base: ModalModel) -> tuple[float, float]:
 
 def _refined(base: ModalModel, placed: Placed, pole: complex, start: Array) -> tuple[complex, Array]:
     """One pole of D(λ) v = 0: first along re-made springs and dampers, then by Newton's method with the bordered system."""
-    n = base.n_modes
+    n = base.terms.n
     v = start / np.linalg.norm(start)
     for _ in range(3):
         poles, right, _ = eigenpairs(modal_matrices(base, placed, pole)[0])
@@ -196,12 +196,12 @@ def _refined(base: ModalModel, placed: Placed, pole: complex, start: Array) -> t
 
 def dynamic(base: ModalModel, placed: Placed, s: complex) -> tuple[Array, Array]:
     """Dynamic stiffness in modal coordinates at s [rad/s] and its derivative, internal coordinates eliminated."""
-    w = 2 * np.pi * base.frequencies_hz
-    d = np.diag(s**2 + 2 * base.damping_ratios * w * s + w**2).astype(complex)
-    slope = np.diag(2 * s + 2 * base.damping_ratios * w).astype(complex)
+    w = 2 * np.pi * base.terms.frequencies_hz
+    d = np.diag(s**2 + 2 * base.terms.damping_ratios * w * s + w**2).astype(complex)
+    slope = np.diag(2 * s + 2 * base.terms.damping_ratios * w).astype(complex)
     h = 1e-5 * abs(s)
     for effect, weights in placed:
-        at = np.asarray(weights @ base.shapes)
+        at = np.asarray(weights @ base.terms.shapes)
         z = effect.sign * np.asarray(effect.definition.matrix(np.array([s, s + h, s - h]), effect.values, at.shape[0]), complex)
         d += at.T @ z[0] @ at
         slope += at.T @ ((z[1] - z[2]) / (2 * h)) @ at
@@ -233,19 +233,20 @@ def with_spread(modes: ModalModel, base: ModalModel, placed: Placed, gradient: A
         Of :func:`running_modes`.
     base : ModalModel
     placed : sequence of (Effect, (k, n_dofs) weights)
-    gradient : (p, n_modes) complex array, optional
+    gradient : (p, n_terms) complex array, optional
         Further changes of the poles [rad/s], one standard deviation each, independent of the idle model.
     """
-    std_hz, std_zeta = np.zeros(modes.n_modes), np.zeros(modes.n_modes)
-    for r in range(modes.n_modes):
+    poles = modes.terms.poles
+    std_hz, std_zeta = np.zeros(poles.size), np.zeros(poles.size)
+    for r in range(poles.size):
         change = np.zeros((0,), complex) if gradient is None else gradient[:, r]
         parts = np.stack([change.real, change.imag])
         block = parts @ parts.T
         if base.covariance is not None:
-            slopes = pole_slopes(base, placed, complex(modes.poles[r]))
+            slopes = pole_slopes(base, placed, complex(poles[r]))
             both = np.stack([slopes.real, slopes.imag])
             block = block + both @ base.covariance @ both.T
-        a, b = modes.poles[r].real, modes.poles[r].imag
+        a, b = poles[r].real, poles[r].imag
         size = np.hypot(a, b)
         to_hz = np.array([a, b]) / size / 2 / np.pi
         to_zeta = np.array([-(b**2), a * b]) / size**3
@@ -259,14 +260,14 @@ def pole_slopes(base: ModalModel, placed: Placed, pole: complex) -> Array:
     u, _, vh = np.linalg.svd(d)
     v, left = vh[-1].conj(), u[:, -1].conj()  # D v = 0, lᵀ D = 0
     over = -1 / (left @ slope @ v)
-    n, m = base.n_modes, len(base.dofs)
-    w = 2 * np.pi * base.frequencies_hz
+    n, m = base.terms.n, len(base.dofs)
+    w = 2 * np.pi * base.terms.frequencies_hz
     out = np.zeros(n * (2 + m), complex)
-    out[:n] = left * v * (2 * base.damping_ratios * pole + 2 * w) * 2 * np.pi
+    out[:n] = left * v * (2 * base.terms.damping_ratios * pole + 2 * w) * 2 * np.pi
     out[n : 2 * n] = left * v * 2 * w * pole
     shapes = np.zeros((n, m), complex)
     for effect, weights in placed:
-        at = np.asarray(weights @ base.shapes)
+        at = np.asarray(weights @ base.terms.shapes)
         z = effect.sign * np.asarray(effect.definition.matrix(np.array([pole]), effect.values, at.shape[0]), complex)[0]
         shapes += np.outer(left, weights.T @ (z @ (at @ v))) + np.outer(v, weights.T @ (z.T @ (at @ left)))
     out[2 * n :] = shapes.ravel()

@@ -108,10 +108,10 @@ def update_variance(
     (n_responses, n_references, n_lines) array
     """
     assert base.covariance is not None
-    n, m, phi = base.n_modes, len(base.dofs), np.asarray(base.shapes)
+    n, m, phi = base.terms.n, len(base.dofs), np.asarray(base.terms.shapes)
     w = 2 * np.pi * np.asarray(frequencies_hz, float)[None, :]
-    wr, zeta = 2 * np.pi * base.frequencies_hz[:, None], base.damping_ratios[:, None]
-    kernel = modal_kernel(frequencies_hz, base.frequencies_hz, base.damping_ratios, "receptance")
+    wr, zeta = 2 * np.pi * base.terms.frequencies_hz[:, None], base.terms.damping_ratios[:, None]
+    kernel = modal_kernel(frequencies_hz, base.terms.frequencies_hz, base.terms.damping_ratios, "receptance")
     by_hz = -(kernel**2) * (2 * wr + 2j * zeta * w) * 2 * np.pi
     by_zeta = -(kernel**2) * 2j * wr * w
     at = weights @ phi

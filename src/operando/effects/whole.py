@@ -26,12 +26,11 @@ class GlobalStiffness(EffectKind):
 
     def modal_change(self, idle: ModalModel, values: Values) -> ModalModel:
         root = float(np.sqrt(1 + values["change"]))
-        n = idle.n_modes
+        terms, n = idle.terms, idle.terms.n
         factors = np.r_[np.full(n, root), np.full(n, 1 / root), np.ones(idle.n_parameters - 2 * n)]
-        return replace(
-            idle,
-            frequencies_hz=idle.frequencies_hz * root,
-            damping_ratios=idle.damping_ratios / root,
+        return idle.with_terms(
+            frequencies_hz=terms.frequencies_hz * root,
+            damping_ratios=terms.damping_ratios / root,
             covariance=_scaled(idle.covariance, factors),
         )
 
@@ -53,9 +52,10 @@ class GlobalDamping(EffectKind):
     moves = "damping"
 
     def modal_change(self, idle: ModalModel, values: Values) -> ModalModel:
-        n = idle.n_modes
+        n = idle.terms.n
         factors = np.r_[np.ones(n), np.full(n, 1 + values["change"]), np.ones(idle.n_parameters - 2 * n)]
-        return replace(idle, damping_ratios=idle.damping_ratios * (1 + values["change"]), covariance=_scaled(idle.covariance, factors))
+        damping = idle.terms.damping_ratios * (1 + values["change"])
+        return idle.with_terms(damping_ratios=damping, covariance=_scaled(idle.covariance, factors))
 
     def explain(self, place: str, size: str, removed: bool = False) -> str:
         return f"the whole structure is damped more or less than at rest ({size})"
@@ -65,7 +65,7 @@ class GlobalDamping(EffectKind):
 
 
 class MissingMode(EffectKind):
-    """A mode that the idle model lacks, appended with the shape the effect carries."""
+    """A mode that the idle model lacks, put behind its modes (before its residual terms) with the shape the effect carries."""
 
     kind = "missing_mode"
     plain = "a mode that the idle model lacks"
@@ -78,23 +78,21 @@ class MissingMode(EffectKind):
     )
 
     def added_mode(self, idle: ModalModel, values: Values, shape: Array) -> ModalModel:
-        n, m = idle.n_modes, len(idle.dofs)
+        n, at, m = idle.terms.n, idle.n_modes, len(idle.dofs)
         covariance = idle.covariance
         if covariance is not None:
             # The new mode's own uncertainty comes with the effect's values, not with the idle model.
-            where = np.r_[np.arange(n), np.arange(n) + n + 1, np.arange(n * m) + 2 * (n + 1)]
+            old = np.r_[:at, at + 1 : n + 1]
+            where = np.r_[old, old + n + 1, (2 * (n + 1) + old[:, None] * m + np.arange(m)).ravel()]
             grown = np.zeros(((n + 1) * (2 + m),) * 2)
             grown[np.ix_(where, where)] = covariance
             covariance = grown
-        assert idle.residual is not None
-        assert idle.in_band is not None
         return replace(
             idle,
             frequencies_hz=np.r_[idle.frequencies_hz, float(values["frequency"])],
             damping_ratios=np.r_[idle.damping_ratios, float(values["damping_ratio"])],
             shapes=np.c_[idle.shapes, np.asarray(shape, float)],
-            residual=np.r_[idle.residual, False],
-            in_band=np.r_[idle.in_band, True],
+            in_band=np.r_[np.asarray(idle.in_band), True],
             covariance=covariance,
             std=None,
         )

@@ -406,21 +406,20 @@ def _model(
     drive = any(r.same_axis(d) for r in frf.references for d in frf.responses)
     scaled = frf.si and drive and len(log.unseen_hz) < n
     provenance = Provenance.merge(frf.provenance).then(f"fit_ema(band={band}, records={from_records})")
-    return ModalModel(
+    return ModalModel.from_terms(
         np.concatenate([hz, outside.hz]),
         np.concatenate([zeta, outside.zeta]),
         shapes,
         dofs,
         "unit_modal_mass" if scaled else "unscaled",
-        residual,
-        in_band,
-        covariance,
-        None,
-        band,
-        None if not np.isfinite(misfit) else float(misfit),
-        frf.si,
-        tuple(findings),
-        provenance,
+        residual=residual,
+        in_band=in_band,
+        covariance=covariance,
+        band_hz=band,
+        misfit=None if not np.isfinite(misfit) else float(misfit),
+        si=frf.si,
+        findings=tuple(findings),
+        provenance=provenance,
     )
 
 
@@ -446,7 +445,6 @@ def _model_covariance(final: Polished, sign: Real, outside: OutsideModes, zeta: 
 def _opinion(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:
     from operando.ema.second_opinion import second_opinion
 
-    proper = model.modes_proper()
     # That program knows nothing of the window: it is compared with the damping that the FRFs carry.
-    damping = proper.damping_ratios + frf.exponential_window_rate / (2 * np.pi * proper.frequencies_hz)
-    return tuple(second_opinion(frf.frequencies_hz, frf.data, proper.frequencies_hz, damping, references=[str(r) for r in frf.references]))
+    damping = model.damping_ratios + frf.exponential_window_rate / (2 * np.pi * model.frequencies_hz)
+    return tuple(second_opinion(frf.frequencies_hz, frf.data, model.frequencies_hz, damping, references=[str(r) for r in frf.references]))

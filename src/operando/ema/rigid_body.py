@@ -67,14 +67,14 @@ def rigid_body_mass(model: ModalModel, dof: Dof | str, frequency_hz: float | Non
     at = edge if frequency_hz is None else float(frequency_hz)
     if not at > 0:
         raise DataError(f"no apparent mass at {at:g} Hz", hint="give a frequency above 0")
-    below = np.asarray(model.frequencies_hz < edge)
+    below = np.asarray(model.terms.frequencies_hz < edge)
     point = parse_dofs((dof,))
-    if not below.any() or not np.any(model.select_modes(below).rows(point)):
+    if not below.any() or not np.any(model.select_terms(below).terms.rows(point)):
         raise DataError(
             f"the model holds no mode below {edge:g} Hz that moves {point[0]}",
             hint="only a softly suspended structure has a rigid-body mass; widen the FRFs downwards",
         )
-    part = model.select_modes(below).frf([at], point, point)
+    part = model.select_terms(below).frf([at], point, point)
     size = float(np.abs(part.data[0, 0, 0]))
     # H is real to within the small damping down there, so that E|ΔH|² is the variance of |H|.
     std = None if part.variance is None else float(np.sqrt(part.variance[0, 0, 0])) / size**2

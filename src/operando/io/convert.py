@@ -112,7 +112,8 @@ def _describe(obj: Any) -> str:
     if isinstance(obj, Frf):
         return f"{obj.quantity} {len(obj.responses)} × {len(obj.references)}, {len(obj.axis)} lines"
     if isinstance(obj, ModalModel):
-        return f"modal model of {obj.n_modes} modes, {len(obj.dofs)} DOFs, {obj.scaling.replace('_', ' ')}"
+        beside = f" and {obj.n_residuals} residual terms" if obj.n_residuals else ""
+        return f"modal model of {obj.n_modes} modes{beside}, {len(obj.dofs)} DOFs, {obj.scaling.replace('_', ' ')}"
     return f"geometry of {len(obj.nodes)} nodes"
 
 
@@ -149,7 +150,7 @@ def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: boo
             out.append("uncertainty of the modes")
         if any(d.sign < 0 for d in obj.dofs):
             out.append("the sense of DOFs: shapes are along the positive axes now")
-        if obj.in_band is not None and not np.array_equal(obj.in_band, ~np.asarray(obj.residual)):
+        if not np.all(obj.in_band):
             out.append("which modes lie in the band")
     else:
         out.append("coordinates keep 6 digits")

@@ -224,9 +224,11 @@ def _decode_class(tree: dict[str, Any], group: h5py.Group) -> Any:
             kind = None
     if not (isinstance(kind, type) and is_dataclass(kind)):
         raise FormatError(f"{tree['__class__']!r} is no class of this version of operando", where=_where(group))
+    # A class whose fields changed makes itself from those of older files.
+    make: Any = getattr(kind, "from_stored", None)
     known = {f.name for f in fields(kind) if f.init}
-    values = {name: _decode(item, group) for name, item in tree["fields"].items() if name in known}
+    values = {name: _decode(item, group) for name, item in tree["fields"].items() if make is not None or name in known}
     try:
-        return kind(**values)
+        return kind(**values) if make is None else make(values)
     except TypeError as error:
         raise FormatError(f"cannot make {qualname} from what the file holds: {error}", where=_where(group)) from error

@@ -122,7 +122,8 @@ def _found(content: Content) -> list[str]:
         lines = f.frequencies_hz
         out.append(f"{f.quantity}: {len(f.responses)} responses × {len(f.references)} references, {lines[0]:g} to {lines[-1]:g} Hz")
     for m in content.models:
-        out.append(f"modal model: {m.n_modes} modes at {len(m.dofs)} DOFs, {m.scaling.replace('_', ' ')}")
+        beside = f" and {m.n_residuals} residual terms" if m.n_residuals else ""
+        out.append(f"modal model: {m.n_modes} modes{beside} at {len(m.dofs)} DOFs, {m.scaling.replace('_', ' ')}")
     if content.geometry is not None:
         g = content.geometry
         out.append(f"geometry: {len(g.nodes)} nodes, {len(g.lines)} lines, {len(g.faces)} faces")
@@ -156,8 +157,8 @@ def _frf(f: Frf) -> dict[str, Any]:
 
 def _model(m: ModalModel) -> dict[str, Any]:
     return {
-        "frequencies_hz": m.frequencies_hz.tolist(), "damping_ratios": m.damping_ratios.tolist(), "dofs": [str(d) for d in m.dofs],
-        "scaling": m.scaling, "complex": bool(np.iscomplexobj(m.shapes)),
+        "frequencies_hz": m.frequencies_hz.tolist(), "damping_ratios": m.damping_ratios.tolist(),
+        "residual_modes": m.n_residuals, "dofs": [str(d) for d in m.dofs], "scaling": m.scaling, "complex": bool(np.iscomplexobj(m.shapes)),
     }  # fmt: skip
 
 

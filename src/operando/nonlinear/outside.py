@@ -254,7 +254,7 @@ class Doubt:
     @classmethod
     def of(cls, idle: ModalModel, modes: Modes, band: tuple[float, float]) -> Doubt:
         """From the covariance of the idle model; where it has none each pair may be off by what is usual."""
-        usual = kernel_prior(modes, np.asarray(idle.in_band, bool))
+        usual = kernel_prior(modes, idle.terms.in_band)
         m = len(idle.dofs)
         hz = np.linspace(*band, LOOKED_AT)
         variance = None if idle.covariance is None else idle.frf(hz, idle.dofs, idle.dofs, "accelerance").variance

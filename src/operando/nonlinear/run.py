@@ -59,11 +59,16 @@ class Modes:
 
     @classmethod
     def of(cls, idle: ModalModel) -> Modes:
-        """All modes, residual ones included."""
-        hz = np.asarray(idle.frequencies_hz)
-        proper = hz[~np.asarray(idle.residual)]
+        """All modes, then the residual terms."""
+        proper, terms = idle.frequencies_hz, idle.terms
         known, low = REACH * float(np.max(proper, initial=0.0)), float(np.min(proper, initial=np.inf))
-        return cls(hz, np.asarray(idle.damping_ratios), np.asarray(idle.shapes, float), known, low if np.isfinite(low) else 0.0)
+        return cls(
+            np.asarray(terms.frequencies_hz),
+            np.asarray(terms.damping_ratios),
+            np.asarray(terms.shapes, float),
+            known,
+            low if np.isfinite(low) else 0.0,
+        )
 
     @property
     def poles(self) -> Complex:

@@ -175,7 +175,7 @@ def invented(case: Case, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
 
 def lowest_hz(case: Case) -> float:
     """Lowest frequency of a mode that moves under its stiffness [Hz]."""
-    hz = case.idle.frequencies_hz[~np.asarray(case.idle.residual)]
+    hz = case.idle.frequencies_hz
     return float(np.min(hz[hz > 1e-3]))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from operando.data import Finding, Frf, ModalModel
+from operando.data import Finding, Frf
 from operando.errors import MissingError
 from operando.pipeline.cache import whole, write_json
 from operando.results import Results
@@ -44,7 +44,7 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
         objects = [results.idle_frf]
     elif name in ("idle_modes.uff", "operating_modes.uff"):
         model = results.idle if name == "idle_modes.uff" else results.operating
-        objects = [results.geometry, None if model is None else proper_modes(model)]
+        objects = [results.geometry, None if model is None else replace(model.without_residuals(), details=None)]
     elif name == "ofrf.uff":
         objects = [ofrf(results, findings)]
     elif name == "ofrf_effect.uff":
@@ -83,11 +83,6 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
     for step, name, value in changes:
         model = model.with_values(step, **{name: value})
     return model.structure()
-
-
-def proper_modes(model: ModalModel) -> ModalModel:
-    """Modes without the residual pseudo-modes, which stand for nothing outside the synthesis."""
-    return replace(model.modes_proper(), details=None)
 
 
 def ofrf_lines(results: Results) -> Any:

@@ -16,8 +16,8 @@ from operando.report.derive import (
     comparison_models,
     judge_run,
     level_difference,
+    mode_rows,
     pairing_of,
-    proper_modes,
     reciprocity,
     scaling_of,
 )
@@ -121,7 +121,7 @@ def _what_they_are(results: Results) -> str:
     classes = [str(p.get("class")) for p in pairing]
     parts = [f"{classes.count('unchanged')} with the shape they have at rest"]
     parts += [f"{n} {word}" for n, word in _class_words(classes)]
-    residual = int(np.sum(modal.residual)) if modal is not None else 0
+    residual = modal.n_residuals if modal is not None else 0
     text = (
         f"Operating FRFs between {count(dofs, 'DOF')} ({dofs * dofs} pairs), {band_text(analysis_band(results))}, "
         f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
@@ -182,11 +182,11 @@ def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
 def _without_hybrid(results: Results) -> tuple[str, ...]:
     have = []
     if results.idle is not None:
-        have.append(f"the idle model has {count(proper_modes(results.idle).size, 'mode')}")
+        have.append(f"the idle model has {count(results.idle.n_modes, 'mode')}")
     elif results.idle_frf is not None:
         have.append("idle FRFs were measured")
     if results.operating is not None:
-        have.append(f"the operating state has {count(proper_modes(results.operating).size, 'mode')}")
+        have.append(f"the operating state has {count(results.operating.n_modes, 'mode')}")
     text = "Operating FRFs were not made"
     for stage in ("ofrf", "oma", "ema", "frf"):
         if stage in results.left_out:
@@ -207,7 +207,7 @@ def frequency_shifts(results: Results) -> list[dict[str, float]]:
     if results.idle is None or results.operating is None:
         return []
     rows = []
-    idle_index, operating_index = proper_modes(results.idle), proper_modes(results.operating)
+    idle_index, operating_index = mode_rows(results.idle), mode_rows(results.operating)
     for p in pairing_of(results):
         if p.get("idle") is None or p.get("operating") is None:
             continue
@@ -240,9 +240,9 @@ def _light_and_real(results: Results) -> Assumption:
     damping, complex_modes = [], []
     for model in (results.idle, results.operating):
         if model is not None:
-            damping += [float(model.damping_ratios[i]) for i in proper_modes(model)]
+            damping += model.damping_ratios.tolist()
     if results.operating is not None:
-        for i in proper_modes(results.operating):
+        for i in range(results.operating.n_modes):
             mpc = phase_collinearity(results.operating.shapes[:, i])
             if mpc < 0.9:
                 complex_modes.append(f"{number(results.operating.frequencies_hz[i], 4)} Hz ({mpc:.2f})")
@@ -262,8 +262,8 @@ def _dominant_modes(results: Results) -> Assumption:
     if results.idle is None:
         return Assumption(name, "untested", "There is no idle model.")
     misfit, alone = results.idle.misfit, [p for p in pairing_of(results) if p.get("class") in ("unpaired", "beyond_idle_band")]
-    residual = int(np.sum(np.asarray(results.idle.residual)))
-    text = f"{count(proper_modes(results.idle).size, 'idle mode')} and {count(residual, 'residual mode')}; "
+    residual = results.idle.n_residuals
+    text = f"{count(results.idle.n_modes, 'idle mode')} and {count(residual, 'residual mode')}; "
     if finite(misfit):
         text += f"misfit on lines the fit did not use {number(misfit, 3)} (1 is the noise alone)."
     else:
@@ -317,8 +317,8 @@ def _ema_better(results: Results) -> Assumption:
     idle, operating = results.idle, results.operating
     if idle is None or operating is None or idle.frequency_std_hz is None or operating.frequency_std_hz is None:
         return Assumption(name, "untested", "Uncertainties of both models are needed.")
-    a = np.median((idle.frequency_std_hz / idle.frequencies_hz)[proper_modes(idle)])
-    b = np.median((operating.frequency_std_hz / operating.frequencies_hz)[proper_modes(operating)])
+    a = np.median(idle.frequency_std_hz / idle.frequencies_hz)
+    b = np.median(operating.frequency_std_hz / operating.frequencies_hz)
     text = f"Median relative standard deviation of frequency: idle {number(100 * a, 2)} %, operating {number(100 * b, 2)} %."
     return Assumption(name, "holds" if a <= b else "doubtful", text)
 

@@ -37,9 +37,9 @@ def all_findings(results: Results) -> list[Finding]:
     return sorted(unique, key=lambda f: _RANK[f.severity])
 
 
-def proper_modes(model: ModalModel | None) -> NDArray[np.intp]:
-    """Indices of the modes that are not residual modes."""
-    return np.zeros(0, np.intp) if model is None else np.flatnonzero(~np.asarray(model.residual, bool))
+def mode_rows(model: ModalModel | None) -> NDArray[np.intp]:
+    """Numbers of the modes, none without a model."""
+    return np.arange(0 if model is None else model.n_modes)
 
 
 def pairing_of(results: Results) -> list[dict[str, Any]]:

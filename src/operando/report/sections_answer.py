@@ -78,11 +78,11 @@ def _tiles(results: Results) -> str:
         tiles.append((decibel(models["ofrf"]["noise_floor_db"]), "noise floor", False))
     if not tiles:
         if results.idle is not None:
-            tiles.append((str(derive.proper_modes(results.idle).size), "idle modes", False))
+            tiles.append((str(results.idle.n_modes), "idle modes", False))
             if finite(results.idle.misfit):
                 tiles.append((number(results.idle.misfit, 3), "misfit of the idle model (1 = noise)", False))
         if results.operating is not None:
-            tiles.append((str(derive.proper_modes(results.operating).size), "operating modes", False))
+            tiles.append((str(results.operating.n_modes), "operating modes", False))
         shifts = frequency_shifts(results)
         if shifts:
             worst = max(shifts, key=lambda s: abs(s["percent"]))

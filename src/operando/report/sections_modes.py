@@ -57,7 +57,7 @@ def _shape_pairs(results: Results) -> list[figures_modes.ShapePair]:
     running = None if operating is None else derive.real_shapes(operating)
     if idle is not None and operating is not None and running is not None:
         running = _on_dofs(running, operating, idle)
-    idle_rows, operating_rows = derive.proper_modes(idle), derive.proper_modes(operating)
+    idle_rows, operating_rows = derive.mode_rows(idle), derive.mode_rows(operating)
     partner = {int(p["operating"]): p for p in derive.pairing_of(results) if p.get("idle") is not None}
     entries: list[tuple[float, figures_modes.ShapePair]] = []
     used: set[int] = set()
@@ -106,7 +106,7 @@ def _mac_figure(results: Results, numbering: Numbering) -> str:
     idle, operating = results.idle, results.operating
     matrices: list[Any] = []
     text = []
-    idle_rows, operating_rows = derive.proper_modes(idle), derive.proper_modes(operating)
+    idle_rows, operating_rows = derive.mode_rows(idle), derive.mode_rows(operating)
     if idle is not None and idle_rows.size:
         values = mac(idle.shapes[:, idle_rows])
         names = _labels(idle, idle_rows)
@@ -154,9 +154,9 @@ def scaling(results: Results, numbering: Numbering) -> str:
     modal = getattr(results.hybrid, "modal", None)
     if 0 < len(residuals) <= LONG_TEXT:
         text += f" Residuals: {residuals}."
-    elif modal is not None and np.any(modal.residual):
-        where = derive.range_text(modal.frequencies_hz[np.asarray(modal.residual)])
-        text += f" Residuals: {count(int(np.sum(modal.residual)), 'mode')} of the idle model beyond the operating ones ({where})."
+    elif modal is not None and modal.residuals is not None:
+        where = derive.range_text(modal.residuals.frequencies_hz)
+        text += f" Residuals: {count(modal.n_residuals, 'mode')} of the idle model beyond the operating ones ({where})."
     out.append(paragraph(text))
     out.append(tables.pairing_table(results))
     notes = [f"Operating mode {p['operating']}: {str(p['note']).rstrip('.')}." for p in derive.pairing_of(results) if p.get("note")]
@@ -183,7 +183,7 @@ def _changes(results: Results, numbering: Numbering) -> str:
     idle, operating = results.idle, results.operating
     if idle is None or operating is None:
         return ""
-    idle_rows, operating_rows = derive.proper_modes(idle), derive.proper_modes(operating)
+    idle_rows, operating_rows = derive.mode_rows(idle), derive.mode_rows(operating)
     columns: list[tuple[str, float, float, float, float]] = []
     spread = lambda values, i: float(values[i]) if values is not None else float("nan")  # noqa: E731
     pairs = [
@@ -218,18 +218,15 @@ def _condition(results: Results, info: dict[str, Any], numbering: Numbering) -> 
     if idle is None:
         return "".join(out)
     basis = getattr(results.hybrid, "basis", None)
-    rows = np.flatnonzero(~np.asarray(idle.residual) & np.asarray(idle.in_band))
-    if basis is not None:
-        rows = derive.proper_modes(idle)[np.asarray(basis.modes, int)]
+    rows = np.flatnonzero(np.asarray(idle.in_band)) if basis is None else np.asarray(basis.modes, int)
     shape = None if np.iscomplexobj(idle.shapes) else derive.sensor_redundancy(np.asarray(idle.shapes[:, rows], float), idle.dofs)
     if shape is None:
         out.append(missing("There are fewer sensors than idle modes, so the sensors' part in κ is not defined."))
         return "".join(out)
     order = [i for i in np.argsort(-shape["dofs"])[:4] if shape["dofs"][i] > 0.08]
     weak = [i for i in np.argsort(-shape["modes"])[:4] if shape["modes"][i] > 0.08]
-    proper = {int(a): j for j, a in enumerate(derive.proper_modes(idle))}
     sensors, share = listing(shape["labels"][i] for i in order), fixed(100 * float(np.sum(shape["dofs"][order])), 0)
-    modes = listing(f"{proper[int(rows[i])]} ({number(idle.frequencies_hz[rows[i]], 4)} Hz)" for i in weak)
+    modes = listing(f"{rows[i]} ({number(idle.frequencies_hz[rows[i]], 4)} Hz)" for i in weak)
     text = f"For the {count(rows.size, 'idle mode')} that carry the mass κ is {number(shape['kappa'], 3)}. "
     if shape["kappa"] < SMALL_KAPPA:
         text += f"That is small: the sensors tell these modes apart well; least by {sensors}, and least idle modes {modes}."
@@ -242,7 +239,7 @@ def _condition(results: Results, info: dict[str, Any], numbering: Numbering) -> 
         least = int(np.nanargmax(shape["without"]))
         text += f" The sensor hardest to do without is {shape['labels'][least]}: κ would be {number(shape['without'][least], 3)}."
     out.append(paragraph(text))
-    names = [f"{proper[int(a)]}: {idle.frequencies_hz[a]:.1f}" for a in rows]
+    names = [f"{a}: {idle.frequencies_hz[a]:.1f}" for a in rows]
     svg = figures_modes.conditioning(shape["labels"], shape["dofs"], names, shape["modes"])
     caption = "Where the condition number comes from: the sensors and the idle modes in the direction of the least singular value."
     out.append(numbering.figure(svg, esc(caption)))

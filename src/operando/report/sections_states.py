@@ -77,12 +77,11 @@ def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
 def _idle_text(results: Results) -> str:
     model = results.idle
     assert model is not None
-    residual = int(np.sum(np.asarray(model.residual)))
     inside = int(np.sum(np.asarray(model.in_band)))
-    text = f"The idle model has {count(derive.proper_modes(model).size, 'mode')}, {inside} of them in the band {_band(model, results)}"
-    if residual:
-        where = derive.range_text(model.frequencies_hz[np.asarray(model.residual)])
-        text += f", and {count(residual, 'residual mode')} ({where}) that stand for what lies below and above; "
+    text = f"The idle model has {count(model.n_modes, 'mode')}, {inside} of them in the band {_band(model, results)}"
+    if model.residuals is not None:
+        where = derive.range_text(model.residuals.frequencies_hz)
+        text += f", and {count(model.n_residuals, 'residual mode')} ({where}) that stand for what lies below and above; "
         text += "they take part in every synthesis and are never listed as modes"
     text += ". "
     if finite(model.misfit):
@@ -141,7 +140,7 @@ def _stabilization(model: ModalModel | None, numbering: Numbering, results: Resu
     harmonics = _harmonics(results) if which == "operating" else []
     name = "First singular values of the spectra" if which == "operating" else "Mode indicator (CMIF)"
     svg = figures_stabilization.stabilization_diagram(
-        stabilization, model.band_hz or derive.analysis_band(results), model.frequencies_hz[derive.proper_modes(model)], harmonics, name
+        stabilization, model.band_hz or derive.analysis_band(results), model.frequencies_hz, harmonics, name
     )
     caption = (
         f"Stabilisation diagram of the {which} state: poles of each model order, coloured by what has settled against the order below; "
@@ -184,7 +183,7 @@ def operating(results: Results, numbering: Numbering) -> str:
         return missing(left_out(results, "oma", "There is no model of the running state"))
     details = model.details
     harmonics = _harmonics(results)
-    text = f"From responses alone, {count(derive.proper_modes(model).size, 'mode')} in {_band(model, results)}. "
+    text = f"From responses alone, {count(model.n_modes, 'mode')} in {_band(model, results)}. "
     if harmonics:
         text += f"Harmonics of rotation were found at {listing(number(h, 5) + ' Hz' for h in harmonics)} and kept out of the modes."
     else:
@@ -194,7 +193,7 @@ def operating(results: Results, numbering: Numbering) -> str:
     if f is None:
         out.append(missing("No spectra were kept."))
     else:
-        modes = model.frequencies_hz[derive.proper_modes(model)]
+        modes = model.frequencies_hz
         unit = "(m/s²)²/Hz" if model.si else "units of the file squared per Hz"
         svg = figures_stabilization.singular_values(f, values, model.band_hz or derive.analysis_band(results), modes, harmonics, unit)
         out.append(numbering.figure(svg, "Singular values of the operating spectra with the modes taken (numbered) and harmonics."))

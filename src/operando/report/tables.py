@@ -10,7 +10,7 @@ import numpy as np
 
 from operando.data import Finding, ModalModel, phase_collinearity
 from operando.report.assessment import MODEL_NAMES, Assumption
-from operando.report.derive import pairing_of, proper_modes
+from operando.report.derive import mode_rows, pairing_of
 from operando.report.text import DASH, band_text, decibel, esc, finite, fixed, listing, number, plain, plus_minus, short_names
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
@@ -80,7 +80,7 @@ def percent(share: Any, digits: int = 2) -> str:
 def mode_table(results: Results) -> str:
     """Modes from rest to operation with uncertainties, class and MAC; modes of one state alone stand with a dash."""
     idle, operating = results.idle, results.operating
-    idle_rows, operating_rows = proper_modes(idle), proper_modes(operating)
+    idle_rows, operating_rows = mode_rows(idle), mode_rows(operating)
     pairing = {int(p["operating"]): p for p in pairing_of(results) if p.get("operating") is not None}
     entries: list[tuple[float, list[str]]] = []
     used: set[int] = set()
@@ -145,11 +145,11 @@ def modal_table(model: ModalModel, caption: str) -> str:
     ]
     head += ["Shape value there<br>[kg<sup>−1/2</sup>]"] if scaled else []
     rows = []
-    for k, i in enumerate(proper_modes(model)):
+    for i in range(model.n_modes):
         shape = np.asarray(model.shapes[:, i])
         top = int(np.argmax(np.abs(shape)))
         relative = None if std is None or not np.any(shape) else float(np.linalg.norm(std[:, i]) / np.linalg.norm(shape))
-        cells = [str(k), *_mode_cells(model, int(i)), fixed(phase_collinearity(shape), 4), percent(relative)]
+        cells = [str(i), *_mode_cells(model, i), fixed(phase_collinearity(shape), 4), percent(relative)]
         cells += ["yes" if bool(np.asarray(model.in_band)[i]) else "no", esc(model.dofs[top])]
         rows.append(cells + ([number(shape[top], 4)] if scaled else []))
     return table(head, rows, numeric=(0, 1, 2, 3, 4, 7), caption=caption)
@@ -191,7 +191,7 @@ def _where(f: Finding) -> str:
 def pairing_table(results: Results) -> str:
     """Pairing and scale factor of each operating mode."""
     operating, idle = results.operating, results.idle
-    operating_rows, idle_rows = proper_modes(operating), proper_modes(idle)
+    operating_rows, idle_rows = mode_rows(operating), mode_rows(idle)
     outside = (results.hybrid.to_dict().get("scaling") or {}).get("outside_span") or []
     rows = []
     for p in pairing_of(results):

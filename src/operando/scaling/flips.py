@@ -48,7 +48,7 @@ def flip_probability(
         ε.
     """
     out = np.zeros(turned.shape[1])
-    std = model.shape_std
+    std = model.terms.shape_std
     for r in np.flatnonzero(partners >= 0):
         e, o = idle[:, partners[r]], turned[:, r]
         length = float(np.linalg.norm(e))
@@ -82,7 +82,7 @@ def class_flips(
     size : int
         Parameters of the scaled model.
     modes : int
-        Its modes, those carried over included.
+        Its terms, those carried over included.
     """
     out = np.zeros((size, size))
     flips = np.flatnonzero(likely > NEGLIGIBLE) if method in CLASSED else np.zeros(0, int)

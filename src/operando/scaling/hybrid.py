@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, ModalModel
+from operando.data import Finding, ModalModel, ResidualTerms
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
@@ -37,7 +37,7 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     Parameters
     ----------
     idle : ModalModel
-        Real shapes of unit modal mass, residual modes included.
+        Real shapes of unit modal mass; its residual terms are carried over.
     operating : ModalModel
         Complex shapes of arbitrary scale.
     threshold : float
@@ -68,37 +68,37 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
 def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: str) -> HybridModel:
     findings: list[Finding] = []
     dofs, idle_rows, (rows, signs) = common_dofs(idle, operating, findings)
-    real_idle = np.flatnonzero(~np.asarray(idle.residual))
-    proper = operating.modes_proper()
-    e = np.asarray(idle.shapes, float)[idle_rows]
+    terms, real_idle = idle.terms, np.arange(idle.n_modes)
+    proper = operating.without_residuals()
+    e = np.asarray(terms.shapes, float)[idle_rows]
     o = np.asarray(proper.shapes)[rows] * signs[:, None]
     if proper.n_modes == 0 or real_idle.size == 0:
         raise DataError("a model without modes cannot be paired")
     if not np.all(np.isfinite(o)) or np.any(np.max(np.abs(o), axis=0) == 0):
         raise DataError("an operational shape is zero or not finite at the common DOFs")
-    in_band = np.asarray(idle.in_band)[real_idle]
-    pairing = pair_modes(e[:, real_idle], idle.frequencies_hz[real_idle], o, proper.frequencies_hz, threshold, in_band)
+    in_band = np.asarray(idle.in_band)
+    pairing = pair_modes(e[:, real_idle], idle.frequencies_hz, o, proper.frequencies_hz, threshold, in_band)
     findings += [_conflict(text) for text in pairing.conflicts]
-    basis = _basis(e[:, real_idle], idle.frequencies_hz[real_idle], in_band, dofs, findings, _more_dofs(idle, idle_rows, real_idle))
+    basis = _basis(e[:, real_idle], idle.frequencies_hz, in_band, dofs, findings, _more_dofs(idle, idle_rows))
     turned, factor = real_shapes(o)
     noise = _noise(proper, rows, signs, factor)
-    partners = np.where(pairing.partners >= 0, real_idle[pairing.partners], -1)
+    partners = pairing.partners
     task = Task(
         partners,
         np.array([p.kind in ("unchanged", "beyond_idle_band") for p in pairing.pairs], bool),
-        np.zeros(0, int) if basis is None else real_idle[basis.modes],
-        np.asarray(idle.frequencies_hz),
+        np.zeros(0, int) if basis is None else basis.modes,
+        np.asarray(terms.frequencies_hz),
         np.asarray(proper.frequencies_hz),
         make_prior(
             e,
-            idle.frequencies_hz,
+            terms.frequencies_hz,
             turned,
             proper.frequencies_hz,
             proper.damping_ratios,
             partners,
             None if noise is None else noise[0],
             _hz_noise(proper),
-            None if idle.shape_std is None else np.asarray(idle.shape_std, float)[idle_rows],
+            None if terms.shape_std is None else np.asarray(terms.shape_std, float)[idle_rows],
         ),
     )
     shapes, refused = _all_methods(method, e, o, task)
@@ -108,20 +108,19 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     else:
         choice = Choice(method, f"asked for: {IN_WORDS[method]}", {})
     alike = [p for p in pairing.pairs if p.idle is not None and p.kind != "changed"]
-    shift = common_shift(
-        np.array([idle.frequencies_hz[real_idle[p.idle]] for p in alike]), np.array([proper.frequencies_hz[p.operating] for p in alike])
-    )
+    at_rest = np.array([p.idle for p in alike], int)
+    shift = common_shift(idle.frequencies_hz[at_rest], np.array([proper.frequencies_hz[p.operating] for p in alike]))
     kept = "stiffness" if choice.method == "expansion_stiffness" else "mass"
-    participation = expand(e, turned, task.prior)[0] * (np.asarray(idle.frequencies_hz)[:, None] if kept == "stiffness" else 1)
+    participation = expand(e, turned, task.prior)[0] * (np.asarray(terms.frequencies_hz)[:, None] if kept == "stiffness" else 1)
     left = part_left(participation)
     carried, text = _carried_over(idle, real_idle, pairing, shift, left, findings)
-    risen = [np.log(proper.frequencies_hz[p.operating] / idle.frequencies_hz[real_idle[p.idle]]) for p in alike]
+    risen = [np.log(proper.frequencies_hz[p.operating] / idle.frequencies_hz[p.idle]) for p in alike]
     held = np.setdiff1d(real_idle, carried)
-    missing = missing_modes(participation, idle.frequencies_hz, held, operating.band_hz, sum(risen) >= 0)
+    missing = missing_modes(participation, terms.frequencies_hz, held, operating.band_hz, sum(risen) >= 0)
     if missing.finding is not None:
         findings.append(missing.finding)
         text += f"; beyond the band: {missing.text}"
-    amount = np.where(np.asarray(idle.residual)[carried], 1.0, np.sqrt(left[carried]))
+    amount = np.where(terms.residual[carried], 1.0, np.sqrt(left[carried]))
     models = {name: _assemble(idle, proper, dofs, idle_rows, s, carried, amount, shift) for name, s in shapes.items()}
     doubt = scale_doubt(e, o, task, kept)
     covariance = scaled_covariance(choice.method, idle, proper, idle_rows, rows, signs, task, carried)
@@ -132,16 +131,16 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         likely = flip_probability(e, turned, partners, None if noise is None else noise[0], idle, idle_rows, threshold)
         covariance = covariance + class_flips(choice.method, e, o, task, likely, covariance.shape[0], proper.n_modes + carried.size)
         imaginary = _unexplained_imaginary(o, out, None if noise is None else noise[1])
-        change = shape_change(e[:, [real_idle[p.idle] for p in alike]], out[:, [p.operating for p in alike]])
+        change = shape_change(e[:, at_rest], out[:, [p.operating for p in alike]])
         lowest = idle.band_hz[0] if idle.band_hz else 0.0
-        less = lessened(idle.frequencies_hz[carried], idle.frequencies_hz[[real_idle[p.idle] for p in alike]], doubt.mass_share, lowest)
+        less = lessened(terms.frequencies_hz[carried], idle.frequencies_hz[at_rest], doubt.mass_share, lowest)
         covariance = with_unseen_change(
             covariance, models[choice.method], proper.n_modes, imaginary, shift.spread * less, change * less, doubt
         )
     models[choice.method] = replace(models[choice.method], covariance=covariance)
     models = {name: with_missing(model, missing, e) for name, model in models.items()}
     modal = models[choice.method]
-    found = complexity(o, modal.frequencies_hz, modal.damping_ratios, modal.shapes, None if noise is None else noise[1])
+    found = complexity(o, modal.terms.frequencies_hz, modal.terms.damping_ratios, modal.terms.shapes, None if noise is None else noise[1])
     skew = reciprocity_finding(found, proper.frequencies_hz)
     if skew is not None:
         findings.append(skew)
@@ -235,7 +234,7 @@ def _scale_std(modal: ModalModel, n: int) -> NDArray[np.float64] | None:
     m = len(modal.dofs)
     out = np.zeros(n)
     for r in range(n):
-        at = slice(2 * modal.n_modes + r * m, 2 * modal.n_modes + (r + 1) * m)
+        at = slice(2 * modal.terms.n + r * m, 2 * modal.terms.n + (r + 1) * m)
         u = modal.shapes[:, r] / float(modal.shapes[:, r] @ modal.shapes[:, r])
         out[r] = np.sqrt(max(float(u @ modal.covariance[at, at] @ u), 0))
     return out
@@ -277,11 +276,11 @@ def common_dofs(
     return dofs, rows, (index, np.asarray(signs, float))
 
 
-def _more_dofs(idle: ModalModel, rows: list[int], modes: NDArray[np.int_]) -> Callable[[CondensedBasis], str]:
+def _more_dofs(idle: ModalModel, rows: list[int]) -> Callable[[CondensedBasis], str]:
     """Words on which DOF to measure as well: one whose idle shape is known, or where to look for one."""
 
     def advice(basis: CondensedBasis) -> str:
-        found = best_addition(np.asarray(idle.shapes, float)[:, modes], rows, basis.modes)
+        found = best_addition(np.asarray(idle.shapes, float), rows, basis.modes)
         if found is not None and found[1] < 0.9 * basis.kappa:
             return f"measure {idle.dofs[found[0]]} in operation as well: κ falls to {found[1]:.0f}"
         return "add a sensor where these shapes differ most, or leave one of the modes out"
@@ -343,8 +342,8 @@ def _carried_over(
     left: NDArray[np.float64],
     findings: list[Finding],
 ) -> tuple[NDArray[np.int_], str]:
-    """Idle modes that stand in the OFRF: residual modes, and modes no operational mode was found for; moved as the others moved."""
-    residual = np.flatnonzero(np.asarray(idle.residual))
+    """Idle terms that stand in the OFRF: residual terms, and modes no operational mode was found for; moved as the others moved."""
+    residual = np.flatnonzero(idle.terms.residual)
     # A partner may only look alike at the sensors and hold nothing of the mode.
     lone = np.isin(np.arange(real_idle.size), pairing.idle_without_partner) | (left[real_idle] > NOT_HELD)
     every = real_idle[lone]
@@ -376,7 +375,7 @@ def _carried_over(
 
 
 def _hz(model: ModalModel, index: NDArray[np.int_]) -> str:
-    return ", ".join(f"{f:.2f}" for f in model.frequencies_hz[index]) + " Hz"
+    return ", ".join(f"{f:.2f}" for f in model.terms.frequencies_hz[index]) + " Hz"
 
 
 def _assemble(
@@ -389,15 +388,19 @@ def _assemble(
     amount: NDArray[np.float64],
     shift: CommonShift,
 ) -> ModalModel:
-    n, k = operating.n_modes, carried.size
+    terms = idle.terms
     return ModalModel(
-        np.concatenate([operating.frequencies_hz, idle.frequencies_hz[carried] * shift.factor]),
-        np.concatenate([operating.damping_ratios, idle.damping_ratios[carried]]),
-        np.concatenate([shapes, np.asarray(idle.shapes)[rows][:, carried] * amount], axis=1),
+        operating.frequencies_hz,
+        operating.damping_ratios,
+        shapes,
         dofs,
         "unit_modal_mass",
-        residual=np.concatenate([np.zeros(n, bool), np.ones(k, bool)]),
-        in_band=np.concatenate([np.asarray(operating.in_band), np.zeros(k, bool)]),
+        ResidualTerms(
+            terms.frequencies_hz[carried] * shift.factor,
+            terms.damping_ratios[carried],
+            np.asarray(terms.shapes)[rows][:, carried] * amount,
+        ),
+        operating.in_band,
         band_hz=operating.band_hz or idle.band_hz,
         si=idle.si,
         provenance=Provenance.merge(idle.provenance, operating.provenance).then("scale_operational"),
@@ -407,7 +410,7 @@ def _assemble(
 def _alternatives(models: dict[str, ModalModel], chosen: str) -> dict[str, float | None]:
     """Largest difference in dB over lines and pairs, on 400 lines of the band; None where a method cannot be applied."""
     model = models[chosen]
-    real = model.frequencies_hz[~np.asarray(model.residual)]
+    real = model.frequencies_hz
     low, high = model.band_hz or (real.min() * 0.8, real.max() * 1.1)
     lines = np.linspace(max(low, 1e-3), high, 400)
     base = np.abs(model.frf(lines, variance=False).data)

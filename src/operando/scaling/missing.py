@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,7 @@ def missing_modes(
 
 
 def with_missing(model: ModalModel, missing: Missing, idle_shapes: NDArray[np.float64]) -> ModalModel:
-    """The model with those modes behind its others; their shapes as uncertain as they are large.
+    """The model with those modes as further residual terms; their shapes as uncertain as they are large.
 
     Parameters
     ----------
@@ -111,7 +111,8 @@ def with_missing(model: ModalModel, missing: Missing, idle_shapes: NDArray[np.fl
     if k == 0:
         return model
     shapes = idle_shapes @ missing.mixture
-    n, m = model.n_modes, len(model.dofs)
+    terms, m = model.terms, len(model.dofs)
+    n = terms.n
     covariance: NDArray[Any] | None = None
     if model.covariance is not None:
         total = n + k
@@ -122,12 +123,9 @@ def with_missing(model: ModalModel, missing: Missing, idle_shapes: NDArray[np.fl
         covariance[hz, hz] = (np.log(BEYOND) * missing.hz) ** 2
         values = 2 * total + n * m + np.arange(k * m)
         covariance[values, values] = np.repeat(np.mean(shapes**2, axis=0), m)
-    return replace(
-        model,
-        frequencies_hz=np.concatenate([model.frequencies_hz, missing.hz]),
-        damping_ratios=np.concatenate([model.damping_ratios, np.full(k, np.median(model.damping_ratios))]),
-        shapes=np.concatenate([model.shapes, shapes], axis=1),
-        residual=np.concatenate([np.asarray(model.residual), np.ones(k, bool)]),
-        in_band=np.concatenate([np.asarray(model.in_band), np.zeros(k, bool)]),
+    return model.with_terms(
+        frequencies_hz=np.concatenate([terms.frequencies_hz, missing.hz]),
+        damping_ratios=np.concatenate([terms.damping_ratios, np.full(k, np.median(terms.damping_ratios))]),
+        shapes=np.concatenate([terms.shapes, shapes], axis=1),
         covariance=covariance,
     )

@@ -42,7 +42,7 @@ def covariance_of(model: ModalModel) -> NDArray[np.float64] | None:
         return None
     shape = np.asarray(model.std["shapes"], float).T.ravel() ** 2
     parts = [np.asarray(model.std["frequencies_hz"], float) ** 2, np.asarray(model.std["damping_ratios"], float) ** 2]
-    parts += [shape / 2, shape / 2] if np.iscomplexobj(model.shapes) else [shape]
+    parts += [shape / 2, shape / 2] if np.iscomplexobj(model.terms.shapes) else [shape]
     return np.diag(np.concatenate(parts))
 
 
@@ -62,10 +62,10 @@ def factor_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def shape_block(model: ModalModel, rows: list[int]) -> list[NDArray[np.int_]]:
-    """Indices into θ of the shape values at some DOFs, (n_modes, n_rows), real (and imaginary) parts."""
-    n, m = model.n_modes, len(model.dofs)
+    """Indices into θ of the shape values at some DOFs, (n_terms, n_rows), real (and imaginary) parts."""
+    n, m = model.terms.n, len(model.dofs)
     real = 2 * n + np.arange(n)[:, None] * m + np.asarray(rows)[None, :]
-    return [real, real + n * m] if np.iscomplexobj(model.shapes) else [real]
+    return [real, real + n * m] if np.iscomplexobj(model.terms.shapes) else [real]
 
 
 def _directions(factor: NDArray[np.float64], model: ModalModel, rows: list[int], signs: NDArray[np.float64]) -> NDArray[Any]:
@@ -84,7 +84,7 @@ def scaled_covariance(
     task: Task,
     carried: NDArray[np.int_],
 ) -> NDArray[np.float64] | None:
-    """Covariance of [f, ζ, shapes mode by mode] of operational modes followed by the idle modes carried over.
+    """Covariance of [f, ζ, shapes mode by mode] of operational modes followed by the idle terms carried over.
 
     A model without a covariance counts as exact; None where neither carries one, or the model is too large.
 
@@ -92,24 +92,24 @@ def scaled_covariance(
     ----------
     method : str
     idle : ModalModel
-        Residual modes included.
+        Residual terms included.
     operating : ModalModel
-        Modes proper.
+        Without residual terms.
     rows, operating_rows : list of int
         Common DOFs in each model.
     signs : (m,) array
         Sense of the operational DOFs against the idle ones.
     task : Task
-        Its indices count all idle modes.
+        Its indices count all idle terms.
     carried : int array
-        Idle modes carried over.
+        Idle terms carried over.
     """
     n, k, m = operating.n_modes, carried.size, len(rows)
     total = (n + k) * (2 + m)
     idle_cov, operating_cov = covariance_of(idle), covariance_of(operating)
     if (idle_cov is None and operating_cov is None) or total > LARGEST:
         return None
-    e = np.asarray(idle.shapes, float)[rows]
+    e = np.asarray(idle.terms.shapes, float)[rows]
     o = np.asarray(operating.shapes)[operating_rows] * signs[:, None]
     out = np.zeros((total, total))
     shape_at = 2 * (n + k) + np.arange((n + k) * m).reshape(n + k, m)
@@ -123,9 +123,9 @@ def scaled_covariance(
     if idle_cov is not None:
         factor = factor_of(idle_cov)
         change = np.zeros((total, factor.shape[1]))
-        change[n : n + k], change[2 * n + k : 2 * (n + k)] = factor[carried], factor[idle.n_modes + carried]
+        change[n : n + k], change[2 * n + k : 2 * (n + k)] = factor[carried], factor[idle.terms.n + carried]
         direct = _directions(factor, idle, rows, np.ones(m)).real
-        moved = _slope(method, e, o, task, direct, np.zeros(0), factor[: idle.n_modes].T, None)
+        moved = _slope(method, e, o, task, direct, np.zeros(0), factor[: idle.terms.n].T, None)
         change[shape_at[:n].ravel()] = moved.transpose(2, 1, 0).reshape(n * m, -1)
         change[shape_at[n:].ravel()] = direct[:, :, carried].transpose(2, 1, 0).reshape(k * m, direct.shape[0])
         out += change @ change.T
@@ -152,7 +152,7 @@ def with_unseen_change(
     covariance : (p, p) array
         Of ``modal``.
     modal : ModalModel
-        Operational modes, then the idle modes carried over.
+        Operational modes; the idle terms carried over are its residual terms.
     n : int
         Operational modes.
     imaginary : (m, n) array
@@ -166,12 +166,13 @@ def with_unseen_change(
         What a change of mass (or of stiffness, where that was kept) leaves of the scale.
     """
     out = np.array(covariance)
-    total, m = modal.n_modes, len(modal.dofs)
+    terms, m = modal.terms, len(modal.dofs)
+    total = terms.n
     for r in range(n):
         at = slice(2 * total + r * m, 2 * total + (r + 1) * m)
         out[at, at] += np.outer(imaginary[:, r], imaginary[:, r])
     if doubt is not None:
-        shapes = np.asarray(modal.shapes)[:, :n]
+        shapes = np.asarray(terms.shapes)[:, :n]
         together = (shapes * doubt.common / 2).T.ravel()
         at = slice(2 * total, 2 * total + n * m)
         out[at, at] += np.outer(together, together)
@@ -179,8 +180,8 @@ def with_unseen_change(
             at = slice(2 * total + r * m, 2 * total + (r + 1) * m)
             out[at, at] += (doubt.own[r] / 2) ** 2 * np.outer(shapes[:, r], shapes[:, r])
     carried = np.arange(n, total)
-    out[carried, carried] += (frequency_spread * modal.frequencies_hz[carried]) ** 2
-    mean_square = np.mean(np.asarray(modal.shapes)[:, carried] ** 2, axis=0)
+    out[carried, carried] += (frequency_spread * terms.frequencies_hz[carried]) ** 2
+    mean_square = np.mean(np.asarray(terms.shapes)[:, carried] ** 2, axis=0)
     diagonal = 2 * total + carried[:, None] * m + np.arange(m)
     out[diagonal, diagonal] += (shape_change**2 * mean_square)[:, None]
     return _with_common_compliance(out, modal, carried)
@@ -192,7 +193,7 @@ def _with_common_compliance(covariance: NDArray[np.float64], modal: ModalModel, 
     A local mode holds the compliance of one DOF that no driven column shows; no driven column shows either how those of two DOFs go
     together.
     """
-    shapes, total, m = np.asarray(modal.shapes), modal.n_modes, len(modal.dofs)
+    shapes, total, m = np.asarray(modal.terms.shapes), modal.terms.n, len(modal.dofs)
     local = {int(np.flatnonzero(shapes[:, r])[0]): int(r) for r in carried if np.count_nonzero(shapes[:, r]) == 1}
     for i, r in local.items():
         for j, s in local.items():

@@ -77,7 +77,7 @@ def _model(group: list[tuple[RawSet, ModeSet]], inventory: Inventory) -> ModalMo
     if not np.any(measured):
         measured[:] = True
     residual = np.array([any(line == RESIDUAL for line in mode.ids) for mode in modes])
-    return ModalModel(
+    return ModalModel.from_terms(
         np.array([m.frequency_hz for m in modes]), np.array([m.damping_ratio for m in modes]), shapes[measured],
         tuple(d for d, keep in zip(dofs, measured, strict=True) if keep), _scaling(first), residual=residual,
         si=_scaling(first) == "unit_modal_mass", provenance=inventory.provenance,

@@ -269,12 +269,12 @@ def _write_geometry(stream: IO[bytes], geometry: Geometry) -> None:
 
 def _write_modes(stream: IO[bytes], model: ModalModel) -> None:
     nodes, columns, per_node = _node_table(model.dofs)
-    residual = np.asarray(model.residual)
-    for r in range(model.n_modes):
-        shape = np.zeros((len(nodes), per_node), model.shapes.dtype)
-        for (i, j, sign), value in zip(columns, model.shapes[:, r], strict=True):
+    terms = model.terms
+    for r in range(terms.n):
+        shape = np.zeros((len(nodes), per_node), terms.shapes.dtype)
+        for (i, j, sign), value in zip(columns, terms.shapes[:, r], strict=True):
             shape[i, j] = sign * value
-        _set(stream, 55, _mode_lines(model, r, nodes, shape, bool(residual[r])))
+        _set(stream, 55, _mode_lines(model, r, nodes, shape))
 
 
 def _node_table(dofs: Sequence[Dof]) -> tuple[list[int], list[tuple[int, int, int]], int]:
@@ -292,9 +292,9 @@ def _node_table(dofs: Sequence[Dof]) -> tuple[list[int], list[tuple[int, int, in
     return nodes, [(rows[d.node], AXES.index(d.axis) - 1, d.sign) for d in dofs], per_node
 
 
-def _mode_lines(model: ModalModel, r: int, nodes: list[int], shape: NDArray[Any], residual: bool) -> list[str]:
-    is_complex = np.iscomplexobj(shape)
-    frequency, damping = float(model.frequencies_hz[r]), float(model.damping_ratios[r])
+def _mode_lines(model: ModalModel, r: int, nodes: list[int], shape: NDArray[Any]) -> list[str]:
+    is_complex, terms = np.iscomplexobj(shape), model.terms
+    frequency, damping = float(terms.frequencies_hz[r]), float(terms.damping_ratios[r])
     per_node = shape.shape[1]
     scaled = model.scaling == "unit_modal_mass"
     ids = [
@@ -302,12 +302,12 @@ def _mode_lines(model: ModalModel, r: int, nodes: list[int], shape: NDArray[Any]
         UNIT_MODAL_MASS if scaled and model.si else (UNSCALED if not scaled else "scaling: unit modal mass, units of the input"),
         "NONE",
         f"frequency_hz={frequency:.17g} damping_ratio={damping:.17g}",
-        RESIDUAL if residual else "NONE",
+        RESIDUAL if terms.residual[r] else "NONE",
     ]
     characteristic = {1: 1, 3: 2, 6: 3}[per_node]
     lines = [*ids, "".join(f"{n:10d}" for n in (1, 3 if is_complex else 2, characteristic, 8, 5 if is_complex else 2, per_node))]
     if is_complex:
-        pole = model.poles[r]
+        pole = terms.poles[r]
         lines.append(f"{2:10d}{6:10d}{1:10d}{r + 1:10d}")
         numbers = [pole.real, pole.imag, 0.0, 0.0, 0.0, 0.0]
     else:
