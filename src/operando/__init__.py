@@ -20,6 +20,7 @@ _WHERE = {
     "Frf": "operando.data",
     "Geometry": "operando.data",
     "ModalModel": "operando.data",
+    "ResidualTerms": "operando.data",
     "TimeRecord": "operando.data",
     "OperandoError": "operando.errors",
     "read": "operando.io",

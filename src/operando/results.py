@@ -33,7 +33,7 @@ class Results:
     geometry : Geometry or None
     idle_frf : Frf or None
     idle : ModalModel or None
-        Unit modal mass, residual modes included; ``details`` is an ``operando.ema.EmaDetails``.
+        Unit modal mass, with residual terms; ``details`` is an ``operando.ema.EmaDetails``.
     operating : ModalModel or None
         Complex, unscaled; ``details`` is an ``operando.oma.OmaDetails``.
     hybrid : operando.scaling.HybridModel or None

@@ -21,14 +21,14 @@ class HybridModel:
     Parameters
     ----------
     idle : ModalModel
-        The idle model given (residual modes included).
+        The idle model given.
     operating : ModalModel
         The operational model given (complex, unscaled).
     modal : ModalModel
-        Operational modes of unit modal mass, then the idle modes carried over as residuals; real shapes, with covariance where
-        both models carry one.
+        Operational modes of unit modal mass; its residual terms are the idle modes and residual terms carried over. Real shapes, with
+        covariance where both models carry one.
     pairing : Pairing
-        Indices count modes proper (residual modes left out), as in ``summary.json``.
+        Indices count modes, as in ``summary.json``.
     method, reason : str
         Scaling method used, and why.
     threshold : float

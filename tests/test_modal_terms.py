@@ -1,0 +1,199 @@
+"""Modes and residual terms of a modal model: who is listed, who is synthesised, and in which order θ runs."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+from effect_truth import chain_and_idle, receptance
+from operando.data import Frf, ModalModel, ResidualTerms
+from operando.diagnose import Model
+from operando.diagnose.predict import IdleArrays, Term, predict
+from operando.diagnose.sets import split_lines
+from operando.effects import Effect
+from operando.ema import fit_ema
+from operando.errors import DataError
+from operando.io import read_object, write_object
+from operando.results import CheckRun
+from operando.synthesis import synthesis_variance, synthesise
+from structures import Chain
+
+DOFS = ("1+Z", "2-Z", "3+Z")
+RESIDUAL = np.array([True, False, False, True, False, True])
+"""As a fit may leave them: below, among and above the modes."""
+
+
+def mixed(complex_shapes=False, covariance=True):
+    """Arrays over all terms, in an order in which residual terms stand anywhere."""
+    rng = np.random.default_rng(4)
+    n, m = RESIDUAL.size, len(DOFS)
+    shapes = rng.normal(size=(m, n)) + (1j * rng.normal(size=(m, n)) if complex_shapes else 0)
+    p = n * (2 + m * (2 if complex_shapes else 1))
+    half = 1e-3 * rng.normal(size=(p, p))
+    out = {
+        "frequencies_hz": np.array([0.04, 11.0, 23.0, 31.0, 42.0, 119.9]),
+        "damping_ratios": np.linspace(0.01, 0.02, n),
+        "shapes": shapes,
+        "dofs": DOFS,
+        "scaling": "unscaled" if complex_shapes else "unit_modal_mass",
+        "residual": RESIDUAL,
+        "in_band": ~RESIDUAL & (np.arange(n) < 4),
+    }
+    return out | ({"covariance": half @ half.T} if covariance else {})
+
+
+def test_a_fit_lists_modes_alone():
+    """Modes above the band and a stiff rest: what stands for them is part of the synthesis and none of the modes."""
+    chain = Chain(8, zeta=0.008, seed=2)
+    inside = chain.hz < 0.5 * (chain.hz[3] + chain.hz[4])
+    f = np.arange(5.0, 0.5 * (chain.hz[3] + chain.hz[4]), 0.1)
+    h = chain.accelerance(f, ref=[0, 3])
+    rng = np.random.default_rng(0)
+    std = 1e-3 * np.sqrt(np.mean(np.abs(h) ** 2))
+    h = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    dofs = tuple(f"{i + 1}+Z" for i in range(8))
+    model = fit_ema(Frf(h, f, dofs, (dofs[0], dofs[3]), variance=np.full(h.shape, std**2)), band=(f[0], f[-1]))
+    np.testing.assert_allclose(model.frequencies_hz, chain.hz[inside], rtol=1e-3)
+    assert model.n_modes == model.shapes.shape[1] == model.frequency_std_hz.size == model.shape_std.shape[1] == inside.sum()
+    assert model.residuals is not None
+    assert model.n_residuals > 0
+    at = model.residuals.frequencies_hz
+    assert np.all((at < f[0]) | (at > f[-1]))
+    made = model.to_dict()
+    assert [mode["frequency_hz"] for mode in made["modes"]] == model.frequencies_hz.tolist()
+    assert made["residual_modes"] == model.n_residuals
+    # without them the FRFs miss what lies outside; with them they are those measured
+    error = [np.linalg.norm(m.frf(f, dofs, (dofs[0], dofs[3])).data - h) for m in (model, model.without_residuals())]
+    assert error[0] < 0.1 * error[1]
+
+
+@pytest.mark.parametrize("quantity", ["accelerance", "receptance"])
+def test_synthesis_and_its_variance_do_not_depend_on_the_order_given(quantity):
+    given = mixed()
+    model = ModalModel.from_terms(**given)
+    hz = np.linspace(3, 60, 40)
+    hz_, zeta, shapes = given["frequencies_hz"], given["damping_ratios"], given["shapes"]
+    made = model.frf(hz, quantity=quantity)
+    np.testing.assert_allclose(made.data, synthesise(hz, hz_, zeta, shapes, shapes, quantity), rtol=1e-9)
+    expected = synthesis_variance(hz, hz_, zeta, shapes, given["covariance"], range(3), range(3), quantity)
+    np.testing.assert_allclose(made.variance, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("complex_shapes", [False, True])
+def test_theta_runs_over_modes_then_residual_terms(complex_shapes):
+    """θ = [f, ζ, shapes term by term] of all terms, modes first, residual terms last; complex: all real parts, then all imaginary ones."""
+    given = mixed(complex_shapes)
+    model = ModalModel.from_terms(**given)
+    order = [1, 2, 4, 0, 3, 5]
+    n, m = 6, len(DOFS)
+    assert (model.n_modes, model.n_residuals, model.terms.n, model.n_parameters) == (3, 3, n, len(given["covariance"]))
+    np.testing.assert_array_equal(model.frequencies_hz, given["frequencies_hz"][order[:3]])
+    np.testing.assert_array_equal(model.residuals.frequencies_hz, given["frequencies_hz"][order[3:]])
+    np.testing.assert_array_equal(model.terms.shapes, given["shapes"][:, order])
+    assert model.terms.residual.tolist() == [False] * 3 + [True] * 3
+    assert model.in_band.tolist() == [True, True, False]
+    at = [*order, *(n + k for k in order), *(2 * n + k * m + i for k in order for i in range(m))]
+    at += [2 * n + n * m + k * m + i for k in order for i in range(m)] if complex_shapes else []
+    np.testing.assert_array_equal(model.covariance, given["covariance"][np.ix_(at, at)])
+    variance = np.diag(given["covariance"])
+    np.testing.assert_allclose(model.frequency_std_hz, np.sqrt(variance[order[:3]]))
+    np.testing.assert_allclose(model.damping_ratio_std, np.sqrt(variance[[n + k for k in order[:3]]]))
+    parts = variance[2 * n :].reshape(-1, n, m).sum(axis=0)
+    np.testing.assert_allclose(model.shape_std, np.sqrt(parts[order[:3]]).T)
+    np.testing.assert_allclose(model.terms.shape_std, np.sqrt(parts[order]).T)
+
+
+def test_selections():
+    model = ModalModel.from_terms(**mixed())
+    some = model.select_modes([2, 0])
+    assert some.residuals is None
+    np.testing.assert_array_equal(some.frequencies_hz, model.frequencies_hz[[2, 0]])
+    np.testing.assert_array_equal(some.shape_std, model.shape_std[:, [2, 0]])
+    kept = model.select_terms([5, 1, 3])
+    assert (kept.n_modes, kept.n_residuals) == (1, 2)
+    np.testing.assert_array_equal(kept.terms.frequencies_hz, model.terms.frequencies_hz[[1, 5, 3]])
+    np.testing.assert_array_equal(kept.terms.shape_std, model.terms.shape_std[:, [1, 5, 3]])
+    assert model.without_residuals().covariance.shape == (3 * 5,) * 2
+    moved = model.with_terms(frequencies_hz=2 * model.terms.frequencies_hz)
+    np.testing.assert_array_equal(moved.frequencies_hz, 2 * model.frequencies_hz)
+    np.testing.assert_array_equal(moved.residuals.frequencies_hz, 2 * model.residuals.frequencies_hz)
+    np.testing.assert_array_equal(moved.covariance, model.covariance)
+
+
+def test_what_does_not_belong_together_is_refused():
+    rest = ResidualTerms([0.1], [0.01], np.ones((2, 1)))
+    with pytest.raises(DataError, match="2 DOFs"):
+        ModalModel([1.0], [0.01], np.ones((3, 1)), DOFS, residuals=rest)
+    with pytest.raises(DataError, match="residual terms: 1 frequencies, 2 damping ratios"):
+        ResidualTerms([0.1], [0.01, 0.02], np.ones((3, 1)))
+    with pytest.raises(DataError, match="not negative"):
+        ResidualTerms([-0.1], [0.01], np.ones((3, 1)))
+    with pytest.raises(DataError, match=r"covariance has shape \(5, 5\), expected \(10, 10\)"):
+        ModalModel([1.0], [0.01], np.ones((3, 1)), DOFS, residuals=ResidualTerms([0.1], [0.01], np.ones((3, 1))), covariance=np.eye(5))
+    with pytest.raises(DataError, match="one value a term"):
+        ModalModel([1.0], [0.01], np.ones((3, 1)), DOFS, std={"frequencies_hz": np.ones(2)})
+    empty = ModalModel([1.0], [0.01], np.ones((3, 1)), DOFS, residuals=ResidualTerms([], [], np.ones((3, 0))))
+    assert empty.residuals is None
+
+
+def test_a_file_with_residual_terms_among_the_modes_is_read_rightly(tmp_path):
+    """Older files hold all terms in one set of arrays with a mask."""
+    model = ModalModel.from_terms(**mixed())
+    path = tmp_path / "model.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("idle")
+        write_object(group, model)
+        tree = json.loads(group["__tree__"].asstr()[()])
+        del tree["fields"]["residuals"]
+        for name, values in mixed().items():
+            if isinstance(values, np.ndarray):
+                if name in group:
+                    del group[name]
+                group[name] = values
+                tree["fields"][name] = {"__array__": name}
+        del group["__tree__"]
+        group["__tree__"] = json.dumps(tree)
+    with h5py.File(path) as file:
+        back = read_object(file["idle"])
+    np.testing.assert_array_equal(back.frequencies_hz, model.frequencies_hz)
+    np.testing.assert_array_equal(back.terms.shapes, model.terms.shapes)
+    np.testing.assert_array_equal(back.covariance, model.covariance)
+    np.testing.assert_array_equal(back.in_band, model.in_band)
+
+
+def test_a_mode_added_before_residual_terms_keeps_arrays_in_step():
+    """The idle model lacks a mode and holds two others as residual terms; with the mode and a spring it is the truth."""
+    chain, idle = chain_and_idle()
+    std = np.r_[1e-4 * idle.frequencies_hz, 1e-2 * idle.damping_ratios, np.full(36, 1e-3)]
+    covariance = np.diag(std**2)
+    whole = ModalModel.from_terms(
+        idle.frequencies_hz, idle.damping_ratios, idle.shapes, idle.dofs, idle.scaling, residual=np.arange(6) >= 4, covariance=covariance,
+        band_hz=idle.band_hz,
+    )  # fmt: skip
+    lacking = whole.select_terms([0, 1, 3, 4, 5])
+    shape = {str(d): v for d, v in zip(idle.dofs, chain.phi[:, 2], strict=True)}
+    added = Effect("missing_mode", values={"frequency": chain.hz[2], "damping_ratio": chain.zeta[2]}, shape=shape)
+    spring = Effect("ground_spring", ("3+Z",), {"stiffness": 8e4})
+    change = np.zeros((6, 6))
+    change[2, 2] = 8e4
+    hz = np.arange(6.0, 130.0, 0.5)
+    exact = receptance(chain, hz, stiffness=change)
+    made = Model(lacking, (added, spring))
+    frf = made.frf(hz, quantity="receptance")
+    assert np.max(np.abs(frf.data - exact)) < 1e-10 * np.max(np.abs(exact))
+    # the mode added is taken for exact: the variance is that of a whole model that knows it
+    known = np.array(covariance)
+    where = [2, 8, *range(12 + 2 * 6, 12 + 3 * 6)]
+    known[where] = known[:, where] = 0
+    kept = ModalModel(idle.frequencies_hz, idle.damping_ratios, idle.shapes, idle.dofs, idle.scaling, covariance=known)
+    np.testing.assert_allclose(frf.variance, Model(kept, (spring,)).frf(hz, quantity="receptance").variance, rtol=1e-9)
+    # the fit's own forward model, which puts added modes behind all terms
+    check = CheckRun("check", "1 N", Frf(exact, hz, idle.dofs, idle.dofs, "receptance", variance=np.full(exact.shape, 1e-24)))
+    band = (6.0, 130.0)
+    lines = split_lines([check], lacking, band)
+    terms = [Term.of(e, lacking, band) for e in (added, spring)]
+    values = [{**added.values, "shape": chain.phi[:, 2]}, dict(spring.values)]
+    q = [t.inward(v) for t, v in zip(terms, values, strict=True)]
+    found = predict(IdleArrays.of(lacking), lines, terms, q).data
+    np.testing.assert_allclose(found, lines.data, atol=1e-9 * np.max(np.abs(exact)))
