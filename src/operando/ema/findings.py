@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from operando.data import Finding, Frf
 from operando.dof import Dof
+from operando.ema.answers import LinearModes
 from operando.ema.order import OrderLog
 from operando.ema.polish_model import Real
+
+NOTABLE_DRIFT = 5e-4
+"""Twice the drift that a day in a laboratory makes of itself (1–3·10⁻⁴ on seven states of a plate)."""
+
+NOTABLE_QUADRATURE = 0.15
+"""A phase of 9°: real modes with 5 % errors of single pairs stay below 0.13 on a bridge and a plate."""
+
+NOTABLE_ERROR = 0.03
 
 
 def turned_finding(dof: str) -> Finding:
@@ -46,30 +57,31 @@ def fit_findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, f
                 action="give acceleration and force in [units] of the test file",
             )
         )
-    for h in log.unseen_hz:
-        if drive and band[0] <= h <= band[1]:
-            out.append(
-                Finding(
-                    "drive_point_sign",
-                    f"no drive point gives the mode at {h:.4g} Hz a positive modal mass",
-                    "warning",
-                    band_hz=(0.98 * h, 1.02 * h),
-                    consequence="its scale rests on the maximum-likelihood fit alone and is uncertain",
-                    action="check the sense of force and response at the drive points, or add a reference that sees this mode",
-                )
+    unseen = [h for h in log.unseen_hz if drive and band[0] <= h <= band[1]]
+    if unseen:
+        out.append(
+            Finding(
+                "drive_point_sign",
+                f"no drive point gives {_at(unseen)} a positive modal mass",
+                "warning",
+                band_hz=(0.98 * min(unseen), 1.02 * max(unseen)),
+                consequence="the scale of these modes rests on what else the fit holds and is uncertain",
+                action="check the sense of force and response at the drive points, or add a reference that sees these modes",
             )
-    for h, value in log.wrong_sign:
-        if h not in log.unseen_hz and band[0] <= h <= band[1]:
-            out.append(
-                Finding(
-                    "drive_point_sign",
-                    f"a drive-point residue of the mode at {h:.4g} Hz has the wrong sign ({value:.3g} 1/kg): negative modal mass",
-                    "warning",
-                    band_hz=(0.98 * h, 1.02 * h),
-                    consequence="that drive point contradicts the others",
-                    action="check the sense of the force sensor and the accelerometer there",
-                )
+        )
+    wrong = [(h, value) for h, value in log.wrong_sign if h not in log.unseen_hz and band[0] <= h <= band[1]]
+    if wrong:
+        out.append(
+            Finding(
+                "drive_point_sign",
+                f"a drive-point residue of {_at([h for h, _ in wrong])} has the wrong sign (down to {min(v for _, v in wrong):.3g} 1/kg): "
+                "negative modal mass",
+                "warning",
+                band_hz=(0.98 * min(h for h, _ in wrong), 1.02 * max(h for h, _ in wrong)),
+                consequence="that drive point contradicts the others and gives these modes no scale",
+                action="check the sense of the force sensor and the accelerometer there, and whether both sit at the same point",
             )
+        )
     if np.isfinite(misfit) and misfit > 3:
         out.append(
             Finding(
@@ -81,3 +93,85 @@ def fit_findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, f
             )
         )
     return out
+
+
+def _at(hz: Sequence[float]) -> str:
+    """«the mode at 12.3 Hz», «the modes at 12.3, 14.5, … Hz (7 in all)»."""
+    if len(hz) == 1:
+        return f"the mode at {hz[0]:.4g} Hz"
+    shown = ", ".join(f"{h:.4g}" for h in hz[:6])
+    return f"the modes at {shown}{f', … Hz ({len(hz)} in all)' if len(hz) > 6 else ' Hz'}"
+
+
+def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int) -> list[Finding]:
+    """What the linear stage noticed: modes that move between pairs, complex ones, poles in doubt, a large model error."""
+    out = []
+    inside = [(h, e) for h, e in zip(modes.frequencies_hz, modes.evidence, strict=True) if band[0] <= h <= band[1]]
+    moving = [(float(h), e.drift) for h, e in inside if e.drift > NOTABLE_DRIFT and not e.doubts]
+    if moving:
+        out.append(
+            Finding(
+                "mode_drift",
+                f"{_at([h for h, _ in moving])} differ between the pairs by {100 * max(d for _, d in moving):.2g} % in frequency (rms)",
+                "info",
+                band_hz=(min(h for h, _ in moving), max(h for h, _ in moving)),
+                consequence="each pair has its own small shift in the fit; the frequency stated is the mean",
+                action="measure all rows in one go at constant temperature, or with fewer kilograms of roving sensors",
+            )
+        )
+    turned = [(float(h), e.quadrature) for h, e in inside if e.quadrature > NOTABLE_QUADRATURE and not e.doubts]
+    if turned:
+        out.append(
+            Finding(
+                "complex_modes",
+                f"residues of {_at([h for h, _ in turned])} are not in phase (quadrature part {100 * max(q for _, q in turned):.0f} % rms)",
+                "info",
+                band_hz=(min(h for h, _ in turned), max(h for h, _ in turned)),
+                consequence="the fit of the FRFs is complex; the shapes stated are the real parts",
+                action="local dampers, close modes and modes that move between rows look like this",
+            )
+        )
+    doubtful = [(float(h), e) for h, e in inside if e.doubts]
+    if doubtful:
+        first = "; ".join(f"{h:.5g} Hz: {e.doubts[0][1]}" for h, e in doubtful[:4])
+        out.append(
+            Finding(
+                "doubtful_pole",
+                f"{len(doubtful)} poles in band are not reported as modes ({first}{'; …' if len(doubtful) > 4 else ''})",
+                "info",
+                consequence="they stay in the synthesis of the FRFs as residual terms",
+                action="name those that are modes in select_hz",
+            )
+        )
+    if modes.model_error > NOTABLE_ERROR:
+        out.append(
+            Finding(
+                "model_error",
+                f"the FRFs differ from any set of modes by {100 * modes.model_error:.2g} % of themselves (median of the pairs)",
+                "warning" if modes.model_error > 0.1 else "info",
+                consequence="this error, not the noise, sets the uncertainties",
+                action="hits, temperature, level and mounting are the usual reasons",
+            )
+        )
+    if undriven:
+        out.append(
+            Finding(
+                "local_compliance",
+                f"{undriven} DOFs were not driven, and the model is too large for a local term at each",
+                "info",
+                consequence="synthesised drive-point FRFs of these DOFs lack the compliance of their own surroundings",
+                action="drive a DOF whose drive-point FRF is needed",
+            )
+        )
+    return out
+
+
+def quantity_finding(taken_as: str) -> Finding:
+    """FRFs whose residues stand at 90°: labelled as another quantity than they are."""
+    return Finding(
+        "wrong_quantity",
+        "at their resonances the FRFs are turned by 90° against an accelerance",
+        "error",
+        consequence=f"they were taken for {taken_as}",
+        action="check quantity and unit of response and force in the files, or give them in [channels]",
+    )

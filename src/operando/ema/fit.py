@@ -9,32 +9,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Frf, ModalModel, Provenance, TimeRecord
+from operando.data import Finding, Frf, ModalModel, TimeRecord
 from operando.dof import Dof
-from operando.ema.candidates import candidate_poles, stabilization_diagram
-from operando.ema.findings import fit_findings, turned_finding
-from operando.ema.heldout import heldout_misfit
-from operando.ema.model_error import relative_model_error, with_model_error
-from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
-from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes
-from operando.ema.polish import Polished, signed, start_parameters
-from operando.ema.polish_model import Parameters, Real
-from operando.ema.remaining import choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra, rings_from_one_hit
-from operando.ema.start import inverted_forces, linear_residues, outside_kernels
+from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
+from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
+from operando.ema.choose import ChoiceLog, choose_modes
+from operando.ema.doubts import judge_modes
+from operando.ema.findings import fit_findings, linear_findings, quantity_finding, turned_finding
+from operando.ema.linear import LinearFit, fit_linear
+from operando.ema.order import OrderLog
+from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
+from operando.ema.polished import polish_runs, polished_answer
+from operando.ema.projection import Poles, project
+from operando.ema.spectra import RunSpectra, rings_from_one_hit
+from operando.ema.unit_mass import UnitMassShapes, turned_columns, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
 
-WIDER = 1.33
-"""The fit reaches this far above the analysis band where the force does."""
+ANSWERS = ("auto", "linear", "polished")
 
-MIN_SUPPORT = 0.4
-"""Share of linear fits (times their orders) that a starting mode needs; weaker ones are left to the search by residuals."""
+LOWER, UPPER = 0.8, 1.1
+"""Lines of the linear stage, in units of the band's ends: resonances just outside show where they are."""
 
-FREQUENCY_FLOOR = 1e-6
-DAMPING_FLOOR = 1.3e-4
-SHAPE_FLOOR = 1.3e-4
-"""Relative standard deviations that no likelihood sees: clock and filters of a measurement chain, the integrator of a simulated one."""
+MIN_SUPPORT = 0.3
+"""Share of linear fits (times their orders) that a starting pole of the linear stage needs."""
+
+POLISH_SUPPORT = 0.4
+"""The same for the maximum-likelihood fit, which searches for weaker ones by its residuals."""
+
+NOISE_LIMITED = 0.01
+"""Model error α below which noise limits the fit, and its likelihood knows better than the linear stage (1 % of the FRF)."""
+
+POLISH_WORK = 4e12
+"""Largest work of one polish that is begun by itself, in floating-point operations of its normal equations: about two minutes."""
+
+POLISH_STEPS = 60
+BY_HAND_WIDTHS = 3.0
+"""A frequency named by hand means the nearest pole within so many half bandwidths of it, or one per cent."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +71,13 @@ class EmaDetails:
         Whether kernels below the band were needed.
     second_opinion : tuple of dict
         sdypy-EMA beside it, where asked for.
+    answer : {"linear", "polished"}
+        Which stage gave the modes.
+    answer_reason : str
+    linear : LinearModes or None
+        The linear stage's own answer, with the evidence of each pole.
+    candidates : tuple of Candidate
+        Poles that the linear fits of the band and its parts agree on: what modes named by hand are taken from.
     """
 
     stabilization: Stabilization | None
@@ -71,6 +89,27 @@ class EmaDetails:
     converged: bool
     lower_residual: bool
     second_opinion: tuple[dict[str, Any], ...] = field(default=())
+    answer: str = "polished"
+    answer_reason: str = ""
+    linear: LinearModes | None = None
+    candidates: tuple[Candidate, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What one identification works on."""
+
+    frf: Frf
+    dofs: tuple[Dof, ...]
+    band: tuple[float, float]
+    records: tuple[TimeRecord, ...]
+    answer: str
+    progress: Callable[[str], None] | None
+    weights: Real | None
+
+    def say(self, text: str) -> None:
+        if self.progress is not None:
+            self.progress(text)
 
 
 def fit_ema(
@@ -79,17 +118,21 @@ def fit_ema(
     band: tuple[float, float] | None = None,
     max_order: int | None = None,
     records: Sequence[TimeRecord] | None = None,
+    ema: str = "auto",
+    modes_hz: Sequence[float] = (),
     select_hz: Sequence[float] = (),
     reject_hz: Sequence[float] = (),
+    automatic: ModalModel | None = None,
     second_opinion: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> ModalModel:
     """Identify the modes of the structure at rest.
 
     Poly-reference least-squares complex frequency fits of the FRFs (Peeters et al. 2004) over the band and its parts give candidate
-    poles; a maximum-likelihood fit of real modes of unit modal mass, on the spectra of the whole records where they are given
-    (transients modelled, response and force noise weighted), else on the FRFs with their variances, refines them, settles how many
-    there are and gives their covariance. Modes outside the band become residual modes, so that undriven FRF columns are predicted too.
+    poles. The linear stage fits them with free complex residues in each pair, under noise and an error in proportion to the FRF that
+    it estimates, and says which are modes. Where noise is what limits it, a maximum-likelihood fit of real modes of unit modal mass, on
+    the spectra of the whole records where they are given, else on the FRFs with their variances, polishes the answer. What lies
+    outside the band becomes residual terms, so that undriven FRF columns are predicted too.
 
     Parameters
     ----------
@@ -101,8 +144,14 @@ def fit_ema(
         Order of the linear fit shown in the stabilisation diagram.
     records : sequence of TimeRecord, optional
         Raw runs behind the FRFs: forces and responses. Runs with a single hit are fitted through their FRFs.
+    ema : {"auto", "linear", "polished"}
+        Which answer to give; "auto" polishes where the model error is below 1 % and the work within two minutes or so.
+    modes_hz : sequence of float
+        Exactly these modes [Hz]: the nearest stable pole of each.
     select_hz, reject_hz : sequences of float
-        Modes chosen or refused by hand [Hz].
+        Modes beside the automatic ones, and modes without the one nearest to each [Hz].
+    automatic : ModalModel, optional
+        What this function returned for the same data without settings by hand: they are then answered from its kept candidates.
     second_opinion : bool
         Ask sdypy-EMA as well.
     progress : callable, optional
@@ -117,92 +166,29 @@ def fit_ema(
     Raises
     ------
     IdentificationError
-        If the band holds too few lines or no mode is found.
+        If the band holds too few lines, no mode is found, or no pole is near a frequency named in ``modes_hz`` or ``select_hz``.
     DataError
-        If records and FRFs do not belong together.
+        If records and FRFs do not belong together, or ``ema`` is unknown.
     """
     from threadpoolctl import threadpool_limits
 
+    if ema not in ANSWERS:
+        raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with threadpool_limits(1, "blas"):
-        return _fit(frf, band, max_order, records, tuple(select_hz), tuple(reject_hz), second_opinion, progress)
-
-
-def _fit(
-    frf: Frf,
-    band: tuple[float, float] | None,
-    max_order: int | None,
-    records: Sequence[TimeRecord] | None,
-    select_hz: tuple[float, ...],
-    reject_hz: tuple[float, ...],
-    second_opinion: bool,
-    progress: Callable[[str], None] | None,
-) -> ModalModel:
-    frf = frf.to_quantity("accelerance")
-    dofs = model_dofs(frf)
-    band = _analysis_band(frf, band)
-    if records and any(rings_from_one_hit(record) for record in records):
-        # Transients free in each mode look like the response to a single hit; the FRF starts from rest.
-        records = None
-    runs, fit_band = _runs(frf, dofs, band, records)
-    weights = _weights(frf)
-    data = np.nan_to_num(frf.data)
-    candidates = candidate_poles(frf.frequencies_hz, data, weights, fit_band, window_rate=frf.exponential_window_rate)
-    start = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > MIN_SUPPORT]
-    for wanted in select_hz:
-        near = min(candidates, key=lambda c: abs(c.frequency_hz - wanted), default=None)
-        if near is not None and abs(near.frequency_hz - wanted) < 0.01 * wanted:
-            start.append((near.frequency_hz, near.damping_ratio))
-        else:
-            start.append((wanted, 0.01))
-    start = _distinct([s for s in start if not any(abs(s[0] - r) < 0.01 * r for r in reject_hz)])
-    if not start:
-        raise IdentificationError(
-            f"no stable pole between {fit_band[0]:g} and {fit_band[1]:g} Hz",
-            hint="widen the band, check the FRFs, or name modes by select_hz",
-        )
-    core = choose_core(runs, dofs, len(start))
-    core_runs = runs if core is None else [_reduced(run, core) for run in runs]
-    n_dofs = len(dofs) if core is None else len(core)
-    hz, zeta = np.array([s[0] for s in start]), np.array([s[1] for s in start])
-    core_runs, turned = _turned(core_runs, hz, zeta)
-    log = OrderLog()
-    hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
-    lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta)
-    weighted = with_model_error(core_runs, theta, share)
-    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=select_hz, reject_hz=reject_hz, log=log, progress=progress)
-    final = _final(weighted, n_dofs, fit, lower, select_hz, reject_hz, log, progress)
-    misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
-    gone = make_up(core_runs, final)
-    outside = outside_modes(core_runs, final, band, lower, gone=gone)
-    if gone.size:
-        log.rounds.append(f"{gone.size} modes beyond the lines taken for part of what lies outside")
-        final = without_modes(final, gone)
-    if core is not None:
-        runs = _turn(runs, turned)
-        final, outside = remaining_rows(runs, core, len(dofs), final, outside)
-        by_row = _spread(by_row, core, len(dofs))
-    used = records is not None
-    stabilization = _diagram(frf, data, weights, fit_band, max_order, final, select_hz, reject_hz)
-    model = _model(frf, dofs, final, outside, band, fit_band, misfit, log, used)
-    if turned:
-        names = dict.fromkeys(str(dofs[int(runs[i].force_rows[k])]) for i, k in turned)
-        model = replace(model, findings=(*model.findings, *(turned_finding(name) for name in names)))
-    opinion: tuple[dict[str, Any], ...] = ()
-    if second_opinion:
-        opinion = _opinion(frf, model)
-    rejected = (*log.rejected, *(() if stabilization is None else stabilization.rejected))
-    details = EmaDetails(
-        stabilization,
-        rejected,
-        tuple(log.rounds),
-        fit_band,
-        by_row,
-        final.cost / final.n_data,
-        final.converged,
-        lower,
-        opinion,
-    )
-    return replace(model, details=details)
+        frf = frf.to_quantity("accelerance")
+        if records and any(rings_from_one_hit(record) for record in records):
+            # Transients free in each mode look like the response to a single hit; the FRF starts from rest.
+            records = None
+        job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), tuple(records or ()), ema, progress, _weights(frf))
+        model = automatic
+        by_hand = bool(modes_hz or select_hz or reject_hz)
+        if model is None or not isinstance(model.details, EmaDetails):
+            model = _identify(job, max_order)
+        if by_hand:
+            model = _by_hand(job, model, max_order, tuple(modes_hz), tuple(select_hz), tuple(reject_hz))
+        if second_opinion:
+            model = replace(model, details=replace(model.details, second_opinion=_opinion(frf, model)))
+        return model
 
 
 def model_dofs(frf: Frf) -> tuple[Dof, ...]:
@@ -222,19 +208,6 @@ def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, f
     return low, high
 
 
-def _runs(
-    frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float], records: Sequence[TimeRecord] | None
-) -> tuple[list[RunSpectra], tuple[float, float]]:
-    """Spectra to fit, on lines a little wider than the analysis band where the force excites."""
-    f = frf.frequencies_hz
-    if not records:
-        fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
-        return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
-    limit = min(excited_limit(record, band) for record in records)
-    fit_band = (0.6 * band[0], float(max(min(WIDER * band[1], 0.97 * limit), min(band[1], limit))))
-    return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
-
-
 def _weights(frf: Frf) -> Real | None:
     """1/standard deviation of each line for the linear fits, 0 where a pair was not measured; None where there is nothing to weigh."""
     missing = ~np.isfinite(frf.data)
@@ -248,198 +221,255 @@ def _weights(frf: Frf) -> Real | None:
     return np.where(missing, 0.0, 1 / np.maximum(std, max(float(floor), 1e-300)))
 
 
-def _distinct(poles: list[tuple[float, float]]) -> list[tuple[float, float]]:
+def _identify(job: _Job, max_order: int | None) -> ModalModel:
+    """The automatic answer."""
+    f = job.frf.frequencies_hz
+    ends = float(max(LOWER * job.band[0], f[f > 0][0])), float(min(UPPER * job.band[1], f[-1]))
+    runs: list[RunSpectra] = []
+    fit_band = ends
+    if job.records:
+        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, job.records)
+    candidates = candidate_poles(f, np.nan_to_num(job.frf.data), job.weights, fit_band, window_rate=job.frf.exponential_window_rate)
+    pairs = frf_pairs(job.frf, job.dofs, ends)
+    start = _starting_poles(candidates, ends)
+    if not start.hz.size:
+        raise IdentificationError(
+            f"no stable pole between {ends[0]:g} and {ends[1]:g} Hz", hint="widen the band, check the FRFs, or name modes by modes_hz"
+        )
+    pairs, findings = _right_quantity(pairs, start)
+    fit, log = choose_modes(pairs, start, job.band, progress=job.progress)
+    return _answer(job, pairs, fit, log, tuple(candidates), runs, fit_band, max_order, findings)
+
+
+def _answer(
+    job: _Job,
+    pairs: Pairs,
+    fit: LinearFit,
+    log: ChoiceLog,
+    candidates: tuple[Candidate, ...],
+    runs: list[RunSpectra],
+    fit_band: tuple[float, float],
+    max_order: int | None,
+    findings: list[Finding],
+    by_hand: tuple[float, ...] | None = None,
+) -> ModalModel:
+    """The linear answer, and the polished one in its place where that is wanted; ``by_hand``: exactly these modes."""
+    turned = turned_columns(fit)
+    if turned.size:
+        pairs = pairs.turned(turned)
+        fit = fit_linear(fit.pairs.turned(turned), fit.poles, fit.ends_hz, before=fit.variance, rounds=1)
+    evidence = judge_modes(fit, () if by_hand is None else by_hand)
+    mass = unit_mass_shapes(fit, len(job.dofs))
+    kept = linear_modes(fit, evidence, mass.scaled)
+    polish, reason = _polish_wanted(job, fit, evidence)
+    if polish:
+        if not runs:
+            runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None)
+        if by_hand is not None:
+            hz, zeta = fit.poles.hz, fit.poles.zeta
+        else:
+            first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
+            hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
+        answer = polished_answer(runs, job.dofs, job.band, hz, zeta, search=by_hand is None, progress=job.progress)
+        theta = answer.fit.parameters
+        drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
+        scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
+        model = polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled)
+        hz, zeta, shapes, order_log, misfit, by_row = theta.hz, theta.zeta, theta.shapes, answer.log, answer.misfit, answer.misfit_by_row
+        chi, converged, lower, turned_rows = answer.fit.cost / answer.fit.n_data, answer.fit.converged, answer.lower, answer.turned
+        rejected, rounds = tuple(order_log.rejected), (*log.rounds, *order_log.rounds)
+        more: list[Finding] = []
+    else:
+        misfit, by_row = float("nan"), np.full(len(job.dofs), np.nan)
+        if pairs.noise_known:
+            misfit, by_row = heldout_misfit(pairs, fit, job.band, len(job.dofs))
+        scaled = bool(job.frf.si and mass.scaled.any())
+        model = linear_model(job.frf, job.dofs, fit, evidence, mass, job.band, misfit, scaled)
+        sure = np.array([not e.doubts for e in evidence])
+        hz, zeta, shapes = fit.poles.hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]
+        order_log = _drive_log(fit, mass, sure)
+        chi = float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain))
+        converged, lower, turned_rows = True, True, tuple(int(row) for row in turned)
+        doubtful = [
+            RejectedPole(float(h), float(z), e.doubts[0][0], "; ".join(text for _, text in e.doubts))
+            for h, z, e in zip(fit.poles.hz, fit.poles.zeta, evidence, strict=True)
+            if e.doubts
+        ]
+        rejected, rounds = (*doubtful, *log.rejected), tuple(log.rounds)
+        fit_band = fit.ends_hz
+        local = model.n_residuals < len(job.dofs) - np.unique(fit.pairs.columns).size
+        more = linear_findings(kept, job.band, len(job.dofs) - np.unique(fit.pairs.columns).size if local else 0)
+    findings = [
+        *findings,
+        *fit_findings(job.frf, job.dofs, hz, job.band, order_log, misfit if polish else float("nan")),
+        *more,
+        *(turned_finding(str(job.dofs[row])) for row in turned_rows),
+    ]
+    stabilization = _diagram(job, fit_band, max_order, hz, zeta, shapes)
+    every = (*rejected, *(() if stabilization is None else stabilization.rejected))
+    details = EmaDetails(
+        stabilization,
+        every,
+        rounds,
+        fit_band,
+        by_row,
+        chi,
+        converged,
+        lower,
+        (),
+        "polished" if polish else "linear",
+        reason,
+        kept,
+        candidates,
+    )
+    return replace(model, findings=(*model.findings, *findings), details=details)
+
+
+def _polish_wanted(job: _Job, fit: LinearFit, evidence: list[Any]) -> tuple[bool, str]:
+    """Whether to polish, and why or why not."""
+    error = float(np.median(fit.variance.alpha))
+    unknowns = fit.n_modes * (2 + len(job.dofs)) + 8 * fit.pairs.accelerance.shape[0]
+    work = POLISH_STEPS * (float(unknowns) ** 3 / 3 + 4 * fit.pairs.accelerance.size * (5 * fit.n_modes) ** 2)
+    if job.answer != "auto":
+        return job.answer == "polished", f"ema = {job.answer!r}"
+    if error >= NOISE_LIMITED:
+        return False, f"the FRFs differ from modes by {100 * error:.2g} % of themselves: a likelihood of noise alone would bend the modes"
+    if work > POLISH_WORK:
+        return False, f'polishing {unknowns} unknowns would take about {work / POLISH_WORK * 2:.0f} minutes; ema = "polished" does it'
+    return True, f"noise limits the fit (model error {100 * error:.2g} % of the FRFs)"
+
+
+def _starting_poles(candidates: Sequence[Candidate], ends: tuple[float, float]) -> Poles:
+    """Prominent candidates, strongest first, none nearer than 0.35 half bandwidths to a stronger one; by rising frequency."""
+    taken: list[Candidate] = []
+    for c in sorted((c for c in candidates if c.prominent and c.support > MIN_SUPPORT), key=lambda c: -c.support):
+        width = [0.35 * min(c.damping_ratio * c.frequency_hz, t.damping_ratio * t.frequency_hz) for t in taken]
+        inside = 0.95 * ends[0] <= c.frequency_hz <= 1.05 * ends[1]
+        if inside and all(abs(c.frequency_hz - t.frequency_hz) > w for t, w in zip(taken, width, strict=True)):
+            taken.append(c)
+    taken.sort(key=lambda c: c.frequency_hz)
+    return Poles(np.array([c.frequency_hz for c in taken]), np.clip(np.array([c.damping_ratio for c in taken]), 1e-5, 0.15))
+
+
+def _distinct(poles: list[tuple[float, float]]) -> tuple[Real, Real]:
     out: list[tuple[float, float]] = []
     for h, z in sorted(poles):
         if out and abs(h - out[-1][0]) < 1e-4 * h:
             continue
         out.append((h, z))
-    return out
+    return np.array([h for h, _ in out]), np.array([z for _, z in out])
 
 
-def _turned(runs: Sequence[RunSpectra], hz: Real, zeta: Real) -> tuple[list[RunSpectra], list[tuple[int, int]]]:
-    """The runs with forces of the wrong sense turned, and which they were."""
-    thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
-    residues = linear_residues(thinned, hz, np.clip(zeta, 2e-4, 0.1), outside_kernels(thinned, hz, False))
-    turned = inverted_forces(runs, residues)
-    return _turn(runs, turned), turned
+def _right_quantity(pairs: Pairs, start: Poles) -> tuple[Pairs, list[Finding]]:
+    """FRFs whose residues stand at 90° are no accelerances: taken for mobilities, which they most likely are.
 
-
-def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list[RunSpectra]:
-    out = list(runs)
-    for i, k in turned:
-        sign = np.ones((out[i].forces.shape[0], 1))
-        sign[k] = -1
-        out[i] = replace(out[i], forces=out[i].forces * sign)
-    return out
-
-
-def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float, Parameters]:
-    """Whether kernels below the band lower the cost by more than their number earns, the relative error that remains, and that fit.
-
-    The error is 0 where the candidates already describe the data to within a few times their noise.
+    Each mode with equal weight: mean over the modes of Σ R²/Σ|R|², 1 for real residues, −1 for residues turned by 90°.
     """
-    thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
-    without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
-    theta = without.parameters
-    with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, max_iterations=6)
-    unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
-    price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
-    lower = without.cost - with_lower.cost > price
-    best = with_lower if lower else without
-    return bool(lower), relative_model_error(thinned, best.parameters), best.parameters
+    thinned = pairs.lines(informative_lines(pairs.frequencies_hz, start.hz, start.zeta))
+    ends = float(pairs.frequencies_hz[0]), float(pairs.frequencies_hz[-1])
+    variance = thinned.noise + 0.05**2 * np.abs(thinned.accelerance) ** 2
+    fit = project(thinned, start, variance, None, ends)
+    residues = fit.a + 1j * fit.b
+    strength = fit.evidence.sum(axis=0)
+    clear = strength > 0.01 * strength.max()
+    phase = np.sum(residues**2, axis=0) / np.maximum(np.sum(np.abs(residues) ** 2, axis=0), 1e-300)
+    if float(np.mean(phase[clear].real)) > -0.5:
+        return pairs, []
+    factor = 2j * np.pi * pairs.frequencies_hz + pairs.window_rate
+    turned = replace(pairs, accelerance=pairs.accelerance * factor, noise=pairs.noise * np.abs(factor) ** 2)
+    return turned, [quantity_finding("mobilities, and multiplied by iω")]
 
 
-def _final(
-    runs: Sequence[RunSpectra],
-    n_dofs: int,
-    fit: Polished,
-    lower: bool,
-    keep_hz: Sequence[float],
-    reject_hz: Sequence[float],
-    log: OrderLog,
-    progress: Callable[[str], None] | None,
-) -> Polished:
-    """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out."""
-    theta = fit.parameters
-    for _ in range(4):
-        rank = np.argsort(theta.hz)
-        start = start_parameters(runs, theta.hz[rank], theta.zeta[rank], theta.shapes[:, rank], theta.outside_hz)
-        final = refine(
-            runs,
-            n_dofs,
-            theta.hz[rank],
-            theta.zeta[rank],
-            lower=lower,
-            start=start,
-            max_iterations=25,
-            tolerance=0.05,
-            want_covariance=True,
-            progress=progress,
-        )
-        out = np.union1d(weak_modes(runs, final, keep_hz, log, reject_hz), uncertain_modes(runs, final, keep_hz, log)).astype(int)
-        if not out.size or out.size == final.parameters.hz.size:
-            break
-        log.rounds.append(f"final fit: {out.size} modes taken out")
-        keep = np.setdiff1d(np.arange(final.parameters.hz.size), out)
-        theta = replace(
-            final.parameters, hz=final.parameters.hz[keep], zeta=final.parameters.zeta[keep], shapes=final.parameters.shapes[:, keep]
-        )
-    return final
+def _drive_log(fit: LinearFit, mass: UnitMassShapes, sure: NDArray[np.bool_]) -> OrderLog:
+    """Modes without a scale, and drive-point residues of the wrong sign."""
+    log = OrderLog()
+    if mass.drive:
+        log.unseen_hz = [float(h) for h in fit.poles.hz[sure & ~mass.scaled]]
+        wrong: dict[int, float] = {}
+        for pair, t in mass.drive:
+            for k in np.flatnonzero(sure & (t < -3)):
+                wrong[int(k)] = min(wrong.get(int(k), 0.0), float(fit.projection.a[pair, k]))
+        log.wrong_sign = [(float(fit.poles.hz[k]), value) for k, value in sorted(wrong.items())]
+    return log
 
 
-def _reduced(run: RunSpectra, core: NDArray[np.int_]) -> RunSpectra:
-    position = {int(row): i for i, row in enumerate(core)}
-    keep = np.array([i for i, row in enumerate(run.response_rows) if int(row) in position])
-    return replace(
-        run,
-        responses=run.responses[keep],
-        response_rows=np.array([position[int(run.response_rows[i])] for i in keep]),
-        response_signs=run.response_signs[keep],
-        response_variance=run.response_variance[keep],
-        force_rows=np.array([position[int(row)] for row in run.force_rows]),
-    )
-
-
-def _spread(values: Real, core: NDArray[np.int_], n: int) -> Real:
-    out = np.full(n, np.nan)
-    out[core] = values
-    return out
-
-
-def _diagram(
-    frf: Frf,
-    data: NDArray[np.complex128],
-    weights: Real | None,
-    fit_band: tuple[float, float],
+def _by_hand(
+    job: _Job,
+    automatic: ModalModel,
     max_order: int | None,
-    final: Polished,
+    modes_hz: tuple[float, ...],
     select_hz: tuple[float, ...],
     reject_hz: tuple[float, ...],
-) -> Stabilization | None:
-    n_in = min(data.shape[:2])
-    order = max_order or int(np.clip(np.ceil(6 * final.parameters.hz.size / n_in), 10, 80))
+) -> ModalModel:
+    """Modes named by hand, from the automatic ones and the kept candidates: a fit of exactly these, without a search."""
+    details = automatic.details
+    have = [(float(h), float(z)) for h, z in zip(automatic.frequencies_hz, automatic.damping_ratios, strict=True)]
+    pool = have + [(c.frequency_hz, c.damping_ratio) for c in details.candidates]
+    if details.linear is not None:
+        pool += list(zip(details.linear.frequencies_hz.tolist(), details.linear.damping_ratios.tolist(), strict=True))
+    chosen = [] if modes_hz else list(have)
+    for wanted in (*modes_hz, *select_hz):
+        near = _nearest(pool, wanted)
+        if all(abs(near[0] - h) > 1e-4 * h for h, _ in chosen):
+            chosen.append(near)
+    for refused in reject_hz:
+        near = _nearest(chosen, refused)
+        chosen.remove(near)
+    if not chosen:
+        raise IdentificationError("no mode is left after reject_hz", hint="leave some, or name modes in modes_hz")
+    hz, zeta = _distinct(chosen)
+    f = job.frf.frequencies_hz
+    ends = float(max(LOWER * job.band[0], f[f > 0][0])), float(min(UPPER * job.band[1], f[-1]))
+    pairs, findings = _right_quantity(frf_pairs(job.frf, job.dofs, ends), Poles(hz, zeta))
+    log = ChoiceLog()
+    thinned = pairs.lines(informative_lines(pairs.frequencies_hz, hz, zeta))
+    fit = fit_linear(thinned, Poles(hz, np.clip(zeta, 1e-5, 0.15)), ends, rounds=3)
+    log.rounds.append(f"by hand: {hz.size} modes; {automatic.n_modes} were chosen automatically")
+    runs: list[RunSpectra] = []
+    fit_band = ends
+    job = replace(job, answer=details.answer if job.answer == "auto" else job.answer)
+    if job.records and job.answer == "polished":
+        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, job.records)
+    model = _answer(job, pairs, fit, log, details.candidates, runs, fit_band, max_order, findings, by_hand=tuple(hz.tolist()))
+    before, now = automatic.misfit, model.misfit
+    cost = "" if before is None or now is None else f"; reduced chi-square on unused lines {before:.3g} automatically, {now:.3g} by hand"
+    gone = [RejectedPole(*near, "by_hand", f"refused in reject_hz{cost}") for near in (_nearest(have, r) for r in reject_hz)]
+    own = replace(
+        model.details,
+        rounds=(*model.details.rounds, f"by hand{cost}"),
+        rejected=(*gone, *model.details.rejected),
+        answer_reason=details.answer_reason if job.answer == details.answer else model.details.answer_reason,
+    )
+    return replace(model, details=own)
+
+
+def _nearest(poles: Sequence[tuple[float, float]], wanted: float) -> tuple[float, float]:
+    """The pole nearest to a frequency named by hand.
+
+    Raises
+    ------
+    IdentificationError
+        If none is near enough to be meant.
+    """
+    best = min(poles, key=lambda p: abs(p[0] - wanted), default=None)
+    if best is None or abs(best[0] - wanted) > max(0.01 * wanted, BY_HAND_WIDTHS * best[1] * best[0]):
+        near = "" if best is None else f"; the nearest is at {best[0]:.5g} Hz"
+        raise IdentificationError(f"no stable pole near {wanted:g} Hz{near}", hint="see the stabilisation diagram in the report")
+    return best
+
+
+def _diagram(job: _Job, fit_band: tuple[float, float], max_order: int | None, hz: Real, zeta: Real, shapes: Real) -> Stabilization | None:
+    data = np.nan_to_num(job.frf.data)
+    order = max_order or int(np.clip(np.ceil(6 * hz.size / min(data.shape[:2])), 10, 80))
     try:
-        rate = frf.exponential_window_rate
-        diagram = stabilization_diagram(frf.frequencies_hz, data, max_order=order, weights=weights, band=fit_band, window_rate=rate)
+        rate = job.frf.exponential_window_rate
+        diagram = stabilization_diagram(job.frf.frequencies_hz, data, max_order=order, weights=job.weights, band=fit_band, window_rate=rate)
     except IdentificationError:
         return None
-    hz, zeta = final.parameters.hz, final.parameters.zeta
-    members = []
-    for h in hz:
-        near = np.flatnonzero(np.abs(diagram.table.frequency_hz - h) < 0.003 * h)
-        members.append(near)
+    members = tuple(np.flatnonzero(np.abs(diagram.table.frequency_hz - h) < 0.003 * h) for h in hz)
     # What the linear diagram rejected but the refined fit took is not rejected.
     rejected = tuple(r for r in diagram.rejected if not np.any(np.abs(hz - r.frequency_hz) < 0.005 * hz))
-    return replace(
-        diagram,
-        selected_hz=hz,
-        selected_damping=zeta,
-        selected_vectors=final.parameters.shapes,
-        selected_members=tuple(members),
-        rejected=rejected,
-    )
-
-
-def _model(
-    frf: Frf,
-    dofs: tuple[Dof, ...],
-    final: Polished,
-    outside: OutsideModes,
-    band: tuple[float, float],
-    fit_band: tuple[float, float],
-    misfit: float,
-    log: OrderLog,
-    from_records: bool,
-) -> ModalModel:
-    theta = final.parameters
-    n = theta.hz.size
-    p = outside.hz.size
-    sign = np.sign(theta.shapes[np.argmax(np.abs(theta.shapes), axis=0), np.arange(n)])
-    sign[sign == 0] = 1
-    shapes = np.concatenate([theta.shapes * sign, outside.shapes], axis=1)
-    hz, zeta = theta.hz, theta.zeta
-    covariance = _model_covariance(final, sign, outside, zeta, max(1.0, misfit if np.isfinite(misfit) else 1.0))
-    residual = np.concatenate([(hz > fit_band[1]) | (hz < 0.8 * fit_band[0]), np.ones(p, bool)])
-    in_band = np.concatenate([(hz >= band[0]) & (hz <= band[1]), np.zeros(p, bool)]) & ~residual
-    findings = list(frf.findings) + fit_findings(frf, dofs, theta.hz, band, log, misfit)
-    drive = any(r.same_axis(d) for r in frf.references for d in frf.responses)
-    scaled = frf.si and drive and len(log.unseen_hz) < n
-    provenance = Provenance.merge(frf.provenance).then(f"fit_ema(band={band}, records={from_records})")
-    return ModalModel.from_terms(
-        np.concatenate([hz, outside.hz]),
-        np.concatenate([zeta, outside.zeta]),
-        shapes,
-        dofs,
-        "unit_modal_mass" if scaled else "unscaled",
-        residual=residual,
-        in_band=in_band,
-        covariance=covariance,
-        band_hz=band,
-        misfit=None if not np.isfinite(misfit) else float(misfit),
-        si=frf.si,
-        findings=tuple(findings),
-        provenance=provenance,
-    )
-
-
-def _model_covariance(final: Polished, sign: Real, outside: OutsideModes, zeta: Real, inflation: float) -> Real:
-    """Covariance in the order and units of ModalModel, inflated by the misfit and with the floors added."""
-    theta = final.parameters
-    m_dofs, n = theta.shapes.shape
-    p = outside.hz.size
-    units = np.concatenate([theta.hz, zeta, np.repeat(sign, m_dofs)])
-    block = final.covariance * np.outer(units, units) * inflation
-    rms = np.sqrt(np.mean(theta.shapes**2, axis=0))
-    floor = np.concatenate([FREQUENCY_FLOOR * theta.hz, DAMPING_FLOOR * zeta, np.repeat(SHAPE_FLOOR * rms, m_dofs)]) ** 2
-    block[np.diag_indices_from(block)] += floor
-    total = n + p
-    out = np.zeros((total * (2 + m_dofs), total * (2 + m_dofs)))
-    index = np.concatenate([np.arange(n), total + np.arange(n), 2 * total + np.arange(n * m_dofs)])
-    out[np.ix_(index, index)] = block
-    rest = 2 * total + n * m_dofs + np.arange(p * m_dofs)
-    out[np.ix_(rest, rest)] = outside.covariance
-    return out
+    return replace(diagram, selected_hz=hz, selected_damping=zeta, selected_vectors=shapes, selected_members=members, rejected=rejected)
 
 
 def _opinion(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:

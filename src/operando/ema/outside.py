@@ -95,6 +95,7 @@ def outside_modes(
     lower: bool,
     max_dofs: int = 60,
     gone: NDArray[np.int_] | None = None,
+    local_terms: bool = True,
 ) -> OutsideModes:
     """Residual modes of all DOFs from the out-of-band part of the driven columns.
 
@@ -111,6 +112,8 @@ def outside_modes(
         DOFs in the nonlinear part of the fit; further ones follow by linear least squares.
     gone : int array, optional
         Modes of the fit that are no modes (:func:`make_up`): what they add to the driven columns lies outside.
+    local_terms : bool
+        Add a term at each DOF that was not driven, for the compliance of its own.
     """
     moved = fit.parameters
     fit = fit if gone is None or not gone.size else without_modes(fit, gone)
@@ -162,6 +165,8 @@ def outside_modes(
     for p in range(hz.size):
         covariance[p, rest, p, rest] = variance[rest, p]
     size = hz.size * m_dofs
+    if not local_terms:
+        return OutsideModes(hz, np.full(hz.size, OUTSIDE_DAMPING), shapes, covariance.reshape(size, size))
     return _with_local(hz, shapes, covariance.reshape(size, size), refs, target, known, top, f)
 
 

@@ -48,7 +48,7 @@ def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None =
         if top < 10 * noise[k]:
             continue
         left, right = _half_power(f, power, int(k), -1), _half_power(f, power, int(k), 1)
-        sides = [_valley(power, int(k), -1), _valley(power, int(k), 1)]
+        sides = [lowest_towards_higher(power, int(k), -1), lowest_towards_higher(power, int(k), 1)]
         if left is None or right is None or min(top / max(v, 1e-300) for v in sides) < prominence:
             continue
         peaks.append(Peak(float(f[k]), right - left))
@@ -68,7 +68,7 @@ def _half_power(f: Array, power: Array, peak: int, step: int) -> float | None:
     return float(f[k] + (f[k + step] - f[k]) * (a - 0.5 * power[peak]) / (a - b))
 
 
-def _valley(power: Array, peak: int, step: int) -> float:
+def lowest_towards_higher(power: Array, peak: int, step: int) -> float:
     """Lowest power on the way to the next higher line on one side."""
     side = power[peak + 1 :] if step > 0 else power[:peak][::-1]
     higher = np.flatnonzero(side > power[peak])

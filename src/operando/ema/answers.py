@@ -1,0 +1,252 @@
+"""From either answer of the modal analysis, linear or polished, to a modal model with its covariance and residual terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Frf, ModalModel, Provenance
+from operando.dof import Dof
+from operando.ema.doubts import Evidence
+from operando.ema.linear import LinearFit, fit_linear
+from operando.ema.outside import OutsideModes, outside_modes
+from operando.ema.pairs import Pairs, Real
+from operando.ema.polish import Polished
+from operando.ema.polish_model import Parameters
+from operando.ema.polished import PolishedAnswer
+from operando.ema.projection import synthesis, tail_columns
+from operando.ema.spectra import RunSpectra
+from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
+from operando.ema.unit_mass import UnitMassShapes
+
+FREQUENCY_FLOOR = 1e-6
+DAMPING_FLOOR = 1.3e-4
+SHAPE_FLOOR = 1.3e-4
+"""Relative standard deviations that no likelihood sees: clock and filters of a measurement chain, the integrator of a simulated one."""
+
+N_BLOCKS = 18
+"""Contiguous blocks of lines of which every third is kept from the fit that judges the model."""
+
+CORE_DOFS = 16
+"""DOFs whose residual terms are fitted together; the others follow from these row by row."""
+
+MOST_PARAMETERS = 4000
+"""Largest covariance that is kept whole (128 MB): beyond it the own compliance of undriven DOFs is left out of the residual terms."""
+
+
+@dataclass(frozen=True)
+class LinearModes:
+    """The linear stage's own answer, kept beside the polished one.
+
+    Parameters
+    ----------
+    frequencies_hz, damping_ratios, frequency_std_hz, damping_ratio_std : (n,) arrays
+        Poles with doubts included.
+    evidence : tuple of Evidence
+    scaled : (n,) bool array
+        Modes whose scale a drive point gives.
+    model_error : float
+        α: median over the pairs of the error in proportion to the FRF.
+    correlation : float
+        ν: lines that count as one.
+    """
+
+    frequencies_hz: Real
+    damping_ratios: Real
+    frequency_std_hz: Real
+    damping_ratio_std: Real
+    evidence: tuple[Evidence, ...]
+    scaled: NDArray[np.bool_]
+    model_error: float
+    correlation: float
+
+
+def linear_modes(fit: LinearFit, evidence: list[Evidence], scaled: NDArray[np.bool_]) -> LinearModes:
+    """What is kept of the linear stage."""
+    return LinearModes(
+        fit.poles.hz,
+        fit.poles.zeta,
+        fit.frequency_std_hz,
+        fit.poles.zeta * fit.log_damping_std,
+        tuple(evidence),
+        scaled,
+        float(np.median(fit.variance.alpha)),
+        fit.correlation,
+    )
+
+
+def _assemble(
+    frf: Frf,
+    dofs: tuple[Dof, ...],
+    band: tuple[float, float],
+    poles: tuple[Real, Real],
+    shapes: Real,
+    covariance: Real,
+    outside: OutsideModes,
+    residual: NDArray[np.bool_],
+    misfit: float,
+    scaled: bool,
+    how: str,
+) -> ModalModel:
+    """The model: modes (each with its largest shape value positive), poles that are no modes, and terms for what lies outside."""
+    hz, zeta = poles
+    m, n = shapes.shape
+    sign = np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
+    sign[sign == 0] = 1
+    units = np.concatenate([np.ones(2 * n), np.repeat(sign, m)])
+    rms = np.sqrt(np.mean(shapes**2, axis=0))
+    floor = np.concatenate([FREQUENCY_FLOOR * hz, DAMPING_FLOOR * zeta, np.repeat(SHAPE_FLOOR * rms, m)]) ** 2
+    block = covariance * np.outer(units, units)
+    block[np.diag_indices_from(block)] += floor
+    total = n + outside.hz.size
+    whole = np.zeros((total * (2 + m), total * (2 + m)))
+    index = np.concatenate([np.arange(n), total + np.arange(n), 2 * total + np.arange(n * m)])
+    whole[np.ix_(index, index)] = block
+    rest = 2 * total + n * m + np.arange(outside.hz.size * m)
+    whole[np.ix_(rest, rest)] = outside.covariance
+    in_band = (hz >= band[0]) & (hz <= band[1]) & ~residual
+    p = outside.hz.size
+    return ModalModel.from_terms(
+        np.concatenate([hz, outside.hz]),
+        np.concatenate([zeta, outside.zeta]),
+        np.concatenate([shapes * sign, outside.shapes], axis=1),
+        dofs,
+        "unit_modal_mass" if scaled else "unscaled",
+        residual=np.concatenate([residual, np.ones(p, bool)]),
+        in_band=np.concatenate([in_band, np.zeros(p, bool)]),
+        covariance=whole,
+        band_hz=band,
+        misfit=None if not np.isfinite(misfit) else float(misfit),
+        si=frf.si,
+        findings=frf.findings,
+        provenance=Provenance.merge(frf.provenance).then(f"fit_ema(band={band}, {how})"),
+    )
+
+
+def polished_model(
+    frf: Frf, dofs: tuple[Dof, ...], answer: PolishedAnswer, band: tuple[float, float], fit_band: tuple[float, float], scaled: bool
+) -> ModalModel:
+    """Model of the maximum-likelihood fit; its covariance is inflated by the misfit on unused lines."""
+    theta = answer.fit.parameters
+    m, n = theta.shapes.shape
+    units = np.concatenate([theta.hz, theta.zeta, np.ones(n * m)])
+    inflation = max(1.0, answer.misfit if np.isfinite(answer.misfit) else 1.0)
+    covariance = answer.fit.covariance * np.outer(units, units) * inflation
+    residual = (theta.hz > fit_band[1]) | (theta.hz < 0.8 * fit_band[0])
+    poles = theta.hz, theta.zeta
+    return _assemble(frf, dofs, band, poles, theta.shapes, covariance, answer.outside, residual, answer.misfit, scaled, "polished")
+
+
+def linear_model(
+    frf: Frf,
+    dofs: tuple[Dof, ...],
+    fit: LinearFit,
+    evidence: list[Evidence],
+    mass: UnitMassShapes,
+    band: tuple[float, float],
+    misfit: float,
+    scaled: bool,
+) -> ModalModel:
+    """Model of the linear stage: modes without doubts; the other poles are residual terms."""
+    outside = linear_outside(fit, mass, band)
+    residual = np.array([bool(e.doubts) for e in evidence])
+    poles = fit.poles.hz, fit.poles.zeta
+    return _assemble(frf, dofs, band, poles, mass.shapes, mass.covariance, outside, residual, misfit, scaled, "linear stage")
+
+
+def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, float]) -> OutsideModes:
+    """Residual terms for all DOFs from the tails of the measured pairs; 1/s, an offset of a sensor, is no part of a structure."""
+    runs, parameters = column_runs(fit, mass.shapes)
+    columns = tail_columns(fit.pairs.frequencies_hz, max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0], fit.pairs.window_rate)
+    physical = columns[: len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)]
+    estimates = []
+    for run, local in zip(runs, parameters.local, strict=True):
+        size = physical.shape[0]
+        information = np.zeros((local.size, local.size))
+        for j, variance in enumerate(run.response_variance):
+            at = slice(j * size, (j + 1) * size)
+            information[at, at] = 2 * ((physical / variance) @ physical.conj().T).real
+        estimates.append((local.ravel(), information))
+    lines = fit.pairs.accelerance.size
+    polished = Polished(parameters, mass.covariance, tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)
+    m, n = mass.shapes.shape
+    local_terms = (n + 14 + m) * (2 + m) <= MOST_PARAMETERS
+    return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms)
+
+
+def _physical_tails(fit: LinearFit) -> Real:
+    """Coefficients of the kernels outside and of the mass line, (P, 8); 1/s² is how a suspension below the band begins, and joins them."""
+    columns = tail_columns(fit.pairs.frequencies_hz, max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0], fit.pairs.window_rate)
+    keep = len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)
+    low = np.arange(len(OUTSIDE_FACTORS), keep)
+    share = np.linalg.lstsq(columns[low].real.T, columns[-1].real, rcond=None)[0]
+    tails = fit.projection.tails[:, :keep].copy()
+    tails[:, low] += fit.projection.tails[:, -1:] * share
+    return np.asarray(tails)
+
+
+def column_runs(fit: LinearFit, shapes: Real) -> tuple[list[RunSpectra], Parameters]:
+    """The pairs as columns of the FRF matrix, as the maximum-likelihood fit takes them, and the linear fit in its parameters.
+
+    By reciprocity the side with fewer DOFs stands for the references: the accelerometers of a roving-hammer test.
+    """
+    pairs, runs, local = fit.pairs, [], []
+    tails = _physical_tails(fit)
+    few, many = pairs.columns, pairs.rows
+    if np.unique(few).size > np.unique(many).size:
+        few, many = many, few
+    for column in np.unique(few):
+        at = np.flatnonzero(few == column)
+        lines = pairs.frequencies_hz.size
+        runs.append(
+            RunSpectra(
+                pairs.frequencies_hz,
+                pairs.accelerance[at],
+                np.ones((1, lines), complex),
+                many[at],
+                np.ones(at.size),
+                np.array([column]),
+                np.ones(1),
+                fit.variance.plain[at],
+                np.zeros((1, lines)),
+                None,
+                window_rate=pairs.window_rate,
+            )
+        )
+        local.append(tails[at])
+    top, bottom = max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0]
+    # the constant tail stands for free masses: a kernel far below the lines
+    outside = np.array([k * top for k in OUTSIDE_FACTORS] + [LOWER_FACTORS[1] * bottom, LOWER_FACTORS[0] * bottom])
+    empty = tuple(np.zeros((0, 0)) for _ in runs)
+    return runs, Parameters(fit.poles.hz, fit.poles.zeta, shapes, outside, empty, tuple(local))
+
+
+def heldout_misfit(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_dofs: int) -> tuple[float, Real]:
+    """Reduced chi-square on lines the fit did not use, by the measurement variance alone: all pairs, and by response DOF.
+
+    Every third of 18 contiguous blocks of lines (narrower ones where there are few lines) is left out of a refit from the final poles.
+    Only for FRFs whose measurement variance is known.
+    """
+    thin = fit.pairs.frequencies_hz
+    f = pairs.frequencies_hz
+    lines = f.size
+    blocks = max(N_BLOCKS, lines // 60)
+    number = (np.arange(lines) * blocks) // lines
+    held = number % 3 == 1
+    used = pairs.lines(np.isin(f, thin) & ~held)
+    if used.frequencies_hz.size < 8 or not held.any():
+        return float("nan"), np.full(n_dofs, np.nan)
+    again = fit_linear(used, fit.poles, fit.ends_hz, residues=fit.projection.residues, rounds=2)
+    judged = pairs.lines(held & (f >= band[0]) & (f <= band[1]))
+    if not judged.frequencies_hz.size:
+        return float("nan"), np.full(n_dofs, np.nan)
+    error = np.abs(judged.accelerance - synthesis(judged, again.poles, again.projection, again.ends_hz)) ** 2 / (
+        again.variance.kappa[:, None] * judged.noise
+    )
+    by_pair = error.mean(axis=1)
+    by_row = np.full(n_dofs, np.nan)
+    for row in np.unique(pairs.rows):
+        by_row[row] = by_pair[pairs.rows == row].mean()
+    return float(by_pair.mean()), by_row

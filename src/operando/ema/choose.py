@@ -1,0 +1,334 @@
+"""Which poles of the linear stage are modes: evidence, uncertainty, neighbours that are one mode, and modes still missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from operando.ema.discrepancy import line_correlation
+from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear, keep_modes
+from operando.ema.pairs import Pairs, Real, informative_lines
+from operando.ema.polish_model import kernels
+from operando.ema.projection import Poles, basis
+from operando.errors import IdentificationError
+from operando.frf.leakage import lowest_towards_higher
+from operando.stabilization import RejectedPole
+
+MAX_ROUNDS = 14
+SEARCH_ROUNDS = 9
+
+MAX_LOG_DAMPING_STD = 0.5
+"""A damping ratio unknown to half of itself determines no mode."""
+
+MAX_PHASE_DEG = 45.0
+"""Residues further from the real axis than from the imaginary one belong to a curved background."""
+
+NEAR_WIDTHS, TWIN_WIDTHS, TWIN_MAC, CLOSE_TWIN_MAC = 1.2, 3.0, 0.85, 0.5
+"""Neighbours within so many half bandwidths are asked whether one mode does; with alike residues (MAC) also further apart."""
+
+TWIN_SHARE = 0.02
+"""One mode instead of two alike ones where that costs less of the mode's evidence: a mode that moves between rows, or bends."""
+
+DIP = 0.8
+"""A dip of 1 dB (power 0.8) between two peaks shows two modes."""
+
+LOCAL_WIDTHS, N_TAILS = 12.0, 10
+"""Lines within so many half bandwidths decide between one mode and two; at least four times as many as there are tails."""
+
+SMALL_ALPHA = 0.01
+"""Below this model error the noise limits the search, and a mode may be looked for off the visible peaks."""
+
+
+@dataclass
+class ChoiceLog:
+    """What was not taken and why, and one line a round."""
+
+    rejected: list[RejectedPole] = field(default_factory=list)
+    rounds: list[str] = field(default_factory=list)
+
+
+def choose_modes(
+    pairs: Pairs,
+    start: Poles,
+    band: tuple[float, float],
+    *,
+    keep_hz: Sequence[float] = (),
+    refuse_hz: Sequence[float] = (),
+    search: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[LinearFit, ChoiceLog]:
+    """Fit the starting poles and settle which are modes.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        On all lines.
+    start : Poles
+        Candidates, by rising frequency.
+    band : (float, float)
+        Analysis band [Hz]: missing modes are looked for inside.
+    keep_hz : sequence of float
+        Poles nearest to these stay whatever their evidence.
+    refuse_hz : sequence of float
+        Nothing is added here.
+    search : bool
+        Whether to look for modes that the candidates lack.
+
+    Raises
+    ------
+    IdentificationError
+        If no pole is left.
+    """
+    log = ChoiceLog()
+    f = pairs.frequencies_hz
+    ends = float(f[0]), float(f[-1])
+    peaks = visible_peaks(pairs)
+    thinned = pairs.lines(informative_lines(f, start.hz, start.zeta))
+    log.rounds.append(f"{start.hz.size} starting poles, {thinned.frequencies_hz.size} of {f.size} lines")
+    fit = fit_linear(thinned, start, ends, rounds=5)
+    tried: list[tuple[float, float]] = []
+    merged: list[tuple[float, float]] = []
+    for number in range(MAX_ROUNDS):
+        if progress is not None:
+            progress(f"EMA linear stage, round {number + 1}: {fit.n_modes} poles, model error {100 * np.median(fit.variance.alpha):.2g} %")
+        out = poor_poles(fit, keep_hz)
+        if out:
+            if len(out) == fit.n_modes:
+                out = out[:-1]
+            if not out:
+                break
+            for k, code, reason in out:
+                log.rejected.append(RejectedPole(float(fit.poles.hz[k]), float(fit.poles.zeta[k]), code, reason))
+                tried.append((float(fit.poles.hz[k]), 0.5 * float(fit.poles.zeta[k])))
+            log.rounds.append("out: " + ", ".join(f"{fit.poles.hz[k]:.5g} Hz ({code})" for k, code, _ in out))
+            fit = _refitted(fit, np.setdiff1d(np.arange(fit.n_modes), [k for k, _, _ in out]))
+            continue
+        joined = _one_for_two(fit, merged, keep_hz, log)
+        if joined is not None:
+            tried.append((log.rejected[-1].frequency_hz, 1.5 * log.rejected[-1].damping_ratio))
+            fit = joined
+            continue
+        if not search or number >= SEARCH_ROUNDS:
+            break
+        new = _missing_mode(fit, band, peaks, [*tried, *((h, 0.01) for h in refuse_hz)])
+        if new is None:
+            break
+        log.rounds.append(f"in: {new[0]:.5g} Hz")
+        tried.append((new[0], 0.5 * new[1]))
+        fit = _with_mode(fit, *new)
+    if fit.n_modes == 0:
+        raise IdentificationError("no mode is left that the FRFs speak for", hint="widen the band, or check the FRFs")
+    return fit, log
+
+
+def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:
+    poles, residues = keep_modes(fit, keep)
+    return fit_linear(fit.pairs, poles, fit.ends_hz, residues=residues, before=fit.variance)
+
+
+def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
+    poles, at = fit.poles, int(np.searchsorted(fit.poles.hz, hz))
+    grown = Poles(
+        np.insert(poles.hz, at, hz),
+        np.insert(poles.zeta, at, zeta),
+        np.insert(poles.quadrature, at, float(np.median(poles.quadrature))),
+        np.insert(poles.drift, at, float(np.median(poles.drift))),
+    )
+    return fit_linear(fit.pairs, grown, fit.ends_hz)
+
+
+def poor_poles(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[tuple[int, str, str]]:
+    """Poles to leave out in this round, worst first: number, code, reason. At most a third of them, and no two neighbours."""
+    n, n_pairs = fit.projection.a.shape[1], fit.projection.a.shape[0]
+    hz, zeta = fit.poles.hz, fit.poles.zeta
+    std, log_std = fit.frequency_std_hz, fit.log_damping_std
+    evidence = fit.evidence
+    weights = 1 / np.maximum(fit.projection.a_std, 1e-300) ** 2
+    phase = np.degrees(0.5 * np.angle(np.sum(weights * fit.residues() ** 2, axis=0)))
+    step = float(np.median(np.diff(fit.pairs.frequencies_hz)))
+    few = max(1, n_pairs // 8)
+    by_hand = {int(np.argmin(np.abs(hz - h))) for h in keep_hz} if n else set()
+    found = []
+    for k in range(n):
+        strong = np.sort(evidence[:, k])[::-1][:few]
+        # all pairs together, or a few of them alone (a local mode), chosen among all
+        everywhere = evidence[:, k].sum() - fit.penalty()
+        local = strong.sum() - fit.penalty(pairs=few) - few * np.log(n_pairs / few + 1)
+        score = float(max(everywhere, local))
+        distance = float(np.min(np.abs(np.delete(hz, k) - hz[k]))) if n > 1 else np.inf
+        width = zeta[k] * hz[k]
+        code = reason = ""
+        if score < 0:
+            code, reason = "no_evidence", f"its evidence is {-score:.0f} short of what its unknowns cost"
+        elif log_std[k] > MAX_LOG_DAMPING_STD:
+            code, reason = "uncertain", f"its damping {100 * zeta[k]:.3g} % is uncertain by {100 * log_std[k]:.0f} % of itself"
+        elif std[k] > 0.5 * width:
+            code, reason = "uncertain", f"its frequency is uncertain by {std[k]:.3g} Hz, its half bandwidth is {width:.3g} Hz"
+        elif std[k] > 0.5 * distance:
+            code, reason = "uncertain", f"its frequency is uncertain by {std[k]:.3g} Hz, the next pole is {distance:.3g} Hz away"
+        elif zeta[k] > MAX_DAMPING:
+            code, reason = "too_damped", f"damping {100 * zeta[k]:.3g} % is a curved background, not a mode"
+        elif abs(phase[k]) > MAX_PHASE_DEG:
+            code, reason = "complex_shape", f"its residues are {abs(phase[k]):.0f}° off those of a mode"
+        elif width < 0.05 * step:
+            code, reason = "too_narrow", f"its half bandwidth {width:.2g} Hz is far below the line spacing of {step:.2g} Hz"
+        if code and k not in by_hand:
+            found.append((score, k, code, reason))
+    out: list[tuple[int, str, str]] = []
+    for _, k, code, reason in sorted(found):
+        if all(abs(k - j) > 1 for j, _, _ in out) and len(out) < max(1, n // 3):
+            out.append((k, code, reason))
+    return out
+
+
+def residue_mac(fit: LinearFit, i: int, j: int) -> float:
+    """MAC of the residues of two modes over all pairs, weighted by their certainty (capped at ten times the median weight)."""
+    weight = 1 / np.maximum(np.maximum(fit.projection.a_std[:, i], fit.projection.a_std[:, j]), 1e-300) ** 2
+    weight = np.minimum(weight, 10 * np.median(weight))
+    x, y = fit.residues()[:, i], fit.residues()[:, j]
+    norm = float(np.sum(weight * np.abs(x) ** 2) * np.sum(weight * np.abs(y) ** 2))
+    return float(np.abs(np.sum(weight * x * y.conj())) ** 2 / norm) if norm > 0 else 0.0
+
+
+def two_peaks(fit: LinearFit, k: int) -> bool:
+    """Whether the power of modes k and k+1, summed over the pairs, has a maximum at each and a dip between."""
+    hz, zeta = fit.poles.hz[k : k + 2], fit.poles.zeta[k : k + 2]
+    width = zeta * hz
+    f = np.linspace(hz[0] - width[0], hz[1] + width[1], 200)
+    g, h = basis(f, Poles(hz, zeta), fit.pairs.window_rate)[:2]
+    scale = 1 / np.sqrt(np.mean(np.abs(fit.projection.error) ** 2, axis=1) + 1e-300)
+    a, b = fit.projection.a[:, k : k + 2] * scale[:, None], fit.projection.b[:, k : k + 2] * scale[:, None]
+    power = np.sum(np.abs((a @ g + b @ h) / f**2) ** 2, axis=0)
+    top = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    return top.size >= 2 and float(power[top[0] : top[-1] + 1].min()) < DIP * min(power[top[0]], power[top[-1]])
+
+
+def is_twin(fit: LinearFit, k: int) -> bool:
+    """Whether modes k and k+1 have alike residues close together, with no dip between them."""
+    width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
+    gap = float((fit.poles.hz[k + 1] - fit.poles.hz[k]) / max(width))
+    mac = residue_mac(fit, k, k + 1)
+    alike = (mac > TWIN_MAC and gap < TWIN_WIDTHS) or (mac > CLOSE_TWIN_MAC and gap < NEAR_WIDTHS)
+    return alike and not two_peaks(fit, k)
+
+
+def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], keep_hz: Sequence[float], log: ChoiceLog) -> LinearFit | None:
+    """One mode in place of two close ones where that loses less than the second one costs, or little of alike ones' evidence."""
+    n = fit.n_modes
+    if n < 2:
+        return None
+    hz, zeta = fit.poles.hz, fit.poles.zeta
+    gap = np.diff(hz) / np.maximum(zeta[1:] * hz[1:], zeta[:-1] * hz[:-1])
+    for k in np.argsort(gap):
+        if gap[k] > TWIN_WIDTHS:
+            break
+        twin = is_twin(fit, int(k))
+        key = (round(float(hz[k]), 3), round(float(hz[k + 1]), 3))
+        by_hand = sum(any(int(np.argmin(np.abs(hz - h))) == j for h in keep_hz) for j in (k, k + 1)) == 2
+        if (gap[k] > NEAR_WIDTHS and not twin) or key in asked or by_hand:
+            continue
+        asked.append(key)
+        one, loss, own = _merged(fit, int(k))
+        if loss < fit.penalty() or (twin and loss < TWIN_SHARE * own):
+            extra = "" if loss < fit.penalty() else ", of one shape: a mode that moves between rows or bends with level"
+            reason = f"one mode with {hz[k]:.5g} Hz explains both{extra}"
+            log.rejected.append(RejectedPole(float(hz[k + 1]), float(zeta[k + 1]), "twin", reason))
+            log.rounds.append(f"one for two: {hz[k]:.5g} and {hz[k + 1]:.5g} Hz (loss {loss:.3g}, evidence {own:.3g})")
+            poles, (a, b) = keep_modes(fit, np.setdiff1d(np.arange(n), [k + 1]))
+            poles = replace(poles, hz=poles.hz.copy(), zeta=poles.zeta.copy())
+            poles.hz[k], poles.zeta[k] = one.poles.hz[0], one.poles.zeta[0]
+            a, b = a.copy(), b.copy()
+            a[:, k], b[:, k] = one.projection.a[:, 0], one.projection.b[:, 0]
+            return fit_linear(fit.pairs, poles, fit.ends_hz, residues=(a, b), before=fit.variance)
+    return None
+
+
+def _merged(fit: LinearFit, k: int) -> tuple[LinearFit, float, float]:
+    """One mode for k and k+1, from their mean or from the stronger alone; what that loses, and the mode's evidence.
+
+    Asked on the lines around the two, with what the other modes add taken off: the tails follow what these would still adapt.
+    """
+    pair = np.array([k, k + 1])
+    hz, zeta = fit.poles.hz[pair], fit.poles.zeta[pair]
+    f = fit.pairs.frequencies_hz
+    reach = LOCAL_WIDTHS * float(np.max(zeta * hz)) + hz[1] - hz[0]
+    near = np.abs(f - hz.mean()) < reach
+    if near.sum() < 4 * N_TAILS:
+        near = np.isin(np.arange(f.size), np.argsort(np.abs(f - hz.mean()))[: 4 * N_TAILS])
+    poles, residues = keep_modes(fit, pair)
+    g, h, gf = (column[:, near] for column in basis(f, poles, fit.pairs.window_rate)[:3])
+    own = residues[0] @ g + residues[1] @ h + fit.projection.shifted[:, pair] @ gf
+    part = fit.pairs.lines(near)
+    part = replace(part, accelerance=fit.projection.error[:, near] + own)
+    ends = float(part.frequencies_hz[0]), float(part.frequencies_hz[-1])
+    hold = replace(fit.variance, total=fit.variance.total[:, near])
+    two = fit_linear(part, poles, ends, residues=residues, rounds=1, hold=hold)
+    share = fit.projection.evidence[:, pair].sum(axis=0)
+    share = share / share.sum()
+    ones = []
+    for weight in (share, np.eye(2)[int(np.argmax(share))]):
+        start = Poles(
+            np.array([weight @ hz]), np.array([weight @ zeta]), poles.quadrature.max(keepdims=True), poles.drift.max(keepdims=True)
+        )
+        together = (residues[0] @ (weight > 0)[:, None], residues[1] @ (weight > 0)[:, None])
+        ones.append(fit_linear(part, start, ends, residues=together, rounds=2, steps=5, hold=hold))
+    best = min(ones, key=lambda one: float(one.projection.cost.sum()))
+    loss = float(best.projection.cost.sum() - two.projection.cost.sum()) / fit.correlation
+    evidence = float(best.projection.evidence.sum()) / fit.correlation
+    return best, loss, evidence
+
+
+def visible_peaks(pairs: Pairs) -> Real:
+    """Frequencies [Hz] of the peaks of the summed power of all pairs, each at its own size."""
+    h = pairs.accelerance
+    power = uniform_filter1d(np.sum(np.abs(h) ** 2 / np.mean(np.abs(h) ** 2, axis=1, keepdims=True), axis=0), 3)
+    tops = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
+    stands = [k for k in tops if max(lowest_towards_higher(power, int(k), side) for side in (-1, 1)) < DIP * power[k]]
+    return np.asarray(pairs.frequencies_hz[stands])
+
+
+def _missing_mode(
+    fit: LinearFit, band: tuple[float, float], peaks: Real, tried: Sequence[tuple[float, float]]
+) -> tuple[float, float] | None:
+    """Frequency and damping of one more mode that earns twice its unknowns, or None.
+
+    The gain is judged under the model error of all pairs: that of a pair has grown around the mode it misses. Where the model error rules,
+    only visible peaks that no pole explains are asked, since the residuals of a moving or bending mode look like another one.
+    """
+    f = fit.pairs.frequencies_hz
+    hz, width = fit.poles.hz, fit.poles.zeta * fit.poles.hz
+    allowed = (f > band[0]) & (f < band[1])
+    for h, z in tried:
+        allowed &= np.abs(f - h) > max(z * h, 0.002 * h)
+    allowed &= np.min(np.abs(f[None] - hz[:, None]) / width[:, None], axis=0) > 0.5
+    if np.median(fit.variance.alpha) > SMALL_ALPHA:
+        step = float(np.median(np.diff(f)))
+        near = np.zeros(f.size, bool)
+        for p in peaks:
+            if np.min(np.abs(hz - p) / width) > 0.5:
+                near |= np.abs(f - p) < max(0.01 * p, 3 * step)
+        allowed &= near
+    if not allowed.any():
+        return None
+    weight = 1 / fit.variance.pooled
+    weighted = fit.projection.error * weight
+    best, best_hz, best_zeta = 0.0, 0.0, 0.0
+    typical = float(np.median(fit.poles.zeta))
+    for zeta in np.unique(np.clip([typical / 3, typical, 3 * typical], 3e-4, 0.08)):
+        grid = f[allowed]
+        g = kernels(f, grid, np.full(grid.size, zeta), fit.pairs.window_rate)[0]
+        gain = np.zeros(grid.size)
+        # a free complex residue in each pair
+        for column in (g, g * 1j * f[None, :] / grid[:, None]):
+            top = weighted.real @ column.real.T + weighted.imag @ column.imag.T
+            gain += np.sum(top**2 / (weight @ (np.abs(column) ** 2).T), axis=0)
+        k = int(np.argmax(gain))
+        if gain[k] > best:
+            best, best_hz, best_zeta = float(gain[k]), float(grid[k]), float(zeta)
+    nu = max(fit.correlation, line_correlation(fit.projection.error, fit.variance.pooled))
+    need = 2 * 0.5 * (2 * fit.pairs.accelerance.shape[0] + 2) * np.log(max(f.size / nu, 8.0))
+    return (best_hz, best_zeta) if best / nu > need else None

@@ -1,0 +1,95 @@
+"""Variance of given FRFs: measurement noise, and a model error in proportion to what the modes add, both estimated from the residuals.
+
+var_p = κ_p v_p + α_p² M_p. A measured structure is a little nonlinear and changes while it is measured, hits and sensors are a few
+per cent off: errors that are smooth over frequency and grow with the response. Without the second term a line on a peak would weigh
+a thousand times less than one beside it, or rule everything, as the noise estimate has it. Kennedy & O'Hagan (J. R. Stat. Soc. B 63,
+2001, 425–464) call it model discrepancy. Student weights keep single wrong hits from setting it (Lange, Little & Taylor, J. Am. Stat.
+Assoc. 84, 1989, 881–896).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from operando.ema.pairs import Complex, Real
+
+STUDENT_FREEDOM = 4.0
+"""Degrees of freedom of the weights: heavy tails that still have a variance (Lange et al. 1989, Section 5)."""
+
+POOLED_LINES = 30.0
+"""A pair's α counts its own lines, and so many at the level of all pairs."""
+
+ALPHA_START, ALPHA_MOST = 1e-2, 0.5
+KAPPA_LEAST, KAPPA_MOST = 0.25, 1e8
+ROUNDS = 36
+
+
+@dataclass(frozen=True)
+class Variance:
+    """What a residual is made of.
+
+    Parameters
+    ----------
+    total : (P, L) array
+        Variance over the Student weight: what the next least-squares fit divides by.
+    plain : (P, L) array
+        κ v + α² M, (m/s²/N)².
+    pooled : (P, L) array
+        The same with the α of all pairs, for the search of missing modes: around such a mode a pair's own α has grown.
+    kappa, alpha : (P,) arrays
+    """
+
+    total: Real
+    plain: Real
+    pooled: Real
+    kappa: Real
+    alpha: Real
+
+
+def fit_variance(error: Complex, power: Real, noise: Real, noise_known: bool) -> Variance:
+    """Maximum-likelihood κ and α of each pair, by multiplicative updates.
+
+    Parameters
+    ----------
+    error : (P, L) complex array
+        Residuals of the linear fit.
+    power : (P, L) array
+        M: Σ_r|mode r in the pair|² + |tails|².
+    noise : (P, L) array
+        v: shape of the noise variance, or the variance itself.
+    noise_known : bool
+        Whether v comes from a measurement (coherence): κ is then at least 1.
+    """
+    squares = np.abs(error) ** 2
+    kappa, alpha2 = np.ones(error.shape[0]), np.full(error.shape[0], ALPHA_START**2)
+    least = 1.0 if noise_known else KAPPA_LEAST
+    for _ in range(ROUNDS):
+        variance = kappa[:, None] * noise + alpha2[:, None] * power
+        ratio = squares / variance
+        ratio *= (STUDENT_FREEDOM + 2) / (STUDENT_FREEDOM + 2 * ratio)
+        by_noise = kappa[:, None] * noise / variance
+        by_model = 1 - by_noise
+        total_noise, total_model = by_noise.sum(axis=1), by_model.sum(axis=1)
+        kappa = kappa * np.sqrt(np.sum(by_noise * ratio, axis=1) / np.maximum(total_noise, 1e-9))
+        kappa = np.clip(kappa, least, KAPPA_MOST)
+        level = np.exp(np.mean(np.log(alpha2)))
+        up = (np.sum(by_model * ratio, axis=1) + POOLED_LINES * level / alpha2) / (total_model + POOLED_LINES)
+        alpha2 = np.clip(alpha2 * np.sqrt(up), 1e-14, ALPHA_MOST**2)
+    plain = kappa[:, None] * noise + alpha2[:, None] * power
+    pooled = np.minimum(kappa, np.median(kappa))[:, None] * noise + np.exp(np.mean(np.log(alpha2))) * power
+    return Variance(plain * (STUDENT_FREEDOM + 2 * squares / plain) / (STUDENT_FREEDOM + 2), plain, pooled, kappa, np.sqrt(alpha2))
+
+
+def line_correlation(error: Complex, variance: Real) -> float:
+    """ν = 1 + 2 Σ_k ρ_k: how many lines count as one, from the autocorrelation of the normalised residuals to its first value below 0.1."""
+    x = error / np.sqrt(variance)
+    x = x / np.sqrt(np.maximum(np.mean(np.abs(x) ** 2, axis=1, keepdims=True), 1e-300))
+    total = 1.0
+    for k in range(1, max(2, min(60, x.shape[1] // 4))):
+        rho = float(np.mean((x[:, k:] * x[:, :-k].conj()).real))
+        if rho < 0.1:
+            break
+        total += 2 * rho
+    return total

@@ -1,0 +1,131 @@
+"""Poles of the linear stage that are no modes to report: kept in the synthesis, told with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operando.data.modal import phase_collinearity
+from operando.ema.choose import is_twin
+from operando.ema.linear import LinearFit
+from operando.ema.pairs import Complex, Real
+from operando.ema.projection import basis
+
+MIN_RANK_SHARE = 0.95
+"""Part of the residue matrix that one shape explains: 0.95–1.00 for modes, 0.52–0.93 for others in a roving test of 13 known modes."""
+
+MIN_COLLINEARITY = 0.6
+NOWHERE_SHARE, NOWHERE_PAIRS = 0.2, 0.9
+"""A mode has at its own resonance more than a fifth of the modes' power in at least a tenth of the pairs."""
+
+BACKGROUND_DAMPING, GOOD_COLLINEARITY, BACKGROUND_COLLINEARITY = 8.0, 0.8, 0.9
+"""Damping over the median of the clearly real modes from which a pole that is not quite real is taken for a curved background."""
+
+MAX_LOG_DAMPING_STD = 0.15
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for one pole.
+
+    Parameters
+    ----------
+    evidence : float
+        Fall of −log likelihood by the mode, in independent lines.
+    rank_share : float
+        Part of the residue matrix that one (complex) shape explains, weighted; 1 for a single column.
+    collinearity : float
+        Modal phase collinearity of the residues, weighted.
+    dominance : float
+        Share of the modes' power at its resonance that it exceeds in one pair of ten.
+    quadrature, drift : float
+        Typical size of the quadrature part over the residue, and of the relative shift between the pairs.
+    doubts : tuple of (code, reason)
+        Empty for a mode.
+    """
+
+    evidence: float
+    rank_share: float
+    collinearity: float
+    dominance: float
+    quadrature: float
+    drift: float
+    doubts: tuple[tuple[str, str], ...] = ()
+
+
+def judge_modes(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[Evidence]:
+    """Evidence and doubts of each pole; poles named in ``keep_hz`` carry none."""
+    n = fit.n_modes
+    hz, zeta = fit.poles.hz, fit.poles.zeta
+    residues = fit.residues()
+    weights = 1 / np.maximum(fit.projection.a_std, 1e-300) ** 2
+    weights = np.minimum(weights, 10 * np.median(weights, axis=0))
+    collinearity = np.array([phase_collinearity(residues[:, k] * np.sqrt(weights[:, k])) for k in range(n)])
+    shares = [rank_share(fit, k) for k in range(n)]
+    dominance = _dominance(fit)
+    good = collinearity > GOOD_COLLINEARITY
+    typical = float(np.median(zeta[good])) if good.any() else float(np.median(zeta))
+    weaker = _weaker_twins(fit)
+    out = []
+    for k in range(n):
+        doubts: list[tuple[str, str]] = []
+        if shares[k] < MIN_RANK_SHARE:
+            doubts.append(("not_one_shape", f"one shape explains {100 * shares[k]:.0f} % of its residues between all references"))
+        if collinearity[k] < MIN_COLLINEARITY:
+            doubts.append(("complex_shape", f"its residues are not in phase (collinearity {collinearity[k]:.2f})"))
+        if dominance[k] < NOWHERE_SHARE:
+            doubts.append(("hidden", f"at its own resonance it has {100 * dominance[k]:.0f} % of the modes' power where it shows best"))
+        if zeta[k] > BACKGROUND_DAMPING * typical and collinearity[k] < BACKGROUND_COLLINEARITY:
+            doubts.append(("background", f"its damping {100 * zeta[k]:.3g} % is {zeta[k] / typical:.0f} times that of the other modes"))
+        if fit.log_damping_std[k] > MAX_LOG_DAMPING_STD:
+            doubts.append(("uncertain", f"its damping is uncertain by {100 * fit.log_damping_std[k]:.0f} %"))
+        if k in weaker:
+            doubts.append(("twin", f"its shape is that of {weaker[k]:.5g} Hz: one mode in two places between the rows"))
+        if any(int(np.argmin(np.abs(hz - h))) == k for h in keep_hz):
+            doubts = []
+        evidence = float(fit.evidence[:, k].sum())
+        spreads = float(fit.poles.quadrature[k]), float(fit.poles.drift[k])
+        out.append(Evidence(evidence, shares[k], float(collinearity[k]), float(dominance[k]), *spreads, tuple(doubts)))
+    return out
+
+
+def _dominance(fit: LinearFit) -> Real:
+    """Share of the modes' power that each mode has at its resonance in the pairs where it shows best (upper tenth), (n,)."""
+    out = np.empty(fit.n_modes)
+    for k, h in enumerate(fit.poles.hz):
+        g, quadrature = basis(np.array([h]), fit.poles, fit.pairs.window_rate)[:2]
+        power = np.abs(fit.projection.a * g[:, 0] + fit.projection.b * quadrature[:, 0]) ** 2
+        out[k] = np.quantile(power[:, k] / np.maximum(power.sum(axis=1), 1e-300), NOWHERE_PAIRS)
+    return out
+
+
+def _weaker_twins(fit: LinearFit) -> dict[int, float]:
+    """The weaker of two neighbours of one shape without a dip between, and the frequency of the stronger."""
+    out = {}
+    strength = fit.projection.evidence.sum(axis=0)
+    for k in range(fit.n_modes - 1):
+        if is_twin(fit, k):
+            weak, strong = (k, k + 1) if strength[k] < strength[k + 1] else (k + 1, k)
+            out[weak] = float(fit.poles.hz[strong])
+    return out
+
+
+def rank_share(fit: LinearFit, k: int, rounds: int = 60) -> float:
+    """Weighted part of the residue matrix of mode ``k`` that a rank-one matrix explains, by alternating least squares."""
+    grid = fit.pairs.grid
+    rows, i = np.unique(grid[:, 0], return_inverse=True)
+    columns, j = np.unique(grid[:, 1], return_inverse=True)
+    if min(rows.size, columns.size) == 1:
+        return 1.0
+    residues = np.zeros((rows.size, columns.size), complex)
+    weights = np.zeros(residues.shape)
+    residues[i, j] = fit.residues()[:, k]
+    weights[i, j] = 1 / np.maximum(fit.projection.a_std[:, k], 1e-300) ** 2
+    right: Complex = np.linalg.svd(residues * np.sqrt(weights.mean(axis=1))[:, None], full_matrices=False)[2][0]
+    for _ in range(rounds):
+        left = (residues * weights) @ right.conj() / np.maximum(weights @ np.abs(right) ** 2, 1e-300)
+        right = (residues * weights).T @ left.conj() / np.maximum(weights.T @ np.abs(left) ** 2, 1e-300)
+    lost = float(np.sum(weights * np.abs(residues - np.outer(left, right)) ** 2))
+    return 1 - lost / max(float(np.sum(weights * np.abs(residues) ** 2)), 1e-300)

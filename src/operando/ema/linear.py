@@ -1,0 +1,170 @@
+"""The linear stage of the modal analysis of given FRFs: poles by variable projection under noise and model error, and their evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.ema.discrepancy import Variance, fit_variance, line_correlation
+from operando.ema.pairs import Pairs, Real
+from operando.ema.projection import Poles, Projection, modal_power, project, search_poles, updated_spreads
+
+MAX_DAMPING = 0.15
+FEW_PAIRS = 12
+"""Below so many pairs the scatter between them tells too little: the larger of the two covariances counts."""
+
+START_SHARE = 0.05
+"""Error of the first fit, as a share of the FRF, before there are residuals to estimate it from."""
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """Modes of given FRFs with free residues in each pair.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        The lines that were used.
+    poles : Poles
+    projection : Projection
+    variance : Variance
+    covariance : (2n, 2n) array
+        Of [ln f, ln ζ]: clusters of pairs (errors of a pair may be correlated over its lines in any way), with few pairs at least the
+        one of errors correlated over ν lines.
+    correlation : float
+        ν, lines that count as one.
+    ends_hz : (float, float)
+    """
+
+    pairs: Pairs
+    poles: Poles
+    projection: Projection
+    variance: Variance
+    covariance: Real
+    correlation: float
+    ends_hz: tuple[float, float]
+
+    @property
+    def n_modes(self) -> int:
+        """Number of poles."""
+        return int(self.poles.hz.size)
+
+    @property
+    def frequency_std_hz(self) -> Real:
+        """Standard deviations [Hz]."""
+        return np.asarray(self.poles.hz * np.sqrt(np.diag(self.covariance)[: self.n_modes]))
+
+    @property
+    def log_damping_std(self) -> Real:
+        """Relative standard deviations of the damping ratios."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[self.n_modes :]))
+
+    @property
+    def evidence(self) -> Real:
+        """Fall of the cost by each mode in each pair, in independent lines, (P, n)."""
+        return self.projection.evidence / self.correlation
+
+    @property
+    def information_lines(self) -> float:
+        """Independent lines of a pair."""
+        return max(self.pairs.frequencies_hz.size / self.correlation, 8.0)
+
+    def penalty(self, modes: float = 1.0, pairs: int | None = None) -> float:
+        """Bayesian information criterion of one more mode: half of ln(lines) for each of its unknowns (a and b in each pair, the pole)."""
+        count = self.pairs.accelerance.shape[0] if pairs is None else pairs
+        return float(modes * 0.5 * (2 * count + 2) * np.log(self.information_lines))
+
+    def residues(self) -> NDArray[np.complex128]:
+        """a + ib, (P, n)."""
+        return np.asarray(self.projection.a + 1j * self.projection.b)
+
+
+def fit_linear(
+    pairs: Pairs,
+    poles: Poles,
+    ends_hz: tuple[float, float],
+    *,
+    residues: tuple[Real, Real] | None = None,
+    rounds: int = 3,
+    steps: int = 3,
+    before: Variance | None = None,
+    hold: Variance | None = None,
+) -> LinearFit:
+    """Poles and variance in turn: a few steps on the poles, then the variance from what is left.
+
+    Parameters
+    ----------
+    pairs : Pairs
+    poles : Poles
+        Start, by rising frequency.
+    ends_hz : (float, float)
+    residues : (a, b), optional
+        From a fit of nearly the same poles.
+    rounds, steps : int
+        Estimates of the variance, and steps on the poles after each.
+    before : Variance, optional
+        Variance of a fit of nearly the same poles, to begin with.
+    hold : Variance, optional
+        Keep this variance (and the spreads of the priors): for comparing costs.
+    """
+    known = hold or before
+    first = pairs.noise + START_SHARE**2 * np.abs(pairs.accelerance) ** 2 if known is None else known.total
+    now = project(pairs, poles, first, residues, ends_hz)
+    for number in range(rounds):
+        variance = hold or fit_variance(now.error, modal_power(pairs, poles, now, ends_hz), pairs.noise, pairs.noise_known)
+        if number and hold is None:
+            poles = updated_spreads(poles, now.spread_sums)
+        poles, now, moved = search_poles(pairs, poles, variance.total, now.residues, ends_hz, steps=steps, max_damping=MAX_DAMPING)
+        if moved < 2e-3 and number >= 2:
+            break
+    now = project(pairs, poles, variance.total, now.residues, ends_hz, exact=True)
+    nu = line_correlation(now.error, variance.total)
+    return _sorted(LinearFit(pairs, poles, now, variance, _covariance(now, nu), nu, ends_hz))
+
+
+def _covariance(projection: Projection, nu: float) -> Real:
+    """Cluster sandwich over the pairs (Liang & Zeger, Biometrika 73, 1986, 13–22)."""
+    normal, gradient = projection.normal, projection.gradient
+    n_pairs = gradient.shape[0]
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    naive = 0.5 * nu * inverse
+    if n_pairs < 2:
+        return np.asarray(naive)
+    sandwich = inverse @ (gradient.T @ gradient) @ inverse * n_pairs / (n_pairs - 1)
+    if n_pairs >= FEW_PAIRS:
+        return np.asarray(sandwich)
+    ratio = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
+    return np.asarray(sandwich * np.outer(ratio, ratio))
+
+
+def keep_modes(fit: LinearFit, keep: NDArray[Any]) -> tuple[Poles, tuple[Real, Real]]:
+    """Poles and residues of some of the modes: the start of the next fit."""
+    return fit.poles.take(keep), (fit.projection.a[:, keep], fit.projection.b[:, keep])
+
+
+def _sorted(fit: LinearFit) -> LinearFit:
+    """The fit with its modes by rising frequency."""
+    k = np.argsort(fit.poles.hz)
+    if np.all(np.diff(k) > 0):
+        return fit
+    n = k.size
+    both = np.concatenate([k, n + k])
+    p = fit.projection
+    projection = replace(
+        p,
+        a=p.a[:, k],
+        b=p.b[:, k],
+        shift=p.shift[:, k],
+        shifted=p.shifted[:, k],
+        normal=p.normal[np.ix_(both, both)],
+        gradient=p.gradient[:, both],
+        evidence=p.evidence[:, k],
+        a_std=p.a_std[:, k],
+        slope=p.slope[:, k][:, :, both],
+        spread_sums=p.spread_sums[:, k],
+    )
+    return replace(fit, poles=fit.poles.take(k), projection=projection, covariance=fit.covariance[np.ix_(both, both)])

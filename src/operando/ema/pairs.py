@@ -1,0 +1,144 @@
+"""Given FRFs as a list of pairs (response, reference), and what is known of their noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import percentile_filter, uniform_filter1d
+
+from operando.data import Frf
+from operando.dof import Dof, match_dofs
+from operando.errors import IdentificationError
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LOW_QUANTILE = 25
+NOISE_FLOOR = 1e-8
+"""Smallest noise variance, over the mean power of the pair: data in single precision are no better."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Measured accelerances, one row a pair.
+
+    Parameters
+    ----------
+    frequencies_hz : (L,) array
+    accelerance : (P, L) complex array
+        In the senses of the model's DOFs.
+    noise : (P, L) array
+        Shape over frequency of the variance E|ΔH|² of the measurement; its size is fitted where ``noise_known`` is false.
+    noise_known : bool
+    rows, columns : (P,) int arrays
+        DOF of the model of the response and of the reference.
+    grid : (P, 2) int array
+        Response and reference number of each pair in the FRF matrix.
+    window_rate : float
+        Rate β [1/s] of the exponential window the FRFs carry.
+    """
+
+    frequencies_hz: Real
+    accelerance: Complex
+    noise: Real
+    noise_known: bool
+    rows: NDArray[np.int_]
+    columns: NDArray[np.int_]
+    grid: NDArray[np.int_]
+    window_rate: float = 0.0
+
+    @property
+    def drive_points(self) -> NDArray[np.int_]:
+        """Pairs whose response and reference are the same DOF."""
+        return np.flatnonzero(self.rows == self.columns)
+
+    def lines(self, keep: NDArray[Any]) -> Pairs:
+        """The same pairs on some of their lines."""
+        return replace(self, frequencies_hz=self.frequencies_hz[keep], accelerance=self.accelerance[:, keep], noise=self.noise[:, keep])
+
+    def subset(self, keep: NDArray[Any]) -> Pairs:
+        """Some of the pairs."""
+        return replace(
+            self,
+            accelerance=self.accelerance[keep],
+            noise=self.noise[keep],
+            rows=self.rows[keep],
+            columns=self.columns[keep],
+            grid=self.grid[keep],
+        )
+
+    def turned(self, columns: NDArray[np.int_]) -> Pairs:
+        """The pairs with the forces at some DOFs in the opposite sense."""
+        sign = np.where(np.isin(self.columns, columns), -1.0, 1.0)
+        return replace(self, accelerance=self.accelerance * sign[:, None])
+
+
+def frf_pairs(frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float]) -> Pairs:
+    """The measured pairs of an FRF matrix on the lines within ``band`` [Hz].
+
+    Pairs without a finite value or without any response are left out; so are lines on which a pair left over has none.
+
+    Raises
+    ------
+    IdentificationError
+        If fewer than eight lines or no pair is left.
+    """
+    part = frf.to_quantity("accelerance").band(*band)
+    f = part.frequencies_hz
+    rows, row_signs = match_dofs(part.responses, dofs)
+    columns, column_signs = match_dofs(part.references, dofs)
+    finite = np.isfinite(part.data)
+    measured = finite.mean(axis=2) > 0.5
+    measured &= np.any(np.where(finite, part.data, 0) != 0, axis=2)
+    grid = np.argwhere(measured)
+    if not grid.size:
+        raise IdentificationError("no FRF with finite values in the band", hint="check [analysis] band against the lines of the FRFs")
+    i, j = grid.T
+    usable = finite[i, j].all(axis=0) & (f > 0)
+    if usable.sum() < 8:
+        raise IdentificationError(f"only {usable.sum()} lines within {band[0]:g}-{band[1]:g} Hz", hint="widen [analysis] band")
+    sign = np.asarray(row_signs, float)[i] * np.asarray(column_signs, float)[j]
+    h = np.asarray(part.data[i, j][:, usable] * sign[:, None])
+    variance = None if part.variance is None else part.variance[i, j][:, usable]
+    known = variance is not None and bool(np.all(np.isfinite(variance))) and bool(np.all(np.any(variance > 0, axis=1)))
+    floor = NOISE_FLOOR * np.mean(np.abs(h) ** 2, axis=1, keepdims=True)
+    noise = np.maximum(variance if known and variance is not None else noise_shape(h), floor)
+    return Pairs(f[usable], h, noise, known, np.asarray(rows)[i], np.asarray(columns)[j], grid, part.exponential_window_rate)
+
+
+def noise_shape(h: Complex) -> Real:
+    """Noise variance over frequency of FRFs that come without coherence, (P, L).
+
+    The fourth difference over the lines takes away what is smooth; a running low quantile of its power, divided by that quantile of
+    an exponential distribution, is the level between the resonances, which peaks cannot raise. A constant factor is left to the fit.
+    """
+    n_lines = h.shape[1]
+    if n_lines < 9:
+        return np.broadcast_to(1e-4 * np.mean(np.abs(h) ** 2, axis=1, keepdims=True), h.shape).copy()
+    power = np.abs(np.diff(h, 4, axis=1)) ** 2 / 70.0  # 1² + 4² + 6² + 4² + 1²
+    power = np.pad(power, ((0, 0), (2, 2)), mode="edge")
+    width = max(41, n_lines // 8)
+    low = percentile_filter(power, LOW_QUANTILE, size=(1, width), mode="nearest") / -np.log1p(-LOW_QUANTILE / 100)
+    return np.asarray(uniform_filter1d(low, width, axis=1, mode="nearest"))
+
+
+def informative_lines(f: Real, hz: Real, zeta: Real, per_width: int = 8) -> NDArray[np.int_]:
+    """Lines that carry the information on the poles: ``per_width`` in each half-power width, fewer away from the resonances.
+
+    Model errors are smooth over frequency, so further lines add numbers and no information; the spacing grows with the distance to
+    the nearest pole, as the detail of the FRF shrinks.
+    """
+    if not hz.size:
+        return np.arange(f.size)
+    spacing = np.full(f.size, np.inf)
+    for h, z in zip(hz, zeta, strict=True):
+        spacing = np.minimum(spacing, np.maximum(2 * z * h, np.abs(f - h)))
+    spacing /= per_width
+    keep = [0]
+    for i in range(1, f.size):
+        if f[i] - f[keep[-1]] >= 0.999 * spacing[i] or i == f.size - 1:
+            keep.append(i)
+    return np.array(keep)

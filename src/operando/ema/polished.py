@@ -1,0 +1,195 @@
+"""The polished answer: a maximum-likelihood fit of real modes of unit modal mass, from poles that the linear fits propose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Frf, TimeRecord
+from operando.dof import Dof
+from operando.ema.heldout import heldout_misfit
+from operando.ema.model_error import relative_model_error, with_model_error
+from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
+from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes
+from operando.ema.polish import Polished, signed, start_parameters
+from operando.ema.polish_model import Parameters, Real
+from operando.ema.remaining import choose_core, remaining_rows
+from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
+from operando.ema.start import inverted_forces, linear_residues, outside_kernels
+
+WIDER = 1.33
+"""The fit reaches this far above the analysis band where the force does."""
+
+
+@dataclass(frozen=True)
+class PolishedAnswer:
+    """What the maximum-likelihood fit says.
+
+    Parameters
+    ----------
+    fit : Polished
+    outside : OutsideModes
+    misfit : float
+        On lines the fit did not use.
+    misfit_by_row : (M,) array
+    log : OrderLog
+    turned : tuple of int
+        DOFs whose force was turned: opposite sense of force and accelerometer.
+    lower : bool
+        Whether kernels below the band were needed.
+    """
+
+    fit: Polished
+    outside: OutsideModes
+    misfit: float
+    misfit_by_row: Real
+    log: OrderLog
+    turned: tuple[int, ...]
+    lower: bool
+
+
+def polished_answer(
+    runs: list[RunSpectra],
+    dofs: tuple[Dof, ...],
+    band: tuple[float, float],
+    hz: Real,
+    zeta: Real,
+    *,
+    keep_hz: Sequence[float] = (),
+    reject_hz: Sequence[float] = (),
+    search: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> PolishedAnswer:
+    """Maximum-likelihood fit from starting poles; the number of modes is settled by what they add (``search``), or stays."""
+    core = choose_core(runs, dofs, hz.size)
+    core_runs = runs if core is None else [_reduced(run, core) for run in runs]
+    n_dofs = len(dofs) if core is None else len(core)
+    core_runs, turned = _turned(core_runs, hz, zeta)
+    log = OrderLog()
+    if search:
+        hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
+    lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta)
+    weighted = with_model_error(core_runs, theta, share)
+    if search:
+        fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=keep_hz, reject_hz=reject_hz, log=log, progress=progress)
+    else:
+        fit = refine(thin_lines(weighted, hz, zeta), n_dofs, hz, zeta, lower=lower, log=log)
+    final = _final(weighted, n_dofs, fit, lower, keep_hz if search else tuple(hz.tolist()), reject_hz if search else (), log, progress)
+    misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
+    gone = make_up(core_runs, final)
+    outside = outside_modes(core_runs, final, band, lower, gone=gone)
+    if gone.size:
+        log.rounds.append(f"{gone.size} modes beyond the lines taken for part of what lies outside")
+        final = without_modes(final, gone)
+    rows = tuple(dict.fromkeys(int(core_runs[i].force_rows[k]) for i, k in turned))
+    if core is not None:
+        final, outside = remaining_rows(_turn(runs, turned), core, len(dofs), final, outside)
+        by_row = _spread(by_row, core, len(dofs))
+        rows = tuple(int(core[row]) for row in rows)
+    return PolishedAnswer(final, outside, misfit, by_row, log, rows, lower)
+
+
+def polish_runs(
+    frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float], records: Sequence[TimeRecord] | None
+) -> tuple[list[RunSpectra], tuple[float, float]]:
+    """Spectra to fit, on lines a little wider than the analysis band where the force excites."""
+    f = frf.frequencies_hz
+    if not records:
+        fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
+        return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
+    limit = min(excited_limit(record, band) for record in records)
+    fit_band = (0.6 * band[0], float(max(min(WIDER * band[1], 0.97 * limit), min(band[1], limit))))
+    return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
+
+
+def _turned(runs: Sequence[RunSpectra], hz: Real, zeta: Real) -> tuple[list[RunSpectra], list[tuple[int, int]]]:
+    """The runs with forces of the wrong sense turned, and which they were."""
+    thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
+    residues = linear_residues(thinned, hz, np.clip(zeta, 2e-4, 0.1), outside_kernels(thinned, hz, False))
+    turned = inverted_forces(runs, residues)
+    return _turn(runs, turned), turned
+
+
+def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list[RunSpectra]:
+    out = list(runs)
+    for i, k in turned:
+        sign = np.ones((out[i].forces.shape[0], 1))
+        sign[k] = -1
+        out[i] = replace(out[i], forces=out[i].forces * sign)
+    return out
+
+
+def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float, Parameters]:
+    """Whether kernels below the band lower the cost by more than their number earns, the relative error that remains, and that fit.
+
+    The error is 0 where the candidates already describe the data to within a few times their noise.
+    """
+    thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
+    without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
+    theta = without.parameters
+    with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, max_iterations=6)
+    unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
+    price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
+    lower = without.cost - with_lower.cost > price
+    best = with_lower if lower else without
+    return bool(lower), relative_model_error(thinned, best.parameters), best.parameters
+
+
+def _final(
+    runs: Sequence[RunSpectra],
+    n_dofs: int,
+    fit: Polished,
+    lower: bool,
+    keep_hz: Sequence[float],
+    reject_hz: Sequence[float],
+    log: OrderLog,
+    progress: Callable[[str], None] | None,
+) -> Polished:
+    """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out."""
+    theta = fit.parameters
+    for _ in range(4):
+        rank = np.argsort(theta.hz)
+        start = start_parameters(runs, theta.hz[rank], theta.zeta[rank], theta.shapes[:, rank], theta.outside_hz)
+        final = refine(
+            runs,
+            n_dofs,
+            theta.hz[rank],
+            theta.zeta[rank],
+            lower=lower,
+            start=start,
+            max_iterations=25,
+            tolerance=0.05,
+            want_covariance=True,
+            progress=progress,
+        )
+        out = np.union1d(weak_modes(runs, final, keep_hz, log, reject_hz), uncertain_modes(runs, final, keep_hz, log)).astype(int)
+        if not out.size or out.size == final.parameters.hz.size:
+            break
+        log.rounds.append(f"final fit: {out.size} modes taken out")
+        keep = np.setdiff1d(np.arange(final.parameters.hz.size), out)
+        theta = replace(
+            final.parameters, hz=final.parameters.hz[keep], zeta=final.parameters.zeta[keep], shapes=final.parameters.shapes[:, keep]
+        )
+    return final
+
+
+def _reduced(run: RunSpectra, core: NDArray[np.int_]) -> RunSpectra:
+    position = {int(row): i for i, row in enumerate(core)}
+    keep = np.array([i for i, row in enumerate(run.response_rows) if int(row) in position])
+    return replace(
+        run,
+        responses=run.responses[keep],
+        response_rows=np.array([position[int(run.response_rows[i])] for i in keep]),
+        response_signs=run.response_signs[keep],
+        response_variance=run.response_variance[keep],
+        force_rows=np.array([position[int(row)] for row in run.force_rows]),
+    )
+
+
+def _spread(values: Real, core: NDArray[np.int_], n: int) -> Real:
+    out = np.full(n, np.nan)
+    out[core] = values
+    return out

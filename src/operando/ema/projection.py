@@ -1,0 +1,336 @@
+"""Poles from given FRFs by variable projection: residues, phases, drifts and tails of each pair eliminated by linear least squares.
+
+Each pair p of response and reference is
+
+    H_p = Σ_r [a_pr + b_pr s/ω_r + δ_pr a_pr ∂/∂ln f_r] s²/(s² + 2ζ_rω_r s + ω_r²) + tails
+
+with a real residue a, its quadrature part b (a complex mode), the relative shift δ of the mode in this pair (a test object that
+changes while hammer or sensors rove), and tails: modes above and below the lines, a mass line, and 1/s, 1/s² (an offset or a drift
+of the sensor under the window). b and δ have Gaussian priors whose spreads are estimated mode by mode (MacKay, Neural Computation
+4, 1992, 415–447). Only the poles (ln f, ln ζ) are left to a Levenberg search (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973,
+413–432); with priors the gradient is that of the envelope theorem, Jᵀr. All pairs share their columns and differ in their weights: the
+Gram matrices of all pairs come from one product of weights and column products a row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.ema.pairs import Complex, Pairs, Real
+from operando.ema.polish_model import OUTSIDE_DAMPING, kernels
+from operando.ema.start import OUTSIDE_FACTORS
+
+LOWER_FACTOR = 0.6
+RIDGE = 1e-9
+QUADRATURE, QUADRATURE_GUESS, QUADRATURE_MOST = 0.2, 0.05, 0.25
+"""Spread of b over a: at the start, two pseudo-pairs' worth of it (a phase of 3°), and at most (14°, that of heavily complex modes)."""
+
+DRIFT, DRIFT_GUESS, DRIFT_MOST = 1e-3, 2e-4, 1e-2
+"""The same for δ: roving tests drift by 1e-4 … 1e-3."""
+
+PSEUDO_PAIRS = 2.0
+CHUNK = 64
+
+
+@dataclass(frozen=True)
+class Poles:
+    """Unknowns of the search and the spreads of their priors, all (n,)."""
+
+    hz: Real
+    zeta: Real
+    quadrature: Real = field(default_factory=lambda: np.zeros(0))
+    drift: Real = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        for name, value in (("quadrature", QUADRATURE), ("drift", DRIFT)):
+            if getattr(self, name).size != self.hz.size:
+                object.__setattr__(self, name, np.full(self.hz.size, value))
+
+    def take(self, keep: NDArray[Any]) -> Poles:
+        """Some of the poles."""
+        return Poles(self.hz[keep], self.zeta[keep], self.quadrature[keep], self.drift[keep])
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Linear part of the fit at given poles.
+
+    Parameters
+    ----------
+    cost : (P,) array
+        Σ|e|²/variance of each pair, priors included.
+    a, b, shift, shifted : (P, n) arrays
+        Residues, quadrature parts, relative shifts δ, and their coefficients δ·a (a of the round before).
+    tails : (P, t) array
+    error : (P, L) complex array
+    normal : (2n, 2n) array
+        Gauss–Newton matrix of (ln f, ln ζ) with everything else eliminated.
+    gradient : (P, 2n) array
+        Of each pair: −½ ∂cost.
+    evidence : (P, n) array
+        Rise of the cost without the mode (a and b), the rest refitted.
+    a_std : (P, n) array
+        Standard deviation of a at known poles.
+    slope : (P, n, 2n) array
+        ∂a/∂(ln f, ln ζ).
+    spread_sums : (4, n) array
+        Σγ(b/amplitude)², Σγ², Σγδ², Σγ² over the pairs, with γ = 1 − posterior/prior variance.
+    """
+
+    cost: Real
+    a: Real
+    b: Real
+    shift: Real
+    shifted: Real
+    tails: Real
+    error: Complex
+    normal: Real
+    gradient: Real
+    evidence: Real
+    a_std: Real
+    slope: Real
+    spread_sums: Real
+
+    @property
+    def residues(self) -> tuple[Real, Real]:
+        """(a, b)."""
+        return self.a, self.b
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Columns of the linear fit over the lines: g, h (quadrature), tails; derivatives of g and h by ln f and ln ζ."""
+
+    g: Complex
+    h: Complex
+    tails: Complex
+    gf: Complex
+    hf: Complex
+    gz: Complex
+    hz: Complex
+
+    def stack(self, exact: bool) -> Complex:
+        """Rows that matrices are made of: g, h, tails, gf, gz, and hf, hz for an exact Jacobian."""
+        more = [self.hf, self.hz] if exact else []
+        return np.concatenate([self.g, self.h, self.tails, self.gf, self.gz, *more])
+
+
+def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
+    """Columns g, h (quadrature) and their derivatives by ln f and ln ζ: g, h, gf, hf, gz, hz, each (n, L)."""
+    g, gf, gz = kernels(f, poles.hz, poles.zeta, rate)
+    c = (2j * np.pi * f[None, :] + rate) / (2 * np.pi * poles.hz[:, None])
+    return g, g * c, gf, (gf - g) * c, gz, gz * c
+
+
+def tail_columns(f: Real, top_hz: float, bottom_hz: float, rate: float) -> Complex:
+    """Kernels above the band and one below, a constant (free mass), 1/s and 1/s² (offset and drift under the window), (t, L)."""
+    outside = np.array([factor * top_hz for factor in OUTSIDE_FACTORS] + [LOWER_FACTOR * bottom_hz])
+    kernel = kernels(f, outside, np.full(outside.size, OUTSIDE_DAMPING), rate)[0]
+    s = (2j * np.pi * f + rate) / (2 * np.pi * bottom_hz)
+    return np.concatenate([kernel, np.ones((1, f.size)), 1 / s[None], 1 / s[None] ** 2])
+
+
+def _columns(pairs: Pairs, poles: Poles, ends_hz: tuple[float, float]) -> _Columns:
+    g, h, gf, hf, gz, hz = basis(pairs.frequencies_hz, poles, pairs.window_rate)
+    top = max(ends_hz[1], float(poles.hz.max(initial=0.0)))
+    tails = tail_columns(pairs.frequencies_hz, top, ends_hz[0], pairs.window_rate)
+    return _Columns(g, h, tails, gf, hf, gz, hz)
+
+
+def modal_power(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Real:
+    """Σ_r|mode r in pair p|² + |tails|², (P, L): what a proportional model error is proportional to."""
+    c = _columns(pairs, poles, ends_hz)
+    power = fit.a**2 @ np.abs(c.g) ** 2 + fit.b**2 @ np.abs(c.h) ** 2 + 2 * (fit.a * fit.b) @ (c.g * c.h.conj()).real
+    return np.asarray(np.maximum(power, 0) + np.abs(fit.tails @ c.tails) ** 2)
+
+
+def synthesis(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Complex:
+    """FRFs of the fitted pairs on the lines of ``pairs``, (P, L)."""
+    c = _columns(pairs, poles, ends_hz)
+    return np.asarray(fit.a @ c.g + fit.b @ c.h + fit.tails @ c.tails + fit.shifted @ c.gf)
+
+
+def project(
+    pairs: Pairs, poles: Poles, variance: Real, previous: tuple[Real, Real] | None, ends_hz: tuple[float, float], exact: bool = False
+) -> Projection:
+    """Linear fit of all pairs at given poles, and the normal equations of the poles.
+
+    Parameters
+    ----------
+    pairs : Pairs
+    poles : Poles
+    variance : (P, L) array
+        Of each line.
+    previous : (a, b), optional
+        Residues of the round before: they size the priors and make the columns of the shifts. Without them b is free and δ left out.
+    ends_hz : (float, float)
+        Bottom and top of the lines, where the tails begin.
+    exact : bool
+        Take b into the Gauss–Newton matrix, too: for covariances. Steps do without at half the work.
+    """
+    columns = _columns(pairs, poles, ends_hz)
+    amplitude = None
+    if previous is not None:
+        # a prior on b against the pair's own a and against what the mode has in the pairs at large: b may be there where a is not
+        size = np.sqrt(np.mean(np.abs(pairs.accelerance) ** 2, axis=1, keepdims=True))
+        amplitude = np.sqrt(0.5 * (previous[0] ** 2 + np.mean((previous[0] / size) ** 2, axis=0) * size**2))
+    stack = columns.stack(exact)
+    parts = []
+    for start in range(0, pairs.accelerance.shape[0], CHUNK):
+        rows = slice(start, start + CHUNK)
+        before = None if previous is None or amplitude is None else (previous[0][rows], amplitude[rows])
+        parts.append(_solve(pairs.accelerance[rows], variance[rows], columns, stack, poles, before))
+    gather = [np.concatenate([p[k] for p in parts]) for k in range(11)]
+    cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope = gather
+    normal, sums = np.sum([p[11] for p in parts], axis=0), np.sum([p[12] for p in parts], axis=0)
+    return Projection(cost, a, b, shift, shifted, tails, error, normal, gradient, evidence, a_std, slope, sums)
+
+
+def updated_spreads(poles: Poles, sums: Real) -> Poles:
+    """Spreads of the priors from the well-determined values, two pseudo-pairs at the guess beside them (evidence approximation)."""
+    out = []
+    for (squares, count), guess, most in zip(
+        (sums[:2], sums[2:]), (QUADRATURE_GUESS, DRIFT_GUESS), (QUADRATURE_MOST, DRIFT_MOST), strict=True
+    ):
+        out.append(np.clip(np.sqrt((squares + 0.25 * PSEUDO_PAIRS * guess**2) / (count + PSEUDO_PAIRS)), 1e-7, most))
+    return replace(poles, quadrature=out[0], drift=out[1])
+
+
+def _grams(columns: Complex, weight: Real) -> Real:
+    """Re Σ_l w_pl c_i c̄_j for all pairs: (P, K, K). Real and imaginary parts carry the same weight, so one real product does."""
+    k = columns.shape[0]
+    out = np.empty((weight.shape[0], k, k))
+    re, im = np.ascontiguousarray(columns.real), np.ascontiguousarray(columns.imag)
+    for i in range(k):
+        row = weight @ (re[i] * re[i:] + im[i] * im[i:]).T
+        out[:, i, i:] = row
+        out[:, i:, i] = row
+    return out
+
+
+def _against(weighted: Complex, columns: Complex) -> Real:
+    """Re Σ_l w h c̄, (P, K)."""
+    return np.asarray(weighted.real @ columns.real.T + weighted.imag @ columns.imag.T)
+
+
+def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, before: tuple[Real, Real] | None) -> tuple[Any, ...]:
+    """One chunk of pairs: what :class:`Projection` holds, sums last."""
+    n, t = c.g.shape[0], c.tails.shape[0]
+    core = 2 * n + t
+    by_f = slice(core, core + n)
+    weight = 1 / variance
+    gram = _grams(stack, weight)
+    weighted = h * weight
+    right = _against(weighted, stack)
+    if before is None:
+        matrix, target = gram[:, :core, :core].copy(), right[:, :core]
+    else:
+        old = before[0]
+        matrix = np.empty((h.shape[0], core + n, core + n))
+        matrix[:, :core, :core] = gram[:, :core, :core]
+        matrix[:, :core, core:] = gram[:, :core, by_f] * old[:, None, :]
+        matrix[:, core:, :core] = matrix[:, :core, core:].transpose(0, 2, 1)
+        matrix[:, core:, core:] = gram[:, by_f, by_f] * old[:, :, None] * old[:, None, :]
+        target = np.concatenate([right[:, :core], right[:, by_f] * old], axis=1)
+    scale = np.sqrt(np.einsum("pii->pi", matrix))
+    scale[scale == 0] = 1
+    matrix /= scale[:, :, None] * scale[:, None, :]
+    diagonal = np.einsum("pii->pi", matrix)
+    diagonal += RIDGE
+    if before is not None:
+        spread_b = np.maximum(poles.quadrature * before[1], 1e-150)
+        diagonal[:, n : 2 * n] += np.minimum(1e12, 0.5 / np.maximum(spread_b * scale[:, n : 2 * n], 1e-150) ** 2)
+        diagonal[:, core:] += np.minimum(1e12, 0.5 / np.maximum(poles.drift * scale[:, core:], 1e-150) ** 2)
+    inverse = np.linalg.inv(matrix)
+    coefficients = np.einsum("pij,pj->pi", inverse, target / scale)
+    cost = np.sum((weighted.conj() * h).real, axis=1) - np.sum(coefficients * target / scale, axis=1)
+    x = coefficients / scale
+    a, b, tails = x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core]
+    shift = x[:, core:] if before is not None else np.zeros_like(a)
+    shifted = shift * before[0] if before is not None else shift
+    error = h - x[:, :core] @ stack[:core] - shifted @ c.gf
+    # Jacobian columns a·gf (+ b·hf), a·gz (+ b·hz), against the fitted columns and each other; gradient by the envelope theorem
+    moved_by = np.concatenate([a, a, b, b], axis=1)[:, : gram.shape[1] - core]
+    against = gram[:, :core, core:] * moved_by[:, None, :]
+    if before is not None:
+        more = gram[:, by_f, core:] * before[0][:, :, None] * moved_by[:, None, :]
+        against = np.concatenate([against, more], axis=1)
+    own = np.einsum("pij,pi,pj->ij", gram[:, core:, core:], moved_by, moved_by, optimize=True)
+    if own.shape[0] > 2 * n:
+        against = against[:, :, : 2 * n] + against[:, :, 2 * n :]
+        own = own[: 2 * n, : 2 * n] + own[: 2 * n, 2 * n :] + own[2 * n :, : 2 * n] + own[2 * n :, 2 * n :]
+    scaled = against / scale[:, :, None]
+    solved = inverse @ scaled
+    normal = own - np.tensordot(scaled, solved, axes=([0, 1], [0, 1]))
+    rest = error * weight
+    gradient = np.concatenate(
+        [a * _against(rest, c.gf) + b * _against(rest, c.hf), a * _against(rest, c.gz) + b * _against(rest, c.hz)], axis=1
+    )
+    posterior = np.einsum("pii->pi", inverse)
+    # evidence of the mode's two columns: cᵀ (inverse block)⁻¹ c
+    i, j = np.arange(n), n + np.arange(n)
+    p, q, m = posterior[:, i], posterior[:, j], inverse[:, i, j]
+    u, v = coefficients[:, i], coefficients[:, j]
+    evidence = (q * u**2 - 2 * m * u * v + p * v**2) / np.maximum(p * q - m**2, 1e-300)
+    a_std = np.sqrt(0.5 * p) / scale[:, :n]
+    slope = -solved[:, :n, :] / scale[:, :n, None]
+    sums = np.zeros((4, n))
+    if before is not None:
+        known = np.clip(1 - 0.5 * q / scale[:, j] ** 2 / spread_b**2, 0, 1)
+        sums[:2] = np.sum(known * (b / before[1]) ** 2, axis=0), np.sum(known**2, axis=0)
+        known = np.clip(1 - 0.5 * posterior[:, core:] / scale[:, core:] ** 2 / poles.drift**2, 0, 1)
+        sums[2:] = np.sum(known * shift**2, axis=0), np.sum(known**2, axis=0)
+    return cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope, normal, sums
+
+
+def search_poles(
+    pairs: Pairs,
+    poles: Poles,
+    variance: Real,
+    previous: tuple[Real, Real],
+    ends_hz: tuple[float, float],
+    *,
+    steps: int,
+    max_damping: float,
+) -> tuple[Poles, Projection, float]:
+    """A few Levenberg steps on the poles under a given variance.
+
+    Returns
+    -------
+    poles, projection
+        The best found.
+    float
+        Largest move of a frequency in half bandwidths.
+    """
+    n = poles.hz.size
+    now = project(pairs, poles, variance, previous, ends_hz)
+    total, damping, moved = float(now.cost.sum()), 1e-3, 0.0
+    for _ in range(steps):
+        pull = now.gradient.sum(axis=0)
+        diagonal = np.diag(now.normal)
+        floor = 1e-12 * float(diagonal.max(initial=0.0)) + 1e-300
+        better = None
+        for _ in range(5):
+            step = np.linalg.solve(now.normal + np.diag(damping * diagonal + floor), pull)
+            limit = np.concatenate([0.7 * poles.zeta, np.full(n, 0.6)])
+            step /= max(1.0, float(np.max(np.abs(step) / limit)))
+            zeta = np.clip(poles.zeta * np.exp(step[n:]), 1e-5, max_damping * 1.02)
+            trial = replace(poles, hz=poles.hz * np.exp(step[:n]), zeta=zeta)
+            found = project(pairs, trial, variance, previous, ends_hz)
+            if found.cost.sum() <= total * (1 + 1e-12):
+                better = found
+                break
+            damping = max(10 * damping, 1e-6)
+        if better is None:
+            break
+        damping = max(damping / 10, 1e-9)
+        fall = total - float(better.cost.sum())
+        moved = max(moved, float(np.max(np.abs(step[:n]) / poles.zeta)))
+        poles, now, total = trial, better, total - fall
+        if fall < max(0.02, 1e-6 * total):
+            break
+    return poles, now, moved

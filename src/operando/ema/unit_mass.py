@@ -1,0 +1,172 @@
+"""Real shapes of unit modal mass from the residues of given FRFs, with the covariance of everything."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.ema.linear import LinearFit
+from operando.ema.pairs import Real
+
+SMALL_SHARE = 0.1
+"""Errors of small residues: this part of the proportional error of the largest one (a hit a little beside its point leaks in others)."""
+
+SEEN = 3.0
+"""A drive-point residue of less than so many standard deviations says nothing on the scale."""
+
+FREE_STD = 20.0
+"""Shape values that no data hold have a prior of so many times the mode's rms."""
+
+NEGATIVE_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class UnitMassShapes:
+    """Shapes with R_jk ≈ φ_j φ_k.
+
+    Parameters
+    ----------
+    shapes : (M, n) array
+    scaled : (n,) bool array
+        Whether a drive point gives the mode its scale; where none does the shape keeps an arbitrary one.
+    drive : tuple of (pair, t (n,) array)
+        Residue over standard deviation of each drive point: positive, absent (|t| < 3) or negative.
+    covariance : (n·(2 + M),)² array
+        Of [f (Hz), ζ, shapes mode by mode].
+    chi_square : (n,) array
+        Mean squared standardised residual of the rank-one fit; NaN where there are no more residues than shape values.
+    """
+
+    shapes: Real
+    scaled: NDArray[np.bool_]
+    drive: tuple[tuple[int, Real], ...]
+    covariance: Real
+    chi_square: Real
+
+
+def turned_columns(fit: LinearFit) -> NDArray[np.int_]:
+    """DOFs whose drive-point residues are mostly negative over the modes: force and accelerometer there have opposite senses.
+
+    Σ R|R|/σ over the modes is judged, so that a certain residue outweighs uncertain ones. Turning the force makes a single reference and a
+    roving test consistent alike: which of the two sensors is wrong the FRFs cannot say.
+    """
+    out = []
+    for p in fit.pairs.drive_points:
+        value = fit.projection.a[p]
+        std = residue_std(fit)[p]
+        weight = value**2 / (1 + (std / np.maximum(np.abs(value), 1e-300)) ** 2)
+        if np.sum(np.sign(value) * weight) < -NEGATIVE_SHARE * np.sum(weight):
+            out.append(int(fit.pairs.columns[p]))
+    return np.array(out, int)
+
+
+def residue_std(fit: LinearFit) -> Real:
+    """Standard deviations of the residues (P, n): of the fit over ν correlated lines, and the model error of the pair."""
+    a, share = fit.projection.a, fit.variance.alpha[:, None]
+    top = np.max(np.abs(a), axis=0, initial=0.0)
+    return np.asarray(np.sqrt(fit.correlation * fit.projection.a_std**2 + (share * a) ** 2 + (SMALL_SHARE * share * top) ** 2))
+
+
+def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
+    """Shapes by robust weighted least squares of R_jk = φ_j φ_k, with the uncertainty of residues and poles.
+
+    Parameters
+    ----------
+    fit : LinearFit
+        Of pairs whose forces all have the right sense (:func:`turned_columns`).
+    n_dofs : int
+        DOFs of the model.
+    """
+    n = fit.n_modes
+    rows, columns = fit.pairs.rows, fit.pairs.columns
+    std = residue_std(fit)
+    shapes, scaled, chi = np.zeros((n_dofs, n)), np.zeros(n, bool), np.full(n, np.nan)
+    poles = np.concatenate([fit.poles.hz, fit.poles.zeta])
+    by_poles = np.zeros((n_dofs * n, 2 * n))
+    own = np.zeros((n, n_dofs, n_dofs))
+    for r in range(n):
+        shape, scaled[r], gain, variance, chi[r] = _one_shape(rows, columns, fit.projection.a[:, r], std[:, r], n_dofs)
+        shapes[:, r] = shape
+        by_poles[r * n_dofs : (r + 1) * n_dofs] = gain @ fit.projection.slope[:, r]
+        own[r] = variance
+    size = 2 * n + n * n_dofs
+    covariance = np.zeros((size, size))
+    carry = np.concatenate([np.eye(2 * n), by_poles])
+    covariance[:] = carry @ fit.covariance @ carry.T
+    for r in range(n):
+        at = slice(2 * n + r * n_dofs, 2 * n + (r + 1) * n_dofs)
+        covariance[at, at] += own[r]
+    units = np.concatenate([poles, np.ones(n * n_dofs)])
+    drive = tuple((int(p), fit.projection.a[p] / std[p]) for p in fit.pairs.drive_points)
+    return UnitMassShapes(shapes, scaled, drive, covariance * np.outer(units, units), chi)
+
+
+def _one_shape(
+    rows: NDArray[np.int_], columns: NDArray[np.int_], residue: Real, std: Real, n_dofs: int, rounds: int = 40
+) -> tuple[Real, bool, Real, Real, float]:
+    """One shape, whether it is scaled, ∂φ/∂R (M, P), its covariance (M, M), and the mean squared standardised residual.
+
+    Gauss–Newton with soft-L1 weights: one wrong hit moves a residue by any amount, and must not move the others.
+    """
+    drive = np.flatnonzero(rows == columns)
+    best = int(drive[np.argmax(residue[drive] / std[drive])]) if drive.size else -1
+    scaled = best >= 0 and residue[best] > SEEN * std[best]
+    phi = _start(rows, columns, residue, best if scaled else -1, n_dofs)
+    known = np.isin(np.arange(n_dofs), np.concatenate([rows, columns]))
+    rms = float(np.sqrt(np.mean(phi[known] ** 2))) or 1.0
+    prior = np.full(n_dofs, 1 / (FREE_STD * rms) ** 2)
+    # A negative drive-point residue is no scale; it is told, and left out.
+    use = ~((rows == columns) & (residue < 0))
+    if not scaled:
+        strongest = int(np.argmax(np.abs(phi)))
+        prior[strongest] = 1 / (1e-3 * abs(phi[strongest]) + 1e-300) ** 2
+    centre = phi.copy()
+    size = residue.size
+    for _ in range(rounds):
+        rest = np.where(use, (residue - phi[rows] * phi[columns]) / std, 0.0)
+        weight = use / np.sqrt(1 + rest**2)
+        jacobian = np.zeros((size, n_dofs))
+        np.add.at(jacobian, (np.arange(size), rows), phi[columns] / std)
+        np.add.at(jacobian, (np.arange(size), columns), phi[rows] / std)
+        normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
+        pull = jacobian.T @ (weight * rest)
+        if not scaled:
+            pull -= prior * np.where(prior > 2 * prior.min(), phi - centre, 0.0)
+        step = np.linalg.solve(normal, pull)
+        step *= min(1.0, 0.5 * np.linalg.norm(phi) / max(float(np.linalg.norm(step)), 1e-300))
+        phi = phi + step
+        if np.linalg.norm(step) < 1e-9 * np.linalg.norm(phi):
+            break
+    inverse = np.linalg.inv(normal)
+    gain = inverse @ (jacobian * weight[:, None]).T / std
+    freedom = int(use.sum()) - int(known.sum())
+    chi = float(np.sum(weight * rest**2) / freedom) if freedom > 0 else float("nan")
+    birge = max(1.0, chi) if np.isfinite(chi) else 1.0
+    return phi, bool(scaled), gain, birge * (gain * std) @ (gain * std).T, chi
+
+
+def _start(rows: NDArray[np.int_], columns: NDArray[np.int_], residue: Real, drive: int, n_dofs: int) -> Real:
+    """Shape values from the row and the column of one drive point; without one, from the strongest column at an arbitrary scale."""
+    phi = np.zeros(n_dofs)
+    if drive >= 0:
+        centre, scale = int(rows[drive]), float(np.sqrt(residue[drive]))
+    else:
+        strength = {int(c): float(np.sum(residue[columns == c] ** 2)) for c in np.unique(columns)}
+        strength |= {int(r): max(strength.get(int(r), 0.0), float(np.sum(residue[rows == r] ** 2))) for r in np.unique(rows)}
+        centre = max(strength, key=lambda c: strength[c])
+        scale = float(np.sqrt(np.max(np.abs(residue)))) or 1.0
+    for mine, other in ((columns, rows), (rows, columns)):
+        at = np.flatnonzero(mine == centre)
+        phi[other[at]] = residue[at] / scale
+    phi[centre] = scale
+    # DOFs that share no pair with the centre follow from those that do.
+    for _ in range(2):
+        for mine, other in ((columns, rows), (rows, columns)):
+            for d in np.flatnonzero(phi == 0):
+                at = mine == d
+                u = phi[other[at]]
+                if np.any(u != 0):
+                    phi[d] = float(u @ residue[at] / (u @ u))
+    return phi
