@@ -18,6 +18,7 @@ from operando.units import SI_UNIT, parse_unit
 
 ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
 HITS = ("auto", "all", "off")
+EMA_ANSWERS = ("auto", "linear", "polished")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
 _STATE_KEYS = ("records", "frfs")
 _CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
@@ -64,8 +65,12 @@ class Analysis:
         Force DOFs to use (None: all).
     max_order : int or None
         Largest model order of the EMA.
+    ema : {"auto", "linear", "polished"}
+        Which answer of the EMA to give.
+    modes_hz : tuple of float
+        Exactly these idle modes [Hz].
     select_hz, reject_hz : tuple of float
-        Idle modes chosen or rejected by hand [Hz].
+        Idle modes besides the automatic ones, and automatic ones to leave out, by hand [Hz].
     threshold : float
         MAC from which an operational mode counts as unchanged.
     scaling : str
@@ -90,6 +95,8 @@ class Analysis:
     hits: str = "auto"
     references: tuple[str, ...] | None = None
     max_order: int | None = None
+    ema: str = "auto"
+    modes_hz: tuple[float, ...] = ()
     select_hz: tuple[float, ...] = ()
     reject_hz: tuple[float, ...] = ()
     threshold: float = 0.7
@@ -416,7 +423,8 @@ def _one_of(choices: tuple[str, ...]) -> Callable[[Any, str], str]:
 
 _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS),
-    "hits": _one_of(HITS), "references": _dofs, "max_order": _order, "select_hz": _numbers, "reject_hz": _numbers,
+    "hits": _one_of(HITS), "references": _dofs, "max_order": _order, "ema": _one_of(EMA_ANSWERS),
+    "modes_hz": _numbers, "select_hz": _numbers, "reject_hz": _numbers,
     "threshold": _threshold, "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts,
     "places": _texts, "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers,
     "second_opinion": _flag,

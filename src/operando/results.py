@@ -34,6 +34,8 @@ class Results:
     idle_frf : Frf or None
     idle : ModalModel or None
         Unit modal mass, with residual terms; ``details`` is an ``operando.ema.EmaDetails``.
+    automatic : ModalModel or None
+        The idle modes before anything named by hand; the same where nothing is.
     operating : ModalModel or None
         Complex, unscaled; ``details`` is an ``operando.oma.OmaDetails``.
     hybrid : operando.scaling.HybridModel or None
@@ -69,3 +71,4 @@ class Results:
     timings_s: dict[str, float] = field(default_factory=dict)
     effect_idle: ModalModel | None = None
     effect_covariance: Any = None
+    automatic: ModalModel | None = None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from operando.data import Frf, ModalModel, Provenance
 from operando.dof import Dof
 from operando.ema.doubts import Evidence
-from operando.ema.linear import LinearFit, fit_linear
+from operando.ema.linear import LinearFit, fit_linear, stated_covariance
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.pairs import Pairs, Real
 from operando.ema.polish import Polished
@@ -65,14 +65,15 @@ class LinearModes:
 
 def linear_modes(fit: LinearFit, evidence: list[Evidence], scaled: NDArray[np.bool_]) -> LinearModes:
     """What is kept of the linear stage."""
+    std = np.sqrt(np.diag(stated_covariance(fit)))
     return LinearModes(
-        fit.poles.hz,
+        fit.mean_hz,
         fit.poles.zeta,
-        fit.frequency_std_hz,
-        fit.poles.zeta * fit.log_damping_std,
+        fit.poles.hz * std[: fit.n_modes],
+        fit.poles.zeta * std[fit.n_modes :],
         tuple(evidence),
         scaled,
-        float(np.median(fit.variance.alpha)),
+        fit.model_error,
         fit.correlation,
     )
 
@@ -152,7 +153,7 @@ def linear_model(
     """Model of the linear stage: modes without doubts; the other poles are residual terms."""
     outside = linear_outside(fit, mass, band)
     residual = np.array([bool(e.doubts) for e in evidence])
-    poles = fit.poles.hz, fit.poles.zeta
+    poles = fit.mean_hz, fit.poles.zeta
     return _assemble(frf, dofs, band, poles, mass.shapes, mass.covariance, outside, residual, misfit, scaled, "linear stage")
 
 

@@ -27,7 +27,7 @@ MAX_LOG_DAMPING_STD = 0.5
 MAX_PHASE_DEG = 45.0
 """Residues further from the real axis than from the imaginary one belong to a curved background."""
 
-NEAR_WIDTHS, TWIN_WIDTHS, TWIN_MAC, CLOSE_TWIN_MAC = 1.2, 3.0, 0.85, 0.5
+SAME_WIDTHS, NEAR_WIDTHS, TWIN_WIDTHS, TWIN_MAC, CLOSE_TWIN_MAC = 0.5, 1.2, 3.0, 0.85, 0.5
 """Neighbours within so many half bandwidths are asked whether one mode does; with alike residues (MAC) also further apart."""
 
 TWIN_SHARE = 0.02
@@ -38,9 +38,6 @@ DIP = 0.8
 
 LOCAL_WIDTHS, N_TAILS = 12.0, 10
 """Lines within so many half bandwidths decide between one mode and two; at least four times as many as there are tails."""
-
-SMALL_ALPHA = 0.01
-"""Below this model error the noise limits the search, and a mode may be looked for off the visible peaks."""
 
 
 @dataclass
@@ -56,9 +53,6 @@ def choose_modes(
     start: Poles,
     band: tuple[float, float],
     *,
-    keep_hz: Sequence[float] = (),
-    refuse_hz: Sequence[float] = (),
-    search: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[LinearFit, ChoiceLog]:
     """Fit the starting poles and settle which are modes.
@@ -71,12 +65,6 @@ def choose_modes(
         Candidates, by rising frequency.
     band : (float, float)
         Analysis band [Hz]: missing modes are looked for inside.
-    keep_hz : sequence of float
-        Poles nearest to these stay whatever their evidence.
-    refuse_hz : sequence of float
-        Nothing is added here.
-    search : bool
-        Whether to look for modes that the candidates lack.
 
     Raises
     ------
@@ -95,7 +83,7 @@ def choose_modes(
     for number in range(MAX_ROUNDS):
         if progress is not None:
             progress(f"EMA linear stage, round {number + 1}: {fit.n_modes} poles, model error {100 * np.median(fit.variance.alpha):.2g} %")
-        out = poor_poles(fit, keep_hz)
+        out = poor_poles(fit)
         if out:
             if len(out) == fit.n_modes:
                 out = out[:-1]
@@ -107,14 +95,14 @@ def choose_modes(
             log.rounds.append("out: " + ", ".join(f"{fit.poles.hz[k]:.5g} Hz ({code})" for k, code, _ in out))
             fit = _refitted(fit, np.setdiff1d(np.arange(fit.n_modes), [k for k, _, _ in out]))
             continue
-        joined = _one_for_two(fit, merged, keep_hz, log)
+        joined = _one_for_two(fit, merged, log)
         if joined is not None:
             tried.append((log.rejected[-1].frequency_hz, 1.5 * log.rejected[-1].damping_ratio))
             fit = joined
             continue
-        if not search or number >= SEARCH_ROUNDS:
+        if number >= SEARCH_ROUNDS:
             break
-        new = _missing_mode(fit, band, peaks, [*tried, *((h, 0.01) for h in refuse_hz)])
+        new = _missing_mode(fit, band, peaks, tried)
         if new is None:
             break
         log.rounds.append(f"in: {new[0]:.5g} Hz")
@@ -141,7 +129,7 @@ def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
     return fit_linear(fit.pairs, grown, fit.ends_hz)
 
 
-def poor_poles(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[tuple[int, str, str]]:
+def poor_poles(fit: LinearFit) -> list[tuple[int, str, str]]:
     """Poles to leave out in this round, worst first: number, code, reason. At most a third of them, and no two neighbours."""
     n, n_pairs = fit.projection.a.shape[1], fit.projection.a.shape[0]
     hz, zeta = fit.poles.hz, fit.poles.zeta
@@ -151,7 +139,6 @@ def poor_poles(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[tuple[int,
     phase = np.degrees(0.5 * np.angle(np.sum(weights * fit.residues() ** 2, axis=0)))
     step = float(np.median(np.diff(fit.pairs.frequencies_hz)))
     few = max(1, n_pairs // 8)
-    by_hand = {int(np.argmin(np.abs(hz - h))) for h in keep_hz} if n else set()
     found = []
     for k in range(n):
         strong = np.sort(evidence[:, k])[::-1][:few]
@@ -172,11 +159,11 @@ def poor_poles(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[tuple[int,
             code, reason = "uncertain", f"its frequency is uncertain by {std[k]:.3g} Hz, the next pole is {distance:.3g} Hz away"
         elif zeta[k] > MAX_DAMPING:
             code, reason = "too_damped", f"damping {100 * zeta[k]:.3g} % is a curved background, not a mode"
-        elif abs(phase[k]) > MAX_PHASE_DEG:
+        elif abs(phase[k]) > MAX_PHASE_DEG and not fit.noise_limited:
             code, reason = "complex_shape", f"its residues are {abs(phase[k]):.0f}° off those of a mode"
         elif width < 0.05 * step:
             code, reason = "too_narrow", f"its half bandwidth {width:.2g} Hz is far below the line spacing of {step:.2g} Hz"
-        if code and k not in by_hand:
+        if code:
             found.append((score, k, code, reason))
     out: list[tuple[int, str, str]] = []
     for _, k, code, reason in sorted(found):
@@ -208,15 +195,20 @@ def two_peaks(fit: LinearFit, k: int) -> bool:
 
 
 def is_twin(fit: LinearFit, k: int) -> bool:
-    """Whether modes k and k+1 have alike residues close together, with no dip between them."""
+    """Whether modes k and k+1 have alike residues close together, with no dip between them, or nearly one frequency.
+
+    Two poles well within one bandwidth may as well be one mode that stands elsewhere in other pairs, whatever their residues.
+    """
     width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
     gap = float((fit.poles.hz[k + 1] - fit.poles.hz[k]) / max(width))
+    if gap < SAME_WIDTHS:
+        return True
     mac = residue_mac(fit, k, k + 1)
     alike = (mac > TWIN_MAC and gap < TWIN_WIDTHS) or (mac > CLOSE_TWIN_MAC and gap < NEAR_WIDTHS)
     return alike and not two_peaks(fit, k)
 
 
-def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], keep_hz: Sequence[float], log: ChoiceLog) -> LinearFit | None:
+def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], log: ChoiceLog) -> LinearFit | None:
     """One mode in place of two close ones where that loses less than the second one costs, or little of alike ones' evidence."""
     n = fit.n_modes
     if n < 2:
@@ -228,8 +220,7 @@ def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], keep_hz: Sequ
             break
         twin = is_twin(fit, int(k))
         key = (round(float(hz[k]), 3), round(float(hz[k + 1]), 3))
-        by_hand = sum(any(int(np.argmin(np.abs(hz - h))) == j for h in keep_hz) for j in (k, k + 1)) == 2
-        if (gap[k] > NEAR_WIDTHS and not twin) or key in asked or by_hand:
+        if (gap[k] > NEAR_WIDTHS and not twin) or key in asked:
             continue
         asked.append(key)
         one, loss, own = _merged(fit, int(k))
@@ -239,8 +230,8 @@ def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], keep_hz: Sequ
             log.rejected.append(RejectedPole(float(hz[k + 1]), float(zeta[k + 1]), "twin", reason))
             log.rounds.append(f"one for two: {hz[k]:.5g} and {hz[k + 1]:.5g} Hz (loss {loss:.3g}, evidence {own:.3g})")
             poles, (a, b) = keep_modes(fit, np.setdiff1d(np.arange(n), [k + 1]))
-            poles = replace(poles, hz=poles.hz.copy(), zeta=poles.zeta.copy())
-            poles.hz[k], poles.zeta[k] = one.poles.hz[0], one.poles.zeta[0]
+            poles = replace(poles, hz=poles.hz.copy(), zeta=poles.zeta.copy(), drift=poles.drift.copy())
+            poles.hz[k], poles.zeta[k], poles.drift[k] = one.poles.hz[0], one.poles.zeta[0], one.poles.drift[0]
             a, b = a.copy(), b.copy()
             a[:, k], b[:, k] = one.projection.a[:, 0], one.projection.b[:, 0]
             return fit_linear(fit.pairs, poles, fit.ends_hz, residues=(a, b), before=fit.variance)
@@ -305,7 +296,7 @@ def _missing_mode(
     for h, z in tried:
         allowed &= np.abs(f - h) > max(z * h, 0.002 * h)
     allowed &= np.min(np.abs(f[None] - hz[:, None]) / width[:, None], axis=0) > 0.5
-    if np.median(fit.variance.alpha) > SMALL_ALPHA:
+    if not fit.noise_limited:
         step = float(np.median(np.diff(f)))
         near = np.zeros(f.size, bool)
         for p in peaks:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from operando.data.modal import phase_collinearity
-from operando.ema.choose import is_twin
+from operando.ema.choose import is_twin, residue_mac, two_peaks
 from operando.ema.linear import LinearFit
 from operando.ema.pairs import Complex, Real
 from operando.ema.projection import basis
@@ -17,8 +16,16 @@ MIN_RANK_SHARE = 0.95
 """Part of the residue matrix that one shape explains: 0.95–1.00 for modes, 0.52–0.93 for others in a roving test of 13 known modes."""
 
 MIN_COLLINEARITY = 0.6
-NOWHERE_SHARE, NOWHERE_PAIRS = 0.2, 0.9
-"""A mode has at its own resonance more than a fifth of the modes' power in at least a tenth of the pairs."""
+HALF, HALF_COLLINEARITY = 0.5, 0.8
+"""A pole that has less than half of the power at its own resonance must be in phase (0.8 is what automatic selections ask of a mode,
+e.g. Reynders, Houbrechts & De Roeck, MSSP 29, 2012): what is left of a mode that moves between rows is not."""
+
+FLAG_WIDTHS, FLAG_MAC = 2.0, 0.7
+"""Neighbours within so many half bandwidths with residues so alike: too different for one pole, too alike for two modes to report."""
+
+HIDDEN_ERRORS, BEST_PAIRS = 5.0, 0.9
+"""A mode must exceed so many model errors of all modes at its own resonance, in at least a tenth of the pairs: with an error of 9 % that
+is a fifth of the power."""
 
 BACKGROUND_DAMPING, GOOD_COLLINEARITY, BACKGROUND_COLLINEARITY = 8.0, 0.8, 0.9
 """Damping over the median of the clearly real modes from which a pole that is not quite real is taken for a curved background."""
@@ -55,10 +62,10 @@ class Evidence:
     doubts: tuple[tuple[str, str], ...] = ()
 
 
-def judge_modes(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[Evidence]:
-    """Evidence and doubts of each pole; poles named in ``keep_hz`` carry none."""
+def judge_modes(fit: LinearFit) -> list[Evidence]:
+    """Evidence and doubts of each pole."""
     n = fit.n_modes
-    hz, zeta = fit.poles.hz, fit.poles.zeta
+    zeta = fit.poles.zeta
     residues = fit.residues()
     weights = 1 / np.maximum(fit.projection.a_std, 1e-300) ** 2
     weights = np.minimum(weights, 10 * np.median(weights, axis=0))
@@ -73,9 +80,10 @@ def judge_modes(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[Evidence]
         doubts: list[tuple[str, str]] = []
         if shares[k] < MIN_RANK_SHARE:
             doubts.append(("not_one_shape", f"one shape explains {100 * shares[k]:.0f} % of its residues between all references"))
-        if collinearity[k] < MIN_COLLINEARITY:
+        wanted = HALF_COLLINEARITY if dominance[k] < HALF else MIN_COLLINEARITY
+        if collinearity[k] < wanted and not fit.noise_limited:
             doubts.append(("complex_shape", f"its residues are not in phase (collinearity {collinearity[k]:.2f})"))
-        if dominance[k] < NOWHERE_SHARE:
+        if dominance[k] < (HIDDEN_ERRORS * fit.model_error) ** 2:
             doubts.append(("hidden", f"at its own resonance it has {100 * dominance[k]:.0f} % of the modes' power where it shows best"))
         if zeta[k] > BACKGROUND_DAMPING * typical and collinearity[k] < BACKGROUND_COLLINEARITY:
             doubts.append(("background", f"its damping {100 * zeta[k]:.3g} % is {zeta[k] / typical:.0f} times that of the other modes"))
@@ -83,8 +91,6 @@ def judge_modes(fit: LinearFit, keep_hz: Sequence[float] = ()) -> list[Evidence]
             doubts.append(("uncertain", f"its damping is uncertain by {100 * fit.log_damping_std[k]:.0f} %"))
         if k in weaker:
             doubts.append(("twin", f"its shape is that of {weaker[k]:.5g} Hz: one mode in two places between the rows"))
-        if any(int(np.argmin(np.abs(hz - h))) == k for h in keep_hz):
-            doubts = []
         evidence = float(fit.evidence[:, k].sum())
         spreads = float(fit.poles.quadrature[k]), float(fit.poles.drift[k])
         out.append(Evidence(evidence, shares[k], float(collinearity[k]), float(dominance[k]), *spreads, tuple(doubts)))
@@ -97,7 +103,7 @@ def _dominance(fit: LinearFit) -> Real:
     for k, h in enumerate(fit.poles.hz):
         g, quadrature = basis(np.array([h]), fit.poles, fit.pairs.window_rate)[:2]
         power = np.abs(fit.projection.a * g[:, 0] + fit.projection.b * quadrature[:, 0]) ** 2
-        out[k] = np.quantile(power[:, k] / np.maximum(power.sum(axis=1), 1e-300), NOWHERE_PAIRS)
+        out[k] = np.quantile(power[:, k] / np.maximum(power.sum(axis=1), 1e-300), BEST_PAIRS)
     return out
 
 
@@ -106,7 +112,9 @@ def _weaker_twins(fit: LinearFit) -> dict[int, float]:
     out = {}
     strength = fit.projection.evidence.sum(axis=0)
     for k in range(fit.n_modes - 1):
-        if is_twin(fit, k):
+        width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
+        near = fit.poles.hz[k + 1] - fit.poles.hz[k] < FLAG_WIDTHS * max(width) and not fit.noise_limited
+        if is_twin(fit, k) or (near and residue_mac(fit, k, k + 1) > FLAG_MAC and not two_peaks(fit, k)):
             weak, strong = (k, k + 1) if strength[k] < strength[k + 1] else (k + 1, k)
             out[weak] = float(fit.poles.hz[strong])
     return out

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from operando.data import Finding, Frf, ModalModel, TimeRecord
 from operando.dof import Dof
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
+from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.choose import ChoiceLog, choose_modes
 from operando.ema.doubts import judge_modes
 from operando.ema.findings import fit_findings, linear_findings, quantity_finding, turned_finding
-from operando.ema.linear import LinearFit, fit_linear
+from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear
 from operando.ema.order import OrderLog
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polished_answer
@@ -37,15 +38,10 @@ MIN_SUPPORT = 0.3
 POLISH_SUPPORT = 0.4
 """The same for the maximum-likelihood fit, which searches for weaker ones by its residuals."""
 
-NOISE_LIMITED = 0.01
-"""Model error α below which noise limits the fit, and its likelihood knows better than the linear stage (1 % of the FRF)."""
-
 POLISH_WORK = 4e12
 """Largest work of one polish that is begun by itself, in floating-point operations of its normal equations: about two minutes."""
 
 POLISH_STEPS = 60
-BY_HAND_WIDTHS = 3.0
-"""A frequency named by hand means the nearest pole within so many half bandwidths of it, or one per cent."""
 
 
 @dataclass(frozen=True)
@@ -181,11 +177,10 @@ def fit_ema(
             records = None
         job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), tuple(records or ()), ema, progress, _weights(frf))
         model = automatic
-        by_hand = bool(modes_hz or select_hz or reject_hz)
-        if model is None or not isinstance(model.details, EmaDetails):
+        if model is None or not isinstance(model.details, EmaDetails) or ema not in ("auto", model.details.answer):
             model = _identify(job, max_order)
-        if by_hand:
-            model = _by_hand(job, model, max_order, tuple(modes_hz), tuple(select_hz), tuple(reject_hz))
+        if modes_hz or select_hz or reject_hz:
+            model = modes_by_hand(model, modes_hz, select_hz, reject_hz, _exactly(job))
         if second_opinion:
             model = replace(model, details=replace(model.details, second_opinion=_opinion(frf, model)))
         return model
@@ -251,26 +246,22 @@ def _answer(
     fit_band: tuple[float, float],
     max_order: int | None,
     findings: list[Finding],
-    by_hand: tuple[float, ...] | None = None,
 ) -> ModalModel:
-    """The linear answer, and the polished one in its place where that is wanted; ``by_hand``: exactly these modes."""
+    """The linear answer, and the polished one in its place where that is wanted."""
     turned = turned_columns(fit)
     if turned.size:
         pairs = pairs.turned(turned)
         fit = fit_linear(fit.pairs.turned(turned), fit.poles, fit.ends_hz, before=fit.variance, rounds=1)
-    evidence = judge_modes(fit, () if by_hand is None else by_hand)
+    evidence = judge_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, evidence, mass.scaled)
     polish, reason = _polish_wanted(job, fit, evidence)
     if polish:
         if not runs:
             runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None)
-        if by_hand is not None:
-            hz, zeta = fit.poles.hz, fit.poles.zeta
-        else:
-            first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
-            hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
-        answer = polished_answer(runs, job.dofs, job.band, hz, zeta, search=by_hand is None, progress=job.progress)
+        first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
+        hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
+        answer = polished_answer(runs, job.dofs, job.band, hz, zeta, progress=job.progress)
         theta = answer.fit.parameters
         drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
         scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
@@ -286,7 +277,7 @@ def _answer(
         scaled = bool(job.frf.si and mass.scaled.any())
         model = linear_model(job.frf, job.dofs, fit, evidence, mass, job.band, misfit, scaled)
         sure = np.array([not e.doubts for e in evidence])
-        hz, zeta, shapes = fit.poles.hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]
+        hz, zeta, shapes = fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]
         order_log = _drive_log(fit, mass, sure)
         chi = float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain))
         converged, lower, turned_rows = True, True, tuple(int(row) for row in turned)
@@ -327,12 +318,14 @@ def _answer(
 
 def _polish_wanted(job: _Job, fit: LinearFit, evidence: list[Any]) -> tuple[bool, str]:
     """Whether to polish, and why or why not."""
-    error = float(np.median(fit.variance.alpha))
+    error = fit.model_error
     unknowns = fit.n_modes * (2 + len(job.dofs)) + 8 * fit.pairs.accelerance.shape[0]
     work = POLISH_STEPS * (float(unknowns) ** 3 / 3 + 4 * fit.pairs.accelerance.size * (5 * fit.n_modes) ** 2)
     if job.answer != "auto":
         return job.answer == "polished", f"ema = {job.answer!r}"
-    if error >= NOISE_LIMITED:
+    if not (job.records or fit.pairs.noise_known):
+        return False, "the FRFs come without coherence: their noise is not known well enough to weigh every line by it"
+    if not fit.noise_limited:
         return False, f"the FRFs differ from modes by {100 * error:.2g} % of themselves: a likelihood of noise alone would bend the modes"
     if work > POLISH_WORK:
         return False, f'polishing {unknowns} unknowns would take about {work / POLISH_WORK * 2:.0f} minutes; ema = "polished" does it'
@@ -348,7 +341,7 @@ def _starting_poles(candidates: Sequence[Candidate], ends: tuple[float, float]) 
         if inside and all(abs(c.frequency_hz - t.frequency_hz) > w for t, w in zip(taken, width, strict=True)):
             taken.append(c)
     taken.sort(key=lambda c: c.frequency_hz)
-    return Poles(np.array([c.frequency_hz for c in taken]), np.clip(np.array([c.damping_ratio for c in taken]), 1e-5, 0.15))
+    return Poles(np.array([c.frequency_hz for c in taken]), np.clip(np.array([c.damping_ratio for c in taken]), 1e-5, MAX_DAMPING))
 
 
 def _distinct(poles: list[tuple[float, float]]) -> tuple[Real, Real]:
@@ -393,69 +386,21 @@ def _drive_log(fit: LinearFit, mass: UnitMassShapes, sure: NDArray[np.bool_]) ->
     return log
 
 
-def _by_hand(
-    job: _Job,
-    automatic: ModalModel,
-    max_order: int | None,
-    modes_hz: tuple[float, ...],
-    select_hz: tuple[float, ...],
-    reject_hz: tuple[float, ...],
-) -> ModalModel:
-    """Modes named by hand, from the automatic ones and the kept candidates: a fit of exactly these, without a search."""
-    details = automatic.details
-    have = [(float(h), float(z)) for h, z in zip(automatic.frequencies_hz, automatic.damping_ratios, strict=True)]
-    pool = have + [(c.frequency_hz, c.damping_ratio) for c in details.candidates]
-    if details.linear is not None:
-        pool += list(zip(details.linear.frequencies_hz.tolist(), details.linear.damping_ratios.tolist(), strict=True))
-    chosen = [] if modes_hz else list(have)
-    for wanted in (*modes_hz, *select_hz):
-        near = _nearest(pool, wanted)
-        if all(abs(near[0] - h) > 1e-4 * h for h, _ in chosen):
-            chosen.append(near)
-    for refused in reject_hz:
-        near = _nearest(chosen, refused)
-        chosen.remove(near)
-    if not chosen:
-        raise IdentificationError("no mode is left after reject_hz", hint="leave some, or name modes in modes_hz")
-    hz, zeta = _distinct(chosen)
-    f = job.frf.frequencies_hz
-    ends = float(max(LOWER * job.band[0], f[f > 0][0])), float(min(UPPER * job.band[1], f[-1]))
-    pairs, findings = _right_quantity(frf_pairs(job.frf, job.dofs, ends), Poles(hz, zeta))
-    log = ChoiceLog()
-    thinned = pairs.lines(informative_lines(pairs.frequencies_hz, hz, zeta))
-    fit = fit_linear(thinned, Poles(hz, np.clip(zeta, 1e-5, 0.15)), ends, rounds=3)
-    log.rounds.append(f"by hand: {hz.size} modes; {automatic.n_modes} were chosen automatically")
-    runs: list[RunSpectra] = []
-    fit_band = ends
-    job = replace(job, answer=details.answer if job.answer == "auto" else job.answer)
-    if job.records and job.answer == "polished":
-        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, job.records)
-    model = _answer(job, pairs, fit, log, details.candidates, runs, fit_band, max_order, findings, by_hand=tuple(hz.tolist()))
-    before, now = automatic.misfit, model.misfit
-    cost = "" if before is None or now is None else f"; reduced chi-square on unused lines {before:.3g} automatically, {now:.3g} by hand"
-    gone = [RejectedPole(*near, "by_hand", f"refused in reject_hz{cost}") for near in (_nearest(have, r) for r in reject_hz)]
-    own = replace(
-        model.details,
-        rounds=(*model.details.rounds, f"by hand{cost}"),
-        rejected=(*gone, *model.details.rejected),
-        answer_reason=details.answer_reason if job.answer == details.answer else model.details.answer_reason,
-    )
-    return replace(model, details=own)
+def _exactly(job: _Job) -> AddModes:
+    """Linear fits of exactly the poles given."""
 
+    def add(hz: Real, zeta: Real) -> tuple[LinearFit, UnitMassShapes]:
+        f = job.frf.frequencies_hz
+        ends = float(max(LOWER * job.band[0], f[f > 0][0])), float(min(UPPER * job.band[1], f[-1]))
+        poles = Poles(hz, np.clip(zeta, 1e-5, MAX_DAMPING))
+        pairs, _ = _right_quantity(frf_pairs(job.frf, job.dofs, ends), poles)
+        fit = fit_linear(pairs.lines(informative_lines(pairs.frequencies_hz, hz, zeta)), poles, ends, rounds=3)
+        turned = turned_columns(fit)
+        if turned.size:
+            fit = fit_linear(fit.pairs.turned(turned), fit.poles, ends, before=fit.variance, rounds=1)
+        return fit, unit_mass_shapes(fit, len(job.dofs))
 
-def _nearest(poles: Sequence[tuple[float, float]], wanted: float) -> tuple[float, float]:
-    """The pole nearest to a frequency named by hand.
-
-    Raises
-    ------
-    IdentificationError
-        If none is near enough to be meant.
-    """
-    best = min(poles, key=lambda p: abs(p[0] - wanted), default=None)
-    if best is None or abs(best[0] - wanted) > max(0.01 * wanted, BY_HAND_WIDTHS * best[1] * best[0]):
-        near = "" if best is None else f"; the nearest is at {best[0]:.5g} Hz"
-        raise IdentificationError(f"no stable pole near {wanted:g} Hz{near}", hint="see the stabilisation diagram in the report")
-    return best
+    return add
 
 
 def _diagram(job: _Job, fit_band: tuple[float, float], max_order: int | None, hz: Real, zeta: Real, shapes: Real) -> Stabilization | None:

@@ -10,11 +10,17 @@ from numpy.typing import NDArray
 
 from operando.ema.discrepancy import Variance, fit_variance, line_correlation
 from operando.ema.pairs import Pairs, Real
-from operando.ema.projection import Poles, Projection, modal_power, project, search_poles, updated_spreads
+from operando.ema.projection import QUADRATURE_FREE, QUADRATURE_MOST, Poles, Projection, modal_power, project, search_poles, updated_spreads
 
 MAX_DAMPING = 0.15
+NOISE_LIMITED = 0.01
+"""Model error α below which the noise limits the fit: 1 % of the FRF."""
+
 FEW_PAIRS = 12
 """Below so many pairs the scatter between them tells too little: the larger of the two covariances counts."""
+
+GROUPS = 8
+"""Groups of neighbouring places of a roving test that count as one."""
 
 START_SHARE = 0.05
 """Error of the first fit, as a share of the FRF, before there are residuals to estimate it from."""
@@ -32,8 +38,8 @@ class LinearFit:
     projection : Projection
     variance : Variance
     covariance : (2n, 2n) array
-        Of [ln f, ln ζ]: clusters of pairs (errors of a pair may be correlated over its lines in any way), with few pairs at least the
-        one of errors correlated over ν lines.
+        Of [ln f, ln ζ], for judging poles: errors of a pair may be correlated over its lines in any way. :func:`stated_covariance` adds
+        what pairs have in common.
     correlation : float
         ν, lines that count as one.
     ends_hz : (float, float)
@@ -53,6 +59,16 @@ class LinearFit:
         return int(self.poles.hz.size)
 
     @property
+    def model_error(self) -> float:
+        """Median over the pairs of α: the error in proportion to the FRF."""
+        return float(np.median(self.variance.alpha))
+
+    @property
+    def noise_limited(self) -> bool:
+        """Whether the noise rules: phases and weak modes can be believed then, and a likelihood of noise alone may polish."""
+        return self.model_error < NOISE_LIMITED
+
+    @property
     def frequency_std_hz(self) -> Real:
         """Standard deviations [Hz]."""
         return np.asarray(self.poles.hz * np.sqrt(np.diag(self.covariance)[: self.n_modes]))
@@ -61,6 +77,13 @@ class LinearFit:
     def log_damping_std(self) -> Real:
         """Relative standard deviations of the damping ratios."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[self.n_modes :]))
+
+    @property
+    def mean_hz(self) -> Real:
+        """Frequencies [Hz] as means over the pairs by the power of the mode in each: where a mode drifts, what a fit of all pairs gives."""
+        power = self.projection.a**2 + self.projection.b**2
+        mean = np.sum(power * self.projection.shift, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        return np.asarray(self.poles.hz * (1 + mean))
 
     @property
     def evidence(self) -> Real:
@@ -116,7 +139,9 @@ def fit_linear(
     for number in range(rounds):
         variance = hold or fit_variance(now.error, modal_power(pairs, poles, now, ends_hz), pairs.noise, pairs.noise_known)
         if number and hold is None:
-            poles = updated_spreads(poles, now.spread_sums)
+            # with a large model error a phase is soon bought; without it what is measured counts, as of modes of local dampers
+            free = float(np.median(variance.alpha)) < NOISE_LIMITED
+            poles = updated_spreads(poles, now.spread_sums, QUADRATURE_FREE if free else QUADRATURE_MOST)
         poles, now, moved = search_poles(pairs, poles, variance.total, now.residues, ends_hz, steps=steps, max_damping=MAX_DAMPING)
         if moved < 2e-3 and number >= 2:
             break
@@ -126,19 +151,47 @@ def fit_linear(
 
 
 def _covariance(projection: Projection, nu: float) -> Real:
-    """Cluster sandwich over the pairs (Liang & Zeger, Biometrika 73, 1986, 13–22)."""
-    normal, gradient = projection.normal, projection.gradient
-    n_pairs = gradient.shape[0]
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    """Cluster sandwich over the pairs (Liang & Zeger, Biometrika 73, 1986, 13–22); with few pairs at least that of ν correlated lines."""
+    inverse = _inverse(projection.normal)
     naive = 0.5 * nu * inverse
-    if n_pairs < 2:
+    if projection.gradient.shape[0] < 2:
         return np.asarray(naive)
-    sandwich = inverse @ (gradient.T @ gradient) @ inverse * n_pairs / (n_pairs - 1)
-    if n_pairs >= FEW_PAIRS:
-        return np.asarray(sandwich)
-    ratio = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
-    return np.asarray(sandwich * np.outer(ratio, ratio))
+    own = _sandwich(inverse, projection.gradient)
+    return _raised(own, np.diag(naive)) if projection.gradient.shape[0] < FEW_PAIRS else own
+
+
+def stated_covariance(fit: LinearFit) -> Real:
+    """Covariance of [ln f, ln ζ] to be stated: with what neighbouring pairs have in common, and what a drift within a pair adds.
+
+    What changes slowly while hammer or sensors rove is alike in neighbours: groups of them count as one where that is more. A shift
+    within a pair as large as that between the pairs broadens it: 1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²).
+    """
+    covariance, n = fit.covariance, fit.n_modes
+    roving = fit.pairs.grid[:, int(np.argmax([np.unique(side).size for side in fit.pairs.grid.T]))]
+    places = np.unique(roving)
+    if places.size >= 3 * GROUPS:
+        group = np.searchsorted(places, roving) * GROUPS // places.size
+        sums = np.stack([fit.projection.gradient[group == g].sum(axis=0) for g in range(GROUPS)])
+        covariance = _raised(covariance, np.diag(_sandwich(_inverse(fit.projection.normal), sums)))
+    broadened = np.concatenate([np.zeros(n), np.minimum(fit.poles.drift / fit.poles.zeta, 1.0) ** 4])
+    return _raised(covariance, np.diag(covariance) + broadened)
+
+
+def _inverse(normal: Real) -> Real:
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale))
+
+
+def _raised(covariance: Real, variances: Real) -> Real:
+    """The covariance with variances at least as large as these, correlations kept."""
+    own = np.maximum(np.diag(covariance), 1e-300)
+    ratio = np.sqrt(np.maximum(variances, own) / own)
+    return np.asarray(covariance * np.outer(ratio, ratio))
+
+
+def _sandwich(inverse: Real, gradient: Real) -> Real:
+    count = gradient.shape[0]
+    return np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
 
 
 def keep_modes(fit: LinearFit, keep: NDArray[Any]) -> tuple[Poles, tuple[Real, Real]]:

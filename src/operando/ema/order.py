@@ -139,8 +139,6 @@ def search_order(
     zeta: Real,
     *,
     lower: bool,
-    keep_hz: Sequence[float] = (),
-    reject_hz: Sequence[float] = (),
     max_rounds: int = 10,
     max_modes: int = 200,
     log: OrderLog | None = None,
@@ -157,8 +155,6 @@ def search_order(
         Candidate poles.
     lower : bool
         Whether a pseudo-mode below the band is needed (rigid-body or suspension modes).
-    keep_hz, reject_hz : sequences of float
-        Chosen or forbidden by hand: the nearest mode is kept whatever its evidence, or taken out.
 
     Returns
     -------
@@ -171,10 +167,10 @@ def search_order(
     hz, zeta = np.asarray(hz, float)[order], np.clip(np.asarray(zeta, float)[order], 2e-4, 0.1)
     thinned = thin_lines(runs, hz, zeta)
     fit = refine(thinned, n_dofs, hz, zeta, lower=lower, log=log)
-    tried: list[float] = list(reject_hz)
+    tried: list[float] = []
     for number in range(max_rounds):
         misfit = fit.cost / fit.n_data
-        out = weak_modes(thinned, fit, keep_hz, log, reject_hz)
+        out = weak_modes(thinned, fit, log)
         if out.size:
             tried += [float(fit.parameters.hz[i]) for i in out]
             keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
@@ -204,7 +200,7 @@ def search_order(
             continue
         log.rounds.append(f"round {number}: misfit {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
         fit = trial
-    out = weak_modes(thinned, fit, keep_hz, log, reject_hz)
+    out = weak_modes(thinned, fit, log)
     if out.size and out.size < fit.parameters.hz.size:
         keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
         fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
@@ -230,24 +226,19 @@ def _price(runs: Sequence[RunSpectra]) -> float:
     return (responses + 2) * float(np.log(sum(run.responses.size for run in runs))) * 0.5 * 1.5
 
 
-def weak_modes(
-    runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[float], log: OrderLog, reject_hz: Sequence[float] = ()
-) -> NDArray[np.int_]:
-    """Modes to take out: refused by hand, no share in the data, damping beyond any structure, or twins of a neighbour."""
+def weak_modes(runs: Sequence[RunSpectra], fit: Polished, log: OrderLog) -> NDArray[np.int_]:
+    """Modes to take out: no share in the data, damping beyond any structure, or twins of a neighbour."""
     theta = fit.parameters
     n = theta.hz.size
     strength = mode_strength(runs, theta)
     price = _price(runs) * max(1.0, fit.cost / fit.n_data)
     out = []
-    by_hand = {int(np.argmin(np.abs(theta.hz - h))) for h in keep_hz} if n else set()
     low = min(run.frequencies_hz[0] for run in runs)
     high = max(run.frequencies_hz[-1] for run in runs)
     for i in range(n):
         h, z = float(theta.hz[i]), float(theta.zeta[i])
         code = reason = ""
-        if any(abs(h - r) < 0.01 * r for r in reject_hz):
-            code, reason = "by_hand", "refused in reject_hz"
-        elif strength[i] < price:
+        if strength[i] < price:
             code, reason = "no_evidence", f"its share in the data is {strength[i]:.3g} noise units, {price:.3g} are needed"
         elif z > MAX_DAMPING:
             code, reason = "too_damped", f"damping {100 * z:.3g} % is a curved background, not a mode"
@@ -257,13 +248,13 @@ def weak_modes(
             code, reason = "twin", f"the same frequency and shape as {theta.hz[i - 1]:.5g} Hz"
         elif i < n - 1 and theta.hz[i + 1] - h < 0.3 * z * h and _alike(theta, i, i + 1) and strength[i] < strength[i + 1]:
             code, reason = "twin", f"the same frequency and shape as {theta.hz[i + 1]:.5g} Hz"
-        if code and i not in by_hand:
+        if code:
             out.append(i)
             log.rejected.append(RejectedPole(h, z, code, reason))
     return np.array(out, int)
 
 
-def uncertain_modes(runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence[float], log: OrderLog) -> NDArray[np.int_]:
+def uncertain_modes(runs: Sequence[RunSpectra], fit: Polished, log: OrderLog) -> NDArray[np.int_]:
     """Modes among the fitted lines whose own covariance says that the data do not determine them: damping unknown to half its value."""
     theta = fit.parameters
     n = theta.hz.size
@@ -273,7 +264,7 @@ def uncertain_modes(runs: Sequence[RunSpectra], fit: Polished, keep_hz: Sequence
     out = []
     for i in range(n):
         h, z = float(theta.hz[i]), float(theta.zeta[i])
-        if spread[i] > 0.5 and low < h < high and not any(abs(h - k) < 0.01 * k for k in keep_hz):
+        if spread[i] > 0.5 and low < h < high:
             out.append(i)
             log.rejected.append(
                 RejectedPole(h, z, "uncertain", f"its damping {100 * z:.3g} % is uncertain by {100 * spread[i]:.0f} % of itself")

@@ -58,26 +58,19 @@ def polished_answer(
     hz: Real,
     zeta: Real,
     *,
-    keep_hz: Sequence[float] = (),
-    reject_hz: Sequence[float] = (),
-    search: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> PolishedAnswer:
-    """Maximum-likelihood fit from starting poles; the number of modes is settled by what they add (``search``), or stays."""
+    """Maximum-likelihood fit from starting poles; the number of modes is settled by what they add."""
     core = choose_core(runs, dofs, hz.size)
     core_runs = runs if core is None else [_reduced(run, core) for run in runs]
     n_dofs = len(dofs) if core is None else len(core)
     core_runs, turned = _turned(core_runs, hz, zeta)
     log = OrderLog()
-    if search:
-        hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
+    hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
     lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta)
     weighted = with_model_error(core_runs, theta, share)
-    if search:
-        fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, keep_hz=keep_hz, reject_hz=reject_hz, log=log, progress=progress)
-    else:
-        fit = refine(thin_lines(weighted, hz, zeta), n_dofs, hz, zeta, lower=lower, log=log)
-    final = _final(weighted, n_dofs, fit, lower, keep_hz if search else tuple(hz.tolist()), reject_hz if search else (), log, progress)
+    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, log=log, progress=progress)
+    final = _final(weighted, n_dofs, fit, lower, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
     gone = make_up(core_runs, final)
     outside = outside_modes(core_runs, final, band, lower, gone=gone)
@@ -143,8 +136,6 @@ def _final(
     n_dofs: int,
     fit: Polished,
     lower: bool,
-    keep_hz: Sequence[float],
-    reject_hz: Sequence[float],
     log: OrderLog,
     progress: Callable[[str], None] | None,
 ) -> Polished:
@@ -165,7 +156,7 @@ def _final(
             want_covariance=True,
             progress=progress,
         )
-        out = np.union1d(weak_modes(runs, final, keep_hz, log, reject_hz), uncertain_modes(runs, final, keep_hz, log)).astype(int)
+        out = np.union1d(weak_modes(runs, final, log), uncertain_modes(runs, final, log)).astype(int)
         if not out.size or out.size == final.parameters.hz.size:
             break
         log.rounds.append(f"final fit: {out.size} modes taken out")

@@ -26,8 +26,8 @@ from operando.ema.start import OUTSIDE_FACTORS
 
 LOWER_FACTOR = 0.6
 RIDGE = 1e-9
-QUADRATURE, QUADRATURE_GUESS, QUADRATURE_MOST = 0.2, 0.05, 0.25
-"""Spread of b over a: at the start, two pseudo-pairs' worth of it (a phase of 3°), and at most (14°, that of heavily complex modes)."""
+QUADRATURE, QUADRATURE_GUESS, QUADRATURE_MOST, QUADRATURE_FREE = 0.2, 0.05, 0.25, 2.0
+"""Spread of b over a: at the start, two pseudo-pairs' worth of it (a phase of 3°), at most (14°), and at most where noise limits."""
 
 DRIFT, DRIFT_GUESS, DRIFT_MOST = 1e-3, 2e-4, 1e-2
 """The same for δ: roving tests drift by 1e-4 … 1e-3."""
@@ -190,11 +190,11 @@ def project(
     return Projection(cost, a, b, shift, shifted, tails, error, normal, gradient, evidence, a_std, slope, sums)
 
 
-def updated_spreads(poles: Poles, sums: Real) -> Poles:
+def updated_spreads(poles: Poles, sums: Real, most_quadrature: float) -> Poles:
     """Spreads of the priors from the well-determined values, two pseudo-pairs at the guess beside them (evidence approximation)."""
     out = []
     for (squares, count), guess, most in zip(
-        (sums[:2], sums[2:]), (QUADRATURE_GUESS, DRIFT_GUESS), (QUADRATURE_MOST, DRIFT_MOST), strict=True
+        (sums[:2], sums[2:]), (QUADRATURE_GUESS, DRIFT_GUESS), (most_quadrature, DRIFT_MOST), strict=True
     ):
         out.append(np.clip(np.sqrt((squares + 0.25 * PSEUDO_PAIRS * guess**2) / (count + PSEUDO_PAIRS)), 1e-7, most))
     return replace(poles, quadrature=out[0], drift=out[1])

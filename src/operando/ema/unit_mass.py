@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.linear import LinearFit
+from operando.ema.linear import LinearFit, stated_covariance
 from operando.ema.pairs import Real
 
 SMALL_SHARE = 0.1
@@ -94,7 +94,7 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     size = 2 * n + n * n_dofs
     covariance = np.zeros((size, size))
     carry = np.concatenate([np.eye(2 * n), by_poles])
-    covariance[:] = carry @ fit.covariance @ carry.T
+    covariance[:] = carry @ stated_covariance(fit) @ carry.T
     for r in range(n):
         at = slice(2 * n + r * n_dofs, 2 * n + (r + 1) * n_dofs)
         covariance[at, at] += own[r]

@@ -193,7 +193,14 @@ class _Run:
         # the comparison judges whatever model there is
         needed = {"compare": ("ema", "check"), "diagnose": ("ema",)}.get(stage.name, stage.upstream)
         missing = [name for name in needed if name not in self.done]
-        words = {"frf": "idle FRFs", "ema": "idle modes", "oma": "operational modes", "ofrf": "scaled modes", "check": "check FRFs"}
+        words = {
+            "frf": "idle FRFs",
+            "automatic": "idle modes",
+            "ema": "idle modes",
+            "oma": "operational modes",
+            "ofrf": "scaled modes",
+            "check": "check FRFs",
+        }
         return f"it needs the {' and the '.join(words[m] for m in missing)}" if missing else None
 
     def _take(self, stage: Stage, found: dict[str, Any]) -> None:

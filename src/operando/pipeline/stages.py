@@ -132,27 +132,48 @@ def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Findi
     return estimate_frf(records, **keywords)
 
 
-def idle_modes(work: Work) -> dict[str, Any]:
-    """Idle modes of unit modal mass."""
+def automatic_modes(work: Work) -> dict[str, Any]:
+    """Idle modes of unit modal mass, chosen automatically."""
     from operando.ema import fit_ema
 
     analysis = work.analysis
-    frf = _needed(work.results.idle_frf, "idle FRFs")
-    records = runs_behind(frf, work.inputs.records(work.test.idle, force=True)) if work.test.idle.records else None
-    findings: list[Finding] = []
-    keywords = offered(
-        fit_ema,
-        findings,
+    frf, records = _idle_data(work)
+    found = fit_ema(
+        frf,
         band=analysis.band,
         records=records,
         max_order=analysis.max_order,
-        select_hz=analysis.select_hz,
-        reject_hz=analysis.reject_hz,
-        exclude_bands=analysis.exclude_bands,
-        second_opinion=analysis.second_opinion or None,
+        ema=analysis.ema,
+        second_opinion=analysis.second_opinion,
         progress=work.say,
     )
-    return {"idle": fit_ema(frf, **keywords), "findings": findings}
+    return {"automatic": found}
+
+
+def idle_modes(work: Work) -> dict[str, Any]:
+    """The automatic modes, with those named by hand."""
+    from operando.ema import fit_ema
+
+    analysis = work.analysis
+    automatic = _needed(work.results.automatic, "idle modes")
+    if not (analysis.modes_hz or analysis.select_hz or analysis.reject_hz):
+        return {"idle": automatic}
+    frf, _ = _idle_data(work)
+    by_hand = fit_ema(
+        frf,
+        band=analysis.band,
+        modes_hz=analysis.modes_hz,
+        select_hz=analysis.select_hz,
+        reject_hz=analysis.reject_hz,
+        automatic=automatic,
+    )
+    return {"idle": by_hand}
+
+
+def _idle_data(work: Work) -> tuple[Frf, list[TimeRecord] | None]:
+    """Idle FRFs without excluded bands, and the runs behind them."""
+    frf = without_bands(_needed(work.results.idle_frf, "idle FRFs"), work.analysis.exclude_bands)
+    return frf, runs_behind(frf, work.inputs.records(work.test.idle, force=True)) if work.test.idle.records else None
 
 
 def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
@@ -349,7 +370,7 @@ def no_evidence(test: Test) -> str | None:
 READING = ("data", "io", "quality", "dof", "units", "pipeline/inputs", "pipeline/stages")
 ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits")
 
-_EMA_SETTINGS = ("band", "max_order", "select_hz", "reject_hz", "exclude_bands", "second_opinion")
+_EMA_SETTINGS = ("band", "max_order", "ema", "exclude_bands", "second_opinion")
 _OMA_SETTINGS = ("oma_max_order", "oma_references", "known_harmonics_hz", "oma_select_hz", "oma_reject_hz")
 _EMA_ROOMS = (*READING, "ema", "stabilization", "synthesis", "indicators")
 _OMA_ROOMS = (*READING, "oma", "stabilization", "indicators")
@@ -357,7 +378,17 @@ _OMA_ROOMS = (*READING, "oma", "stabilization", "indicators")
 STEPS: tuple[Stage, ...] = (
     Stage("inspect", "inspect", inspect_files, rooms=READING, states=("idle", "operating", "check", "geometry")),
     Stage("frf", "frf", idle_frf, no_idle, rooms=(*READING, "frf"), settings=ESTIMATING, states=("idle",)),
-    Stage("ema", "ema", idle_modes, no_idle, ("frf",), _EMA_ROOMS, _EMA_SETTINGS, ("idle",)),
+    Stage("automatic", "ema", automatic_modes, no_idle, ("frf",), _EMA_ROOMS, _EMA_SETTINGS, ("idle",)),
+    Stage(
+        "ema",
+        "ema",
+        idle_modes,
+        no_idle,
+        ("frf", "automatic"),
+        _EMA_ROOMS,
+        (*_EMA_SETTINGS, "modes_hz", "select_hz", "reject_hz"),
+        ("idle",),
+    ),
     Stage(
         "oma",
         "oma",
