@@ -18,11 +18,15 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parent))
 import frf_kinds
+import record_kinds
 
 KINDS: dict[str, Callable[[np.random.Generator, Path], dict[str, object]]] = {
     "roving_hammer": frf_kinds.roving_hammer,
     "single_reference": frf_kinds.single_reference,
     "complex_modes": frf_kinds.complex_modes,
+    "roving_hammer_records": record_kinds.roving_hammer_records,
+    "roving_accelerometers": record_kinds.roving_accelerometers,
+    "operating_setups": record_kinds.operating_setups,
 }
 
 
