@@ -18,6 +18,7 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parent))
 import frf_kinds
+import multisine_kind
 import record_kinds
 
 KINDS: dict[str, Callable[[np.random.Generator, Path], dict[str, object]]] = {
@@ -27,6 +28,7 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], dict[str, object]]] = {
     "roving_hammer_records": record_kinds.roving_hammer_records,
     "roving_accelerometers": record_kinds.roving_accelerometers,
     "operating_setups": record_kinds.operating_setups,
+    "multisine": multisine_kind.multisine,
 }
 
 
