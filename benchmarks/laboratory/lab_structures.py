@@ -245,9 +245,11 @@ def _ladder(rng: np.random.Generator, points: int):
     cross = []
     for x in sorted({0, steps, *(int(i) for i in rng.integers(2, steps - 1, 3))}):
         cross.append(mesh.member(rails[0][x], rails[1][x], Section(*rng.uniform(0.025, 0.05, 2)), 6))
-    for _ in range(int(rng.integers(1, 4))):
-        mass = rng.uniform(0.5, 6)
-        mesh.lump(int(rng.choice(rails[int(rng.integers(2))])), mass, (0.005 * mass,) * 3)
+    for _ in range(int(rng.integers(1, 4))):  # machines on posts: their height couples the directions
+        mass, foot = rng.uniform(0.5, 6), int(rng.choice(rails[int(rng.integers(2))]))
+        head = mesh.node(*(mesh.points[foot] + np.array([0.0, 0.0, rng.uniform(0.1, 0.25)])))
+        mesh.member(foot, head, Section(0.05), 2)
+        mesh.lump(head, mass, (0.005 * mass,) * 3)
     stiff = 10 ** rng.uniform(3.0, 3.6) if rng.uniform() < 0.5 else 10 ** rng.uniform(6.0, 6.7)
     for node in (rails[0][1], rails[0][-2], rails[1][1], rails[1][-2]):
         mesh.spring(node, None, tuple(stiff * rng.uniform(0.5, 1.5, 3)))

@@ -137,9 +137,10 @@ def multisine(rng: np.random.Generator, folder: Path) -> dict[str, object]:
 
 
 def draw_joint(rng: np.random.Generator, structure: Structure, inputs, fine: np.ndarray, fine_hz: np.ndarray, levels: np.ndarray) -> Joint:
-    """A joint at a point: a tenth to a third of the stiffness there, moved by 0.3 to 0.6 knees rms at the highest level."""
-    point = structure.points[int(rng.integers(len(structure.points)))]
-    row = structure.rows([point])[0]
+    """A joint at a point that moves: a tenth to a third of the stiffness there, moved by 0.3 to 0.6 knees rms at the highest level."""
+    rows = structure.rows(list(structure.points))
+    size = np.abs(rows @ structure.modal.shapes[:, structure.in_band]).max(axis=1)
+    row = rows[int(rng.choice(np.flatnonzero(size >= np.median(size))))]
     stiffness = rng.uniform(0.1, 0.33) / float(np.sum(row**2 / (2 * np.pi * structure.modal.hz) ** 2))
     still = np.zeros(len(structure.modal.oscillating))
     place = respond(structure, row[None], inputs, fine[None], fine_hz, 2.05 * fine_hz[-1], still)[0]
