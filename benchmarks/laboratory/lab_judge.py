@@ -154,6 +154,7 @@ def together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for name in ("frequency", "frequency_plain", "damping"):
         z = [m.get(f"{name}_z") for m in modes]
         out[f"{name}_coverage"] = _share(sum(v is not None and abs(v) <= WITHIN for v in z), sum(v is not None for v in z))
+        out[f"{name}_abs_z"] = _spread(abs(v) for v in z if v is not None)  # median 0.67 where intervals are right and errors normal
         if name != "frequency_plain":
             out[f"{name}_error"] = _spread(abs(m[f"{name}_error"]) for m in modes)
     scalable = [r for r in done if r["scaled"] is not None]
@@ -166,13 +167,13 @@ def together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def table(groups: dict[str, dict[str, Any]]) -> str:
     """Markdown."""
-    head = ["kind", "cases", "not finished", "found", "of finished", "invented", "f in 95 %", "ζ in 95 %", "error of f, median, max",
+    head = ["kind", "cases", "not finished", "found", "of finished", "invented", "f in 95 % (median error/σ)", "ζ in 95 % (median error/σ)", "error of f, median, max",
             "error of ζ, median, max", "scaled", "error of residues, median, max", "CPU s, median, max", "MB, max"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for name, g in groups.items():
         bad = ", ".join(f"{n} {what}" for what, n in g["outcomes"].items() if what != "done") or "–"
         cells = [name, str(g["cases"]), bad, _percent(g["found"]), _percent(g["found_where_finished"]), _percent(g["invented"])]
-        cells += [_percent(g["frequency_coverage"], True), _percent(g["damping_coverage"], True)]
+        cells += [_coverage(g, "frequency"), _coverage(g, "damping")]
         cells += [_pair(g["frequency_error"], 100, " %"), _pair(g["damping_error"], 100, " %")]
         scaled = g["scaled"]
         cells += [f"{scaled['hits']}/{scaled['of']}" if scaled["of"] else "–", _pair(g["scale_error"], 100, " %")]
@@ -181,13 +182,16 @@ def table(groups: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _percent(share: dict[str, Any], bounds: bool = False) -> str:
+def _percent(share: dict[str, Any]) -> str:
+    return f"{share['hits']}/{share['of']} = {100 * share['share']:.1f} %" if share["of"] else "–"
+
+
+def _coverage(group: dict[str, Any], name: str) -> str:
+    share = group[f"{name}_coverage"]
     if not share["of"]:
         return "–"
-    text = f"{share['hits']}/{share['of']} = {100 * share['share']:.1f} %"
-    if bounds:
-        text += f" ({100 * share['interval'][0]:.0f}–{100 * share['interval'][1]:.0f})"
-    return text
+    low, high = (100 * v for v in share["interval"])
+    return f"{_percent(share)}, {low:.0f}–{high:.0f} % ({group[f'{name}_abs_z']['median']:.2g})"
 
 
 def _pair(spread: dict[str, Any], factor: float, unit: str) -> str:

@@ -160,6 +160,9 @@ def _fair(structure: Structure, count: int, local_dampers: bool) -> bool:
     hz, ratio = modal.frequencies, modal.ratios
     if local_dampers and (ratio[chosen].max() < 0.045 or ratio[chosen].max() > 0.15):
         return False
+    for edge in structure.band:  # nobody lets a band end on a peak
+        if np.min(np.abs(hz - edge) / (2 * ratio * hz + 0.005 * hz)) < 1:
+            return False
     first = chosen[:-1]
     gaps = (hz[first + 1] - hz[first]) / (ratio[first] * hz[first] + ratio[first + 1] * hz[first + 1])
     return bool(gaps.min() > 0.75 and np.mean(gaps < 1.5) <= 0.2)
