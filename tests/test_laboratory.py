@@ -205,6 +205,33 @@ def test_softening_joint_against_integration():
     np.testing.assert_allclose(found[0, ::fine], exact, atol=3e-3 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize("kind", ["roving_accelerometers", "operating_setups"])
+def test_set_ups_show_the_modes(kind, tmp_path):
+    """Set-ups share the sensors that stay and cover all; in each, spectra at a lone mode have its shape over the sensors there."""
+    answer = GENERATE.generate(kind, 3, tmp_path / "case")
+    folder = tmp_path / "case" / ("idle" if kind == "roving_accelerometers" else "operating")
+    files = sorted(folder.glob("*.uff"))
+    setups, stay = answer["faults"]["setups"], set(answer["faults"]["stay"])
+    assert len(files) == len(setups) >= 3
+    assert set().union(*setups) == set(answer["modes"][0]["shape"])
+    modes = answer["modes"]
+    hz = np.array([m["frequency_hz"] for m in modes])
+    widths = 2 * hz * np.array([m["damping_ratio"] for m in modes])
+    lonely = [np.min(np.abs(np.delete(hz, i) - hz[i])) / widths[i] if m["in_band"] and m["visible"] else 0 for i, m in enumerate(modes)]
+    mode = modes[int(np.argmax(lonely))]
+    for file, names in zip(files, setups, strict=True):
+        record = operando.read(file).records[0]
+        assert stay <= set(names)
+        rows = [i for i, c in enumerate(record.channels) if c.quantity == "acceleration"]
+        assert [str(record.channels[i].dof) for i in rows] == names
+        blocks = record.data[rows][:, : record.data.shape[1] // 4096 * 4096].reshape(len(rows), -1, 4096)
+        spectra = np.fft.rfft(blocks * np.hanning(4096), axis=2)
+        line = round(mode["frequency_hz"] * 4096 / record.sampling_hz)
+        vector = np.linalg.svd(spectra[:, :, line])[0][:, 0]
+        shape = np.array([complex(*mode["shape"][n]) for n in names])
+        assert abs(np.vdot(vector, shape)) ** 2 / np.vdot(shape, shape).real > 0.97
+
+
 def test_multisine_repeats_itself(tmp_path):
     """Periods differ by noise only, lines without force hold none, levels are 1 : 2 : 4; the answer says how the joint moves modes."""
     answer = GENERATE.generate("multisine", 2, tmp_path / "case")
