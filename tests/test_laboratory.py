@@ -128,9 +128,14 @@ def test_files_hold_what_was_measured(kind, tmp_path):
     assert abs(likeness) > 0.9
     assert likeness.imag > 0.3  # an accelerance at resonance is +i times a positive residue
     before = {p.name: p.read_bytes() for p in (tmp_path / "case").glob("*.uff")}
+    (tmp_path / "case" / "left.uff").write_bytes(b"of another draw")
     GENERATE.generate(kind, 3, tmp_path / "case")
     assert {p.name: p.read_bytes() for p in (tmp_path / "case").glob("*.uff")} == before
     assert not list((tmp_path / "case").glob("*.json"))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("not to be lost")
+    with pytest.raises(FileExistsError):
+        GENERATE.generate(kind, 3, tmp_path / "other")
 
 
 def _three(*ratios):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import zlib
 from collections.abc import Callable
@@ -33,10 +34,15 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], dict[str, object]]] = {
 
 
 def generate(kind: str, seed: int, folder: Path) -> dict[str, object]:
-    """Writes a case and its answer; gives the answer."""
+    """Writes a case and its answer; gives the answer. A folder made before is written anew; any other that is not empty is left alone."""
+    beside = folder.with_name(folder.name + ".truth.json")
+    if folder.exists() and any(folder.iterdir()):
+        if not beside.exists():
+            raise FileExistsError(f"{folder} is not empty and was not made here")
+        shutil.rmtree(folder)
     rng = np.random.default_rng([zlib.crc32(kind.encode()), seed])  # a kind added later changes no other case
     document = {"kind": kind, "seed": seed} | KINDS[kind](rng, folder)
-    folder.with_name(folder.name + ".truth.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    beside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return document
 
 
