@@ -292,6 +292,7 @@ def test_perfect_answer(judged):
     )
     assert total["invented"]["hits"] == 0
     assert total["scale_error"]["max"] < 1e-6
+    assert total["dofs"] == 1
 
 
 def test_wrong_answers_are_counted(judged):
@@ -307,12 +308,15 @@ def test_wrong_answers_are_counted(judged):
     modes[4]["shape"] = {
         k.replace("+", "-"): -1.1 * v for k, v in modes[4]["shape"].items()
     }  # the same in the other sense, 1.21 in a residue
+    for mode in modes:
+        mode["shape"].pop(next(iter(mode["shape"])))
     modes += [twin, nowhere, dict(lost, frequency_hz=judged["band_hz"][1] * 1.2)]
     row = lab_judge.judge(judged, summary)
     assert row["found"] == row["wanted"] - 3
     assert row["missed_hz"][0] == pytest.approx(lost["frequency_hz"], rel=1e-4)
     assert row["invented"] == 3
     assert row["flagged"] == row["found_but_flagged"] == 1
+    assert all(m["dofs"] == pytest.approx(1 - 1 / len(judged["modes"][0]["shape"]), abs=1e-3) for m in row["modes"])
     half = [m for m in row["modes"] if m["damping_error"] == pytest.approx(-0.5)]
     assert len(half) == 1
     assert abs(half[0]["damping_z"]) == pytest.approx(0.5 * modes[3]["damping_ratio"] * 2 / 1e-4, rel=1e-3)

@@ -117,6 +117,7 @@ def _errors(true: dict[str, Any], found: dict[str, Any], likeness: float) -> dic
     common = sorted(a.keys() & b.keys())
     t, e = np.array([a[d] for d in common]), np.array([b[d] for d in common])
     size = np.vdot(t, t).real
+    out["dofs"] = round(len(common) / len(a), 3)
     out["scale_error"] = float(f"{abs(np.vdot(t, e)) ** 2 / size**2 - 1:.4g}") if size else None
     return out
 
@@ -157,6 +158,7 @@ def together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         out[f"{name}_abs_z"] = _spread(abs(v) for v in z if v is not None)  # median 0.67 where intervals are right and errors normal
         if name != "frequency_plain":
             out[f"{name}_error"] = _spread(abs(m[f"{name}_error"]) for m in modes)
+    out["dofs"] = float(np.mean([m["dofs"] for m in modes])) if modes else None  # a sensor left out is no wrong mode, but a loss
     scalable = [r for r in done if r["scaled"] is not None]
     out["scaled"] = _share(sum(bool(r["scaled"]) for r in scalable), len(scalable))
     out["scale_error"] = _spread(abs(m["scale_error"]) for r in scalable if r["scaled"] for m in r["modes"] if m["scale_error"] is not None)
@@ -169,7 +171,7 @@ def table(groups: dict[str, dict[str, Any]]) -> str:
     """Markdown."""
     head = ["kind", "cases", "not finished", "found", "of finished", "invented"]
     head += ["f in 95 % (median error/σ)", "ζ in 95 % (median error/σ)", "error of f, median, max", "error of ζ, median, max"]
-    head += ["scaled", "error of residues, median, max", "CPU s, median, max", "MB, max"]
+    head += ["DOFs in shapes", "scaled", "error of residues, median, max", "CPU s, median, max", "MB, max"]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for name, g in groups.items():
         bad = ", ".join(f"{n} {what}" for what, n in g["outcomes"].items() if what != "done") or "–"
@@ -177,6 +179,7 @@ def table(groups: dict[str, dict[str, Any]]) -> str:
         cells += [_coverage(g, "frequency"), _coverage(g, "damping")]
         cells += [_pair(g["frequency_error"], 100, " %"), _pair(g["damping_error"], 100, " %")]
         scaled = g["scaled"]
+        cells += [f"{100 * g['dofs']:.0f} %" if g["dofs"] is not None else "–"]
         cells += [f"{scaled['hits']}/{scaled['of']}" if scaled["of"] else "–", _pair(g["scale_error"], 100, " %")]
         cells += [_pair(g["cpu_s"], 1, ""), f"{g['memory_mb']['max']:.0f}" if g["memory_mb"]["max"] is not None else "–"]
         lines.append("| " + " | ".join(cells) + " |")
