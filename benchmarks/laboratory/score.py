@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -30,25 +29,30 @@ STAGE = {"idle": "ema", "operating": "oma"}
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
+# Starts a command in a child of a small process: the peak memory of a child counts what it had of its parent before it became the command.
+LAUNCHER = """
+import json, os, resource, sys
+limit, log, command = int(sys.argv[1]), sys.argv[2], sys.argv[3:]
+child = os.fork()
+if not child:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
+    os.nice(5)
+    os.execv(command[0], command)
+_, status, usage = os.wait4(child, 0)
+print(json.dumps([os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024]))
+"""
+
+
 def run_limited(command: list[str], cpu_s: int, log: Path) -> dict[str, Any]:
     """Runs a command in a process of its own: exit code, times, peak memory; killed after ``cpu_s`` of processor time."""
     environment = dict(os.environ, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", MPLBACKEND="Agg")
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 5))
-        os.nice(5)
-
     start = time.perf_counter()
-    with log.open("wb") as sink:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=sink, env=environment, preexec_fn=limit)
-        _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return {
-        "exit": process.returncode,
-        "cpu_s": round(usage.ru_utime + usage.ru_stime, 2),
-        "wall_s": round(time.perf_counter() - start, 2),
-        "memory_mb": round(usage.ru_maxrss / 1024, 1),
-    }
+    launcher = [sys.executable, "-S", "-c", LAUNCHER, str(cpu_s), str(log), *command]
+    done = subprocess.run(launcher, capture_output=True, text=True, env=environment, check=True)
+    code, cpu, memory = json.loads(done.stdout)
+    return {"exit": code, "cpu_s": round(cpu, 2), "wall_s": round(time.perf_counter() - start, 2), "memory_mb": round(memory, 1)}
 
 
 def outcome(exit_code: int, stderr: str) -> str:
