@@ -132,7 +132,7 @@ def multisine(rng: np.random.Generator, folder: Path) -> dict[str, object]:
     # The linear truth is that of vanishing motion: where the joint moves a mode, an interval around the mode of a level need not hold it.
     for mode in document["modes"]:  # type: ignore[attr-defined]
         r = int(np.argmin(np.abs(modal.frequencies - mode["frequency_hz"])))
-        mode["intervals"] = bool(abs(shift[r]) < 1e-4)
+        mode["intervals"] = bool(abs(shift[r]) < 1e-5)
     return document
 
 
