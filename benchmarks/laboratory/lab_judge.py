@@ -201,4 +201,5 @@ def _coverage(group: dict[str, Any], name: str) -> str:
 def _pair(spread: dict[str, Any], factor: float, unit: str) -> str:
     if spread["median"] is None:
         return "–"
-    return f"{factor * spread['median']:.2g}, {factor * spread['max']:.2g}{unit}"
+    median, largest = (f"{v:.2g}" if v < 99.5 else f"{v:.0f}" for v in (factor * spread["median"], factor * spread["max"]))
+    return f"{median}, {largest}{unit}"
