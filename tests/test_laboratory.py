@@ -333,6 +333,8 @@ def test_failures_are_counted(judged, tmp_path):
     fine = SCORE.run_limited([sys.executable, "-c", "x = bytearray(50_000_000)"], 5, tmp_path / "log")
     assert SCORE.outcome(fine["exit"], "") == "done"
     assert 50 < fine["memory_mb"] < 80  # its own, whatever this process holds
+    assert SCORE.outcome(-9, "", 124.9, 120) == "out of time"
+    assert SCORE.outcome(-9, "", 30.0, 120) == "killed"
     assert SCORE.outcome(1, "Error: no force") == "refused"
     assert SCORE.outcome(1, "Traceback (most recent call last)") == "crash"
     kind = {"kind": "single_reference", "case": "a", "seed": 1}

@@ -55,12 +55,12 @@ def run_limited(command: list[str], cpu_s: int, log: Path) -> dict[str, Any]:
     return {"exit": code, "cpu_s": round(cpu, 2), "wall_s": round(time.perf_counter() - start, 2), "memory_mb": round(memory, 1)}
 
 
-def outcome(exit_code: int, stderr: str) -> str:
-    """done; out of time (killed by the limit); refused (an error it explains); crash (anything else)."""
+def outcome(exit_code: int, stderr: str, cpu_s: float = 0.0, limit: float = 0.0) -> str:
+    """done; out of time (killed by the limit); killed (by the system, mostly for memory); refused (an error it explains); crash (else)."""
     if exit_code == 0:
         return "done"
     if exit_code in (-signal.SIGXCPU, -signal.SIGKILL):
-        return "out of time"
+        return "out of time" if exit_code == -signal.SIGXCPU or cpu_s >= limit else "killed"
     if exit_code == 1 and "Traceback" not in stderr and "fault of the program" not in stderr:
         return "refused"
     return "crash"
@@ -86,7 +86,7 @@ def run_case(folder: Path, out: Path, cpu_s: int) -> dict[str, Any]:
     ]
     row: dict[str, Any] = {"kind": truth["kind"], "seed": truth["seed"], "structure": truth["structure"]} | run_limited(command, cpu_s, log)
     said = log.read_text(encoding="utf-8", errors="replace")
-    row["outcome"] = outcome(row["exit"], said)
+    row["outcome"] = outcome(row["exit"], said, row["cpu_s"], cpu_s)
     row["said"] = said[-300:] if row["exit"] else ""
     path = out / "summary.json"
     summary = json.loads(path.read_text(encoding="utf-8")) if row["outcome"] == "done" and path.exists() else None
