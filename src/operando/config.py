@@ -20,7 +20,26 @@ ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
 HITS = ("auto", "all", "off")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
 _STATE_KEYS = ("records", "frfs")
+_RECORD_KEYS = ("file", "start_s", "stop_s")
 _CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
+
+
+@dataclass(frozen=True)
+class Span:
+    """The part of a record that counts, on the record's own time axis.
+
+    Parameters
+    ----------
+    start_s, stop_s : float or None
+        First and last time [s]; None: from the beginning, to the end.
+    """
+
+    start_s: float | None = None
+    stop_s: float | None = None
+
+    def __str__(self) -> str:
+        start = "the beginning" if self.start_s is None else f"{self.start_s:g} s"
+        return f"{start} to {'the end' if self.stop_s is None else f'{self.stop_s:g} s'}"
 
 
 @dataclass(frozen=True)
@@ -30,21 +49,38 @@ class State:
     Parameters
     ----------
     records : tuple of Path
-        Raw time histories, one run a file.
+        Raw time histories, one run a file. A file stands here twice where two parts of it count.
     frfs : tuple of Path
         FRFs measured elsewhere.
+    spans : tuple of Span or None
+        One for each of ``records``, None where all of it counts; empty: all of all.
+
+    Raises
+    ------
+    ConfigError
+        If there are spans, but not as many as records.
     """
 
     records: tuple[Path, ...] = ()
     frfs: tuple[Path, ...] = ()
+    spans: tuple[Span | None, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.spans and len(self.spans) != len(self.records):
+            raise ConfigError(f"{len(self.spans)} spans for {len(self.records)} records", hint="give one span, or None, a record")
 
     def __bool__(self) -> bool:
         return bool(self.records or self.frfs)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files of the state."""
-        return (*self.records, *self.frfs)
+        """All files of the state, each once."""
+        return tuple(dict.fromkeys((*self.records, *self.frfs)))
+
+    @property
+    def runs(self) -> tuple[tuple[Path, Span | None], ...]:
+        """Each record with the part of it that counts (None: all of it)."""
+        return tuple(zip(self.records, self.spans or (None,) * len(self.records), strict=True))
 
 
 @dataclass(frozen=True)
@@ -60,6 +96,8 @@ class Analysis:
         from the length of the records).
     hits : str
         Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
+    hits_reject : tuple of str
+        Hits not to be used, as ``FILE#NUMBER``: numbers from 0, as in the findings, the inventory and the report.
     references : tuple of str or None
         Force DOFs to use (None: all).
     max_order : int or None
@@ -88,6 +126,7 @@ class Analysis:
     window: str | None = None
     estimator: str | None = None
     hits: str = "auto"
+    hits_reject: tuple[str, ...] = ()
     references: tuple[str, ...] | None = None
     max_order: int | None = None
     select_hz: tuple[float, ...] = ()
@@ -148,9 +187,54 @@ class Test:
         extra = () if self.geometry_file is None else (self.geometry_file,)
         return tuple(dict.fromkeys((*self.idle.files, *self.operating.files, *self.check.files, *extra)))
 
+    @property
+    def parts(self) -> tuple[tuple[Path, Span | None], ...]:
+        """All files with the part of each that counts, each once: a file of which two parts are used stands there twice."""
+        named = [run for s in self.states.values() for run in (*s.runs, *((file, None) for file in s.frfs))]
+        have = {file for file, _ in named}
+        return tuple(dict.fromkeys((*named, *((file, None) for file in self.files if file not in have))))
+
+    @property
+    def states(self) -> dict[str, State]:
+        """The three states by name."""
+        return {"idle": self.idle, "operating": self.operating, "check": self.check}
+
+    def label(self, file: Path, span: Span | None = None) -> str:
+        """Name of a file in all outputs: relative to the test file where it lies below it; with the span where several parts are used."""
+        folder = None if self.path is None else self.path.parent
+        name = file.relative_to(folder).as_posix() if folder is not None and file.is_relative_to(folder) else file.name
+        if span is not None and len({part for state in self.states.values() for path, part in state.runs if path == file}) > 1:
+            return f"{name} ({span})"
+        return name
+
     def settings(self) -> dict[str, Any]:
-        """Settings as exported with every output: those of [analysis] with defaults, units and channels as given."""
-        return self.analysis.to_dict() | {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+        """Settings as exported with every output: those of [analysis] with defaults, units and channels as given, parts of records."""
+        given = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+        parts = [
+            {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
+            for name, state in self.states.items()
+            for file, span in state.runs
+            if span is not None
+        ]
+        return self.analysis.to_dict() | given | {"parts_of_records": parts}
+
+    def rejected_hits(self, state: State) -> tuple[str, ...]:
+        """``[analysis] hits_reject`` as far as it names records of a state, each file by its label.
+
+        Raises
+        ------
+        ConfigError
+            If a name is no record of [idle] or [check]; the nearest one is named.
+        """
+        labels = {self.label(*run) for s in (self.idle, self.check) for run in s.runs}
+        mine = {self.label(*run) for run in state.runs}
+        out = []
+        for text in self.analysis.hits_reject:
+            file, _, number = text.rpartition("#")
+            name = _record_named(file, labels, f"{self.path or 'test'} [analysis] hits_reject")
+            if name in mine:
+                out.append(f"{name}#{int(number)}")
+        return tuple(dict.fromkeys(out))
 
     def with_analysis(self, **changes: Any) -> Test:
         """The same test with other settings.
@@ -161,7 +245,9 @@ class Test:
             If a setting is unknown or its value is wrong.
         """
         checked = _analysis(changes, "analysis settings")
-        return replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
+        changed = replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
+        changed.rejected_hits(changed.idle)
+        return changed
 
 
 def load_test(path: str | Path) -> Test:
@@ -227,7 +313,7 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     geometry_units = geometry.get("units")
     if geometry_units is not None:
         _unit(geometry_units, "displacement", f"{where} [geometry] units")
-    return Test(
+    test = Test(
         name=name.strip(),
         path=path,
         **states,
@@ -237,6 +323,8 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
         channels=_channels(table.get("channels", {}), f"{where} [channels]"),
         analysis=_analysis(table.get("analysis", {}), f"{where} [analysis]"),
     )
+    test.rejected_hits(test.idle)
+    return test
 
 
 def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
@@ -279,7 +367,66 @@ def _files(patterns: Any, folder: Path, where: str) -> tuple[Path, ...]:
 
 def _state(table: Mapping[str, Any], folder: Path, where: str) -> State:
     check_keys(table, _STATE_KEYS, where)
-    return State(**{key: _files(value, folder, f"{where} {key}") for key, value in table.items() if value != []})
+    runs = _runs(table.get("records", []), folder, f"{where} records")
+    frfs = _files(table["frfs"], folder, f"{where} frfs") if table.get("frfs", []) != [] else ()
+    return State(
+        records=tuple(file for file, _ in runs),
+        frfs=frfs,
+        spans=tuple(span for _, span in runs) if any(span is not None for _, span in runs) else (),
+    )
+
+
+def _runs(entries: Any, folder: Path, where: str) -> list[tuple[Path, Span | None]]:
+    """Records and the part of each that counts. What a table says of a file holds also where a pattern names the file, too."""
+    entries = entries if isinstance(entries, list) else [entries]
+    plain: dict[Path, list[Span | None]] = {}
+    for entry in entries:
+        table = entry if isinstance(entry, Mapping) else None
+        if table is not None:
+            check_keys(table, _RECORD_KEYS, where)
+            if "file" not in table:
+                raise ConfigError(
+                    f"{dict(table)!r} names no file", where=where, hint='write {file = "run1.uff", start_s = 10, stop_s = 70}'
+                )
+        span = None if table is None else _span(table, where)
+        for file in _files([entry if table is None else table["file"]], folder, where):
+            spans = plain.setdefault(file, [])
+            if span not in spans:
+                spans.append(span)
+    out: list[tuple[Path, Span | None]] = []
+    for file, spans in plain.items():
+        parts = [span for span in spans if span is not None]
+        out += [(file, span) for span in parts] or [(file, None)]
+    return out
+
+
+def _span(table: Mapping[str, Any], where: str) -> Span | None:
+    """The part of a record that a table names, None where it names none."""
+    here = f"{where} {table['file']}"
+    for key in ("start_s", "stop_s"):
+        if key in table and not _is_number(table[key]):
+            raise ConfigError(f"{key} is {table[key]!r}, expected a time in s", where=here)
+    start, stop = (None if table.get(key) is None else float(table[key]) for key in ("start_s", "stop_s"))
+    if start is not None and stop is not None and start >= stop:
+        raise ConfigError(f"start_s = {start:g} is not before stop_s = {stop:g}", where=here)
+    return None if start is None and stop is None else Span(start, stop)
+
+
+def _record_named(name: str, labels: Iterable[str], where: str) -> str:
+    """The record meant by a name: its label, or its file name alone where that is enough."""
+    labels = sorted(labels)
+    clean = name.removeprefix("./")
+    if clean in labels:
+        return clean
+    alike = [label for label in labels if Path(label).name == clean]
+    if len(alike) == 1:
+        return alike[0]
+    near = alike or difflib.get_close_matches(clean, labels, 1, 0.3)
+    raise ConfigError(
+        f"{name!r} is no record of [idle] or [check]" if not alike else f"{name!r} may be any of {', '.join(alike)}",
+        where=where,
+        hint=f"did you mean {near[0]!r}?" if near else None,
+    )
 
 
 def _unit(text: Any, quantity: str | None, where: str) -> str:
@@ -376,6 +523,14 @@ def _dofs(value: Any, where: str) -> tuple[str, ...]:
     return tuple(out)
 
 
+def _hits(value: Any, where: str) -> tuple[str, ...]:
+    texts = _texts(value, where)
+    for text in texts:
+        if not re.fullmatch(r".+#\d+", text):
+            raise ConfigError(f"{text!r} names no hit", where=where, hint='write FILE#NUMBER, as in "idle/hammer1.uff#3"; numbers from 0')
+    return texts
+
+
 def _positive(value: Any, where: str) -> float:
     return float(_check(value, _is_number(value) and value > 0, "a positive number", where))
 
@@ -416,7 +571,7 @@ def _one_of(choices: tuple[str, ...]) -> Callable[[Any, str], str]:
 
 _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS),
-    "hits": _one_of(HITS), "references": _dofs, "max_order": _order, "select_hz": _numbers, "reject_hz": _numbers,
+    "hits": _one_of(HITS), "hits_reject": _hits, "references": _dofs, "max_order": _order, "select_hz": _numbers, "reject_hz": _numbers,
     "threshold": _threshold, "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts,
     "places": _texts, "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers,
     "second_opinion": _flag,

@@ -294,7 +294,7 @@ def _absent(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) -> li
 
 
 def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEstimate:
-    """Runs of the same references in one: the mean of those that agree with the one of the lowest level, and the rows that only others have.
+    """Runs of the same references in one: the mean of those that agree with the lowest level, and rows that only others have.
 
     Parameters
     ----------
@@ -309,6 +309,8 @@ def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEst
     for run in ordered[1:]:
         mine = {(d.node, d.axis) for d in run.responses}
         sharing = [u for u in used if any((d.node, d.axis) in mine for d in u.responses)]
+        if not sharing:
+            findings += _shift_finding(used[0], run)
         ratio, relative = inhomogeneity(run, pool(sharing, run.responses)) if sharing else (0.0, 0.0)
         if ratio > HOMOGENEITY_RATIO and relative > HOMOGENEITY_RELATIVE:
             apart.append((run, ratio, relative))
@@ -335,14 +337,37 @@ def _own_rows(base: RunEstimate, runs: Sequence[RunEstimate]) -> list[RunEstimat
 
 
 def shift_between(first: RunEstimate, second: RunEstimate) -> Shift | None:
-    """Shift of the modes from one run to another, on the pairs that both measured (see :func:`operando.frf.shift.frequency_shifts`)."""
+    """Shift of the modes from one run to another, on the pairs that both measured, else on all of each."""
     n = first.frequencies_hz.size
     other = aligned(second, first.responses, first.references)
-    both = (np.isfinite(first.data).any(axis=2) & np.isfinite(other.data).any(axis=2)).reshape(-1)
-    if not both.any():
-        return None
-    parts = [(run.data.reshape(-1, n)[both], run.variance.reshape(-1, n)[both]) for run in (first, other)]
+    both = np.isfinite(first.data).any(axis=2) & np.isfinite(other.data).any(axis=2)
+    if both.any():
+        parts = [(run.data[both], run.variance[both]) for run in (first, other)]
+    else:
+        parts = [(run.data.reshape(-1, n), run.variance.reshape(-1, n)) for run in (first, second)]
     return frequency_shifts(first.frequencies_hz, *parts)
+
+
+ROVING_CONSEQUENCE = "their FRFs have peaks at different frequencies, which the modal analysis may take for two modes"
+ROVING_ACTION = "keep the mass on the structure the same while sensors move (dummy masses), or measure all at once"
+
+
+def _shift_finding(first: RunEstimate, run: RunEstimate) -> list[Finding]:
+    """``shifted_modes`` for a run that shares no sensor with the others and has its peaks elsewhere."""
+    shift = shift_between(first, run)
+    if shift is None or not shift.apart:
+        return []
+    return [
+        Finding(
+            "shifted_modes",
+            f"the modes are {in_words(shift)} against {first.name or 'the run of the lowest level'}, which has other sensors",
+            "warning",
+            file=run.name or None,
+            dof=str(run.references[0]),
+            consequence=f"the sensors of all files are used: {ROVING_CONSEQUENCE}",
+            action=ROVING_ACTION,
+        )
+    ]
 
 
 def _apart_finding(
@@ -358,7 +383,9 @@ def _apart_finding(
     same = abs(run.level / max(highest, 1e-300) - 1) < 0.2
     roving = len(left) < len(apart)
     shift = shift_between(base, run)
-    moved = f"; its modes lie {in_words(shift)}" if shift is not None else ""
+    moved = f"; in {run.name or 'one of them'} the modes are {in_words(shift)}" if shift is not None else ""
+    others = [f"{r.name} ({100 * share:.2g} %)" for r, _, share in apart if r is not run and r.name]
+    also = f"; also {', '.join(others[:6])}{' …' if len(others) > 6 else ''}" if others else ""
     cause = (
         "at the same level: the structure or its mounting changed between the runs"
         if same
@@ -367,19 +394,14 @@ def _apart_finding(
     consequence = [f"{len(left)} of {n_runs} runs are left out; the lowest level judges the linear model"] if left else []
     if roving:
         names = ", ".join(dict.fromkeys(r.name for r, _, _ in apart if r.name and not any(r is one for one in left)))
-        consequence.append(
-            f"sensors that only {names or 'such a run'} measured are kept: their FRFs have peaks at other frequencies, "
-            "which the modal analysis may take for two modes"
-        )
+        consequence.append(f"sensors that only {names or 'such a run'} measured are kept: {ROVING_CONSEQUENCE}")
     return Finding(
         "shifted_modes" if same and roving else "nonlinear",
         f"runs at reference {', '.join(str(d) for d in base.references)} differ by {100 * relative:.2g} % of |H| "
-        f"({ratio:.3g} times the variance expected from noise), {cause}{moved}",
+        f"({ratio:.3g} times the variance expected from noise), {cause}{moved}{also}",
         "warning",
         file=run.name or None,
         dof=str(base.references[0]),
         consequence="; ".join(consequence),
-        action="keep the mass on the structure the same while sensors move (dummy masses), or measure all at once"
-        if same and roving
-        else "compare the levels; keep the excitation low for a linear model",
+        action=ROVING_ACTION if same and roving else "compare the levels; keep the excitation low for a linear model",
     )

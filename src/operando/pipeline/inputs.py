@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from operando.config import State, Test
+from operando.config import Span, State, Test
 from operando.data import Finding, Frf, Geometry, Provenance, TimeRecord, file_hash
 from operando.dof import Dof
-from operando.errors import DataError, MissingError, OperandoError
+from operando.errors import ConfigError, DataError, MissingError, OperandoError
 
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
+
+
+class UnfitTest(ConfigError):
+    """The test file says something that does not fit the data it names: the run ends."""
 
 
 class Inputs:
@@ -27,7 +31,7 @@ class Inputs:
     def __init__(self, test: Test) -> None:
         self.test = test
         self.findings: dict[Path, list[Finding]] = {}
-        self._contents: dict[Path, Any] = {}
+        self._contents: dict[tuple[Path, Span | None], Any] = {}
         self._hashes: dict[Path, str] = {}
 
     def hashes(self, files: Sequence[Path]) -> list[tuple[str, str]]:
@@ -39,28 +43,44 @@ class Inputs:
             out.append((file.name, self._hashes[file]))
         return out
 
-    def content(self, file: Path) -> Any:
-        """Content of a file with its records checked, or None if it cannot be read."""
-        if file in self._contents:
-            return self._contents[file]
+    def content(self, file: Path, span: Span | None = None) -> Any:
+        """Content of a file with its records cut to a span and checked, or None if it cannot be read.
+
+        Raises
+        ------
+        UnfitTest
+            If the span lies outside a record.
+        """
+        if (file, span) in self._contents:
+            return self._contents[file, span]
         from operando.io import read
 
         try:
             content = read(file, units=self._units(file), channels=self.test.channels or None)
         except OperandoError as error:
             self.findings[file] = [unreadable(self.label(file), error)]
-            self._contents[file] = None
+            self._contents[file, span] = None
             return None
-        name = self.label(file)
-        records = tuple(checked(replace(r, name=name)) for r in content.records)
+        name = self.test.label(file, span)
+        records = tuple(checked(replace(self._part(r, file, span), name=name)) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
         named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
-        self.findings[file] = list(dict.fromkeys(named))
+        self.findings[file] = list(dict.fromkeys([*self.findings.get(file, ()), *named]))
         held = sum(r.data.nbytes for c in self._contents.values() if c is not None for r in c.records)
         if held + sum(r.data.nbytes for r in records) <= KEEP_BYTES:
-            self._contents[file] = content
+            self._contents[file, span] = content
         return content
+
+    def _part(self, record: TimeRecord, file: Path, span: Span | None) -> TimeRecord:
+        """The part of a record that the test file says counts."""
+        if span is None:
+            return record
+        try:
+            return record.cut(span.start_s, span.stop_s)
+        except DataError as error:
+            where = f"{self.test.path or 'test'} records {self.label(file)}"
+            raise UnfitTest(error.message, where=where, hint="start_s and stop_s count on the time axis of the file") from None
 
     def _units(self, file: Path) -> dict[str, Any] | None:
         units = dict(self.test.units)
@@ -69,9 +89,8 @@ class Inputs:
         return units or None
 
     def label(self, file: Path) -> str:
-        """Name of a file in all outputs: relative to the test file where it lies below it."""
-        folder = None if self.test.path is None else self.test.path.parent
-        return file.relative_to(folder).as_posix() if folder is not None and file.is_relative_to(folder) else file.name
+        """Name of a file in all outputs."""
+        return self.test.label(file)
 
     def records(self, state: State, *, force: bool) -> list[TimeRecord]:
         """Records of a state with responses, and with a force if asked for.
@@ -82,8 +101,8 @@ class Inputs:
             If no file holds such a record.
         """
         found = []
-        for file in state.records:
-            content = self.content(file)
+        for file, span in state.runs:
+            content = self.content(file, span)
             for record in () if content is None else content.records:
                 if record.response_indices and (record.force_indices or not force):
                     found.append(record)
@@ -134,9 +153,9 @@ class Inputs:
     def geometry(self) -> Geometry | None:
         """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known."""
         test = self.test
-        files = [test.geometry_file] if test.geometry_file is not None else list(test.files)
-        for file in files:
-            content = self.content(file)
+        parts = [(test.geometry_file, None)] if test.geometry_file is not None else list(test.parts)
+        for file, span in parts:
+            content = self.content(file, span)
             if content is not None and content.geometry is not None:
                 geometry: Geometry = content.geometry
                 if not geometry.unit_known and test.geometry_units is not None:
@@ -155,18 +174,20 @@ class Inputs:
         return None
 
     def inventory(self) -> list[dict[str, Any]]:
-        """One row a file: what it is used for, format, sets, channels, sampling, duration, findings."""
+        """One row a file (or part of it): what it is used for, format, sets, channels, sampling, duration, findings."""
         test = self.test
         rows = []
-        uses = {"idle": test.idle.files, "operating": test.operating.files, "check": test.check.files}
-        for file in test.files:
-            content = self.content(file)
-            used_for = [name for name, files in uses.items() if file in files] or ["geometry"]
-            row: dict[str, Any] = {"file": self.label(file), "sha256": self.hashes([file])[0][1], "used_for": ", ".join(used_for)}
+        uses = {name: (*state.runs, *((file, None) for file in state.frfs)) for name, state in test.states.items()}
+        for file, span in test.parts:
+            content = self.content(file, span)
+            used_for = [name for name, parts in uses.items() if (file, span) in parts] or ["geometry"]
+            row: dict[str, Any] = {"file": test.label(file, span), "sha256": self.hashes([file])[0][1], "used_for": ", ".join(used_for)}
             if content is None:
                 row |= {"format": None, "error": self.findings[file][0].message}
             else:
                 row |= inventory_row(content)
+            if span is not None:
+                row |= {"start_s": span.start_s, "stop_s": span.stop_s}
             rows.append(row | {"n_findings": len(self.findings.get(file, ()))})
         return rows
 

@@ -158,7 +158,13 @@ def idle_modes(work: Work) -> dict[str, Any]:
 def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
     """The runs the FRFs were made of: one that the homogeneity test set aside must not come back through the raw spectra."""
     used = {path for path, _ in frf.provenance.inputs}
-    return [r for r in records if any(path in used for path, _ in r.provenance.inputs)] or records
+    calls = set(frf.provenance.calls)
+
+    def behind(record: TimeRecord) -> bool:
+        cuts = [call for call in record.provenance.calls if call.startswith("cut(")]  # of two parts of a file one may be used
+        return any(path in used for path, _ in record.provenance.inputs) and all(call in calls for call in cuts)
+
+    return [r for r in records if behind(r)] or records
 
 
 def operational_modes(work: Work) -> dict[str, Any]:
