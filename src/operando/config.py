@@ -3,84 +3,24 @@
 from __future__ import annotations
 
 import difflib
-import glob
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar
 
 from operando.dof import Dof
 from operando.errors import ConfigError, DofError, UnitError
+from operando.states import Span as Span
+from operando.states import State as State
+from operando.states import check_keys, find_files, is_number, record_named, state_of
 from operando.units import SI_UNIT, parse_unit
 
 ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
 HITS = ("auto", "all", "off")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
-_STATE_KEYS = ("records", "frfs")
-_RECORD_KEYS = ("file", "start_s", "stop_s")
 _CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
-
-
-@dataclass(frozen=True)
-class Span:
-    """The part of a record that counts, on the record's own time axis.
-
-    Parameters
-    ----------
-    start_s, stop_s : float or None
-        First and last time [s]; None: from the beginning, to the end.
-    """
-
-    start_s: float | None = None
-    stop_s: float | None = None
-
-    def __str__(self) -> str:
-        start = "the beginning" if self.start_s is None else f"{self.start_s:g} s"
-        return f"{start} to {'the end' if self.stop_s is None else f'{self.stop_s:g} s'}"
-
-
-@dataclass(frozen=True)
-class State:
-    """Files of one state of the structure (idle, operating or check).
-
-    Parameters
-    ----------
-    records : tuple of Path
-        Raw time histories, one run a file. A file stands here twice where two parts of it count.
-    frfs : tuple of Path
-        FRFs measured elsewhere.
-    spans : tuple of Span or None
-        One for each of ``records``, None where all of it counts; empty: all of all.
-
-    Raises
-    ------
-    ConfigError
-        If there are spans, but not as many as records.
-    """
-
-    records: tuple[Path, ...] = ()
-    frfs: tuple[Path, ...] = ()
-    spans: tuple[Span | None, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.spans and len(self.spans) != len(self.records):
-            raise ConfigError(f"{len(self.spans)} spans for {len(self.records)} records", hint="give one span, or None, a record")
-
-    def __bool__(self) -> bool:
-        return bool(self.records or self.frfs)
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """All files of the state, each once."""
-        return tuple(dict.fromkeys((*self.records, *self.frfs)))
-
-    @property
-    def runs(self) -> tuple[tuple[Path, Span | None], ...]:
-        """Each record with the part of it that counts (None: all of it)."""
-        return tuple(zip(self.records, self.spans or (None,) * len(self.records), strict=True))
 
 
 @dataclass(frozen=True)
@@ -172,9 +112,9 @@ class Test:
 
     name: str
     path: Path | None = None
-    idle: State = State()
-    operating: State = State()
-    check: State = State()
+    idle: State = field(default_factory=State)
+    operating: State = field(default_factory=State)
+    check: State = field(default_factory=State)
     geometry_file: Path | None = None
     geometry_units: str | None = None
     units: dict[str, Any] = field(default_factory=dict)
@@ -231,7 +171,7 @@ class Test:
         out = []
         for text in self.analysis.hits_reject:
             file, _, number = text.rpartition("#")
-            name = _record_named(file, labels, f"{self.path or 'test'} [analysis] hits_reject")
+            name = record_named(file, labels, f"{self.path or 'test'} [analysis] hits_reject")
             if name in mine:
                 out.append(f"{name}#{int(number)}")
         return tuple(dict.fromkeys(out))
@@ -298,7 +238,7 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     if not isinstance(name, str) or not name.strip():
         raise ConfigError(f"name is {name!r}, expected a text", where=where)
     folder = path.parent
-    states = {key: _state(table.get(key, {}), folder, f"{where} [{key}]") for key in ("idle", "operating", "check")}
+    states = {key: state_of(table.get(key, {}), folder, f"{where} [{key}]") for key in ("idle", "operating", "check")}
     if not (states["idle"] or states["operating"]):
         raise ConfigError("names no measurement", where=where, hint='give [idle] or [operating] with records = ["idle/*.uff"]')
     if states["idle"].records and states["idle"].frfs:
@@ -317,7 +257,7 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
         name=name.strip(),
         path=path,
         **states,
-        geometry_file=None if file is None else _files([file], folder, f"{where} [geometry] file")[0],
+        geometry_file=None if file is None else find_files([file], folder, f"{where} [geometry] file")[0],
         geometry_units=geometry_units,
         units=_units(table.get("units", {}), f"{where} [units]"),
         channels=_channels(table.get("channels", {}), f"{where} [channels]"),
@@ -327,106 +267,8 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     return test
 
 
-def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Raise a ConfigError that names the nearest known key for the first unknown one."""
-    known = tuple(known)
-    for key in table:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
-            hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
-            raise ConfigError(f"unknown key {key!r}" + (f"; the nearest known key is {near[0]!r}" if near else ""), where=where, hint=hint)
-
-
 def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
-
-
-def _natural(path: Path) -> list[Any]:
-    return [int(part) if part.isdigit() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
-
-
-def _files(patterns: Any, folder: Path, where: str) -> tuple[Path, ...]:
-    if isinstance(patterns, str):
-        patterns = [patterns]
-    if not isinstance(patterns, list) or not all(isinstance(p, str) and p for p in patterns):
-        raise ConfigError(f"{patterns!r} is no list of paths", where=where, hint='write for example ["idle/*.uff"]')
-    found: dict[Path, None] = {}
-    for pattern in patterns:
-        literal = folder / pattern
-        hits = (
-            [literal]
-            if literal.is_file()
-            else sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
-        )
-        hits = [p for p in hits if p.is_file()]
-        if not hits:
-            raise ConfigError(f"{pattern!r} matches no file", where=where, hint=f"paths are relative to {folder.resolve()}")
-        found |= dict.fromkeys(hits)
-    return tuple(found)
-
-
-def _state(table: Mapping[str, Any], folder: Path, where: str) -> State:
-    check_keys(table, _STATE_KEYS, where)
-    runs = _runs(table.get("records", []), folder, f"{where} records")
-    frfs = _files(table["frfs"], folder, f"{where} frfs") if table.get("frfs", []) != [] else ()
-    return State(
-        records=tuple(file for file, _ in runs),
-        frfs=frfs,
-        spans=tuple(span for _, span in runs) if any(span is not None for _, span in runs) else (),
-    )
-
-
-def _runs(entries: Any, folder: Path, where: str) -> list[tuple[Path, Span | None]]:
-    """Records and the part of each that counts. What a table says of a file holds also where a pattern names the file, too."""
-    entries = entries if isinstance(entries, list) else [entries]
-    plain: dict[Path, list[Span | None]] = {}
-    for entry in entries:
-        table = entry if isinstance(entry, Mapping) else None
-        if table is not None:
-            check_keys(table, _RECORD_KEYS, where)
-            if "file" not in table:
-                raise ConfigError(
-                    f"{dict(table)!r} names no file", where=where, hint='write {file = "run1.uff", start_s = 10, stop_s = 70}'
-                )
-        span = None if table is None else _span(table, where)
-        for file in _files([entry if table is None else table["file"]], folder, where):
-            spans = plain.setdefault(file, [])
-            if span not in spans:
-                spans.append(span)
-    out: list[tuple[Path, Span | None]] = []
-    for file, spans in plain.items():
-        parts = [span for span in spans if span is not None]
-        out += [(file, span) for span in parts] or [(file, None)]
-    return out
-
-
-def _span(table: Mapping[str, Any], where: str) -> Span | None:
-    """The part of a record that a table names, None where it names none."""
-    here = f"{where} {table['file']}"
-    for key in ("start_s", "stop_s"):
-        if key in table and not _is_number(table[key]):
-            raise ConfigError(f"{key} is {table[key]!r}, expected a time in s", where=here)
-    start, stop = (None if table.get(key) is None else float(table[key]) for key in ("start_s", "stop_s"))
-    if start is not None and stop is not None and start >= stop:
-        raise ConfigError(f"start_s = {start:g} is not before stop_s = {stop:g}", where=here)
-    return None if start is None and stop is None else Span(start, stop)
-
-
-def _record_named(name: str, labels: Iterable[str], where: str) -> str:
-    """The record meant by a name: its label, or its file name alone where that is enough."""
-    labels = sorted(labels)
-    clean = name.removeprefix("./")
-    if clean in labels:
-        return clean
-    alike = [label for label in labels if Path(label).name == clean]
-    if len(alike) == 1:
-        return alike[0]
-    near = alike or difflib.get_close_matches(clean, labels, 1, 0.3)
-    raise ConfigError(
-        f"{name!r} is no record of [idle] or [check]" if not alike else f"{name!r} may be any of {', '.join(alike)}",
-        where=where,
-        hint=f"did you mean {near[0]!r}?" if near else None,
-    )
 
 
 def _unit(text: Any, quantity: str | None, where: str) -> str:
@@ -473,7 +315,7 @@ def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]
             )
         if "unit" in entry:
             _unit(entry["unit"], quantity, f"{here} unit")
-        if "sensitivity" in entry and (not _is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
+        if "sensitivity" in entry and (not is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
             raise ConfigError(f"sensitivity is {entry['sensitivity']!r}, expected a number other than 0", where=here)
         if not isinstance(entry.get("exclude", False), bool):
             raise ConfigError(f"exclude is {entry['exclude']!r}, expected true or false", where=here)
@@ -483,10 +325,6 @@ def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]
     return out
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-
-
 def _check(value: Any, good: bool, expected: str, where: str) -> Any:
     if not good:
         raise ConfigError(f"{value!r} is not allowed; expected {expected}", where=where)
@@ -494,7 +332,7 @@ def _check(value: Any, good: bool, expected: str, where: str) -> Any:
 
 
 def _band(value: Any, where: str) -> tuple[float, float]:
-    good = isinstance(value, list | tuple) and len(value) == 2 and all(_is_number(v) for v in value) and 0 <= value[0] < value[1]
+    good = isinstance(value, list | tuple) and len(value) == 2 and all(is_number(v) for v in value) and 0 <= value[0] < value[1]
     _check(value, good, "two frequencies [low, high] in Hz with 0 <= low < high", where)
     return float(value[0]), float(value[1])
 
@@ -505,7 +343,7 @@ def _bands(value: Any, where: str) -> tuple[tuple[float, float], ...]:
 
 
 def _numbers(value: Any, where: str) -> tuple[float, ...]:
-    good = isinstance(value, list | tuple) and all(_is_number(v) and v > 0 for v in value)
+    good = isinstance(value, list | tuple) and all(is_number(v) and v > 0 for v in value)
     return tuple(float(v) for v in _check(value, good, "a list of frequencies in Hz", where))
 
 
@@ -532,11 +370,11 @@ def _hits(value: Any, where: str) -> tuple[str, ...]:
 
 
 def _positive(value: Any, where: str) -> float:
-    return float(_check(value, _is_number(value) and value > 0, "a positive number", where))
+    return float(_check(value, is_number(value) and value > 0, "a positive number", where))
 
 
 def _overlap(value: Any, where: str) -> float:
-    return float(_check(value, _is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where))
+    return float(_check(value, is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where))
 
 
 def _order(value: Any, where: str) -> int:
@@ -544,7 +382,7 @@ def _order(value: Any, where: str) -> int:
 
 
 def _threshold(value: Any, where: str) -> float:
-    return float(_check(value, _is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
+    return float(_check(value, is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
 
 
 def _text(value: Any, where: str) -> str:

@@ -64,8 +64,9 @@ def impact_blocks(
     block_seconds: float | None = None,
     band: tuple[float, float] | None = None,
     select: bool = True,
+    rejected: Sequence[int] = (),
 ) -> ImpactBlocks:
-    """Find the hits of a record, choose the consistent ones and cut blocks.
+    """Find the hits of a record, choose the consistent ones and cut blocks; those rejected by hand are never used.
 
     Raises
     ------
@@ -77,6 +78,8 @@ def impact_blocks(
         for i, reason in enumerate(hits.reasons):
             if reason in ("weak_hit", "double_hit"):
                 hits = hits.reject(i, "", "")
+    for i in rejected:
+        hits = hits.reject(i, "rejected_hit", "rejected by hand")
     hits, starts, block, pre = hit_blocks(hits, record.n_samples, block_seconds)
     if starts.size == 0 or block < 16:
         raise DataError("no usable hit in the record", where=record.name or None, hint="; ".join(m for m in hits.messages if m) or None)

@@ -191,6 +191,23 @@ class Inputs:
             rows.append(row | {"n_findings": len(self.findings.get(file, ()))})
         return rows
 
+    def check_hits(self, inventory: Sequence[dict[str, Any]]) -> None:
+        """Whether every hit that the test file rejects is there.
+
+        Raises
+        ------
+        UnfitTest
+            If one is not; how many hits there are is said.
+        """
+        from operando.frf.hits import rejected_numbers
+
+        counts = {row["file"]: len(row.get("hits") or ()) for row in inventory}
+        for state in (self.test.idle, self.test.check):
+            try:
+                rejected_numbers(list(counts), list(counts.values()), self.test.rejected_hits(state))
+            except DataError as error:
+                raise UnfitTest(error.message, where=f"{self.test.path or 'test'} [analysis] hits_reject", hint=error.hint) from None
+
     def all_findings(self) -> list[Finding]:
         """Findings of all files read so far, in the order of the test, each once."""
         return list(dict.fromkeys(f for file in self.test.files for f in self.findings.get(file, ())))
@@ -233,6 +250,8 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "forces": [first.channels[i].label for i in first.force_indices],
             "responses": [first.channels[i].label for i in first.response_indices],
         }
+        if hits := list_hits(content.records):
+            row["hits"] = hits
     if content.frfs:
         row |= {
             "frf_references": list(dict.fromkeys(str(d) for h in content.frfs for d in h.references)),
@@ -241,6 +260,20 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "frf_lines": max(len(h.axis) for h in content.frfs),
         }
     return row
+
+
+def list_hits(records: Sequence[TimeRecord]) -> list[dict[str, Any]]:
+    """The hits of the hammer records of one file, numbered as ``hits_reject`` names them."""
+    from operando.frf import hits_of
+
+    out: list[dict[str, Any]] = []
+    for record in records:
+        hits = hits_of(record) if record.response_indices else None
+        if hits is not None:
+            unit = record.channels[record.force_indices[0]].unit
+            for t, level in zip(hits.times_s + record.start_s, hits.levels, strict=True):
+                out.append({"number": len(out), "time_s": float(t), "peak": float(level), "unit": unit})
+    return out
 
 
 def checked(record: TimeRecord) -> TimeRecord:

@@ -1,0 +1,154 @@
+"""Roving tests: sensors that move between files, a hammer that moves, files and hits that do not fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measurements import idle_chain, record
+from operando.frf import estimate_frf
+from structures import Chain, modified
+
+NODES = (1, 2, 3, 4, 5, 6)
+
+
+def structure(sensor_mass=0.0, at=()):
+    """Six masses of 2 kg; sensors of some mass sit at some of them."""
+    chain = Chain(n=6, mass=2.0, stiffness=1.2e5, zeta=0.01, seed=3)
+    for node in at:
+        chain = modified(chain, mass=(node - 1, sensor_mass))
+    return chain
+
+
+def file(name, nodes, seed=1, chain=None, driven=0, level=5.0, seconds=20.0):
+    """A run with the sensors at some nodes."""
+    whole = record(chain or structure(), [driven], level, seed, name, seconds=seconds)
+    return whole.select([i for i, c in enumerate(whole.channels) if c.is_force or c.dof.node in nodes])
+
+
+def kinds(frf):
+    return [f.kind for f in frf.findings if f.kind != "estimator"]
+
+
+@pytest.mark.parametrize("estimator", ["h1", "lrm"])
+def test_sensors_of_all_files_give_the_frfs_of_one_measurement(estimator):
+    at_once = estimate_frf(file("all", NODES), estimator=estimator)
+    parts = estimate_frf([file("a", (1, 2)), file("b", (3, 4)), file("c", (5, 6))], estimator=estimator)
+    assert parts.responses == at_once.responses
+    assert kinds(parts) == []
+    if estimator == "h1":  # each pair is estimated by itself
+        np.testing.assert_allclose(parts.data, at_once.data, rtol=1e-12)
+        np.testing.assert_allclose(parts.variance, at_once.variance, rtol=1e-9)
+        np.testing.assert_allclose(parts.coherence, at_once.coherence, rtol=1e-9)
+    else:  # the local models share a denominator between the sensors of one file: equal within their noise
+        lines = np.flatnonzero(np.isin(np.round(at_once.frequencies_hz, 6), np.round(parts.frequencies_hz, 6)))
+        assert lines.size > 0.5 * len(parts.axis)
+        same = np.flatnonzero(np.isin(np.round(parts.frequencies_hz, 6), np.round(at_once.frequencies_hz, 6)))
+        apart = np.abs(parts.data[:, :, same] - at_once.data[:, :, lines]) ** 2
+        assert np.mean(apart / (parts.variance[:, :, same] + at_once.variance[:, :, lines])) < 0.5
+
+
+def test_a_sensor_that_stays_is_averaged_and_the_others_are_kept():
+    one, two = file("a", (1, 2, 3), seed=1), file("b", (1, 4, 5, 6), seed=2)
+    options = {"estimator": "h1", "block_seconds": 4.0}
+    merged, first, second = (estimate_frf(part, **options) for part in ([one, two], one, two))
+    assert [d.node for d in merged.responses] == list(NODES)
+    assert kinds(merged) == []
+    assert np.median(merged.variance[0] / first.variance[0]) == pytest.approx(0.5, abs=0.15)
+    np.testing.assert_array_equal(merged.data[1:3], first.data[1:])
+    np.testing.assert_array_equal(merged.data[3:], second.data[1:])
+    # as if all had been measured in the first file, where nothing but the noise differs
+    assert np.isfinite(merged.data).all()
+
+
+def test_mass_loading_is_found_by_the_sensor_that_stays_and_nothing_is_lost():
+    light, heavy = structure(0.05, (1, 2, 3)), structure(0.05, (1, 4, 5, 6))
+    merged = estimate_frf([file("a.uff", (1, 2, 3), 1, light), file("b.uff", (1, 4, 5, 6), 2, heavy)])
+    assert [d.node for d in merged.responses] == list(NODES)
+    assert np.isfinite(merged.data).all()
+    [finding] = [f for f in merged.findings if f.kind == "shifted_modes"]
+    assert finding.file == "b.uff"
+    assert "sensors that only b.uff measured are kept" in finding.consequence
+    true = 100 * (heavy.hz / light.hz - 1)
+    assert f"{true.min():+.2g}"[:4] in finding.message  # the largest shift, to one digit: -0.37 % in the third mode
+    assert "at the same level" in finding.message
+    # the row both measured is that of the first file: two structures are not averaged
+    alone = estimate_frf(file("a.uff", (1, 2, 3), 1, light), line_spacing_hz=float(merged.axis.step), estimator="lrm")
+    np.testing.assert_allclose(merged.data[0], alone.data[0], rtol=1e-9)
+
+
+def test_shift_is_measured_between_files_without_a_common_sensor():
+    from operando.frf.shift import WIDTHS_APART
+
+    assert WIDTHS_APART == 0.05
+    light, heavy = structure(0.2, (1, 2, 3)), structure(0.2, (4, 5, 6))
+    merged = estimate_frf([file("a.uff", (1, 2, 3), 1, light), file("b.uff", (4, 5, 6), 2, heavy)])
+    [finding] = [f for f in merged.findings if f.kind == "shifted_modes"]
+    assert finding.file == "b.uff"
+    assert "against a.uff" in finding.message
+    assert kinds(estimate_frf([file("a.uff", (1, 2, 3), 1), file("b.uff", (4, 5, 6), 2)])) == []
+
+
+def test_shifts_have_the_size_of_the_truth():
+    from operando.frf.shift import frequency_shifts
+
+    f = np.arange(5.0, 80.0, 0.02)
+    rng = np.random.default_rng(0)
+    one, two = structure(), structure(0.02, (4,))
+    sets = []
+    for chain in (one, two):
+        h = chain.accelerance(f, ref=[0])[:, 0]
+        variance = np.full(h.shape, (1e-3 * np.abs(h).mean()) ** 2)
+        sets.append((h + np.sqrt(variance / 2) * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)), variance))
+    shift = frequency_shifts(f, *sets)
+    order = [int(np.argmin(np.abs(one.hz - hz))) for hz in shift.frequencies_hz]
+    true = (two.hz / one.hz - 1)[order]
+    assert len(order) >= 5
+    # neighbouring modes bias both poles alike: a tenth of the shift, or what noise explains, remains
+    assert np.all(np.abs(shift.relative - true) < 0.1 * np.abs(true) + 4 * shift.std)
+
+
+def test_pairs_not_measured_are_nan_and_named():
+    files = [file("a1", (1, 2, 3)), file("b1", (4, 5, 6)), file("a2", (1, 2, 3), 3, driven=2)]
+    merged = estimate_frf(files)
+    empty = np.isnan(merged.data.real).all(axis=2)
+    np.testing.assert_array_equal(empty, [[False, False]] * 3 + [[False, True]] * 3)
+    [finding] = [f for f in merged.findings if f.kind == "missing_pair"]
+    assert finding.message.startswith("3 of 12 response/reference pairs were not measured (4+Z/3+Z, 5+Z/3+Z, 6+Z/3+Z)")
+
+
+def test_opposite_senses_and_other_order_of_the_same_sensor():
+    one, two = file("a", (1, 2), seed=1), file("b", (1, 4), seed=2)
+    turned = replace(
+        two,
+        data=two.data[::-1] * np.array([[1.0], [-1.0], [1.0]]),
+        channels=tuple(replace(c, dof=c.dof.opposite) if c.dof.node == 1 and not c.is_force else c for c in two.channels[::-1]),
+    )
+    straight, other = (estimate_frf([one, b], estimator="h1", block_seconds=4.0) for b in (two, turned))
+    np.testing.assert_allclose(other.data, straight.data, rtol=1e-12)
+    assert kinds(other) == []
+
+
+def test_modes_of_a_roving_test_are_those_of_one_measurement(tmp_path):
+    from operando import fit_ema
+
+    chain = idle_chain()
+    whole = record(chain, [0], 5.0, 1, "all", seconds=30.0)
+    at_once = fit_ema(estimate_frf(whole), band=(10.0, 90.0), records=[whole])
+    runs = [record(chain, [0], 5.0, seed, f"run{seed}", seconds=30.0) for seed in (1, 2)]
+    parts = [
+        r.select([i for i, c in enumerate(r.channels) if c.is_force or c.dof.node in n])
+        for r, n in zip(runs, ((1, 2), (3, 4)), strict=True)
+    ]
+    roving = fit_ema(estimate_frf(parts), band=(10.0, 90.0), records=parts)
+    assert roving.dofs == at_once.dofs
+    hz, zeta = roving.frequencies_hz[roving.in_band], roving.damping_ratios[roving.in_band]
+    np.testing.assert_allclose(hz, chain.hz[(chain.hz > 10) & (chain.hz < 90)], rtol=2e-4)
+    np.testing.assert_allclose(zeta, 0.01, rtol=0.02)
+    assert roving.scaling == "unit_modal_mass"
+    for k in np.flatnonzero(roving.in_band):
+        r = int(np.argmin(np.abs(chain.hz - roving.frequencies_hz[k])))
+        true = chain.phi[:, r] * np.sign(chain.phi[0, r] * roving.shapes[0, k])
+        np.testing.assert_allclose(roving.shapes[:, k], true, atol=0.01 * np.abs(true).max())
