@@ -140,11 +140,13 @@ def of_records(rejected: Sequence[str], records: Sequence[TimeRecord]) -> tuple[
     return tuple(text for text in rejected if text.rpartition("#")[0] in names)
 
 
-def whole_records(work: Work, state: State, findings: list[Finding]) -> list[TimeRecord]:
-    """The records of a state with force, for fits of whole records: without the hits rejected by hand."""
+def whole_records(
+    work: Work, state: State, findings: list[Finding], choose: Callable[[list[TimeRecord]], list[TimeRecord]] = list
+) -> list[TimeRecord]:
+    """The records of a state with force, or those chosen of them, for fits of whole records: without the hits rejected by hand."""
     from operando.frf import without_hits
 
-    records = work.inputs.records(state, force=True)
+    records = choose(work.inputs.records(state, force=True))
     kept, found = without_hits(records, of_records(work.test.rejected_hits(state), records))
     findings += found
     return kept
@@ -157,7 +159,7 @@ def idle_modes(work: Work) -> dict[str, Any]:
     analysis = work.analysis
     frf = _needed(work.results.idle_frf, "idle FRFs")
     findings: list[Finding] = []
-    records = runs_behind(frf, whole_records(work, work.test.idle, findings)) if work.test.idle.records else None
+    records = whole_records(work, work.test.idle, findings, lambda all_: runs_behind(frf, all_)) if work.test.idle.records else None
     keywords = offered(
         fit_ema,
         findings,
