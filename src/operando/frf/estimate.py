@@ -19,6 +19,7 @@ from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.rational import roughness_variance
 from operando.frf.runs import RunEstimate, coherence_of, merge_runs
+from operando.frf.singles import average_hits
 from operando.frf.spectra import CrossSpectra, cross_spectra
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
@@ -146,6 +147,7 @@ def estimate_frf(
             extra = [_estimator_finding(reason, peak, lines)]
         else:
             estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, False, e.exponential_window_rate))) for c, e in averaged]
+            estimates = average_hits(estimates)
             extra = []
         return merge_runs(estimates, wanted).with_findings([*lost, *extra])
 
@@ -323,6 +325,7 @@ def _averaged_run(
         si=run.si,
         name=record.name,
         exponential_window_rate=rate,
+        hit_s=record.start_s + float(blocks.hits.times_s[blocks.hits.used][0]) if blocks is not None and blocks.single else None,
         findings=findings,
         provenance=record.provenance.then(f"estimate_frf(estimator={estimator!r}, {how}, averages={spectra.averages:.3g})"),
     )

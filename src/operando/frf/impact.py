@@ -18,6 +18,9 @@ from operando.frf.spectra import CrossSpectra, cross_spectra
 IMPACT_WINDOWS = ("rectangular", "force", "exponential", "force_exponential")
 REMAINING = 0.01
 """Largest share of its amplitude that a mode may keep at the end of a block."""
+INCONSISTENT_RATIO = 6.0
+INCONSISTENT = 0.05
+"""A hit is inconsistent where the FRF of the others misses more of its response energy than this part, and so many times the median."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def reject_inconsistent(
             h = (numerator - x[i] * f[i].conj()) / np.maximum(denominator - np.abs(f[i]) ** 2, 1e-300)
             errors[i] = np.sum(np.abs(x[i] - h * f[i]) ** 2) / np.sum(np.abs(x[i]) ** 2)
         worst = int(np.argmax(errors))
-        if errors[worst] < max(6 * float(np.median(errors)), 0.05):
+        if errors[worst] < max(INCONSISTENT_RATIO * float(np.median(errors)), INCONSISTENT):
             break
         which = int(np.flatnonzero(hits.indices == starts[worst] + pre)[0])
         text = (

@@ -37,6 +37,8 @@ class RunEstimate:
         Rms of the forces [N].
     method : str
         ``h1``, ``h2``, ``hv`` or ``lrm``.
+    hit_s : float or None
+        Time of the hit where the run is a single one, used as a block [s].
     """
 
     frequencies_hz: Array
@@ -53,6 +55,7 @@ class RunEstimate:
     si: bool = True
     name: str = ""
     exponential_window_rate: float = 0.0
+    hit_s: float | None = None
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance)
 
