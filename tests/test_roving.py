@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from measurements import idle_chain, record
+from measurements import idle_chain, record, running_chain, write_test
+from operando.cli import main
 from operando.frf import estimate_frf
 from structures import Chain, modified
 
@@ -20,6 +23,14 @@ def structure(sensor_mass=0.0, at=()):
     for node in at:
         chain = modified(chain, mass=(node - 1, sensor_mass))
     return chain
+
+
+def cut_records(folder):
+    """``write_test`` with long idle runs of which a table takes a part."""
+    path = write_test(folder, check=False)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('["idle/*.uff"]', '["idle/*.uff", {file = "idle/run1.uff", start_s = 4, stop_s = 20}]'), encoding="utf-8")
+    return path
 
 
 def file(name, nodes, seed=1, chain=None, driven=0, level=5.0, seconds=20.0):
@@ -152,3 +163,88 @@ def test_modes_of_a_roving_test_are_those_of_one_measurement(tmp_path):
         r = int(np.argmin(np.abs(chain.hz - roving.frequencies_hz[k])))
         true = chain.phi[:, r] * np.sign(chain.phi[0, r] * roving.shapes[0, k])
         np.testing.assert_allclose(roving.shapes[:, k], true, atol=0.01 * np.abs(true).max())
+
+
+def call(*words):
+    done = CliRunner().invoke(main, [str(w) for w in words])
+    return done.exit_code, done.stderr
+
+
+def test_parts_of_records_through_the_command_line(tmp_path):
+    path = cut_records(tmp_path / "a")
+    out = tmp_path / "out"
+    code, _ = call("frf", path, "-o", out)
+    assert code == 0
+    document = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    rows = {row["file"]: row for row in document["inventory"]}
+    assert rows["idle/run1.uff"]["duration_s"] == 16.0
+    assert (rows["idle/run1.uff"]["start_s"], rows["idle/run1.uff"]["stop_s"]) == (4.0, 20.0)
+    assert rows["idle/run2.uff"]["duration_s"] == 24.0
+    assert document["settings"]["parts_of_records"] == [{"state": "idle", "file": "idle/run1.uff", "start_s": 4.0, "stop_s": 20.0}]
+    assert any(text.startswith("cut(start_s=4, stop_s=20)") for text in document["idle"]["frf"]["calls"])
+    # the same again: nothing is made anew; another part: it is
+    code, said = call("frf", path, "-o", out)
+    assert "unchanged" in said
+    path.write_text(path.read_text(encoding="utf-8").replace("stop_s = 20", "stop_s = 21"), encoding="utf-8")
+    code, said = call("frf", path, "-o", out)
+    assert "unchanged" not in said
+    assert "cut(start_s=4, stop_s=21)" in (out / "summary.json").read_text(encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8").replace("stop_s = 21", "stop_s = 30"), encoding="utf-8")
+    code, said = call("frf", path, "-o", out)
+    assert code == 1
+    assert "stop_s = 30 s lies outside the record, which is 24 s long" in said
+    assert "idle/run1.uff" in said
+
+
+def test_two_parts_of_one_file_are_two_runs(tmp_path):
+    from operando.config import Span, State, Test
+    from operando.io import write_uff
+    from operando.pipeline.inputs import Inputs
+    from operando.pipeline.stages import runs_behind
+
+    write_uff(tmp_path / "a.uff", record(idle_chain(), [0], 5.0, 1, "a"))
+    file_ = tmp_path / "a.uff"
+    test = Test("t", idle=State((file_, file_), spans=(Span(0.0, 10.0), Span(12.0, None))))
+    first, second = Inputs(test).records(test.idle, force=True)
+    assert (first.name, second.name) == ("a.uff (0 s to 10 s)", "a.uff (12 s to the end)")
+    assert (first.duration_s, second.start_s, second.duration_s) == (10.0, 12.0, 12.0)
+    frf = estimate_frf(second)
+    assert runs_behind(frf, [first, second]) == [second]
+
+
+def test_roving_files_through_the_command_line(tmp_path):
+    """Idle and check with roving sensors, one pair not measured: every stage finishes and every sensor is there."""
+    from operando.io import write_uff
+
+    path = write_test(tmp_path / "a")
+    for state, name, chain, driven, level, seed in (
+        ("idle", "run1", idle_chain(), 0, 5.0, 1),
+        ("idle", "run2", idle_chain(), 2, 5.0, 2),
+        ("check", "run1a", running_chain(), 0, 8.0, 4),
+    ):
+        folder = path.parent / state
+        (folder / f"{name}.uff").unlink()
+        for k, nodes in enumerate(((1, 2, 3), (1, 3, 4))):
+            if (name, k) != ("run2", 0):  # the first set of sensors was not measured with the second reference
+                whole = record(chain, [driven], level, seed + 10 * k, name)
+                write_uff(
+                    folder / f"{name}_{k}.uff", whole.select([i for i, c in enumerate(whole.channels) if c.is_force or c.dof.node in nodes])
+                )
+    (path.parent / "check/run1b.uff").unlink()
+    out = tmp_path / "out"
+    code, said = call("run", path, "-o", out)
+    assert code == 0, said
+    document = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert document["left_out"] == {}
+    assert document["idle"]["frf"]["responses"] == ["1+Z", "2+Z", "3+Z", "4+Z"]
+    assert [f["message"][:60] for f in document["findings"] if f["kind"] == "missing_pair"] == [
+        "1 of 8 response/reference pairs were not measured (2+Z/3+Z)"[:60]
+    ]
+    assert not [f for f in document["findings"] if f["severity"] == "error"]
+    modes = [m for m in document["idle"]["modes"] if m["in_band"]]
+    hz = idle_chain().hz
+    np.testing.assert_allclose([m["frequency_hz"] for m in modes], hz[(hz > 10) & (hz < 90)], rtol=5e-4)
+    assert all(set(m["shape"]) == {"1+Z", "2+Z", "3+Z", "4+Z"} for m in modes)
+    assert (out / "report.html").stat().st_size > 10000
+    comparison = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+    assert {row["dof"] for row in comparison["models"]["idle"]["by_dof"]} == {"1+Z", "2+Z", "3+Z", "4+Z"}
