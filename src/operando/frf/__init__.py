@@ -2,6 +2,7 @@
 
 from operando.frf.checks import check_drive_points, check_frf, reciprocity_error
 from operando.frf.estimate import estimate_frf
+from operando.frf.given import merge_frfs
 from operando.frf.hits import Hits, find_hits, hits_of, is_impact, without_hits
 from operando.frf.leakage import Peak, resonance_peaks
 from operando.frf.rational import LocalRational, local_rational
@@ -23,6 +24,7 @@ __all__ = [
     "hits_of",
     "is_impact",
     "local_rational",
+    "merge_frfs",
     "merge_runs",
     "reciprocity_error",
     "resonance_peaks",

@@ -1,4 +1,4 @@
-"""Reading the files of a test: contents with their findings, the inventory, FRFs of several files in one matrix."""
+"""Reading the files of a test: contents with their findings, the inventory."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from operando.config import Span, State, Test
-from operando.data import Finding, Frf, Geometry, Provenance, TimeRecord, file_hash
-from operando.dof import Dof
+from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash
 from operando.errors import ConfigError, DataError, MissingError, OperandoError
 
 KEEP_BYTES = 1_500_000_000
@@ -148,6 +145,8 @@ class Inputs:
                 where=", ".join(p.name for p in state.frfs[:4]),
                 hint="UFF 58 of function type 4; raw time histories belong to records",
             )
+        from operando.frf import merge_frfs
+
         return merge_frfs(frfs)
 
     def geometry(self) -> Geometry | None:
@@ -294,87 +293,4 @@ def unreadable(name: str, error: OperandoError) -> Finding:
         file=name,
         consequence="the file is not used",
         action=error.hint or "export it again, or take it out of the test file",
-    )
-
-
-def merge_frfs(frfs: Sequence[Frf]) -> Frf:
-    """One matrix of FRFs measured reference by reference; NaN where a pair was not measured.
-
-    Parameters
-    ----------
-    frfs : sequence of Frf
-        On the same lines; brought to the quantity of the first one. Of a pair measured twice the first one counts.
-
-    Raises
-    ------
-    DataError
-        If the lines differ.
-    """
-    first = frfs[0]
-    if len(frfs) == 1:
-        return first
-    axis = first.frequencies_hz
-    findings: list[Finding] = [f for h in frfs for f in h.findings]
-    same = []
-    for h in frfs:
-        if len(h.axis) == axis.size and np.allclose(
-            h.frequencies_hz, axis, rtol=1e-9, atol=1e-6 * (axis[-1] - axis[0]) / max(axis.size, 1)
-        ):
-            same.append(h.to_quantity(first.quantity))
-        else:
-            raise DataError(
-                f"FRFs on different lines: {axis.size} lines to {axis[-1]:g} Hz and {len(h.axis)} lines to {h.frequencies_hz[-1]:g} Hz",
-                where=h.name or None,
-                hint="use FRFs of one frequency resolution",
-            )
-    responses: dict[tuple[int, str], Dof] = {}
-    references: dict[tuple[int, str], Dof] = {}
-    for h in same:
-        for d in h.responses:
-            responses.setdefault((d.node, d.axis), d)
-        for d in h.references:
-            references.setdefault((d.node, d.axis), d)
-    row = {key: i for i, key in enumerate(responses)}
-    column = {key: j for j, key in enumerate(references)}
-    shape = (len(row), len(column), axis.size)
-    data = np.full(shape, np.nan, complex)
-    variance = np.full(shape, np.nan) if any(h.variance is not None for h in same) else None
-    coherence = np.full(shape, np.nan) if any(h.coherence is not None for h in same) else None
-    twice: list[str] = []
-    for h in same:
-        for a, d in enumerate(h.responses):
-            for b, e in enumerate(h.references):
-                if np.all(np.isnan(h.data[a, b].real)):
-                    continue
-                i, j = row[d.node, d.axis], column[e.node, e.axis]
-                if not np.all(np.isnan(data[i, j].real)):
-                    twice.append(f"{d}/{e}")
-                    continue
-                sign = d.sign * responses[d.node, d.axis].sign * e.sign * references[e.node, e.axis].sign
-                data[i, j] = sign * h.data[a, b]
-                if variance is not None and h.variance is not None:
-                    variance[i, j] = h.variance[a, b]
-                if coherence is not None and h.coherence is not None:
-                    coherence[i, j] = h.coherence[a, b]
-    if twice:
-        shown = ", ".join(twice[:6]) + (" …" if len(twice) > 6 else "")
-        findings.append(
-            Finding(
-                "duplicate_pair", f"{len(twice)} pairs are given twice ({shown}); the first one is used", "warning", action="keep one file"
-            )
-        )
-    return Frf(
-        data,
-        first.axis,
-        tuple(responses.values()),
-        tuple(references.values()),
-        first.quantity,
-        variance=variance,
-        coherence=coherence,
-        averages=first.averages,
-        si=all(h.si for h in same),
-        exponential_window_rate=first.exponential_window_rate,
-        name=first.name,
-        findings=tuple(dict.fromkeys(findings)),
-        provenance=Provenance.merge(*(h.provenance for h in same)).then("merge_frfs"),
     )
