@@ -248,3 +248,55 @@ def test_roving_files_through_the_command_line(tmp_path):
     assert (out / "report.html").stat().st_size > 10000
     comparison = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
     assert {row["dof"] for row in comparison["models"]["idle"]["by_dof"]} == {"1+Z", "2+Z", "3+Z", "4+Z"}
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "hint"),
+    [
+        ('references = ["1+Z", "33+Z"]', "no force at rest acts at 33+Z", "did you mean '3+Z'?"),
+        ('oma_references = ["5+X"]', "no operating record has a sensor at 5+X", "'5+Z'|there are|did you mean"),
+        ('[channels]\n"acc9" = {exclude = true}', "[channels] 'acc9' names no channel of any file", "did you mean 'acc"),
+    ],
+)
+def test_names_that_are_in_no_file_end_the_run_with_the_nearest(tmp_path, line, message, hint):
+    path = write_test(tmp_path / "a", check=False, extra=line)
+    code, said = call("frf", path, "-o", tmp_path / "out")
+    assert code == 1
+    assert message in said
+    assert any(text in said for text in hint.split("|"))
+    path.write_text(path.read_text(encoding="utf-8").replace("33+Z", "3-Z").replace("5+X", "2-Z").replace("acc9", "acc4"), encoding="utf-8")
+    assert call("frf", path, "-o", tmp_path / "out")[0] == 0
+
+
+def test_hits_rejected_through_the_command_line(tmp_path):
+    from operando.io import write_uff
+    from test_roving_hammer import EVERY_8_S, run
+
+    (tmp_path / "idle").mkdir()
+    for k in range(2):
+        write_uff(tmp_path / f"idle/p{k}.uff", run(EVERY_8_S, k, seconds=41, seed=k, elsewhere=[3] if k else []))
+    path = tmp_path / "test.toml"
+    path.write_text('[idle]\nrecords = ["idle/*.uff"]\n[analysis]\nhits = "all"\nhits_reject = ["p1.uff#3"]\n', encoding="utf-8")
+    out = tmp_path / "out"
+    code, said = call("run", path, "-o", out, "--until", "frf")
+    assert code == 0, said
+    document = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert document["settings"]["hits_reject"] == ["p1.uff#3"]
+    hits = document["inventory"][1]["hits"]
+    assert [h["number"] for h in hits] == [0, 1, 2, 3, 4]
+    assert hits[3]["time_s"] == pytest.approx(24.5, abs=0.02)
+    [finding] = [f for f in document["findings"] if f["kind"] == "rejected_hit"]
+    assert (finding["file"], finding["message"][:18]) == ("idle/p1.uff", "hit #3 at 24.508 s")
+    path.write_text(path.read_text(encoding="utf-8").replace("#3", "#5"), encoding="utf-8")
+    code, said = call("run", path, "-o", out, "--until", "frf")
+    assert code == 1
+    assert "hits_reject names hit #5 of idle/p1.uff, which has hits #0 to #4" in said
+
+
+def test_hits_stand_numbered_in_the_report():
+    from operando.report.tables_files import inventory_table
+
+    hits = [{"number": k, "time_s": 1.5 + k, "peak": 100.0, "unit": "N"} for k in range(20)]
+    text = inventory_table([{"file": "idle/p1.uff", "used_for": "idle", "format": "uff", "hits": hits}])
+    assert "#0 1.50 s, 100 N" in text
+    assert "#19 20.50 s, 100 N" in text

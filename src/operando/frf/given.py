@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from operando.data import Finding, Frf, Provenance
 from operando.dof import Dof
 from operando.errors import DataError
-from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, coherence_of
+from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of
 from operando.frf.shift import frequency_shifts, in_words
 
 Array = NDArray[Any]
@@ -70,6 +70,7 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
             variance[i, j] = of_line
         if coherence is not None and gamma is not None:
             coherence[i, j] = gamma
+    missing = absent_pairs(data, list(responses.values()), list(references.values()))
     return Frf(
         data,
         first.axis,
@@ -82,7 +83,7 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
         si=all(h.si for h in same),
         exponential_window_rate=first.exponential_window_rate,
         name=first.name,
-        findings=tuple(dict.fromkeys([*(f for h in frfs for f in h.findings), *_said(first, averaged, apart)])),
+        findings=tuple(dict.fromkeys([*(f for h in frfs for f in h.findings), *_said(first, averaged, apart), *missing])),
         provenance=Provenance.merge(*(h.provenance for h in same)).then("merge_frfs"),
     )
 

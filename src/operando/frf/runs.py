@@ -245,7 +245,7 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
         raise DataError("runs with different exponential windows cannot be merged", hint="use the same window for all runs")
     responses = union(kept)
     data, variance, coherence = _columns(kept, responses, columns)
-    findings += _absent(data, responses, columns)
+    findings += absent_pairs(data, responses, columns)
     return Frf(
         data,
         FrequencyAxis(axis),
@@ -278,7 +278,7 @@ def _columns(kept: Sequence[RunEstimate], responses: Sequence[Dof], columns: Seq
     return data, variance, coherence
 
 
-def _absent(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) -> list[Finding]:
+def absent_pairs(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) -> list[Finding]:
     """The finding ``missing_pair`` where sensors were not measured with every reference."""
     empty = np.isnan(data.real).all(axis=2)
     absent = [f"{d}/{c}" for i, d in enumerate(responses) for j, c in enumerate(columns) if empty[i, j]]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from operando.config import Span, State, Test
 from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash
+from operando.dof import Dof
 from operando.errors import ConfigError, DataError, MissingError, OperandoError
 
 KEEP_BYTES = 1_500_000_000
@@ -17,6 +19,18 @@ KEEP_BYTES = 1_500_000_000
 
 class UnfitTest(ConfigError):
     """The test file says something that does not fit the data it names: the run ends."""
+
+
+class _Asked(dict[str, dict[str, Any]]):
+    """[channels], which remembers the entries that a file had a channel for."""
+
+    def __init__(self, channels: Mapping[str, dict[str, Any]]) -> None:
+        super().__init__(channels)
+        self.found: set[str] = set()
+
+    def __getitem__(self, key: str) -> dict[str, Any]:
+        self.found.add(key)
+        return super().__getitem__(key)
 
 
 class Inputs:
@@ -30,6 +44,7 @@ class Inputs:
         self.findings: dict[Path, list[Finding]] = {}
         self._contents: dict[tuple[Path, Span | None], Any] = {}
         self._hashes: dict[Path, str] = {}
+        self._channels = _Asked(test.channels)
 
     def hashes(self, files: Sequence[Path]) -> list[tuple[str, str]]:
         """Name and content hash of files."""
@@ -53,7 +68,7 @@ class Inputs:
         from operando.io import read
 
         try:
-            content = read(file, units=self._units(file), channels=self.test.channels or None)
+            content = read(file, units=self._units(file), channels=self._channels or None)
         except OperandoError as error:
             self.findings[file] = [unreadable(self.label(file), error)]
             self._contents[file, span] = None
@@ -190,6 +205,39 @@ class Inputs:
             rows.append(row | {"n_findings": len(self.findings.get(file, ()))})
         return rows
 
+    def check_names(self) -> None:
+        """Whether every name in [channels], and every DOF in the references, is in the files. Files that cannot be read may hold them.
+
+        Raises
+        ------
+        UnfitTest
+            If one is not; the nearest is named.
+        """
+        contents = {part: self.content(*part) for part in self.test.parts}
+        if any(content is None for content in contents.values()):
+            return
+        where = f"{self.test.path or 'test'}"
+        records = [r for content in contents.values() for r in content.records]
+        frfs = [h for content in contents.values() for h in content.frfs]
+        for name in self._channels:
+            if name not in self._channels.found:
+                labels = {text for r in records for c in r.channels for text in (c.name, c.label) if text}
+                labels |= {str(d) for h in frfs for d in (*h.responses, *h.references)}
+                raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, f"{where} [channels]")
+        analysis = self.test.analysis
+        idle = [contents[part] for part in contents if part[0] in self.test.idle.files]
+        forces = {str(c.dof) for content in idle for r in content.records for c in r.channels if c.is_force and c.dof is not None}
+        forces |= {str(d) for content in idle for h in content.frfs for d in h.references}
+        running = [contents[part] for part in contents if part in self.test.operating.runs]
+        moving = {str(r.channels[i].dof) for content in running for r in content.records for i in r.response_indices}
+        for key, wanted, known in (("references", analysis.references, forces), ("oma_references", analysis.oma_references, moving)):
+            axes = {(d.node, d.axis) for d in map(Dof.parse, known)}
+            for name in (wanted or ()) if known else ():
+                dof = Dof.parse(name)
+                if (dof.node, dof.axis) not in axes:
+                    what = "no force at rest acts" if key == "references" else "no operating record has a sensor"
+                    raise _unknown(f"{what} at {name}", name, known, f"{where} [analysis] {key}")
+
     def check_hits(self, inventory: Sequence[dict[str, Any]]) -> None:
         """Whether every hit that the test file rejects is there.
 
@@ -259,6 +307,14 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "frf_lines": max(len(h.axis) for h in content.frfs),
         }
     return row
+
+
+def _unknown(message: str, name: str, known: Iterable[str], where: str) -> UnfitTest:
+    """The error for a name that is not in the data, with the nearest one that is."""
+    names = sorted(set(known))
+    near = difflib.get_close_matches(name, names, 1, 0.5)
+    hint = f"did you mean {near[0]!r}?" if near else "there are " + ", ".join(names[:12]) + (" …" if len(names) > 12 else "")
+    return UnfitTest(message, where=where, hint=hint)
 
 
 def list_hits(records: Sequence[TimeRecord]) -> list[dict[str, Any]]:

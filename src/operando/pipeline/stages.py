@@ -86,6 +86,7 @@ def offered(function: Callable[..., Any], findings: list[Finding], **keywords: A
 def inspect_files(work: Work) -> dict[str, Any]:
     """Inventory, geometry, findings of all files; names in the test file that no file has end the run."""
     inventory = work.inputs.inventory()
+    work.inputs.check_names()
     work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
     findings = work.inputs.all_findings()
@@ -388,7 +389,7 @@ STEPS: tuple[Stage, ...] = (
         "inspect",
         inspect_files,
         rooms=(*READING, "frf/hits"),
-        settings=("hits_reject",),
+        settings=("hits_reject", "references", "oma_references"),
         states=("idle", "operating", "check", "geometry"),
     ),
     Stage("frf", "frf", idle_frf, no_idle, rooms=(*READING, "frf"), settings=ESTIMATING, states=("idle",)),
