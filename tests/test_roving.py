@@ -84,10 +84,24 @@ def test_mass_loading_is_found_by_the_sensor_that_stays_and_nothing_is_lost():
     assert "sensors that only b.uff measured are kept" in finding.consequence
     true = 100 * (heavy.hz / light.hz - 1)
     assert f"{true.min():+.2g}"[:4] in finding.message  # the largest shift, to one digit: -0.37 % in the third mode
-    assert "at the same level" in finding.message
+    assert "sensors moved; in b.uff" in finding.message
     # the row both measured is that of the first file: two structures are not averaged
     alone = estimate_frf(file("a.uff", (1, 2, 3), 1, light), line_spacing_hz=float(merged.axis.step), estimator="lrm")
     np.testing.assert_allclose(merged.data[0], alone.data[0], rtol=1e-9)
+
+
+def test_a_level_is_told_only_by_the_same_sensors_at_two_levels():
+    light, heavy = structure(0.05, (1, 2, 3)), structure(0.05, (1, 4, 5, 6))
+    roving = estimate_frf([file("a", (1, 2, 3), 1, light), file("b", (1, 4, 5, 6), 2, heavy, level=20.0)])
+    assert kinds(roving) == ["shifted_modes"]
+    assert "and the level changed" in next(f.message for f in roving.findings if f.kind == "shifted_modes")
+    again = file("c", (1, 2, 3), 3, heavy, level=20.0)
+    both = estimate_frf([file("a", (1, 2, 3), 1, light), file("b", (1, 4, 5, 6), 2, heavy, level=20.0), again])
+    [finding] = [f for f in both.findings if f.kind == "nonlinear"]
+    assert "the response depends on the level" in finding.message
+    assert "1 of 3 runs are left out" in finding.consequence
+    assert "only b measured are kept" in finding.consequence
+    assert [d.node for d in both.responses] == list(NODES)
 
 
 def test_shift_is_measured_between_files_without_a_common_sensor():

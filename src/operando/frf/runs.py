@@ -352,7 +352,7 @@ def shift_between(first: RunEstimate, second: RunEstimate) -> Shift | None:
 
 
 ROVING_CONSEQUENCE = "their FRFs have peaks at different frequencies, which the modal analysis may take for two modes"
-ROVING_ACTION = "keep the mass on the structure the same while sensors move (dummy masses), or measure all at once"
+ROVING_ACTION = "keep mass, temperature and level the same while sensors move (dummy masses), or measure all at once"
 
 
 def _shift_finding(first: RunEstimate, run: RunEstimate) -> list[Finding]:
@@ -381,30 +381,34 @@ def _apart_finding(
     left: Sequence[RunEstimate],
     n_runs: int,
 ) -> Finding:
-    """What the homogeneity test found: ``shifted_modes`` where sensors moved at one level, else ``nonlinear``."""
+    """What the homogeneity test found: ``shifted_modes`` where each run that differs has sensors of its own, else ``nonlinear``."""
     run, ratio, relative = max(apart, key=lambda item: item[2])
     same = abs(run.level / max(highest, 1e-300) - 1) < 0.2
-    roving = len(left) < len(apart)
+    kept = [r for r, _, _ in apart if not any(r is one for one in left)]
+    # Only the same sensors at two levels tell a level: where sensors moved, too, so did their mass.
+    moving = not left
     shift = shift_between(base, run)
     moved = f"; in {run.name or 'one of them'} the modes are {in_words(shift)}" if shift is not None else ""
     others = [f"{r.name} ({100 * share:.2g} %)" for r, _, share in apart if r is not run and r.name]
     also = f"; also {', '.join(others[:6])}{' …' if len(others) > 6 else ''}" if others else ""
-    cause = (
-        "at the same level: the structure or its mounting changed between the runs"
-        if same
-        else f"level {run.level:.3g} N rms against {lowest.level:.3g} N rms: the response depends on the level"
-    )
+    levels = f"level {run.level:.3g} N rms against {lowest.level:.3g} N rms"
+    if moving:
+        cause = "sensors moved" + ("" if same else f", and the level changed: {levels}")
+    elif same:
+        cause = "at the same level: the structure or its mounting changed between the runs"
+    else:
+        cause = f"{levels}: the response depends on the level"
     consequence = [f"{len(left)} of {n_runs} runs are left out; the lowest level judges the linear model"] if left else []
-    if roving:
-        names = ", ".join(dict.fromkeys(r.name for r, _, _ in apart if r.name and not any(r is one for one in left)))
+    if kept:
+        names = ", ".join(dict.fromkeys(r.name for r in kept if r.name))
         consequence.append(f"sensors that only {names or 'such a run'} measured are kept: {ROVING_CONSEQUENCE}")
     return Finding(
-        "shifted_modes" if same and roving else "nonlinear",
-        f"runs at reference {', '.join(str(d) for d in base.references)} differ by {100 * relative:.2g} % of |H| "
+        "shifted_modes" if moving else "nonlinear",
+        f"runs at reference {', '.join(str(d) for d in base.references)} differ by {100 * relative:.2g} % of |H| at the sensors they share "
         f"({ratio:.3g} times the variance expected from noise), {cause}{moved}{also}",
         "warning",
         file=run.name or None,
         dof=str(base.references[0]),
         consequence="; ".join(consequence),
-        action=ROVING_ACTION if same and roving else "compare the levels; keep the excitation low for a linear model",
+        action=ROVING_ACTION if moving else "compare the levels; keep the excitation low for a linear model",
     )
