@@ -135,6 +135,24 @@ def test_shifts_have_the_size_of_the_truth():
     assert np.all(np.abs(shift.relative - true) < 0.1 * np.abs(true) + 4 * shift.std)
 
 
+def test_a_mode_that_hardly_shows_does_not_name_the_largest_shift():
+    from operando.frf.shift import UNSURE, frequency_shifts
+
+    assert UNSURE == 20.0
+    f = np.arange(5.0, 80.0, 0.02)
+    rng = np.random.default_rng(1)
+    chain, sets = structure(), []
+    for _ in range(2):
+        h = chain.accelerance(f, ref=[0])[:, 0]
+        variance = np.full(h.shape, (1e-4 * np.abs(h).mean()) ** 2)
+        low = (f > 15) & (f < 20)  # around the first mode the noise is 300 times as large
+        variance[:, low] *= 300.0**2
+        sets.append((h + np.sqrt(variance / 2) * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)), variance))
+    shift = frequency_shifts(f, *sets)
+    assert shift.frequencies_hz.min() > 20
+    assert np.all(np.abs(shift.relative) < 1e-4)
+
+
 def test_pairs_not_measured_are_nan_and_named():
     files = [file("a1", (1, 2, 3)), file("b1", (4, 5, 6)), file("a2", (1, 2, 3), 3, driven=2)]
     merged = estimate_frf(files)
