@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,24 @@ class _Asked(dict[str, dict[str, Any]]):
         return super().__getitem__(key)
 
 
+@dataclass(frozen=True)
+class _Names:
+    """What a file calls its channels, and where its forces act and its responses are."""
+
+    labels: frozenset[str]
+    forces: frozenset[Dof]
+    responses: frozenset[Dof]
+
+
+def _names_of(content: Any) -> _Names:
+    channels = [c for r in content.records for c in r.channels]
+    dofs = [d for h in content.frfs for d in (*h.responses, *h.references)]
+    labels = {text for c in channels for text in (c.name, c.label) if text} | {str(d) for d in dofs}
+    forces = {c.dof for c in channels if c.is_force and c.dof is not None} | {d for h in content.frfs for d in h.references}
+    responses = {d for r in content.records for i in r.response_indices if (d := r.channels[i].dof) is not None}
+    return _Names(frozenset(labels), frozenset(forces), frozenset(responses))
+
+
 class Inputs:
     """The files of one test, read when first asked for.
 
@@ -45,6 +63,7 @@ class Inputs:
         self._contents: dict[tuple[Path, Span | None], Any] = {}
         self._hashes: dict[Path, str] = {}
         self._channels = _Asked(test.channels)
+        self._names: dict[Path, _Names] = {}
 
     def hashes(self, files: Sequence[Path]) -> list[tuple[str, str]]:
         """Name and content hash of files."""
@@ -73,6 +92,7 @@ class Inputs:
             self.findings[file] = [unreadable(self.label(file), error)]
             self._contents[file, span] = None
             return None
+        self._names[file] = _names_of(content)
         name = self.test.label(file, span)
         records = tuple(checked(replace(self._part(r, file, span), name=name)) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
@@ -213,30 +233,25 @@ class Inputs:
         UnfitTest
             If one is not; the nearest is named.
         """
-        contents = {part: self.content(*part) for part in self.test.parts}
-        if any(content is None for content in contents.values()):
+        for part in self.test.parts:
+            if part[0] not in self._names and self.content(*part) is None:
+                return
+        if any(file not in self._names for file in self.test.files):
             return
         where = f"{self.test.path or 'test'}"
-        records = [r for content in contents.values() for r in content.records]
-        frfs = [h for content in contents.values() for h in content.frfs]
         for name in self._channels:
             if name not in self._channels.found:
-                labels = {text for r in records for c in r.channels for text in (c.name, c.label) if text}
-                labels |= {str(d) for h in frfs for d in (*h.responses, *h.references)}
+                labels = {label for names in self._names.values() for label in names.labels}
                 raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, f"{where} [channels]")
         analysis = self.test.analysis
-        idle = [contents[part] for part in contents if part[0] in self.test.idle.files]
-        forces = {str(c.dof) for content in idle for r in content.records for c in r.channels if c.is_force and c.dof is not None}
-        forces |= {str(d) for content in idle for h in content.frfs for d in h.references}
-        running = [contents[part] for part in contents if part in self.test.operating.runs]
-        moving = {str(r.channels[i].dof) for content in running for r in content.records for i in r.response_indices}
+        forces = {dof for file in self.test.idle.files for dof in self._names[file].forces}
+        moving = {dof for file in self.test.operating.files for dof in self._names[file].responses}
         for key, wanted, known in (("references", analysis.references, forces), ("oma_references", analysis.oma_references, moving)):
-            axes = {(d.node, d.axis) for d in map(Dof.parse, known)}
-            for name in (wanted or ()) if known else ():
-                dof = Dof.parse(name)
-                if (dof.node, dof.axis) not in axes:
+            axes = {(d.node, d.axis) for d in known}
+            for dof in map(Dof.parse, wanted or ()):
+                if axes and (dof.node, dof.axis) not in axes:
                     what = "no force at rest acts" if key == "references" else "no operating record has a sensor"
-                    raise _unknown(f"{what} at {name}", name, known, f"{where} [analysis] {key}")
+                    raise _unknown(f"{what} at {dof}", str(dof), {str(d) for d in known}, f"{where} [analysis] {key}")
 
     def check_hits(self, inventory: Sequence[dict[str, Any]]) -> None:
         """Whether every hit that the test file rejects is there.
