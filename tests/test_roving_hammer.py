@@ -84,6 +84,24 @@ def test_single_hits_of_one_place_in_several_files_are_averaged_and_the_wrong_on
     assert 0.3 < np.mean(np.abs(inside.data - exact) ** 2) / np.mean(inside.variance) < 3
 
 
+def test_of_three_single_hits_two_decide_and_two_that_differ_are_named():
+    def files(n, wrong):
+        return [run([0.5], seconds=8, seed=k, elsewhere=[0] if k == wrong else [], name=f"hit{k}.uff") for k in range(n)]
+
+    three = estimate_frf(files(3, 1))
+    [finding] = of_kind(three, "inconsistent_hit")
+    assert finding.file == "hit1.uff"
+    assert three.averages == 2
+    assert error(three) < 0.05
+    two = estimate_frf(files(2, 1))
+    [finding] = of_kind(two, "inconsistent_hit")
+    assert "hit0.uff and hit1.uff" in finding.message
+    assert two.averages == 2
+    assert np.median(two.coherence) < 0.9
+    for n in (2, 3):
+        assert not of_kind(estimate_frf(files(n, None)), "inconsistent_hit")
+
+
 def test_one_bad_file_leaves_the_others_as_they_are():
     good = [run(EVERY_8_S, at, seconds=41, seed=at, name=f"p{at}.uff") for at in (0, 1, 3)]
     dead = run(EVERY_8_S, 2, seconds=41, name="dead.uff")
