@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from operando import load_test
-from operando.config import Analysis, Test
+from operando.config import Analysis, Span, State, Test
 from operando.errors import ConfigError
 
 FULL = """
@@ -111,6 +111,14 @@ def test_every_setting_has_a_check():
         ('name = "pump"', "name = 3", "expected a text", None),
         ('name = "pump"', 'name = "C:\\pump"', "not valid TOML", "single quotes"),
         ('records = ["idle/*.uff"]', 'records = ["idle/*.uff"]\nfrfs = ["check.uff"]', "both", "keep one"),
+        ('["idle/*.uff"]', '[{file = "idle/*.uff", start = 1}]', "nearest known key is 'start_s'", "start_s"),
+        ('["idle/*.uff"]', "[{start_s = 1}]", "names no file", "start_s = 10"),
+        ('["idle/*.uff"]', '[{file = "idle/run2.uff", start_s = 7, stop_s = 7}]', "not before stop_s", None),
+        ('["idle/*.uff"]', '[{file = "idle/run2.uff", start_s = "7 s"}]', "expected a time in s", None),
+        ('["idle/*.uff"]', '[{file = "idle/run3.uff", start_s = 7}]', "matches no file", "relative to"),
+        ("overlap = 0.5", 'hits_reject = ["idle/run2.uff"]', "names no hit", "FILE#NUMBER"),
+        ("overlap = 0.5", 'hits_reject = ["idle/run3.uff#0"]', "no record of [idle] or [check]", "'idle/run2.uff'"),
+        ("overlap = 0.5", 'hits_reject = ["operating/run.uff#0"]', "no record of [idle] or [check]", None),
     ],
 )
 def test_wrong_files_are_refused_with_help(folder, old, new, message, hint):
@@ -141,3 +149,43 @@ def test_settings_can_be_changed_and_are_checked(folder):
     assert test.analysis.second_opinion is False
     with pytest.raises(ConfigError, match="nearest known key is 'threshold'"):
         test.with_analysis(treshold=0.5)
+
+
+def test_parts_of_records(folder):
+    text = """
+[idle]
+records = ["idle/*.uff", {file = "idle/run10.uff", start_s = 2, stop_s = 8.5}]
+[operating]
+records = [{file = "operating/*.uff", start_s = 10}, {file = "operating/run.uff", stop_s = 5}, {file = "operating/run.uff", start_s = 10}]
+"""
+    test = load_test(write(folder, text))
+    # what the table says of a file holds also where the pattern names it; two parts of a file are two runs
+    assert [(p.name, s) for p, s in test.idle.runs] == [("run2.uff", None), ("run10.uff", Span(2.0, 8.5))]
+    assert [s for _, s in test.operating.runs] == [Span(10.0, None), Span(None, 5.0)]
+    assert [test.label(*run) for run in test.operating.runs] == [
+        "operating/run.uff (10 s to the end)",
+        "operating/run.uff (the beginning to 5 s)",
+    ]
+    assert test.label(*test.idle.runs[1]) == "idle/run10.uff"
+    assert test.operating.files == (folder / "operating/run.uff",)
+    assert len(test.parts) == 4
+    assert test.settings()["parts_of_records"][0] == {"state": "idle", "file": "idle/run10.uff", "start_s": 2.0, "stop_s": 8.5}
+    with pytest.raises(ConfigError, match="1 spans for 2 records"):
+        State(records=(folder / "a", folder / "b"), spans=(None,))
+
+
+def test_hits_rejected_by_hand_belong_to_their_state(folder):
+    text = """
+[idle]
+records = ["idle/*.uff"]
+[check]
+records = ["operating/*.uff"]
+[analysis]
+hits_reject = ["./idle/run2.uff#3", "run.uff#01"]
+"""
+    test = load_test(write(folder, text))
+    assert test.rejected_hits(test.idle) == ("idle/run2.uff#3",)
+    assert test.rejected_hits(test.check) == ("operating/run.uff#1",)
+    assert test.settings()["hits_reject"] == ["./idle/run2.uff#3", "run.uff#01"]
+    with pytest.raises(ConfigError, match="no record of"):
+        test.with_analysis(hits_reject=["idle/run77.uff#1"])

@@ -33,6 +33,7 @@ LEVELS = {
     "effects": 11, "nonlinear": 12, "diagnose": 13,
     "store": 14,
     "report": 15,
+    "states": 15,
     "config": 16, "scaffold": 16,
     "pipeline": 17,
     "cli": 18,

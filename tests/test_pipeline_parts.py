@@ -13,8 +13,9 @@ from measurements import record, running_chain
 from operando.config import State, Test
 from operando.data import Finding, Frf, Provenance
 from operando.errors import DataError
+from operando.frf import merge_frfs
 from operando.pipeline.cache import StageCache, key_of, whole, write_json
-from operando.pipeline.inputs import Inputs, merge_frfs
+from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs, force_rms, level_groups
 from operando.pipeline.stages import offered, runs_behind, without_bands
 
@@ -63,12 +64,37 @@ def test_frfs_of_several_files_become_one_matrix():
     assert made.quantity == "accelerance"
     np.testing.assert_allclose(made.data[:3, 1], second.data[:3, 0], rtol=1e-12)
     assert np.isnan(made.data[3, 1]).all()
-    assert not made.findings
+    assert [(f.kind, f.message[:50]) for f in made.findings] == [("missing_pair", "1 of 8 response/reference pairs were not measured ")]
     twice = merge_frfs([first, replace(first, data=2 * first.data)])
     np.testing.assert_array_equal(twice.data, first.data)
-    assert [f.kind for f in twice.findings] == ["duplicate_pair"]
+    assert [(f.kind, f.severity) for f in twice.findings] == [("duplicate_pair", "warning")]
+    assert "differ by up to 63 % of |H|" in twice.findings[0].message  # |2H − H| over the rms of the two
     with pytest.raises(DataError, match="different lines"):
         merge_frfs([first, models.measured(running_chain(), step=0.5)])
+
+
+def test_pairs_given_twice_are_averaged_where_they_agree():
+    frf = models.measured(running_chain(), references=(0,))
+    rng = np.random.default_rng(0)
+
+    def again(name, factor=1.0, noise=1.0):
+        """Another measurement of the same pairs, with noise of its own."""
+        variance = noise * frf.variance
+        error = np.sqrt(variance / 2) * (rng.normal(size=frf.data.shape) + 1j * rng.normal(size=frf.data.shape))
+        return replace(frf, data=factor * frf.data + error, variance=variance, name=name)
+
+    first, second = again("a"), again("b", noise=3.0)
+    made = merge_frfs([first, second])
+    np.testing.assert_allclose(made.data, 0.75 * first.data + 0.25 * second.data, rtol=1e-9)
+    np.testing.assert_allclose(made.variance, 0.75 * frf.variance, rtol=1e-9)
+    assert [(f.kind, f.severity) for f in made.findings] == [("duplicate_pair", "info")]
+    wrong = merge_frfs([first, again("c", factor=1.1)])
+    np.testing.assert_array_equal(wrong.data, first.data)
+    [finding] = wrong.findings
+    assert finding.file == "c"
+    assert "differ by up to 9.5 % of |H|" in finding.message  # 0.1 over the rms of 1 and 1.1
+    bare = merge_frfs([first, replace(second, variance=None)])  # nothing to judge by: the first one
+    np.testing.assert_array_equal(bare.data, first.data)
 
 
 def test_excluded_bands_are_cut_out():

@@ -3,49 +3,25 @@
 from __future__ import annotations
 
 import difflib
-import glob
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar
 
 from operando.dof import Dof
 from operando.errors import ConfigError, DofError, UnitError
+from operando.states import Span as Span
+from operando.states import State as State
+from operando.states import check_keys, find_files, is_number, record_named, state_of
 from operando.units import SI_UNIT, parse_unit
 
 ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
 HITS = ("auto", "all", "off")
 EMA_ANSWERS = ("auto", "linear", "polished")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
-_STATE_KEYS = ("records", "frfs")
 _CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
-
-
-@dataclass(frozen=True)
-class State:
-    """Files of one state of the structure (idle, operating or check).
-
-    Parameters
-    ----------
-    records : tuple of Path
-        Raw time histories, one run a file.
-    frfs : tuple of Path
-        FRFs measured elsewhere.
-    """
-
-    records: tuple[Path, ...] = ()
-    frfs: tuple[Path, ...] = ()
-
-    def __bool__(self) -> bool:
-        return bool(self.records or self.frfs)
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """All files of the state."""
-        return (*self.records, *self.frfs)
 
 
 @dataclass(frozen=True)
@@ -61,6 +37,8 @@ class Analysis:
         from the length of the records).
     hits : str
         Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
+    hits_reject : tuple of str
+        Hits not to be used, as ``FILE#NUMBER``: numbers from 0, as in the findings, the inventory and the report.
     references : tuple of str or None
         Force DOFs to use (None: all).
     max_order : int or None
@@ -93,6 +71,7 @@ class Analysis:
     window: str | None = None
     estimator: str | None = None
     hits: str = "auto"
+    hits_reject: tuple[str, ...] = ()
     references: tuple[str, ...] | None = None
     max_order: int | None = None
     ema: str = "auto"
@@ -140,9 +119,9 @@ class Test:
 
     name: str
     path: Path | None = None
-    idle: State = State()
-    operating: State = State()
-    check: State = State()
+    idle: State = field(default_factory=State)
+    operating: State = field(default_factory=State)
+    check: State = field(default_factory=State)
     geometry_file: Path | None = None
     geometry_units: str | None = None
     units: dict[str, Any] = field(default_factory=dict)
@@ -155,9 +134,54 @@ class Test:
         extra = () if self.geometry_file is None else (self.geometry_file,)
         return tuple(dict.fromkeys((*self.idle.files, *self.operating.files, *self.check.files, *extra)))
 
+    @property
+    def parts(self) -> tuple[tuple[Path, Span | None], ...]:
+        """All files with the part of each that counts, each once: a file of which two parts are used stands there twice."""
+        named = [run for s in self.states.values() for run in (*s.runs, *((file, None) for file in s.frfs))]
+        have = {file for file, _ in named}
+        return tuple(dict.fromkeys((*named, *((file, None) for file in self.files if file not in have))))
+
+    @property
+    def states(self) -> dict[str, State]:
+        """The three states by name."""
+        return {"idle": self.idle, "operating": self.operating, "check": self.check}
+
+    def label(self, file: Path, span: Span | None = None) -> str:
+        """Name of a file in all outputs: relative to the test file where it lies below it; with the span where several parts are used."""
+        folder = None if self.path is None else self.path.parent
+        name = file.relative_to(folder).as_posix() if folder is not None and file.is_relative_to(folder) else file.name
+        if span is not None and len({part for state in self.states.values() for path, part in state.runs if path == file}) > 1:
+            return f"{name} ({span})"
+        return name
+
     def settings(self) -> dict[str, Any]:
-        """Settings as exported with every output: those of [analysis] with defaults, units and channels as given."""
-        return self.analysis.to_dict() | {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+        """Settings as exported with every output: those of [analysis] with defaults, units and channels as given, parts of records."""
+        given = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+        parts = [
+            {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
+            for name, state in self.states.items()
+            for file, span in state.runs
+            if span is not None
+        ]
+        return self.analysis.to_dict() | given | {"parts_of_records": parts}
+
+    def rejected_hits(self, state: State) -> tuple[str, ...]:
+        """``[analysis] hits_reject`` as far as it names records of a state, each file by its label.
+
+        Raises
+        ------
+        ConfigError
+            If a name is no record of [idle] or [check]; the nearest one is named.
+        """
+        labels = {self.label(*run) for s in (self.idle, self.check) for run in s.runs}
+        mine = {self.label(*run) for run in state.runs}
+        out = []
+        for text in self.analysis.hits_reject:
+            file, _, number = text.rpartition("#")
+            name = record_named(file, labels, f"{self.path or 'test'} [analysis] hits_reject")
+            if name in mine:
+                out.append(f"{name}#{int(number)}")
+        return tuple(dict.fromkeys(out))
 
     def with_analysis(self, **changes: Any) -> Test:
         """The same test with other settings.
@@ -168,7 +192,9 @@ class Test:
             If a setting is unknown or its value is wrong.
         """
         checked = _analysis(changes, "analysis settings")
-        return replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
+        changed = replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
+        changed.rejected_hits(changed.idle)
+        return changed
 
 
 def load_test(path: str | Path) -> Test:
@@ -219,7 +245,7 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     if not isinstance(name, str) or not name.strip():
         raise ConfigError(f"name is {name!r}, expected a text", where=where)
     folder = path.parent
-    states = {key: _state(table.get(key, {}), folder, f"{where} [{key}]") for key in ("idle", "operating", "check")}
+    states = {key: state_of(table.get(key, {}), folder, f"{where} [{key}]") for key in ("idle", "operating", "check")}
     if not (states["idle"] or states["operating"]):
         raise ConfigError("names no measurement", where=where, hint='give [idle] or [operating] with records = ["idle/*.uff"]')
     if states["idle"].records and states["idle"].frfs:
@@ -234,59 +260,22 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     geometry_units = geometry.get("units")
     if geometry_units is not None:
         _unit(geometry_units, "displacement", f"{where} [geometry] units")
-    return Test(
+    test = Test(
         name=name.strip(),
         path=path,
         **states,
-        geometry_file=None if file is None else _files([file], folder, f"{where} [geometry] file")[0],
+        geometry_file=None if file is None else find_files([file], folder, f"{where} [geometry] file")[0],
         geometry_units=geometry_units,
         units=_units(table.get("units", {}), f"{where} [units]"),
         channels=_channels(table.get("channels", {}), f"{where} [channels]"),
         analysis=_analysis(table.get("analysis", {}), f"{where} [analysis]"),
     )
-
-
-def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Raise a ConfigError that names the nearest known key for the first unknown one."""
-    known = tuple(known)
-    for key in table:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
-            hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
-            raise ConfigError(f"unknown key {key!r}" + (f"; the nearest known key is {near[0]!r}" if near else ""), where=where, hint=hint)
+    test.rejected_hits(test.idle)
+    return test
 
 
 def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
-
-
-def _natural(path: Path) -> list[Any]:
-    return [int(part) if part.isdigit() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
-
-
-def _files(patterns: Any, folder: Path, where: str) -> tuple[Path, ...]:
-    if isinstance(patterns, str):
-        patterns = [patterns]
-    if not isinstance(patterns, list) or not all(isinstance(p, str) and p for p in patterns):
-        raise ConfigError(f"{patterns!r} is no list of paths", where=where, hint='write for example ["idle/*.uff"]')
-    found: dict[Path, None] = {}
-    for pattern in patterns:
-        literal = folder / pattern
-        hits = (
-            [literal]
-            if literal.is_file()
-            else sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
-        )
-        hits = [p for p in hits if p.is_file()]
-        if not hits:
-            raise ConfigError(f"{pattern!r} matches no file", where=where, hint=f"paths are relative to {folder.resolve()}")
-        found |= dict.fromkeys(hits)
-    return tuple(found)
-
-
-def _state(table: Mapping[str, Any], folder: Path, where: str) -> State:
-    check_keys(table, _STATE_KEYS, where)
-    return State(**{key: _files(value, folder, f"{where} {key}") for key, value in table.items() if value != []})
 
 
 def _unit(text: Any, quantity: str | None, where: str) -> str:
@@ -333,7 +322,7 @@ def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]
             )
         if "unit" in entry:
             _unit(entry["unit"], quantity, f"{here} unit")
-        if "sensitivity" in entry and (not _is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
+        if "sensitivity" in entry and (not is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
             raise ConfigError(f"sensitivity is {entry['sensitivity']!r}, expected a number other than 0", where=here)
         if not isinstance(entry.get("exclude", False), bool):
             raise ConfigError(f"exclude is {entry['exclude']!r}, expected true or false", where=here)
@@ -343,10 +332,6 @@ def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]
     return out
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-
-
 def _check(value: Any, good: bool, expected: str, where: str) -> Any:
     if not good:
         raise ConfigError(f"{value!r} is not allowed; expected {expected}", where=where)
@@ -354,7 +339,7 @@ def _check(value: Any, good: bool, expected: str, where: str) -> Any:
 
 
 def _band(value: Any, where: str) -> tuple[float, float]:
-    good = isinstance(value, list | tuple) and len(value) == 2 and all(_is_number(v) for v in value) and 0 <= value[0] < value[1]
+    good = isinstance(value, list | tuple) and len(value) == 2 and all(is_number(v) for v in value) and 0 <= value[0] < value[1]
     _check(value, good, "two frequencies [low, high] in Hz with 0 <= low < high", where)
     return float(value[0]), float(value[1])
 
@@ -365,7 +350,7 @@ def _bands(value: Any, where: str) -> tuple[tuple[float, float], ...]:
 
 
 def _numbers(value: Any, where: str) -> tuple[float, ...]:
-    good = isinstance(value, list | tuple) and all(_is_number(v) and v > 0 for v in value)
+    good = isinstance(value, list | tuple) and all(is_number(v) and v > 0 for v in value)
     return tuple(float(v) for v in _check(value, good, "a list of frequencies in Hz", where))
 
 
@@ -383,12 +368,20 @@ def _dofs(value: Any, where: str) -> tuple[str, ...]:
     return tuple(out)
 
 
+def _hits(value: Any, where: str) -> tuple[str, ...]:
+    texts = _texts(value, where)
+    for text in texts:
+        if not re.fullmatch(r".+#\d+", text):
+            raise ConfigError(f"{text!r} names no hit", where=where, hint='write FILE#NUMBER, as in "idle/hammer1.uff#3"; numbers from 0')
+    return texts
+
+
 def _positive(value: Any, where: str) -> float:
-    return float(_check(value, _is_number(value) and value > 0, "a positive number", where))
+    return float(_check(value, is_number(value) and value > 0, "a positive number", where))
 
 
 def _overlap(value: Any, where: str) -> float:
-    return float(_check(value, _is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where))
+    return float(_check(value, is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where))
 
 
 def _order(value: Any, where: str) -> int:
@@ -396,7 +389,7 @@ def _order(value: Any, where: str) -> int:
 
 
 def _threshold(value: Any, where: str) -> float:
-    return float(_check(value, _is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
+    return float(_check(value, is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
 
 
 def _text(value: Any, where: str) -> str:
@@ -423,7 +416,7 @@ def _one_of(choices: tuple[str, ...]) -> Callable[[Any, str], str]:
 
 _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS),
-    "hits": _one_of(HITS), "references": _dofs, "max_order": _order, "ema": _one_of(EMA_ANSWERS),
+    "hits": _one_of(HITS), "hits_reject": _hits, "references": _dofs, "max_order": _order, "ema": _one_of(EMA_ANSWERS),
     "modes_hz": _numbers, "select_hz": _numbers, "reject_hz": _numbers,
     "threshold": _threshold, "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts,
     "places": _texts, "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers,

@@ -74,11 +74,17 @@ def check_records(folder: str, results: Results) -> list[TimeRecord]:
             raise MissingError("a level-dependent effect is fitted to the check's records, and one is not there", where=path, hint=hint)
         if file_hash(Path(path)) != sha:
             raise MissingError("a record of the check is not the one that the results were made of", where=path, hint=hint)
-        records = read(path, units=units, channels=channels).records
+        records = [part for r in read(path, units=units, channels=channels).records for part in _parts(r, path, results)]
         out += [replace(check_record(r), name=Path(path).name) for r in records if r.force_indices and r.response_indices]
     if not out:
         raise MissingError("a level-dependent effect is fitted to records, and the check holds FRFs alone", where=folder, hint=hint)
     return out
+
+
+def _parts(record: TimeRecord, path: str, results: Results) -> list[TimeRecord]:
+    """The parts of a check record that the test file says count."""
+    given = [p for p in results.settings.get("parts_of_records") or () if p["state"] == "check" and Path(path).match(p["file"])]
+    return [record.cut(p["start_s"], p["stop_s"]) for p in given] or [record]
 
 
 def accepted(results: Results) -> list[Effect]:

@@ -40,7 +40,7 @@ def load_model(path: str) -> Source:
         raise MissingError("holds no model of unit modal mass", where=path, hint="the idle modes need units ([units]) and a drive point")
     content = _read(path)
     if content.frfs:
-        from operando.pipeline.inputs import merge_frfs
+        from operando.frf import merge_frfs
 
         return Source(merge_frfs(content.frfs), "FRFs of the file")
     scaled = [m for m in content.models if m.scaling == "unit_modal_mass"]
@@ -68,7 +68,7 @@ def load_measured(path: str) -> list[CheckRun]:
     content = _read(path)
     name = Path(path).name
     if content.frfs:
-        from operando.pipeline.inputs import merge_frfs
+        from operando.frf import merge_frfs
 
         return [CheckRun(name, "as given", merge_frfs(content.frfs))]
     records = [r for r in content.records if r.force_indices and r.response_indices]

@@ -129,6 +129,42 @@ class TimeRecord:
         """The record with some of its rows, in the order given."""
         return replace(self, data=self.data[list(rows)], channels=tuple(self.channels[i] for i in rows))
 
+    def cut(self, start_s: float | None = None, stop_s: float | None = None) -> TimeRecord:
+        """The part of the record from one time to another, on its own time axis.
+
+        Parameters
+        ----------
+        start_s, stop_s : float, optional
+            First time, and the time before which it ends [s]. Default: the beginning, the end.
+
+        Raises
+        ------
+        DataError
+            If a time lies outside the record by more than a sample, or fewer than two samples lie between them.
+        """
+        end = self.start_s + self.duration_s
+        for name, value in (("start_s", start_s), ("stop_s", stop_s)):
+            if value is not None and not self.start_s - 1 / self.sampling_hz <= value <= end + 1 / self.sampling_hz:
+                raise DataError(
+                    f"{name} = {value:g} s lies outside the record, which is {self.duration_s:g} s long ({self.start_s:g} to {end:g} s)",
+                    where=self.name or None,
+                )
+        first = 0 if start_s is None else max(0, int(np.ceil((start_s - self.start_s) * self.sampling_hz - 1e-6)))
+        last = self.n_samples if stop_s is None else min(self.n_samples, int(np.ceil((stop_s - self.start_s) * self.sampling_hz - 1e-6)))
+        if last - first < 2:
+            raise DataError(
+                f"{max(last - first, 0)} samples between start_s and stop_s of a record of {self.duration_s:g} s",
+                where=self.name or None,
+            )
+        begins, ends = self.start_s + first / self.sampling_hz, self.start_s + last / self.sampling_hz
+        return replace(
+            self,
+            data=self.data[:, first:last],
+            start_s=begins,
+            findings=tuple(f for f in self.findings if f.time_s is None or (f.time_s[0] <= ends and f.time_s[1] >= begins)),
+            provenance=self.provenance.then(f"cut(start_s={begins:g}, stop_s={ends:g})"),
+        )
+
     def with_findings(self, findings: Sequence[Finding]) -> TimeRecord:
         """The record with more annotations."""
         return replace(self, findings=(*self.findings, *findings))

@@ -2,7 +2,8 @@
 
 from operando.frf.checks import check_drive_points, check_frf, reciprocity_error
 from operando.frf.estimate import estimate_frf
-from operando.frf.hits import Hits, find_hits, is_impact
+from operando.frf.given import merge_frfs
+from operando.frf.hits import Hits, find_hits, hits_of, is_impact, without_hits
 from operando.frf.leakage import Peak, resonance_peaks
 from operando.frf.rational import LocalRational, local_rational
 from operando.frf.runs import RunEstimate, merge_runs
@@ -20,9 +21,12 @@ __all__ = [
     "effective_averages",
     "estimate_frf",
     "find_hits",
+    "hits_of",
     "is_impact",
     "local_rational",
+    "merge_frfs",
     "merge_runs",
     "reciprocity_error",
     "resonance_peaks",
+    "without_hits",
 ]

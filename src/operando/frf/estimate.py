@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,16 +13,22 @@ from operando.data import Finding, Frf, TimeRecord
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.estimators import ESTIMATORS, estimate, inverse_force_matrix
-from operando.frf.hits import is_impact
+from operando.frf.hits import find_hits, is_impact, rejected_numbers
 from operando.frf.impact import ImpactBlocks, impact_blocks, impact_spectra, overlap_finding
 from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.rational import roughness_variance
 from operando.frf.runs import RunEstimate, coherence_of, merge_runs
+from operando.frf.singles import average_hits
 from operando.frf.spectra import CrossSpectra, cross_spectra
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
 FEW_AVERAGES = 4.0
+SHORT = 0.7
+"""Blocks of a hammer run shorter than this part of the median over the runs do not shorten those of the others (as within one run)."""
+
+T = TypeVar("T")
+S = TypeVar("S")
 
 
 def estimate_frf(
@@ -33,6 +40,7 @@ def estimate_frf(
     overlap: float | None = None,
     window: str | None = None,
     hits: str = "auto",
+    hits_reject: Sequence[str] = (),
     band: tuple[float, float] | None = None,
     line_spacing_hz: float | None = None,
     max_lines: int = 4000,
@@ -60,10 +68,12 @@ def estimate_frf(
     overlap : float, optional
         Overlap of blocks, default 0.5 with a Hann window, 0 with a rectangular one.
     window : {"hann", "rectangular"}, or for hammer hits {"rectangular", "force", "exponential", "force_exponential"}
-        Default: Hann; hammer: rectangular, but exponential where one hit still rings at the end of its record. An exponential
+        Default: Hann; hammer: rectangular, but exponential where most single hits still ring at the end of their records. An exponential
         window adds damping: ``Frf.exponential_window_rate`` says how much.
     hits : {"auto", "all", "off"}
         Hammer records: use consistent single hits, all hits, or treat the record as continuous.
+    hits_reject : sequence of str
+        Hits never to be used, as ``NAME#NUMBER`` with the name of the record, numbered from 0 through all records of that name.
     band : (low, high), optional
         Lines wanted [Hz]. Default: all (``lrm``: up to 0.78 of the Nyquist frequency).
     line_spacing_hz, max_lines, window_lines : optional
@@ -77,15 +87,18 @@ def estimate_frf(
     -------
     Frf
         With variance and coherence of each line; ``averages`` is the effective number (``lrm``: residual degrees of freedom).
+        A record that cannot be used becomes the finding ``unusable_run``, as long as there are others.
 
     Raises
     ------
     DataError
-        If a record has no force or response, a reference was not excited, or an option does not fit.
+        If no record can be used, a reference was not excited, a hit named is not there, or an option does not fit.
     """
-    runs = [run_input(r) for r in ([records] if isinstance(records, TimeRecord) else list(records))]
-    if not runs:
+    given = [records] if isinstance(records, TimeRecord) else list(records)
+    if not given:
         raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
+    lost: list[Finding] = []
+    runs = [run for _, run in _survivors(run_input, given, lambda record: record.name, lost)]
     wanted = None if references is None else parse_dofs(references)
     if estimator not in (None, "auto", "lrm", *ESTIMATORS):
         raise DataError(f"estimator {estimator!r} is none of auto, lrm, {', '.join(ESTIMATORS)}")
@@ -104,66 +117,150 @@ def estimate_frf(
                 f"no run excites reference {', '.join(missing)}", hint="excited: " + ", ".join(dict.fromkeys(map(str, excited)))
             )
     automatic = estimator in (None, "auto")
+    if hits_reject and hits == "off":
+        raise DataError("hits_reject names hits, and hits is off", hint='set hits to "auto" or "all"')
     with threadpool_limits(1, "blas"):
-        impacts: list[ImpactBlocks | None] = [None] * len(runs)
+        rejected = _rejected(runs, hits_reject)
+        cut: list[_Cut] = [(run, None, numbers) for run, numbers in zip(runs, rejected, strict=True)]
         if estimator != "lrm" and hits != "off":
-            impacts = _cut_hits(runs, block_seconds, band, hits == "auto")
-        averaged: list[RunEstimate] | None = None
+            cut = _cut_hits(cut, block_seconds, band, hits == "auto", lost)
+        averaged: list[tuple[_Cut, RunEstimate]] = []
         reason, peak = "asked for", None
         if estimator != "lrm":
             kind = "h1" if estimator in (None, "auto") else str(estimator)
-            length = _block_seconds(runs, impacts, block_seconds)
-            averaged = [
-                _averaged_run(r, b, kind, length, overlap, window, band, exponential_end) for r, b in zip(runs, impacts, strict=True)
-            ]
+            length = _block_seconds(cut, block_seconds)
+            fitting = _of_length(cut, length, lost)
+            options = (kind, overlap, window, window or _hit_window(fitting), band, exponential_end)
+            averaged = _survivors(lambda c: _averaged_run(c[0], c[1], length, *options), fitting, _name, lost)
             if automatic:
-                reason, peak = _leakage_reason(averaged, impacts)
-                if reason and not all(usable(r) for r in runs):
+                reason, peak = _leakage_reason(averaged)
+                good = sum(usable(run) for run, _, _ in cut)
+                if reason and 2 * good <= len(cut):
                     reason = ""
-                if not reason and block_seconds is None and peak is not None and not any(impacts):
-                    averaged = _shorter_blocks(runs, averaged, impacts, peak, length, (kind, overlap, window, band, exponential_end))
+                if not reason and block_seconds is None and peak is not None and not any(blocks for _, blocks, _ in cut):
+                    averaged = _shorter_blocks(averaged, peak, length, options)
         if estimator == "lrm" or (automatic and reason):
-            lines, peak = choose_lines(runs, band, line_spacing_hz, max_lines, window_lines)
-            estimates = [rational_run(r, lines, window_lines) for r in runs]
-            estimates = [
-                replace(e, findings=(*e.findings, *_hit_findings(r, b, True))) for e, r, b in zip(estimates, runs, impacts, strict=True)
-            ]
+            lost = [f for f in lost if f.kind != "short_hits"]  # the whole record is used, however soon the next hit came
+            lines, peak = choose_lines([c[0] for c in cut if usable(c[0])] or runs, band, line_spacing_hz, max_lines, window_lines)
+            whole = _survivors(lambda c: rational_run(c[0], lines, window_lines, c[2]), cut, _name, lost)
+            estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, True))) for c, e in whole]
             extra = [_estimator_finding(reason, peak, lines)]
         else:
-            assert averaged is not None
-            estimates = [
-                replace(e, findings=(*e.findings, *_hit_findings(r, b, False, e.exponential_window_rate)))
-                for e, r, b in zip(averaged, runs, impacts, strict=True)
-            ]
+            estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, False, e.exponential_window_rate))) for c, e in averaged]
+            estimates = average_hits(estimates)
             extra = []
-        return merge_runs(estimates, wanted).with_findings(extra)
+        return merge_runs(estimates, wanted).with_findings([*lost, *extra])
+
+
+_Cut = tuple[RunInput, ImpactBlocks | None, tuple[int, ...]]
+"""A run, its blocks at hits where it is a hammer run, and the hits rejected by hand."""
+
+
+def _name(cut: _Cut) -> str:
+    return cut[0].record.name
+
+
+def _survivors(make: Callable[[T], S], items: Sequence[T], name: Callable[[T], str], lost: list[Finding]) -> list[tuple[T, S]]:
+    """What can be made of each item; one that cannot be used becomes a finding and does not spoil the others.
+
+    Raises
+    ------
+    DataError
+        If nothing is left: the first reason.
+    """
+    out: list[tuple[T, S]] = []
+    first: DataError | None = None
+    for item in items:
+        try:
+            out.append((item, make(item)))
+        except DataError as error:
+            first = first or error
+            lost.append(
+                Finding(
+                    "unusable_run",
+                    f"the run cannot be used: {error.message}",
+                    "error",
+                    file=name(item) or None,
+                    consequence="its FRFs are missing, unless another run has them",
+                    action=error.hint or "measure it again",
+                )
+            )
+    if first is not None and not out:
+        raise first
+    return out
+
+
+def _rejected(runs: Sequence[RunInput], hits_reject: Sequence[str]) -> list[tuple[int, ...]]:
+    """Hits of each run that are rejected by hand."""
+    if not hits_reject:
+        return [()] * len(runs)
+    counts = [find_hits(run.record.data[run.forces[0]], run.record.sampling_hz).indices.size if _is_hammer(run) else 0 for run in runs]
+    return rejected_numbers([run.record.name for run in runs], counts, hits_reject)
+
+
+def _is_hammer(run: RunInput) -> bool:
+    return len(run.forces) == 1 and len(run.finite(run.forces)) == 1 and is_impact(run.record.data[run.forces[0]])
 
 
 def _cut_hits(
-    runs: Sequence[RunInput], block_seconds: float | None, band: tuple[float, float] | None, select: bool
-) -> list[ImpactBlocks | None]:
-    """Blocks at hits of each hammer run, all of the length of the shortest."""
+    runs: Sequence[_Cut], block_seconds: float | None, band: tuple[float, float] | None, select: bool, lost: list[Finding]
+) -> list[_Cut]:
+    """The runs with blocks at the hits of each hammer run, all of the length of the shortest that is not much shorter than the others."""
 
-    def cut(run: RunInput, seconds: float | None) -> ImpactBlocks:
-        return impact_blocks(run.record, run.forces[0], run.finite(run.responses), block_seconds=seconds, band=band, select=select)
+    def cut(item: _Cut, seconds: float | None) -> ImpactBlocks | None:
+        run, _, rejected = item
+        if not _is_hammer(run):
+            return None
+        responses = run.finite(run.responses)
+        return impact_blocks(run.record, run.forces[0], responses, block_seconds=seconds, band=band, select=select, rejected=rejected)
 
-    hammer = [len(r.forces) == 1 and len(r.finite(r.forces)) == 1 and is_impact(r.record.data[r.forces[0]]) for r in runs]
-    blocks = [cut(r, block_seconds) if h else None for r, h in zip(runs, hammer, strict=True)]
-    lengths = {b.block / r.record.sampling_hz for b, r in zip(blocks, runs, strict=True) if b is not None}
-    if len(lengths) > 1:
-        shortest = min(lengths)
-        blocks = [
-            b if b is None or b.block / r.record.sampling_hz == shortest else cut(r, shortest) for b, r in zip(blocks, runs, strict=True)
-        ]
-    return blocks
+    found: list[_Cut] = [(item[0], blocks, item[2]) for item, blocks in _survivors(lambda r: cut(r, block_seconds), runs, _name, lost)]
+    lengths = np.array([blocks.block / run.record.sampling_hz for run, blocks, _ in found if blocks is not None])
+    if lengths.size == 0 or np.all(lengths == lengths[0]):
+        return found
+    shortest = float(lengths[lengths >= SHORT * np.median(lengths)].min())
+    return [
+        item if item[1] is None or item[1].block / item[0].record.sampling_hz <= shortest else (item[0], cut(item, shortest), item[2])
+        for item in found
+    ]
 
 
-def _block_seconds(runs: Sequence[RunInput], impacts: Sequence[ImpactBlocks | None], given: float | None) -> float:
-    """Block length common to all runs [s]."""
-    cut = [b.block / r.record.sampling_hz for b, r in zip(impacts, runs, strict=True) if b is not None]
-    if cut:
-        return min(cut)
-    return given if given is not None else min(r.record.duration_s for r in runs) / 8
+def _of_length(runs: Sequence[_Cut], seconds: float, lost: list[Finding]) -> list[_Cut]:
+    """The runs without those whose hits follow each other too soon for the blocks of the others; a finding for each of these."""
+    out = []
+    for item in runs:
+        run, blocks, _ = item
+        if blocks is None or blocks.block >= round(seconds * run.record.sampling_hz):
+            out.append(item)
+            continue
+        own = blocks.block / run.record.sampling_hz
+        lost.append(
+            Finding(
+                "short_hits",
+                f"only {own:.3g} s from hit to hit or to the end of the record, {seconds:.3g} s in most runs",
+                "error",
+                file=run.name,
+                dof=str(run.references[0]),
+                consequence="the run is not used: its FRFs would have fewer lines",
+                action="measure it again with the pauses of the others, or set block_seconds",
+            )
+        )
+    return out
+
+
+def _hit_window(runs: Sequence[_Cut]) -> str:
+    """The window of all hammer runs (one, so that they can be merged): exponential where most of the single hits still ring at the end."""
+    blocks = [b for _, b, _ in runs if b is not None]
+    ringing = sum(b.single and b.overlapping for b in blocks)
+    return "exponential" if ringing and 2 * ringing >= len(blocks) else "rectangular"
+
+
+def _block_seconds(runs: Sequence[_Cut], given: float | None) -> float:
+    """Block length common to all runs [s]; a hammer run with much shorter ones does not count."""
+    cut = np.array([blocks.block / run.record.sampling_hz for run, blocks, _ in runs if blocks is not None])
+    if cut.size:
+        return float(cut[cut >= SHORT * np.median(cut)].min())
+    return given if given is not None else min(run.record.duration_s for run, _, _ in runs) / 8
 
 
 def _lines(band: tuple[float, float] | None, sampling_hz: float, block: int) -> slice | None:
@@ -179,10 +276,11 @@ def _lines(band: tuple[float, float] | None, sampling_hz: float, block: int) -> 
 def _averaged_run(
     run: RunInput,
     blocks: ImpactBlocks | None,
-    estimator: str,
     block_s: float,
+    estimator: str,
     overlap: float | None,
     window: str | None,
+    hit_window: str,
     band: tuple[float, float] | None,
     end: float,
 ) -> RunEstimate:
@@ -192,7 +290,7 @@ def _averaged_run(
     lines = _lines(band, record.sampling_hz, block)
     rate = 0.0
     if blocks is not None:
-        window = window or ("exponential" if blocks.single and blocks.overlapping else "rectangular")
+        window = hit_window
         responses = run.finite(run.responses)
         spectra, rate = impact_spectra(record, run.forces[0], responses, blocks, window=window, end=end, lines=lines, bad=run.bad)
         run = replace(run, responses=tuple(responses))
@@ -227,6 +325,7 @@ def _averaged_run(
         si=run.si,
         name=record.name,
         exponential_window_rate=rate,
+        hit_s=record.start_s + float(blocks.hits.times_s[blocks.hits.used][0]) if blocks is not None and blocks.single else None,
         findings=findings,
         provenance=record.provenance.then(f"estimate_frf(estimator={estimator!r}, {how}, averages={spectra.averages:.3g})"),
     )
@@ -269,28 +368,39 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
     return out
 
 
-def _hit_findings(run: RunInput, blocks: ImpactBlocks | None, whole_record: bool, rate: float = 0.0) -> list[Finding]:
-    """Findings of a hammer run: hits that are not used, and overlap. The whole record uses every hit."""
-    if blocks is None:
-        return []
+def _hit_findings(cut: _Cut, whole_record: bool, rate: float = 0.0) -> list[Finding]:
+    """Findings of a hammer run: hits that are not used, and overlap. The whole record uses every hit but those rejected by hand."""
+    run, blocks, rejected = cut
     dof = str(run.references[0])
-    out = [] if whole_record else blocks.hits.findings(run.name, dof)
-    if blocks.overlapping:
+    if blocks is None:
+        hits = find_hits(run.record.data[run.forces[0]], run.record.sampling_hz) if rejected else None
+        for k in rejected:
+            hits = None if hits is None else hits.reject(k, "rejected_hit", "rejected by hand")
+    else:
+        hits = blocks.hits
+    found = [] if hits is None else hits.findings(run.name, dof, start_s=run.record.start_s)
+    out = [f for f in found if f.kind == "rejected_hit" or not whole_record]
+    if blocks is not None and blocks.overlapping:
         out.append(overlap_finding(blocks, run.name, dof, whole_record, rate))
     return out
 
 
-def _leakage_reason(averaged: Sequence[RunEstimate], impacts: Sequence[ImpactBlocks | None]) -> tuple[str, Peak | None]:
-    """Why averaging over blocks would leak, empty where it would not; and the sharpest peak."""
-    for blocks in impacts:
-        if blocks is not None and blocks.overlapping and not blocks.single:
-            return f"hits overlap: {100 * blocks.remaining:.2g} % of the amplitude is left at {blocks.remaining_hz:.4g} Hz", None
+def _leakage_reason(averaged: Sequence[tuple[_Cut, RunEstimate]]) -> tuple[str, Peak | None]:
+    """Why averaging over blocks would leak, empty where it would not; and the sharpest peak.
+
+    The whole record is no way out where most runs hold a single hit, whose response and a free transient look alike.
+    """
+    blocks = [b for (_, b, _), _ in averaged if b is not None]
+    overlapping = [b for b in blocks if b.overlapping and not b.single]
+    if overlapping and sum(b.single for b in blocks) <= len(overlapping):
+        b = overlapping[0]
+        return f"hits overlap: {100 * b.remaining:.2g} % of the amplitude is left at {b.remaining_hz:.4g} Hz", None
     peaks = []
-    for estimate_, blocks in zip(averaged, impacts, strict=True):
-        if blocks is None:
-            peak = sharpest(resonance_peaks(estimate_.frequencies_hz, estimate_.data, estimate_.variance))
+    for (_, cut, _), made in averaged:
+        if cut is None:
+            peak = sharpest(resonance_peaks(made.frequencies_hz, made.data, made.variance))
             if peak is not None:
-                peaks.append((peak, float(np.median(np.diff(estimate_.frequencies_hz)))))
+                peaks.append((peak, float(np.median(np.diff(made.frequencies_hz)))))
     if not peaks:
         return "", None
     peak, step = min(peaks, key=lambda item: item[0].bandwidth_hz / item[1])
@@ -304,19 +414,16 @@ def _leakage_reason(averaged: Sequence[RunEstimate], impacts: Sequence[ImpactBlo
 
 
 def _shorter_blocks(
-    runs: Sequence[RunInput],
-    averaged: list[RunEstimate],
-    impacts: Sequence[ImpactBlocks | None],
+    averaged: list[tuple[_Cut, RunEstimate]],
     peak: Peak,
     length: float,
-    options: tuple[str, float | None, str | None, tuple[float, float] | None, float],
-) -> list[RunEstimate]:
+    options: tuple[str, float | None, str | None, str, tuple[float, float] | None, float],
+) -> list[tuple[_Cut, RunEstimate]]:
     """The estimate with blocks just long enough for the sharpest peak (twice the lines needed): more averages, fewer lines."""
     shorter = 2 * LINES_NEEDED / peak.bandwidth_hz
     if shorter > 0.6 * length:
         return averaged
-    kind, overlap, window, band, end = options
-    return [_averaged_run(r, b, kind, shorter, overlap, window, band, end) for r, b in zip(runs, impacts, strict=True)]
+    return [(cut, _averaged_run(cut[0], cut[1], shorter, *options)) for cut, _ in averaged]
 
 
 def _estimator_finding(reason: str, peak: Peak | None, lines: np.ndarray) -> Finding:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from operando.data import Finding
+from operando.data import Finding, TimeRecord
+from operando.errors import DataError
 
 Array = NDArray[Any]
 
@@ -27,7 +29,10 @@ FINDING_KINDS = {
     "overload": "the force is larger than what was recorded",
     "truncated": "its block is not complete",
     "inconsistent_hit": "it hit another place or direction, or something else moved",
+    "rejected_hit": "hits_reject names it",
 }
+LEAD_SAMPLES = 5
+"""Samples before a pulse begins to rise where a stretch without it ends."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,8 @@ class Hits:
     levels : (n,) array
         Peak force above the offset, positive.
     reasons : tuple of str
-        Empty where the hit is used; else ``double_hit``, ``weak_hit``, ``overload``, ``truncated`` or ``inconsistent_hit``.
+        Empty where the hit is used; else ``double_hit``, ``weak_hit``, ``overload``, ``truncated``, ``inconsistent_hit`` or, by hand,
+        ``rejected_hit``.
     pulses : (m,) array of int
         Samples of all pulses, seconds of double hits included.
     messages : tuple of str
@@ -86,21 +92,31 @@ class Hits:
         reasons[which], messages[which] = reason, message
         return replace(self, reasons=tuple(reasons), messages=tuple(messages))
 
-    def findings(self, file: str | None = None, dof: str | None = None) -> list[Finding]:
-        """A finding for each hit that is not used."""
+    def findings(self, file: str | None = None, dof: str | None = None, *, start_s: float = 0.0, first: int = 0) -> list[Finding]:
+        """A finding for each hit that is not used.
+
+        Parameters
+        ----------
+        file, dof : str, optional
+        start_s : float
+            Time of the first sample [s].
+        first : int
+            Number of the first hit, where the file holds others before.
+        """
         out = []
-        for t, reason, message in zip(self.times_s, self.reasons, self.messages, strict=True):
+        for number, (t, reason, message) in enumerate(zip(self.times_s + start_s, self.reasons, self.messages, strict=True), first):
             if reason:
+                by_hand = reason == "rejected_hit"
                 out.append(
                     Finding(
                         reason,
-                        f"hit at {t:.3f} s: {message}",
-                        "warning",
+                        f"hit #{number} at {t:.3f} s: {message}",
+                        "info" if by_hand else "warning",
                         file=file,
                         dof=dof,
                         time_s=(float(t), float(t)),
                         consequence=f"not used: {FINDING_KINDS[reason]}",
-                        action="repeat the hit",
+                        action="" if by_hand else "repeat the hit",
                     )
                 )
         return out
@@ -315,3 +331,114 @@ def remaining_share(
             if share[k] > worst:
                 worst, where = float(share[k]), float(frequency[stands][k])
     return worst, where
+
+
+def hit_begins(hits: Hits) -> NDArray[np.intp]:
+    """Sample just before each pulse begins to rise."""
+    return np.maximum(hits.indices - hits.lead - LEAD_SAMPLES, 0)
+
+
+def rejected_numbers(names: Sequence[str], counts: Sequence[int], hits_reject: Iterable[str]) -> list[tuple[int, ...]]:
+    """Which hits of each record are named by ``FILE#NUMBER``; hits count from 0 through all records of one name.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Name of each record.
+    counts : sequence of int
+        Hits of each.
+    hits_reject : iterable of str
+
+    Returns
+    -------
+    list of tuple of int
+        Numbers within each record.
+
+    Raises
+    ------
+    DataError
+        If a name or a number is not there; the nearest is named.
+    """
+    totals: dict[str, int] = {}
+    firsts = []
+    for name, count in zip(names, counts, strict=True):
+        firsts.append(totals.get(name, 0))
+        totals[name] = firsts[-1] + count
+    wanted: dict[str, set[int]] = {}
+    for text in hits_reject:
+        name, _, number = text.rpartition("#")
+        if name not in totals or not number.isdigit():
+            near = difflib.get_close_matches(name, totals, 1, 0.3)
+            raise DataError(
+                f"hits_reject names {text!r}, which is no hit of these records",
+                hint=f"did you mean {near[0]!r}?" if near else "write FILE#NUMBER",
+            )
+        if int(number) >= totals[name]:
+            many = f"which has hits #0 to #{totals[name] - 1}" if totals[name] else "which is no hammer record"
+            raise DataError(
+                f"hits_reject names hit #{number} of {name}, {many}",
+                where=name,
+                hint=f"the last one is {name}#{totals[name] - 1}" if totals[name] else None,
+            )
+        wanted.setdefault(name, set()).add(int(number))
+    out = []
+    for name, first, count in zip(names, firsts, counts, strict=True):
+        out.append(tuple(sorted(k - first for k in wanted.get(name, ()) if first <= k < first + count)))
+    return out
+
+
+def count_hits(record: TimeRecord) -> int:
+    """Hits of a record with one force, 0 where it is no hammer record."""
+    hits = hits_of(record)
+    return 0 if hits is None else int(hits.indices.size)
+
+
+def hits_of(record: TimeRecord) -> Hits | None:
+    """Hits of a hammer record: one force channel of short impacts; None for any other record."""
+    rows = record.force_indices
+    if len(rows) != 1:
+        return None
+    force = np.asarray(record.data[rows[0]], float)
+    return find_hits(force, record.sampling_hz) if np.isfinite(force.sum()) and is_impact(force) else None
+
+
+def without_hits(records: Sequence[TimeRecord], hits_reject: Iterable[str]) -> tuple[list[TimeRecord], list[Finding]]:
+    """The stretches of records between hits that are rejected by hand, for fits of whole records.
+
+    A stretch ends before a rejected hit and begins again with the next one, while the structure may still ring: what uses it must allow
+    for its initial motion. A stretch of one hit is left out (its response and a free transient look alike).
+
+    Returns
+    -------
+    records : list of TimeRecord
+        Those without a rejected hit as they are.
+    findings : list of Finding
+        Hits that are left out besides the rejected ones.
+
+    Raises
+    ------
+    DataError
+        If a hit named is not there.
+    """
+    wanted = list(hits_reject)
+    if not wanted:
+        return list(records), []
+    out: list[TimeRecord] = []
+    findings: list[Finding] = []
+    found = [hits_of(record) for record in records]
+    numbers = rejected_numbers([r.name for r in records], [0 if h is None else h.indices.size for h in found], wanted)
+    for record, hits, rejected in zip(records, found, numbers, strict=True):
+        if hits is None or not rejected:
+            out.append(record)
+            continue
+        edges = [*hit_begins(hits), record.n_samples]
+        first = 0
+        for k in (*rejected, len(edges) - 1):
+            if k - first >= 2:
+                begin = record.start_s + (0 if first == 0 else edges[first]) / record.sampling_hz
+                out.append(record.cut(begin, record.start_s + edges[k] / record.sampling_hz))
+            elif k > first:
+                message = f"hit #{first} stands alone between rejected ones; the fit of whole records leaves it out"
+                findings.append(Finding("hit_alone", message, "info", file=record.name or None, consequence="the FRFs still use it"))
+            first = k + 1
+    return out, findings

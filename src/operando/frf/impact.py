@@ -18,6 +18,9 @@ from operando.frf.spectra import CrossSpectra, cross_spectra
 IMPACT_WINDOWS = ("rectangular", "force", "exponential", "force_exponential")
 REMAINING = 0.01
 """Largest share of its amplitude that a mode may keep at the end of a block."""
+INCONSISTENT_RATIO = 6.0
+INCONSISTENT = 0.05
+"""A hit is inconsistent where the FRF of the others misses more of its response energy than this part, and so many times the median."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +67,9 @@ def impact_blocks(
     block_seconds: float | None = None,
     band: tuple[float, float] | None = None,
     select: bool = True,
+    rejected: Sequence[int] = (),
 ) -> ImpactBlocks:
-    """Find the hits of a record, choose the consistent ones and cut blocks.
+    """Find the hits of a record, choose the consistent ones and cut blocks; those rejected by hand are never used.
 
     Raises
     ------
@@ -77,6 +81,8 @@ def impact_blocks(
         for i, reason in enumerate(hits.reasons):
             if reason in ("weak_hit", "double_hit"):
                 hits = hits.reject(i, "", "")
+    for i in rejected:
+        hits = hits.reject(i, "rejected_hit", "rejected by hand")
     hits, starts, block, pre = hit_blocks(hits, record.n_samples, block_seconds)
     if starts.size == 0 or block < 16:
         raise DataError("no usable hit in the record", where=record.name or None, hint="; ".join(m for m in hits.messages if m) or None)
@@ -120,7 +126,7 @@ def reject_inconsistent(
             h = (numerator - x[i] * f[i].conj()) / np.maximum(denominator - np.abs(f[i]) ** 2, 1e-300)
             errors[i] = np.sum(np.abs(x[i] - h * f[i]) ** 2) / np.sum(np.abs(x[i]) ** 2)
         worst = int(np.argmax(errors))
-        if errors[worst] < max(6 * float(np.median(errors)), 0.05):
+        if errors[worst] < max(INCONSISTENT_RATIO * float(np.median(errors)), INCONSISTENT):
             break
         which = int(np.flatnonzero(hits.indices == starts[worst] + pre)[0])
         text = (

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from operando.data import Finding, FrequencyAxis, Frf, Provenance
 from operando.dof import Dof
 from operando.errors import DataError
+from operando.frf.shift import Shift, frequency_shifts, in_words
 
 Array = NDArray[Any]
 
@@ -36,6 +37,8 @@ class RunEstimate:
         Rms of the forces [N].
     method : str
         ``h1``, ``h2``, ``hv`` or ``lrm``.
+    hit_s : float or None
+        Time of the hit where the run is a single one, used as a block [s].
     """
 
     frequencies_hz: Array
@@ -52,6 +55,7 @@ class RunEstimate:
     si: bool = True
     name: str = ""
     exponential_window_rate: float = 0.0
+    hit_s: float | None = None
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance)
 
@@ -118,33 +122,62 @@ def inhomogeneity(first: RunEstimate, second: RunEstimate) -> tuple[float, float
     return (max(ratios) if ratios else 0.0), relative
 
 
-def pool(runs: Sequence[RunEstimate]) -> RunEstimate:
-    """Mean of runs of the same references.
+def union(runs: Sequence[RunEstimate]) -> tuple[Dof, ...]:
+    """Responses of all runs, each DOF once (in the sense of the run that has it first), in order."""
+    out: dict[tuple[int, str], Dof] = {}
+    for run in runs:
+        for d in run.responses:
+            out.setdefault((d.node, d.axis), d)
+    return tuple(out.values())
+
+
+def pool(runs: Sequence[RunEstimate], responses: Sequence[Dof] | None = None) -> RunEstimate:
+    """Mean of runs of the same references over the union of their responses: sensors may have roved between the runs.
 
     The weight is the information in each line over the noise of each response in each run (one number over all lines: weights
-    from the variance of single lines would favour lines whose noise happens to look small).
+    from the variance of single lines would favour lines whose noise happens to look small). A pair that one run alone measured
+    stays as it is.
+
+    Parameters
+    ----------
+    runs : sequence of RunEstimate
+    responses : sequence of Dof, optional
+        Rows wanted. Default: all.
     """
     base = runs[0]
+    rows = tuple(responses) if responses is not None else union(runs)
     if len(runs) == 1:
-        return base
-    parts = [base, *(aligned(r, base.responses, base.references) for r in runs[1:])]
-    data = np.stack([p.data for p in parts])
-    variance = np.stack([p.variance for p in parts])
-    weight = np.stack([p.gain[None] / _noise_level(p) for p in parts])
-    weight = np.where(np.isfinite(data), np.maximum(weight, 0), 0)
-    total = weight.sum(axis=0)
-    share = np.divide(weight, total, out=np.zeros_like(weight), where=total > 0)
-    mean = np.where(total > 0, np.sum(share * np.where(np.isfinite(data), data, 0), axis=0), np.nan)
-    mean_variance = np.where(total > 0, np.sum(share**2 * np.where(np.isfinite(variance), variance, 0), axis=0), np.nan)
-    averages = float(sum(p.averages for p in parts))
+        return base if rows == base.responses else aligned(base, rows, base.references)
+    shape = (len(rows), len(base.references), base.frequencies_hz.size)
+    total, mean, spread = np.zeros(shape), np.zeros(shape, complex), np.zeros(shape)
+    averages, gain, times = np.zeros((*shape[:2], 1)), np.zeros_like(base.gain), np.zeros((*shape[:2], 1), int)
+    own = np.zeros(shape)
+    parts = [aligned(r, rows, base.references) for r in runs]
+    for p in parts:
+        times += np.isfinite(p.data).any(axis=2, keepdims=True)
+    for p in parts:
+        known = np.isfinite(p.data)
+        weight = np.where(times == 1, 1.0, np.maximum(p.gain[None] / _noise_level(p), 0))
+        weight = np.where(known, weight, 0)
+        total += weight
+        mean += weight * np.where(known, p.data, 0)
+        spread += weight**2 * np.where(np.isfinite(p.variance), p.variance, 0)
+        averages += p.averages * known.any(axis=2, keepdims=True)
+        own += np.where(known, p.coherence, 0)
+        gain += p.gain
+    there = total > 0
+    mean = np.where(there, mean / np.where(there, total, 1), np.nan)
+    variance = np.where(there, spread / np.where(there, total, 1) ** 2, np.nan)
     return replace(
         base,
         data=mean,
-        variance=mean_variance,
-        coherence=coherence_of(mean, mean_variance, averages),
-        gain=sum((p.gain for p in parts), np.zeros_like(base.gain)),
-        averages=averages,
+        variance=variance,
+        coherence=np.where(there, np.where(times == 1, own, coherence_of(mean, variance, averages)), np.nan),
+        gain=gain,
+        averages=float(averages[averages > 0].min()) if (averages > 0).any() else base.averages,
+        responses=rows,
         level=float(np.sqrt(np.mean([p.level**2 for p in parts]))),
+        si=all(p.si for p in parts),
         findings=tuple(f for p in parts for f in p.findings),
         provenance=Provenance.merge(*(p.provenance for p in parts)),
     )
@@ -159,7 +192,7 @@ def _noise_level(run: RunEstimate) -> Array:
     return np.where(level > 0, level, 1.0)
 
 
-def coherence_of(data: Array, variance: Array, averages: float) -> Array:
+def coherence_of(data: Array, variance: Array, averages: float | Array) -> Array:
     """Coherence γ² = 1/(1 + n·var/|H|²) that belongs to a variance (contract, ``var_meas``)."""
     size = np.abs(data) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -167,10 +200,11 @@ def coherence_of(data: Array, variance: Array, averages: float) -> Array:
 
 
 def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = None) -> Frf:
-    """One FRF matrix from several runs.
+    """One FRF matrix from several runs, over the union of their sensors.
 
-    Runs of the same references are averaged where a homogeneity test finds no difference beyond the noise; else
-    the run of the lowest level (and those like it) is kept and the finding ``nonlinear`` says so.
+    Runs of the same references are averaged, sensor by sensor, where a homogeneity test on the sensors they share finds no difference
+    beyond the noise. Else the run of the lowest level (and those like it) gives the rows that are shared; what only another run measured
+    is kept, and a finding says how far the runs are apart.
 
     Parameters
     ----------
@@ -196,43 +230,26 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
                 break
         else:
             groups.append([run])
-    kept = [_lowest_level(group, findings) for group in groups]
+    kept = [merge_group(group, findings) for group in groups]
     columns: list[Dof] = []
-    responses: list[Dof] = []
     for run in kept:
         columns += [d for d in run.references if not any(d.same_axis(c) for c in columns)]
-        responses += [d for d in run.responses if not any(d.same_axis(c) for c in responses)]
     if references is not None:
         missing = [str(d) for d in references if not any(d.same_axis(c) for c in columns)]
         if missing:
             raise DataError(f"no run excites reference {', '.join(missing)}", hint="excited: " + ", ".join(str(c) for c in columns))
         columns = list(references)
-    # Columns of different runs do not overlap, except where a DOF was driven alone and together with others: the most informative wins.
-    parts = sorted((aligned(run, responses, columns) for run in kept), key=lambda r: -len(r.references))
-    shape = (len(responses), len(columns), axis.size)
-    data, variance, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
-    for j in range(len(columns)):
-        for part in sorted(parts, key=lambda r: float(np.nansum(r.gain[j]))):
-            there = ~np.isnan(part.data[:, j].real).all(axis=1)
-            data[there, j], variance[there, j], coherence[there, j] = part.data[there, j], part.variance[there, j], part.coherence[there, j]
-    absent = [f"{d}/{c}" for i, d in enumerate(responses) for j, c in enumerate(columns) if np.isnan(data[i, j].real).all()]
-    if absent:
-        shown = ", ".join(absent[:6]) + (" …" if len(absent) > 6 else "")
-        findings.append(
-            Finding(
-                "missing_pair",
-                f"{len(absent)} response/reference pairs were not measured ({shown})",
-                "warning",
-                consequence="NaN in the FRF",
-            )
-        )
+        kept = [run for run in kept if any(d.same_axis(c) for d in run.references for c in columns)]
     rates = {r.exponential_window_rate for r in kept}
     if len(rates) > 1:
         raise DataError("runs with different exponential windows cannot be merged", hint="use the same window for all runs")
+    responses = union(kept)
+    data, variance, coherence = _columns(kept, responses, columns)
+    findings += absent_pairs(data, responses, columns)
     return Frf(
         data,
         FrequencyAxis(axis),
-        tuple(responses),
+        responses,
         tuple(columns),
         kept[0].quantity,
         variance=variance,
@@ -246,36 +263,152 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
     )
 
 
-def _lowest_level(group: list[RunEstimate], findings: list[Finding]) -> RunEstimate:
-    """Mean of the runs that agree with the one of the lowest level; a finding for those that do not."""
+def _columns(kept: Sequence[RunEstimate], responses: Sequence[Dof], columns: Sequence[Dof]) -> tuple[Array, Array, Array]:
+    """Data, variance and coherence of all columns, NaN where a pair was not measured.
+
+    Columns of different groups do not overlap, except where a DOF was driven alone and together with others: the most informative wins.
+    """
+    shape = (len(responses), len(columns), kept[0].frequencies_hz.size)
+    data, variance, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
+    for j, column in enumerate(columns):
+        parts = [aligned(run, responses, [column]) for run in kept if any(d.same_axis(column) for d in run.references)]
+        for part in sorted(parts, key=lambda r: float(np.nansum(r.gain[0]))):
+            there = ~np.isnan(part.data[:, 0].real).all(axis=1)
+            data[there, j], variance[there, j], coherence[there, j] = part.data[there, 0], part.variance[there, 0], part.coherence[there, 0]
+    return data, variance, coherence
+
+
+def absent_pairs(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) -> list[Finding]:
+    """The finding ``missing_pair`` where sensors were not measured with every reference."""
+    empty = np.isnan(data.real).all(axis=2)
+    absent = [f"{d}/{c}" for i, d in enumerate(responses) for j, c in enumerate(columns) if empty[i, j]]
+    if not absent:
+        return []
+    shown = ", ".join(absent[:6]) + (" …" if len(absent) > 6 else "")
+    return [
+        Finding(
+            "missing_pair",
+            f"{len(absent)} of {empty.size} response/reference pairs were not measured ({shown})",
+            "warning",
+            consequence="they have no FRF; the modes come from the pairs there are",
+            action="measure every sensor with every reference, if these pairs are wanted",
+        )
+    ]
+
+
+def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEstimate:
+    """Runs of the same references in one: the mean of those that agree with the lowest level, and rows that only others have.
+
+    Parameters
+    ----------
+    group : sequence of RunEstimate
+    findings : list of Finding
+        Gains one for the runs that differ, and one for sensors that nothing ties to the others.
+    """
+    if len(group) == 1:
+        return group[0]
     ordered = sorted(group, key=lambda r: r.level)
-    used, left = [ordered[0]], []
+    used, apart = [ordered[0]], []
     for run in ordered[1:]:
-        ratio, relative = inhomogeneity(pool(used), run)
+        mine = {(d.node, d.axis) for d in run.responses}
+        sharing = [u for u in used if any((d.node, d.axis) in mine for d in u.responses)]
+        if not sharing:
+            findings += _shift_finding(used[0], run)
+        ratio, relative = inhomogeneity(run, pool(sharing, run.responses)) if sharing else (0.0, 0.0)
         if ratio > HOMOGENEITY_RATIO and relative > HOMOGENEITY_RELATIVE:
-            left.append((run, ratio, relative))
+            apart.append((run, ratio, relative))
         else:
             used.append(run)
-    out = pool(used)
-    if left:
-        run, ratio, relative = max(left, key=lambda item: item[2])
-        same = abs(run.level / max(used[-1].level, 1e-300) - 1) < 0.2
-        name = ", ".join(str(d) for d in out.references)
-        cause = (
-            "at the same level: the structure or its mounting changed between the runs"
-            if same
-            else f"level {run.level:.3g} N rms against {ordered[0].level:.3g} N rms: the response depends on the level"
-        )
-        findings.append(
-            Finding(
-                "nonlinear",
-                f"runs at reference {name} differ by {100 * relative:.2g} % of |H| "
-                f"({ratio:.3g} times the variance expected from noise), {cause}",
-                "warning",
-                file=run.name or None,
-                dof=str(out.references[0]),
-                consequence=f"{len(left)} of {len(group)} runs are left out; the lowest level judges the linear model",
-                action="compare the levels; keep the excitation low for a linear model",
-            )
-        )
+    base = pool(used)
+    if not apart:
+        return base
+    rest = _own_rows(base, [run for run, _, _ in apart])
+    left = [run for (run, _, _), own in zip(apart, rest, strict=True) if own is None]
+    findings.append(_apart_finding(base, ordered[0], used[-1].level, apart, left, len(group)))
+    return pool([base, *(own for own in rest if own is not None)])
+
+
+def _own_rows(base: RunEstimate, runs: Sequence[RunEstimate]) -> list[RunEstimate | None]:
+    """Of runs that differ from the others the rows that no earlier one has; None for a run that has none."""
+    have = {(d.node, d.axis) for d in base.responses}
+    out: list[RunEstimate | None] = []
+    for run in runs:
+        own = [d for d in run.responses if (d.node, d.axis) not in have]
+        have |= {(d.node, d.axis) for d in own}
+        out.append(aligned(run, own, run.references) if own else None)
     return out
+
+
+def shift_between(first: RunEstimate, second: RunEstimate) -> Shift | None:
+    """Shift of the modes from one run to another, on the pairs that both measured, else on all of each."""
+    n = first.frequencies_hz.size
+    other = aligned(second, first.responses, first.references)
+    both = np.isfinite(first.data).any(axis=2) & np.isfinite(other.data).any(axis=2)
+    if both.any():
+        parts = [(run.data[both], run.variance[both]) for run in (first, other)]
+    else:
+        parts = [(run.data.reshape(-1, n), run.variance.reshape(-1, n)) for run in (first, second)]
+    return frequency_shifts(first.frequencies_hz, *parts)
+
+
+ROVING_CONSEQUENCE = "their FRFs have peaks at different frequencies, which the modal analysis may take for two modes"
+ROVING_ACTION = "keep mass, temperature and level the same while sensors move (dummy masses), or measure all at once"
+
+
+def _shift_finding(first: RunEstimate, run: RunEstimate) -> list[Finding]:
+    """``shifted_modes`` for a run that shares no sensor with the others and has its peaks elsewhere."""
+    shift = shift_between(first, run)
+    if shift is None or not shift.apart:
+        return []
+    return [
+        Finding(
+            "shifted_modes",
+            f"the modes are {in_words(shift)} against {first.name or 'the run of the lowest level'}, which has other sensors",
+            "warning",
+            file=run.name or None,
+            dof=str(run.references[0]),
+            consequence=f"the sensors of all files are used: {ROVING_CONSEQUENCE}",
+            action=ROVING_ACTION,
+        )
+    ]
+
+
+def _apart_finding(
+    base: RunEstimate,
+    lowest: RunEstimate,
+    highest: float,
+    apart: Sequence[tuple[RunEstimate, float, float]],
+    left: Sequence[RunEstimate],
+    n_runs: int,
+) -> Finding:
+    """What the homogeneity test found: ``shifted_modes`` where each run that differs has sensors of its own, else ``nonlinear``."""
+    run, ratio, relative = max(apart, key=lambda item: item[2])
+    same = abs(run.level / max(highest, 1e-300) - 1) < 0.2
+    kept = [r for r, _, _ in apart if not any(r is one for one in left)]
+    # Only the same sensors at two levels tell a level: where sensors moved, too, so did their mass.
+    moving = not left
+    shift = shift_between(base, run)
+    moved = f"; in {run.name or 'one of them'} the modes are {in_words(shift)}" if shift is not None else ""
+    others = [f"{r.name} ({100 * share:.2g} %)" for r, _, share in apart if r is not run and r.name]
+    also = f"; also {', '.join(others[:6])}{' …' if len(others) > 6 else ''}" if others else ""
+    levels = f"level {run.level:.3g} N rms against {lowest.level:.3g} N rms"
+    if moving:
+        cause = "sensors moved" + ("" if same else f", and the level changed: {levels}")
+    elif same:
+        cause = "at the same level: the structure or its mounting changed between the runs"
+    else:
+        cause = f"{levels}: the response depends on the level"
+    consequence = [f"{len(left)} of {n_runs} runs are left out; the lowest level judges the linear model"] if left else []
+    if kept:
+        names = ", ".join(dict.fromkeys(r.name for r in kept if r.name))
+        consequence.append(f"sensors that only {names or 'such a run'} measured are kept: {ROVING_CONSEQUENCE}")
+    return Finding(
+        "shifted_modes" if moving else "nonlinear",
+        f"runs at reference {', '.join(str(d) for d in base.references)} differ by {100 * relative:.2g} % of |H| at the sensors they share "
+        f"({ratio:.3g} times the variance expected from noise), {cause}{moved}{also}",
+        "warning",
+        file=run.name or None,
+        dof=str(base.references[0]),
+        consequence="; ".join(consequence),
+        action=ROVING_ACTION if moving else "compare the levels; keep the excitation low for a linear model",
+    )

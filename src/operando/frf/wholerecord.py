@@ -12,6 +12,7 @@ from scipy import fft
 
 from operando.data import Finding
 from operando.errors import DataError
+from operando.frf.hits import find_hits, hit_begins
 from operando.frf.inputs import RunInput
 from operando.frf.leakage import Peak, resonance_peaks, sharpest
 from operando.frf.rational import local_rational, spectrum_lines, window_indices
@@ -33,8 +34,17 @@ def usable(run: RunInput) -> bool:
     return len(run.finite(run.forces)) == len(run.forces) and bool(run.finite(run.responses))
 
 
-def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17) -> RunEstimate:
+def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17, rejected: Sequence[int] = ()) -> RunEstimate:
     """Local rational estimate of one run at the lines wanted.
+
+    Parameters
+    ----------
+    run : RunInput
+    frequencies_hz : array
+    window_lines : int
+    rejected : sequence of int
+        Hits not to be used. The record stays whole, because the structure rings on; the force of each such hit becomes an input of its
+        own, whose FRF takes up whatever it did to the structure and is thrown away.
 
     Raises
     ------
@@ -56,18 +66,23 @@ def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17) -
         findings.append(Finding("nan", message, file=run.name, dof=label, action='estimator="h1" leaves out single blocks instead'))
     n = int(fft.prev_fast_len(record.n_samples, real=True))
     centres = np.asarray(frequencies_hz) * n / record.sampling_hz
-    size = window_size(len(run.forces), window_lines)
+    size = window_size(len(run.forces) + len(rejected), window_lines)
     first, last = 1, n // 2 - 1
     lines = np.unique(window_indices(centres, size, first, last))
-    force = spectrum_lines(record.data, run.forces, lines, n)
+    if rejected:
+        force = spectrum_lines(_forces_apart(run, rejected), range(1 + len(rejected)), lines, n)
+    else:
+        force = spectrum_lines(record.data, run.forces, lines, n)
     response = spectrum_lines(record.data, rows, lines, n)
     result = local_rational(force, response, lines, centres, n_lines=size)
+    own = slice(len(run.forces))
+    data, variance = result.data[:, own], result.variance[:, own]
     return RunEstimate(
         np.asarray(frequencies_hz, float),
-        result.data,
-        result.variance,
-        coherence_of(result.data, result.variance, result.degrees_of_freedom),
-        result.gain / n,
+        data,
+        variance,
+        coherence_of(data, variance, result.degrees_of_freedom),
+        result.gain[own] / n,
         result.degrees_of_freedom,
         replace(run, responses=tuple(rows)).response_dofs,
         run.references,
@@ -79,6 +94,19 @@ def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17) -
         findings=tuple(findings),
         provenance=record.provenance.then(f"estimate_frf(estimator='lrm', window_lines={size}, order=2)"),
     )
+
+
+def _forces_apart(run: RunInput, rejected: Sequence[int]) -> Array:
+    """The force of a hammer run without the rejected hits, and each of them alone, up to the next hit: (1 + n_rejected, n_samples)."""
+    force = np.asarray(run.record.data[run.forces[0]], float)
+    hits = find_hits(force, run.record.sampling_hz)
+    edges = [*hit_begins(hits), force.size]
+    rows = np.full((1 + len(rejected), force.size), hits.offset)
+    rows[0] = force
+    for row, k in enumerate(rejected, 1):
+        part = slice(int(edges[k]), int(edges[k + 1]))
+        rows[row, part], rows[0, part] = force[part], hits.offset
+    return rows
 
 
 def choose_lines(

@@ -1,21 +1,54 @@
-"""Reading the files of a test: contents with their findings, the inventory, FRFs of several files in one matrix."""
+"""Reading the files of a test: contents with their findings, the inventory."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from operando.config import State, Test
-from operando.data import Finding, Frf, Geometry, Provenance, TimeRecord, file_hash
+from operando.config import Span, State, Test
+from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash
 from operando.dof import Dof
-from operando.errors import DataError, MissingError, OperandoError
+from operando.errors import ConfigError, DataError, MissingError, OperandoError
 
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
+
+
+class UnfitTest(ConfigError):
+    """The test file says something that does not fit the data it names: the run ends."""
+
+
+class _Asked(dict[str, dict[str, Any]]):
+    """[channels], which remembers the entries that a file had a channel for."""
+
+    def __init__(self, channels: Mapping[str, dict[str, Any]]) -> None:
+        super().__init__(channels)
+        self.found: set[str] = set()
+
+    def __getitem__(self, key: str) -> dict[str, Any]:
+        self.found.add(key)
+        return super().__getitem__(key)
+
+
+@dataclass(frozen=True)
+class _Names:
+    """What a file calls its channels, and where its forces act and its responses are."""
+
+    labels: frozenset[str]
+    forces: frozenset[Dof]
+    responses: frozenset[Dof]
+
+
+def _names_of(content: Any) -> _Names:
+    channels = [c for r in content.records for c in r.channels]
+    dofs = [d for h in content.frfs for d in (*h.responses, *h.references)]
+    labels = {text for c in channels for text in (c.name, c.label) if text} | {str(d) for d in dofs}
+    forces = {c.dof for c in channels if c.is_force and c.dof is not None} | {d for h in content.frfs for d in h.references}
+    responses = {d for r in content.records for i in r.response_indices if (d := r.channels[i].dof) is not None}
+    return _Names(frozenset(labels), frozenset(forces), frozenset(responses))
 
 
 class Inputs:
@@ -27,8 +60,10 @@ class Inputs:
     def __init__(self, test: Test) -> None:
         self.test = test
         self.findings: dict[Path, list[Finding]] = {}
-        self._contents: dict[Path, Any] = {}
+        self._contents: dict[tuple[Path, Span | None], Any] = {}
         self._hashes: dict[Path, str] = {}
+        self._channels = _Asked(test.channels)
+        self._names: dict[Path, _Names] = {}
 
     def hashes(self, files: Sequence[Path]) -> list[tuple[str, str]]:
         """Name and content hash of files."""
@@ -39,28 +74,45 @@ class Inputs:
             out.append((file.name, self._hashes[file]))
         return out
 
-    def content(self, file: Path) -> Any:
-        """Content of a file with its records checked, or None if it cannot be read."""
-        if file in self._contents:
-            return self._contents[file]
+    def content(self, file: Path, span: Span | None = None) -> Any:
+        """Content of a file with its records cut to a span and checked, or None if it cannot be read.
+
+        Raises
+        ------
+        UnfitTest
+            If the span lies outside a record.
+        """
+        if (file, span) in self._contents:
+            return self._contents[file, span]
         from operando.io import read
 
         try:
-            content = read(file, units=self._units(file), channels=self.test.channels or None)
+            content = read(file, units=self._units(file), channels=self._channels or None)
         except OperandoError as error:
             self.findings[file] = [unreadable(self.label(file), error)]
-            self._contents[file] = None
+            self._contents[file, span] = None
             return None
-        name = self.label(file)
-        records = tuple(checked(replace(r, name=name)) for r in content.records)
+        self._names[file] = _names_of(content)
+        name = self.test.label(file, span)
+        records = tuple(checked(replace(self._part(r, file, span), name=name)) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
         named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
-        self.findings[file] = list(dict.fromkeys(named))
+        self.findings[file] = list(dict.fromkeys([*self.findings.get(file, ()), *named]))
         held = sum(r.data.nbytes for c in self._contents.values() if c is not None for r in c.records)
         if held + sum(r.data.nbytes for r in records) <= KEEP_BYTES:
-            self._contents[file] = content
+            self._contents[file, span] = content
         return content
+
+    def _part(self, record: TimeRecord, file: Path, span: Span | None) -> TimeRecord:
+        """The part of a record that the test file says counts."""
+        if span is None:
+            return record
+        try:
+            return record.cut(span.start_s, span.stop_s)
+        except DataError as error:
+            where = f"{self.test.path or 'test'} records {self.label(file)}"
+            raise UnfitTest(error.message, where=where, hint="start_s and stop_s count on the time axis of the file") from None
 
     def _units(self, file: Path) -> dict[str, Any] | None:
         units = dict(self.test.units)
@@ -69,9 +121,8 @@ class Inputs:
         return units or None
 
     def label(self, file: Path) -> str:
-        """Name of a file in all outputs: relative to the test file where it lies below it."""
-        folder = None if self.test.path is None else self.test.path.parent
-        return file.relative_to(folder).as_posix() if folder is not None and file.is_relative_to(folder) else file.name
+        """Name of a file in all outputs."""
+        return self.test.label(file)
 
     def records(self, state: State, *, force: bool) -> list[TimeRecord]:
         """Records of a state with responses, and with a force if asked for.
@@ -82,8 +133,8 @@ class Inputs:
             If no file holds such a record.
         """
         found = []
-        for file in state.records:
-            content = self.content(file)
+        for file, span in state.runs:
+            content = self.content(file, span)
             for record in () if content is None else content.records:
                 if record.response_indices and (record.force_indices or not force):
                     found.append(record)
@@ -129,14 +180,16 @@ class Inputs:
                 where=", ".join(p.name for p in state.frfs[:4]),
                 hint="UFF 58 of function type 4; raw time histories belong to records",
             )
+        from operando.frf import merge_frfs
+
         return merge_frfs(frfs)
 
     def geometry(self) -> Geometry | None:
         """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known."""
         test = self.test
-        files = [test.geometry_file] if test.geometry_file is not None else list(test.files)
-        for file in files:
-            content = self.content(file)
+        parts = [(test.geometry_file, None)] if test.geometry_file is not None else list(test.parts)
+        for file, span in parts:
+            content = self.content(file, span)
             if content is not None and content.geometry is not None:
                 geometry: Geometry = content.geometry
                 if not geometry.unit_known and test.geometry_units is not None:
@@ -155,20 +208,67 @@ class Inputs:
         return None
 
     def inventory(self) -> list[dict[str, Any]]:
-        """One row a file: what it is used for, format, sets, channels, sampling, duration, findings."""
+        """One row a file (or part of it): what it is used for, format, sets, channels, sampling, duration, findings."""
         test = self.test
         rows = []
-        uses = {"idle": test.idle.files, "operating": test.operating.files, "check": test.check.files}
-        for file in test.files:
-            content = self.content(file)
-            used_for = [name for name, files in uses.items() if file in files] or ["geometry"]
-            row: dict[str, Any] = {"file": self.label(file), "sha256": self.hashes([file])[0][1], "used_for": ", ".join(used_for)}
+        uses = {name: (*state.runs, *((file, None) for file in state.frfs)) for name, state in test.states.items()}
+        for file, span in test.parts:
+            content = self.content(file, span)
+            used_for = [name for name, parts in uses.items() if (file, span) in parts] or ["geometry"]
+            row: dict[str, Any] = {"file": test.label(file, span), "sha256": self.hashes([file])[0][1], "used_for": ", ".join(used_for)}
             if content is None:
                 row |= {"format": None, "error": self.findings[file][0].message}
             else:
                 row |= inventory_row(content)
+            if span is not None:
+                row |= {"start_s": span.start_s, "stop_s": span.stop_s}
             rows.append(row | {"n_findings": len(self.findings.get(file, ()))})
         return rows
+
+    def check_names(self) -> None:
+        """Whether every name in [channels], and every DOF in the references, is in the files. Files that cannot be read may hold them.
+
+        Raises
+        ------
+        UnfitTest
+            If one is not; the nearest is named.
+        """
+        for part in self.test.parts:
+            if part[0] not in self._names and self.content(*part) is None:
+                return
+        if any(file not in self._names for file in self.test.files):
+            return
+        where = f"{self.test.path or 'test'}"
+        for name in self._channels:
+            if name not in self._channels.found:
+                labels = {label for names in self._names.values() for label in names.labels}
+                raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, f"{where} [channels]")
+        analysis = self.test.analysis
+        forces = {dof for file in self.test.idle.files for dof in self._names[file].forces}
+        moving = {dof for file in self.test.operating.files for dof in self._names[file].responses}
+        for key, wanted, known in (("references", analysis.references, forces), ("oma_references", analysis.oma_references, moving)):
+            axes = {(d.node, d.axis) for d in known}
+            for dof in map(Dof.parse, wanted or ()):
+                if axes and (dof.node, dof.axis) not in axes:
+                    what = "no force at rest acts" if key == "references" else "no operating record has a sensor"
+                    raise _unknown(f"{what} at {dof}", str(dof), {str(d) for d in known}, f"{where} [analysis] {key}")
+
+    def check_hits(self, inventory: Sequence[dict[str, Any]]) -> None:
+        """Whether every hit that the test file rejects is there.
+
+        Raises
+        ------
+        UnfitTest
+            If one is not; how many hits there are is said.
+        """
+        from operando.frf.hits import rejected_numbers
+
+        counts = {row["file"]: len(row.get("hits") or ()) for row in inventory}
+        for state in (self.test.idle, self.test.check):
+            try:
+                rejected_numbers(list(counts), list(counts.values()), self.test.rejected_hits(state))
+            except DataError as error:
+                raise UnfitTest(error.message, where=f"{self.test.path or 'test'} [analysis] hits_reject", hint=error.hint) from None
 
     def all_findings(self) -> list[Finding]:
         """Findings of all files read so far, in the order of the test, each once."""
@@ -212,6 +312,8 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "forces": [first.channels[i].label for i in first.force_indices],
             "responses": [first.channels[i].label for i in first.response_indices],
         }
+        if hits := list_hits(content.records):
+            row["hits"] = hits
     if content.frfs:
         row |= {
             "frf_references": list(dict.fromkeys(str(d) for h in content.frfs for d in h.references)),
@@ -220,6 +322,28 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "frf_lines": max(len(h.axis) for h in content.frfs),
         }
     return row
+
+
+def _unknown(message: str, name: str, known: Iterable[str], where: str) -> UnfitTest:
+    """The error for a name that is not in the data, with the nearest one that is."""
+    names = sorted(set(known))
+    near = difflib.get_close_matches(name, names, 1, 0.5)
+    hint = f"did you mean {near[0]!r}?" if near else "there are " + ", ".join(names[:12]) + (" …" if len(names) > 12 else "")
+    return UnfitTest(message, where=where, hint=hint)
+
+
+def list_hits(records: Sequence[TimeRecord]) -> list[dict[str, Any]]:
+    """The hits of the hammer records of one file, numbered as ``hits_reject`` names them."""
+    from operando.frf import hits_of
+
+    out: list[dict[str, Any]] = []
+    for record in records:
+        hits = hits_of(record) if record.response_indices else None
+        if hits is not None:
+            unit = record.channels[record.force_indices[0]].unit
+            for t, level in zip(hits.times_s + record.start_s, hits.levels, strict=True):
+                out.append({"number": len(out), "time_s": float(t), "peak": float(level), "unit": unit})
+    return out
 
 
 def checked(record: TimeRecord) -> TimeRecord:
@@ -240,87 +364,4 @@ def unreadable(name: str, error: OperandoError) -> Finding:
         file=name,
         consequence="the file is not used",
         action=error.hint or "export it again, or take it out of the test file",
-    )
-
-
-def merge_frfs(frfs: Sequence[Frf]) -> Frf:
-    """One matrix of FRFs measured reference by reference; NaN where a pair was not measured.
-
-    Parameters
-    ----------
-    frfs : sequence of Frf
-        On the same lines; brought to the quantity of the first one. Of a pair measured twice the first one counts.
-
-    Raises
-    ------
-    DataError
-        If the lines differ.
-    """
-    first = frfs[0]
-    if len(frfs) == 1:
-        return first
-    axis = first.frequencies_hz
-    findings: list[Finding] = [f for h in frfs for f in h.findings]
-    same = []
-    for h in frfs:
-        if len(h.axis) == axis.size and np.allclose(
-            h.frequencies_hz, axis, rtol=1e-9, atol=1e-6 * (axis[-1] - axis[0]) / max(axis.size, 1)
-        ):
-            same.append(h.to_quantity(first.quantity))
-        else:
-            raise DataError(
-                f"FRFs on different lines: {axis.size} lines to {axis[-1]:g} Hz and {len(h.axis)} lines to {h.frequencies_hz[-1]:g} Hz",
-                where=h.name or None,
-                hint="use FRFs of one frequency resolution",
-            )
-    responses: dict[tuple[int, str], Dof] = {}
-    references: dict[tuple[int, str], Dof] = {}
-    for h in same:
-        for d in h.responses:
-            responses.setdefault((d.node, d.axis), d)
-        for d in h.references:
-            references.setdefault((d.node, d.axis), d)
-    row = {key: i for i, key in enumerate(responses)}
-    column = {key: j for j, key in enumerate(references)}
-    shape = (len(row), len(column), axis.size)
-    data = np.full(shape, np.nan, complex)
-    variance = np.full(shape, np.nan) if any(h.variance is not None for h in same) else None
-    coherence = np.full(shape, np.nan) if any(h.coherence is not None for h in same) else None
-    twice: list[str] = []
-    for h in same:
-        for a, d in enumerate(h.responses):
-            for b, e in enumerate(h.references):
-                if np.all(np.isnan(h.data[a, b].real)):
-                    continue
-                i, j = row[d.node, d.axis], column[e.node, e.axis]
-                if not np.all(np.isnan(data[i, j].real)):
-                    twice.append(f"{d}/{e}")
-                    continue
-                sign = d.sign * responses[d.node, d.axis].sign * e.sign * references[e.node, e.axis].sign
-                data[i, j] = sign * h.data[a, b]
-                if variance is not None and h.variance is not None:
-                    variance[i, j] = h.variance[a, b]
-                if coherence is not None and h.coherence is not None:
-                    coherence[i, j] = h.coherence[a, b]
-    if twice:
-        shown = ", ".join(twice[:6]) + (" …" if len(twice) > 6 else "")
-        findings.append(
-            Finding(
-                "duplicate_pair", f"{len(twice)} pairs are given twice ({shown}); the first one is used", "warning", action="keep one file"
-            )
-        )
-    return Frf(
-        data,
-        first.axis,
-        tuple(responses.values()),
-        tuple(references.values()),
-        first.quantity,
-        variance=variance,
-        coherence=coherence,
-        averages=first.averages,
-        si=all(h.si for h in same),
-        exponential_window_rate=first.exponential_window_rate,
-        name=first.name,
-        findings=tuple(dict.fromkeys(findings)),
-        provenance=Provenance.merge(*(h.provenance for h in same)).then("merge_frfs"),
     )

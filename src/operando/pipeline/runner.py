@@ -14,7 +14,7 @@ from operando.data import Finding
 from operando.errors import ConfigError, OperandoError
 from operando.jsonable import jsonable
 from operando.pipeline.cache import FOLDER, StageCache, code_hash, key_of, whole, write_json
-from operando.pipeline.inputs import Inputs
+from operando.pipeline.inputs import Inputs, UnfitTest
 from operando.pipeline.outputs import OUTPUTS, write_output
 from operando.pipeline.stages import STEPS, Lacking, Stage, Work
 from operando.pipeline.summary import summary
@@ -136,12 +136,13 @@ class _Run:
             state = (() if test.geometry_file is None else (test.geometry_file,)) if name == "geometry" else getattr(test, name).files
             files.append((name, self.work.inputs.hashes(state)))
         reading = (test.units, test.channels, test.geometry_units) if stage.states else ()
+        spans = {name: [repr(span) for span in getattr(test, name).spans] for name in stage.states if name != "geometry"}
         upstream = [self.keys[name] for name in stage.upstream]
         if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
             upstream.append(self.keys["ema"])  # its band is that of the idle modes
         if stage.name == "oma" and test.idle and not test.check:
             upstream.append("halves")  # for the diagnosis from operating modes alone
-        return key_of(stage.name, code_hash(stage.rooms), files, reading, settings, upstream)
+        return key_of(stage.name, code_hash(stage.rooms), files, spans, reading, settings, upstream)
 
     def _step(self, stage: Stage, asked: bool) -> None:
         lacks = stage.lacks(self.test) or self._upstream_missing(stage)
@@ -173,6 +174,8 @@ class _Run:
                 self.progress(stage.part_of, f"left out: {reason}")
                 self._forget(stage)
                 return
+            except UnfitTest:
+                raise
             except OperandoError as error:
                 self._failed(stage, error)
                 return

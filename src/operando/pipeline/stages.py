@@ -84,8 +84,10 @@ def offered(function: Callable[..., Any], findings: list[Finding], **keywords: A
 
 
 def inspect_files(work: Work) -> dict[str, Any]:
-    """Inventory, geometry, findings of all files."""
+    """Inventory, geometry, findings of all files; names in the test file that no file has end the run."""
     inventory = work.inputs.inventory()
+    work.inputs.check_names()
+    work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
     findings = work.inputs.all_findings()
     if all(row["format"] is None for row in inventory):
@@ -111,12 +113,12 @@ def idle_frf(work: Work) -> dict[str, Any]:
         if work.analysis.references is not None:
             frf = frf.select(references=work.analysis.references)
     else:
-        frf = estimate(work.inputs.records(idle, force=True), work.analysis, findings)
+        frf = estimate(work.inputs.records(idle, force=True), work.analysis, findings, work.test.rejected_hits(idle))
     return {"idle_frf": check_frf(frf, work.analysis.band), "findings": findings}
 
 
-def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding]) -> Frf:
-    """``estimate_frf`` with the settings of the test."""
+def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding], rejected: Sequence[str] = ()) -> Frf:
+    """``estimate_frf`` with the settings of the test; of the hits rejected by hand those in these records."""
     from operando.frf import estimate_frf
 
     keywords = offered(
@@ -128,8 +130,27 @@ def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Findi
         overlap=analysis.overlap,
         window=analysis.window,
         hits=analysis.hits,
+        hits_reject=of_records(rejected, records),
     )
     return estimate_frf(records, **keywords)
+
+
+def of_records(rejected: Sequence[str], records: Sequence[TimeRecord]) -> tuple[str, ...]:
+    """Those of the hits named ``FILE#NUMBER`` that are in these records."""
+    names = {record.name for record in records}
+    return tuple(text for text in rejected if text.rpartition("#")[0] in names)
+
+
+def whole_records(
+    work: Work, state: State, findings: list[Finding], choose: Callable[[list[TimeRecord]], list[TimeRecord]] = list
+) -> list[TimeRecord]:
+    """The records of a state with force, or those chosen of them, for fits of whole records: without the hits rejected by hand."""
+    from operando.frf import without_hits
+
+    records = choose(work.inputs.records(state, force=True))
+    kept, found = without_hits(records, of_records(work.test.rejected_hits(state), records))
+    findings += found
+    return kept
 
 
 def automatic_modes(work: Work) -> dict[str, Any]:
@@ -137,7 +158,9 @@ def automatic_modes(work: Work) -> dict[str, Any]:
     from operando.ema import fit_ema
 
     analysis = work.analysis
-    frf, records = _idle_data(work)
+    findings: list[Finding] = []
+    frf = without_bands(_needed(work.results.idle_frf, "idle FRFs"), analysis.exclude_bands)
+    records = whole_records(work, work.test.idle, findings, lambda all_: runs_behind(frf, all_)) if work.test.idle.records else None
     found = fit_ema(
         frf,
         band=analysis.band,
@@ -147,7 +170,7 @@ def automatic_modes(work: Work) -> dict[str, Any]:
         second_opinion=analysis.second_opinion,
         progress=work.say,
     )
-    return {"automatic": found}
+    return {"automatic": found, "findings": findings}
 
 
 def idle_modes(work: Work) -> dict[str, Any]:
@@ -158,7 +181,7 @@ def idle_modes(work: Work) -> dict[str, Any]:
     automatic = _needed(work.results.automatic, "idle modes")
     if not (analysis.modes_hz or analysis.select_hz or analysis.reject_hz):
         return {"idle": automatic}
-    frf, _ = _idle_data(work)
+    frf = without_bands(_needed(work.results.idle_frf, "idle FRFs"), analysis.exclude_bands)
     by_hand = fit_ema(
         frf,
         band=analysis.band,
@@ -170,16 +193,16 @@ def idle_modes(work: Work) -> dict[str, Any]:
     return {"idle": by_hand}
 
 
-def _idle_data(work: Work) -> tuple[Frf, list[TimeRecord] | None]:
-    """Idle FRFs without excluded bands, and the runs behind them."""
-    frf = without_bands(_needed(work.results.idle_frf, "idle FRFs"), work.analysis.exclude_bands)
-    return frf, runs_behind(frf, work.inputs.records(work.test.idle, force=True)) if work.test.idle.records else None
-
-
 def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
     """The runs the FRFs were made of: one that the homogeneity test set aside must not come back through the raw spectra."""
     used = {path for path, _ in frf.provenance.inputs}
-    return [r for r in records if any(path in used for path, _ in r.provenance.inputs)] or records
+    calls = set(frf.provenance.calls)
+
+    def behind(record: TimeRecord) -> bool:
+        cuts = [call for call in record.provenance.calls if call.startswith("cut(")]  # of two parts of a file one may be used
+        return any(path in used for path, _ in record.provenance.inputs) and all(call in calls for call in cuts)
+
+    return [r for r in records if behind(r)] or records
 
 
 def operational_modes(work: Work) -> dict[str, Any]:
@@ -237,7 +260,8 @@ def check_runs(work: Work) -> dict[str, Any]:
     runs: list[CheckRun] = []
     if check.records:
         records = work.inputs.records(check, force=True)
-        runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings))
+        rejected = work.test.rejected_hits(check)
+        runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings, rejected))
     for file in check.frfs:
         runs.append(CheckRun(work.inputs.label(file), "as given", work.inputs.frf(State(frfs=(file,)))))
     checked = [replace(run, frf=_of_check(check_frf(run.frf, work.analysis.band))) for run in runs]
@@ -293,6 +317,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
     runs = [replace(run, frf=without_bands(run.frf, work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
         raise Lacking("there are neither check FRFs nor operational modes")
+    findings: list[Finding] = []
     found = diagnose(
         idle,
         check=runs,
@@ -303,7 +328,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
         places=work.analysis.places or None,
         band=analysis_band(work),
         progress=work.say,
-        records=work.inputs.records(work.test.check, force=True) if runs and work.test.check.records else (),
+        records=whole_records(work, work.test.check, findings) if runs and work.test.check.records else (),
         idle_frf=results.idle_frf,
         exclude_bands=work.analysis.exclude_bands,
     )
@@ -318,7 +343,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
         "comparison": comparison,
         "effect_idle": model.idle,
         "effect_covariance": model.covariance,
-        "findings": [],
+        "findings": findings,
     }
     # A place between sensors at which an effect was found is a node from here on.
     return made if model.geometry is None else made | {"geometry": model.geometry}
@@ -368,15 +393,22 @@ def no_evidence(test: Test) -> str | None:
 
 
 READING = ("data", "io", "quality", "dof", "units", "pipeline/inputs", "pipeline/stages")
-ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits")
+ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
 
-_EMA_SETTINGS = ("band", "max_order", "ema", "exclude_bands", "second_opinion")
+_EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands", "second_opinion")
 _OMA_SETTINGS = ("oma_max_order", "oma_references", "known_harmonics_hz", "oma_select_hz", "oma_reject_hz")
-_EMA_ROOMS = (*READING, "ema", "stabilization", "synthesis", "indicators")
+_EMA_ROOMS = (*READING, "ema", "stabilization", "synthesis", "indicators", "frf/hits", "frf/leakage")
 _OMA_ROOMS = (*READING, "oma", "stabilization", "indicators")
 
 STEPS: tuple[Stage, ...] = (
-    Stage("inspect", "inspect", inspect_files, rooms=READING, states=("idle", "operating", "check", "geometry")),
+    Stage(
+        "inspect",
+        "inspect",
+        inspect_files,
+        rooms=(*READING, "frf/hits"),
+        settings=("hits_reject", "references", "oma_references"),
+        states=("idle", "operating", "check", "geometry"),
+    ),
     Stage("frf", "frf", idle_frf, no_idle, rooms=(*READING, "frf"), settings=ESTIMATING, states=("idle",)),
     Stage("automatic", "ema", automatic_modes, no_idle, ("frf",), _EMA_ROOMS, _EMA_SETTINGS, ("idle",)),
     Stage(
@@ -418,7 +450,7 @@ STEPS: tuple[Stage, ...] = (
         no_evidence,
         ("ema", "oma", "ofrf", "check", "compare"),
         ("diagnose", "effects", "nonlinear", "compare", "pipeline/stages"),
-        ("band", "exclude_bands", "kinds", "places"),
+        ("band", "exclude_bands", "hits_reject", "kinds", "places"),
         optional=True,
     ),
 )

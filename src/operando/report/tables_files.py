@@ -109,6 +109,8 @@ def _cell(key: str, value: Any) -> str:
     if isinstance(value, Mapping):
         return esc("; ".join(f"{k}: {v}" for k, v in value.items()))
     if isinstance(value, list | tuple):
+        if key == "hits":
+            return esc("; ".join(f"#{h['number']} {h['time_s']:.2f} s, {plain(h['peak'], 3)} {h['unit']}".rstrip() for h in value))
         if value and isinstance(value[0], Mapping):
             return esc(f"{len(value)}")
         texts = [str(v) for v in value]

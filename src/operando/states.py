@@ -1,0 +1,193 @@
+"""The states of a test: which files, and which part of each record counts."""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from operando.errors import ConfigError
+
+_STATE_KEYS = ("records", "frfs")
+_RECORD_KEYS = ("file", "start_s", "stop_s")
+
+
+@dataclass(frozen=True)
+class Span:
+    """The part of a record that counts, on the record's own time axis.
+
+    Parameters
+    ----------
+    start_s, stop_s : float or None
+        First and last time [s]; None: from the beginning, to the end.
+    """
+
+    start_s: float | None = None
+    stop_s: float | None = None
+
+    def __str__(self) -> str:
+        start = "the beginning" if self.start_s is None else f"{self.start_s:g} s"
+        return f"{start} to {'the end' if self.stop_s is None else f'{self.stop_s:g} s'}"
+
+
+@dataclass(frozen=True)
+class State:
+    """Files of one state of the structure (idle, operating or check).
+
+    Parameters
+    ----------
+    records : tuple of Path
+        Raw time histories, one run a file. A file stands here twice where two parts of it count.
+    frfs : tuple of Path
+        FRFs measured elsewhere.
+    spans : tuple of Span or None
+        One for each of ``records``, None where all of it counts; empty: all of all.
+
+    Raises
+    ------
+    ConfigError
+        If there are spans, but not as many as records.
+    """
+
+    records: tuple[Path, ...] = ()
+    frfs: tuple[Path, ...] = ()
+    spans: tuple[Span | None, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.spans and len(self.spans) != len(self.records):
+            raise ConfigError(f"{len(self.spans)} spans for {len(self.records)} records", hint="give one span, or None, a record")
+
+    def __bool__(self) -> bool:
+        return bool(self.records or self.frfs)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files of the state, each once."""
+        return tuple(dict.fromkeys((*self.records, *self.frfs)))
+
+    @property
+    def runs(self) -> tuple[tuple[Path, Span | None], ...]:
+        """Each record with the part of it that counts (None: all of it)."""
+        return tuple(zip(self.records, self.spans or (None,) * len(self.records), strict=True))
+
+
+def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Raise a ConfigError that names the nearest known key for the first unknown one."""
+    known = tuple(known)
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.5)
+            hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
+            raise ConfigError(f"unknown key {key!r}" + (f"; the nearest known key is {near[0]!r}" if near else ""), where=where, hint=hint)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number (and no bool)."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _natural(path: Path) -> list[Any]:
+    return [int(part) if part.isdigit() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
+
+
+def find_files(patterns: Any, folder: Path, where: str) -> tuple[Path, ...]:
+    """Files that paths and patterns name, each once, in natural order.
+
+    Raises
+    ------
+    ConfigError
+        If the value is no list of texts, or a pattern matches no file.
+    """
+    if isinstance(patterns, str):
+        patterns = [patterns]
+    if not isinstance(patterns, list) or not all(isinstance(p, str) and p for p in patterns):
+        raise ConfigError(f"{patterns!r} is no list of paths", where=where, hint='write for example ["idle/*.uff"]')
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        literal = folder / pattern
+        hits = (
+            [literal]
+            if literal.is_file()
+            else sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
+        )
+        hits = [p for p in hits if p.is_file()]
+        if not hits:
+            raise ConfigError(f"{pattern!r} matches no file", where=where, hint=f"paths are relative to {folder.resolve()}")
+        found |= dict.fromkeys(hits)
+    return tuple(found)
+
+
+def state_of(table: Mapping[str, Any], folder: Path, where: str) -> State:
+    """State of a table of the test file.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown, a value is wrong, or a pattern matches no file.
+    """
+    check_keys(table, _STATE_KEYS, where)
+    runs = _runs(table.get("records", []), folder, f"{where} records")
+    frfs = find_files(table["frfs"], folder, f"{where} frfs") if table.get("frfs", []) != [] else ()
+    return State(
+        records=tuple(file for file, _ in runs),
+        frfs=frfs,
+        spans=tuple(span for _, span in runs) if any(span is not None for _, span in runs) else (),
+    )
+
+
+def _runs(entries: Any, folder: Path, where: str) -> list[tuple[Path, Span | None]]:
+    """Records and the part of each that counts. What a table says of a file holds also where a pattern names the file, too."""
+    entries = entries if isinstance(entries, list) else [entries]
+    plain: dict[Path, list[Span | None]] = {}
+    for entry in entries:
+        table = entry if isinstance(entry, Mapping) else None
+        if table is not None:
+            check_keys(table, _RECORD_KEYS, where)
+            if "file" not in table:
+                raise ConfigError(
+                    f"{dict(table)!r} names no file", where=where, hint='write {file = "run1.uff", start_s = 10, stop_s = 70}'
+                )
+        span = None if table is None else _span(table, where)
+        for file in find_files([entry if table is None else table["file"]], folder, where):
+            spans = plain.setdefault(file, [])
+            if span not in spans:
+                spans.append(span)
+    out: list[tuple[Path, Span | None]] = []
+    for file, spans in plain.items():
+        parts = [span for span in spans if span is not None]
+        out += [(file, span) for span in parts] or [(file, None)]
+    return out
+
+
+def _span(table: Mapping[str, Any], where: str) -> Span | None:
+    """The part of a record that a table names, None where it names none."""
+    here = f"{where} {table['file']}"
+    for key in ("start_s", "stop_s"):
+        if key in table and not is_number(table[key]):
+            raise ConfigError(f"{key} is {table[key]!r}, expected a time in s", where=here)
+    start, stop = (None if table.get(key) is None else float(table[key]) for key in ("start_s", "stop_s"))
+    if start is not None and stop is not None and start >= stop:
+        raise ConfigError(f"start_s = {start:g} is not before stop_s = {stop:g}", where=here)
+    return None if start is None and stop is None else Span(start, stop)
+
+
+def record_named(name: str, labels: Iterable[str], where: str) -> str:
+    """The record meant by a name: its label, or its file name alone where that is enough."""
+    labels = sorted(labels)
+    clean = name.removeprefix("./")
+    if clean in labels:
+        return clean
+    alike = [label for label in labels if Path(label).name == clean]
+    if len(alike) == 1:
+        return alike[0]
+    near = alike or difflib.get_close_matches(clean, labels, 1, 0.3)
+    raise ConfigError(
+        f"{name!r} is no record of [idle] or [check]" if not alike else f"{name!r} may be any of {', '.join(alike)}",
+        where=where,
+        hint=f"did you mean {near[0]!r}?" if near else None,
+    )
