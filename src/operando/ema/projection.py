@@ -7,9 +7,10 @@ Each pair p of response and reference is
 with a real residue a, its quadrature part b (a complex mode), the relative shift δ of the mode in this pair (a test object that
 changes while hammer or sensors rove), and tails: modes above and below the lines, a mass line, and 1/s, 1/s² (an offset or a drift
 of the sensor under the window). b and δ have Gaussian priors whose spreads are estimated mode by mode (MacKay, Neural Computation
-4, 1992, 415–447). Only the poles (ln f, ln ζ) are left to a Levenberg search (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973,
-413–432); with priors the gradient is that of the envelope theorem, Jᵀr. All pairs share their columns and differ in their weights: the
-Gram matrices of all pairs come from one product of weights and column products a row.
+4, 1992, 415–447). Only the poles (ln f, ln ζ) are left to a Levenberg search (Golub & Pereyra, SIAM J. Numer.
+Anal. 10, 1973, 413–432); with priors the gradient is that of the envelope theorem, Jᵀr, the columns of the shifts taken for fixed (their
+curvature in the gradient pulls poles to where shifts of one sign are cheap, and lost 4 of 80 modes that drift). All pairs share their
+columns and differ in their weights: the Gram matrices of all pairs come from one product of weights and column products a row.
 """
 
 from __future__ import annotations

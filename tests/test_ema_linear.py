@@ -1,0 +1,269 @@
+"""The linear stage of the EMA on analytic chains with the faults that laboratories put in: drift, offset, wrong hits, wrong labels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando.data import Frf
+from operando.dof import Dof
+from operando.ema import fit_ema
+from operando.ema.choose import choose_modes
+from operando.ema.discrepancy import fit_variance
+from operando.ema.fit import model_dofs
+from operando.ema.linear import NOISE_LIMITED, fit_linear
+from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
+from operando.ema.projection import Poles, project
+from operando.ema.unit_mass import SEEN, turned_columns, unit_mass_shapes
+from operando.errors import DataError, IdentificationError
+from structures import Chain
+
+HZ = np.array([22.0, 41.0, 63.0, 68.0, 90.0, 118.0])
+N = 6
+DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, N + 1))
+F = np.arange(5.0, 150.0, 0.1)
+BAND = (12.0, 135.0)
+
+
+def chain():
+    out = Chain(N, zeta=np.array([0.006, 0.004, 0.01, 0.008, 0.007, 0.009]), spread=0.4, seed=3)
+    out.hz = HZ.copy()
+    return out
+
+
+def frfs(references=(0, 3), drift=0.0, noise=1e-3, seed=0, f=F):
+    """Accelerances (6, references, lines) with a shift of each mode in each pair, and noise of a share of the rms."""
+    rng = np.random.default_rng(seed)
+    c = chain()
+    h = np.zeros((N, len(references), f.size), complex)
+    s = 2j * np.pi * f
+    for i in range(N):
+        for j, k in enumerate(references):
+            moved = c.hz * (1 + drift * rng.standard_normal(N))
+            w = 2 * np.pi * moved[:, None]
+            g = s**2 / (w**2 + s**2 + 2 * c.zeta[:, None] * w * s)
+            h[i, j] = (c.phi[i] * c.phi[k]) @ g
+    size = noise * np.sqrt(np.mean(np.abs(h) ** 2))
+    return c, h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+
+
+def as_frf(h, references=(0, 3), f=F, **more):
+    return Frf(h, f, DOFS, tuple(DOFS[k] for k in references), **more)
+
+
+def in_band(model):
+    return model.select_modes(np.asarray(model.in_band))
+
+
+def kinds(model):
+    return [finding.kind for finding in model.findings]
+
+
+def assert_modes(model, c, f_tolerance=1e-4, z_tolerance=0.02):
+    modes = in_band(model)
+    assert modes.n_modes == N, modes.frequencies_hz
+    assert np.max(np.abs(modes.frequencies_hz / c.hz - 1)) < f_tolerance
+    assert np.max(np.abs(modes.damping_ratios / c.zeta - 1)) < z_tolerance
+    return modes
+
+
+def test_modes_without_coherence_are_scaled_and_evidenced():
+    c, h = frfs()
+    model = fit_ema(as_frf(h), band=BAND)
+    modes = assert_modes(model, c)
+    assert model.details.answer == "linear"
+    assert "coherence" in model.details.answer_reason
+    assert model.scaling == "unit_modal_mass"
+    assert model.misfit is None
+    scale = np.sum(modes.shapes * c.phi, axis=0) / np.sum(c.phi**2, axis=0)
+    assert np.max(np.abs(np.abs(scale) - 1)) < 0.01
+    kept = model.details.linear
+    assert kept.scaled.all()
+    assert kept.model_error < NOISE_LIMITED
+    assert min(e.evidence for e in kept.evidence) > 100
+
+
+def test_gradient_is_that_of_the_cost():
+    _, h = frfs(noise=1e-2)
+    pairs = frf_pairs(as_frf(h), model_dofs(as_frf(h)), BAND)
+    # without shifts, whose columns the gradient takes for fixed
+    poles = Poles(HZ * (1 + 1e-3), np.full(N, 0.008), np.full(N, 0.2), np.full(N, 1e-9))
+    variance = pairs.noise + 0.05**2 * np.abs(pairs.accelerance) ** 2
+    first = project(pairs, poles, variance, None, BAND)
+    now = project(pairs, poles, variance, first.residues, BAND)
+    for k in range(2 * N):
+        costs = []
+        for side in (1, -1):
+            step = np.zeros(2 * N)
+            step[k] = side * 1e-5
+            moved = replace(poles, hz=poles.hz * np.exp(step[:N]), zeta=poles.zeta * np.exp(step[N:]))
+            costs.append(project(pairs, moved, variance, first.residues, BAND).cost.sum())
+        slope = (costs[0] - costs[1]) / 2e-5
+        assert now.gradient.sum(axis=0)[k] == pytest.approx(-0.5 * slope, rel=2e-4, abs=1e-4 * np.abs(now.gradient.sum(axis=0)).max())
+
+
+def test_intervals_hold_without_faults():
+    z = []
+    for seed in range(12):
+        c, h = frfs(noise=3e-3, seed=seed)
+        modes = in_band(fit_ema(as_frf(h), band=BAND))
+        assert modes.n_modes == N
+        z.append((modes.frequencies_hz - c.hz) / modes.frequency_std_hz)
+        z.append((modes.damping_ratios - c.zeta) / modes.damping_ratio_std)
+    share = np.mean(np.abs(np.concatenate(z)) < 1.96)
+    assert 0.88 < share <= 1.0, share
+
+
+def test_a_mode_that_drifts_between_pairs_stays_one():
+    c, h = frfs(references=(0,), drift=1e-3)
+    model = fit_ema(as_frf(h, (0,)), band=BAND)
+    assert_modes(model, c, f_tolerance=2e-3, z_tolerance=0.1)
+    assert "mode_drift" in kinds(model)
+
+
+def test_an_offset_under_the_window_hides_no_mode():
+    c, h = frfs()
+    tail = 20 * np.sqrt(np.mean(np.abs(h) ** 2)) * F[0] / (1j * F)
+    model = fit_ema(as_frf(h + tail), band=BAND)
+    assert_modes(model, c, f_tolerance=3e-4, z_tolerance=0.05)
+
+
+def test_model_error_is_estimated():
+    rng = np.random.default_rng(1)
+    power = np.exp(rng.standard_normal((8, 400)))
+    noise = np.full(power.shape, 1e-4)
+    draw = (rng.standard_normal(power.shape) + 1j * rng.standard_normal(power.shape)) / np.sqrt(2)
+    found = fit_variance(draw * np.sqrt(2 * noise + 0.05**2 * power), power, noise, False)
+    # Student weights expect tails that Gaussian draws do not have: both factors come out by a fifth too small
+    assert 0.7 * 0.05 < np.median(found.alpha) < 1.1 * 0.05
+    quiet = fit_variance(draw * np.sqrt(2 * noise), power, noise, False)
+    assert np.median(quiet.alpha) < 0.01
+
+
+def test_noise_shape_is_not_raised_by_peaks():
+    _, h = frfs(noise=1e-3)
+    level = noise_shape(h.reshape(-1, F.size))
+    true = (1e-3) ** 2 * np.mean(np.abs(h) ** 2)
+    assert np.median(level) == pytest.approx(true, rel=0.3)
+    assert level.max() < 30 * true
+
+
+def test_a_wrong_hit_moves_no_other_shape_value():
+    c, h = frfs(references=tuple(range(N)), noise=1e-3)
+    h[2, 4] *= 1.5
+    model = fit_ema(as_frf(h, tuple(range(N))), band=BAND, ema="linear")
+    modes = assert_modes(model, c)
+    scale = np.abs(modes.shapes) / np.abs(c.phi)
+    assert np.max(np.abs(np.median(scale, axis=0) - 1)) < 0.02
+
+
+def test_opposite_senses_at_the_drive_point_are_turned_and_told():
+    c, h = frfs(references=(0,))
+    model = fit_ema(as_frf(-h, (0,)), band=BAND)
+    assert_modes(model, c)
+    assert model.scaling == "unit_modal_mass"
+    assert [f.dof for f in model.findings if f.kind == "drive_point_sign"] == ["1+Z"]
+
+
+def test_a_roving_test_with_one_sensor_turned_is_consistent():
+    c, h = frfs(references=tuple(range(N)))
+    h = h[:3].copy()
+    h[1] *= -1
+    frf = Frf(h, F, DOFS[:3], DOFS)
+    model = fit_ema(frf, band=BAND, ema="linear")
+    modes = assert_modes(model, c)
+    scale = np.abs(modes.shapes) / np.abs(c.phi)
+    assert np.max(np.abs(scale - 1)) < 0.05
+
+
+def test_frfs_turned_by_90_degrees_are_told_and_analysed():
+    c, h = frfs()
+    model = fit_ema(as_frf(h / (2j * np.pi * F)), band=BAND)
+    assert_modes(model, c)
+    assert "wrong_quantity" in kinds(model)
+    assert "wrong_quantity" not in kinds(fit_ema(as_frf(h), band=BAND))
+
+
+def test_pairs_that_were_not_measured_are_left_out():
+    c, h = frfs()
+    h = h.copy()
+    h[1, 0] = np.nan
+    h[4, 1] = np.nan
+    assert_modes(fit_ema(as_frf(h), band=BAND), c)
+
+
+def test_no_drive_point_gives_no_scale():
+    _, h = frfs(references=(0,))
+    model = fit_ema(Frf(h[1:], F, DOFS[1:], DOFS[:1]), band=BAND)
+    assert model.scaling == "unscaled"
+    assert "missing_drive_point" in kinds(model)
+
+
+def test_a_drive_point_is_absent_below_three_deviations():
+    c, h = frfs()
+    pairs = frf_pairs(as_frf(h), model_dofs(as_frf(h)), BAND)
+    fit = fit_linear(pairs.lines(informative_lines(pairs.frequencies_hz, HZ, c.zeta)), Poles(HZ, c.zeta), BAND)
+    drive = unit_mass_shapes(fit, N).drive
+    assert [int(pairs.rows[p]) for p, _ in drive] == [0, 3]
+    assert all(np.all(np.abs(t) > SEEN) for _, t in drive)
+    assert not turned_columns(fit).size
+
+
+def test_no_mode_is_added_to_noise_and_none_is_left_out():
+    _, h = frfs()
+    frf = as_frf(h)
+    pairs = frf_pairs(frf, model_dofs(frf), (0.8 * BAND[0], 1.1 * BAND[1]))
+    fewer = np.array([0, 1, 2, 4, 5])
+    fit, log = choose_modes(pairs, Poles(HZ[fewer], np.full(5, 0.008)), BAND)
+    assert fit.n_modes == N
+    assert any(line.startswith("in:") for line in log.rounds)
+
+
+@pytest.fixture(scope="module")
+def automatic():
+    _, h = frfs()
+    return as_frf(h), fit_ema(as_frf(h), band=BAND)
+
+
+def test_reject_takes_one_mode_only(automatic):
+    frf, model = automatic
+    fewer = fit_ema(frf, band=BAND, automatic=model, reject_hz=[67.9])
+    np.testing.assert_array_equal(fewer.frequencies_hz, np.delete(model.frequencies_hz, 3))
+    assert any(r.code == "by_hand" and "speak" in r.reason for r in fewer.details.rejected)
+
+
+def test_exactly_the_modes_named(automatic):
+    frf, model = automatic
+    exact = fit_ema(frf, band=BAND, automatic=model, modes_hz=[118.0, 41.0])
+    np.testing.assert_array_equal(exact.frequencies_hz, model.frequencies_hz[[1, 5]])
+    assert exact.misfit is None
+
+
+def test_a_mode_left_out_can_be_selected_again(automatic):
+    frf, model = automatic
+    fewer = fit_ema(frf, band=BAND, automatic=model, reject_hz=[68.0])
+    again = fit_ema(frf, band=BAND, automatic=fewer, select_hz=[68.0])
+    assert again.n_modes == model.n_modes
+    assert np.max(np.abs(again.frequencies_hz / model.frequencies_hz - 1)) < 1e-4
+    assert np.max(np.abs(np.abs(again.shapes) / np.abs(model.shapes) - 1)) < 0.05
+
+
+def test_no_pole_near_a_frequency_named_is_an_error(automatic):
+    frf, model = automatic
+    with pytest.raises(IdentificationError, match=r"no stable pole near 30 Hz; the nearest is at"):
+        fit_ema(frf, band=BAND, automatic=model, modes_hz=[30.0])
+    with pytest.raises(IdentificationError, match="no stable pole near 50 Hz; the nearest is at 41"):
+        fit_ema(frf, band=BAND, automatic=model, reject_hz=[50.0])
+
+
+def test_the_answer_can_be_chosen():
+    c, h = frfs()
+    variance = np.full(h.shape, 1e-6 * np.mean(np.abs(h) ** 2))
+    frf = as_frf(h, variance=variance)
+    assert fit_ema(frf, band=BAND).details.answer == "polished"
+    linear = fit_ema(frf, band=BAND, ema="linear")
+    assert linear.details.answer == "linear"
+    assert linear.misfit == pytest.approx(1.0, abs=0.3)
+    assert_modes(linear, c)
+    with pytest.raises(DataError, match="ema = 'best'"):
+        fit_ema(frf, ema="best")
