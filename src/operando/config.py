@@ -16,7 +16,7 @@ from operando.dof import Dof
 from operando.errors import ConfigError, DofError, UnitError
 from operando.units import SI_UNIT, parse_unit
 
-ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
+ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
 HITS = ("auto", "all", "off")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
 _STATE_KEYS = ("records", "frfs")
@@ -56,8 +56,8 @@ class Analysis:
     band : (float, float) or None
         Analysis band [Hz]; None: chosen from the data.
     block_seconds, overlap, window, estimator : optional
-        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv`` or ``lrm`` of the FRF estimate (None: chosen
-        from the length of the records).
+        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv``, ``lrm`` or ``periodic`` of the FRF
+        estimate (None: chosen from the force and the length of the records).
     hits : str
         Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
     references : tuple of str or None

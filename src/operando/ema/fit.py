@@ -23,6 +23,7 @@ from operando.ema.remaining import choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra, rings_from_one_hit
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 from operando.errors import DataError, IdentificationError
+from operando.frf import is_periodic
 from operando.stabilization import RejectedPole, Stabilization
 
 WIDER = 1.33
@@ -140,8 +141,9 @@ def _fit(
     frf = frf.to_quantity("accelerance")
     dofs = model_dofs(frf)
     band = _analysis_band(frf, band)
-    if records and any(rings_from_one_hit(record) for record in records):
-        # Transients free in each mode look like the response to a single hit; the FRF starts from rest.
+    if records and any(rings_from_one_hit(record) or is_periodic(record) for record in records):
+        # Transients free in each mode look like the response to a single hit; the FRF starts from rest. Under a periodic force the FRF at
+        # the excited lines holds all that the records do, with noise and distortion in its variance.
         records = None
     runs, fit_band = _runs(frf, dofs, band, records)
     weights = _weights(frf)

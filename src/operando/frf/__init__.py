@@ -2,8 +2,10 @@
 
 from operando.frf.checks import check_drive_points, check_frf, reciprocity_error
 from operando.frf.estimate import estimate_frf
+from operando.frf.excitation import is_periodic
 from operando.frf.hits import Hits, find_hits, is_impact
 from operando.frf.leakage import Peak, resonance_peaks
+from operando.frf.periodic import PeriodicFrf, SteadyPeriods, periodic_frf, steady_periods
 from operando.frf.rational import LocalRational, local_rational
 from operando.frf.runs import RunEstimate, merge_runs
 from operando.frf.spectra import CrossSpectra, cross_spectra, effective_averages
@@ -13,7 +15,9 @@ __all__ = [
     "Hits",
     "LocalRational",
     "Peak",
+    "PeriodicFrf",
     "RunEstimate",
+    "SteadyPeriods",
     "check_drive_points",
     "check_frf",
     "cross_spectra",
@@ -21,8 +25,11 @@ __all__ = [
     "estimate_frf",
     "find_hits",
     "is_impact",
+    "is_periodic",
     "local_rational",
     "merge_runs",
+    "periodic_frf",
     "reciprocity_error",
     "resonance_peaks",
+    "steady_periods",
 ]

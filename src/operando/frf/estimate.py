@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, Frf, TimeRecord
+from operando.data import Finding, FrequencyAxis, Frf, TimeRecord
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.estimators import ESTIMATORS, estimate, inverse_force_matrix
+from operando.frf.excitation import at_lines, on_common_lines, periodic_runs, within_excited
 from operando.frf.hits import is_impact
 from operando.frf.impact import ImpactBlocks, impact_blocks, impact_spectra, overlap_finding
 from operando.frf.inputs import RunInput, run_input
@@ -50,10 +51,11 @@ def estimate_frf(
         Data may be single precision and memory-mapped; they are read block by block.
     references : DOF labels, optional
         Columns wanted. Default: all that were excited.
-    estimator : {None, "auto", "h1", "h2", "hv", "lrm"}
-        ``lrm`` is the leakage-free local rational estimate on whole records. None or ``auto``: H1 where blocks are long enough
-        for the damping (hammer: where each response decays before the next hit), else ``lrm``; the finding ``estimator`` gives
-        the reason.
+    estimator : {None, "auto", "h1", "h2", "hv", "lrm", "periodic"}
+        ``periodic`` averages whole periods of a force that repeats, on the lines it excites (see :mod:`operando.frf.periodic`).
+        ``lrm`` is the leakage-free local rational estimate on whole records. None or ``auto``: ``periodic`` where a force repeats and
+        no block length is given; H1 where blocks are long enough for the damping (hammer: where each response decays before the next
+        hit), else ``lrm``; the findings ``periodic_excitation`` and ``estimator`` give the reason.
     block_seconds : float, optional
         Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough; hammer:
         the shortest time between two hits.
@@ -76,7 +78,8 @@ def estimate_frf(
     Returns
     -------
     Frf
-        With variance and coherence of each line; ``averages`` is the effective number (``lrm``: residual degrees of freedom).
+        With variance and coherence of each line; ``averages`` is the effective number (``lrm``: residual degrees of freedom). Lines
+        without force are left out: those between the lines of a multisine, and those beyond the excited band.
 
     Raises
     ------
@@ -87,8 +90,8 @@ def estimate_frf(
     if not runs:
         raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
     wanted = None if references is None else parse_dofs(references)
-    if estimator not in (None, "auto", "lrm", *ESTIMATORS):
-        raise DataError(f"estimator {estimator!r} is none of auto, lrm, {', '.join(ESTIMATORS)}")
+    if estimator not in (None, "auto", "lrm", "periodic", *ESTIMATORS):
+        raise DataError(f"estimator {estimator!r} is none of auto, periodic, lrm, {', '.join(ESTIMATORS)}")
     if hits not in ("auto", "all", "off"):
         raise DataError(f"hits {hits!r} is none of auto, all, off")
     if band is not None and not 0 <= band[0] < band[1]:
@@ -105,6 +108,10 @@ def estimate_frf(
             )
     automatic = estimator in (None, "auto")
     with threadpool_limits(1, "blas"):
+        if estimator == "periodic" or (automatic and block_seconds is None):
+            periodic = _periodic(runs, band, window_lines, estimator == "periodic")
+            if periodic is not None:
+                return _finite_lines(merge_runs(periodic, wanted))
         impacts: list[ImpactBlocks | None] = [None] * len(runs)
         if estimator != "lrm" and hits != "off":
             impacts = _cut_hits(runs, block_seconds, band, hits == "auto")
@@ -136,7 +143,51 @@ def estimate_frf(
                 for e, r, b in zip(averaged, runs, impacts, strict=True)
             ]
             extra = []
-        return merge_runs(estimates, wanted).with_findings(extra)
+        estimates, unexcited = within_excited(estimates)
+        return _finite_lines(merge_runs(estimates, wanted).with_findings([*extra, *unexcited]))
+
+
+def _periodic(runs: Sequence[RunInput], band: tuple[float, float] | None, window_lines: int, asked: bool) -> list[RunEstimate] | None:
+    """Estimates on the excited lines of the runs whose forces repeat, the others by local rational models at those lines.
+
+    None where no run is periodic, or one can be estimated in neither way.
+
+    Raises
+    ------
+    DataError
+        If it was asked for and a run is not periodic.
+    """
+    found = periodic_runs(runs)
+    done = {i for places, _ in found for i in places}
+    others = [r for i, r in enumerate(runs) if i not in done]
+    if asked and others:
+        raise DataError(
+            "the forces do not repeat three times, or several forces cannot be told apart",
+            where=others[0].name,
+            hint="leave estimator at auto, or give at least three periods (and one run for each of several forces)",
+        )
+    if not found or not all(usable(r) for r in others):
+        return None
+    estimates = on_common_lines([e for _, e in found])
+    hz = estimates[0].frequencies_hz
+    if band is not None:
+        keep = (hz >= band[0]) & (hz <= band[1])
+        if not keep.any():
+            raise DataError(f"band {band} Hz holds no excited line", hint=f"the force excites {hz[0]:.4g} to {hz[-1]:.4g} Hz")
+        estimates, hz = [at_lines(e, keep) for e in estimates], hz[keep]
+    return [*estimates, *(rational_run(r, hz, window_lines) for r in others)]
+
+
+def _finite_lines(frf: Frf) -> Frf:
+    """The FRF without lines that some pair lacks which is measured at others: no stage can use half a line."""
+    there = np.isfinite(frf.data)
+    keep = np.all(there | ~there.any(axis=2, keepdims=True), axis=(0, 1))
+    if keep.all() or not keep.any():
+        return frf
+    part = lambda a: None if a is None else a[:, :, keep]  # noqa: E731
+    return replace(
+        frf, data=frf.data[:, :, keep], axis=FrequencyAxis(frf.frequencies_hz[keep]), variance=part(frf.variance), coherence=part(frf.coherence)
+    )
 
 
 def _cut_hits(
