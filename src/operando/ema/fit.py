@@ -23,7 +23,7 @@ from operando.ema.remaining import choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra, rings_from_one_hit
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 from operando.errors import DataError, IdentificationError
-from operando.frf import is_periodic
+from operando.frf import is_periodic, usable_channels, whole
 from operando.stabilization import RejectedPole, Stabilization
 
 WIDER = 1.33
@@ -141,6 +141,9 @@ def _fit(
     frf = frf.to_quantity("accelerance")
     dofs = model_dofs(frf)
     band = _analysis_band(frf, band)
+    records = usable_channels(records)[0] if records else None
+    if records and len(whole(records)) < len(records):
+        records = None  # a force with samples that are not finite: its FRF comes from the blocks without them
     if records and any(rings_from_one_hit(record) or is_periodic(record) for record in records):
         # Transients free in each mode look like the response to a single hit; the FRF starts from rest. Under a periodic force the FRF at
         # the excited lines holds all that the records do, with noise and distortion in its variance.

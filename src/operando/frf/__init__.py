@@ -9,6 +9,7 @@ from operando.frf.periodic import PeriodicFrf, SteadyPeriods, periodic_frf, stea
 from operando.frf.rational import LocalRational, local_rational
 from operando.frf.runs import RunEstimate, merge_runs
 from operando.frf.spectra import CrossSpectra, cross_spectra, effective_averages
+from operando.frf.usable import channel_faults, trimmed, usable_channels, whole
 
 __all__ = [
     "CrossSpectra",
@@ -18,6 +19,7 @@ __all__ = [
     "PeriodicFrf",
     "RunEstimate",
     "SteadyPeriods",
+    "channel_faults",
     "check_drive_points",
     "check_frf",
     "cross_spectra",
@@ -32,4 +34,7 @@ __all__ = [
     "reciprocity_error",
     "resonance_peaks",
     "steady_periods",
+    "trimmed",
+    "usable_channels",
+    "whole",
 ]

@@ -20,6 +20,7 @@ from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.rational import roughness_variance
 from operando.frf.runs import RunEstimate, coherence_of, merge_runs
 from operando.frf.spectra import CrossSpectra, cross_spectra
+from operando.frf.usable import usable_channels
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
 FEW_AVERAGES = 4.0
@@ -48,7 +49,8 @@ def estimate_frf(
     Parameters
     ----------
     records : TimeRecord or sequence of TimeRecord
-        Data may be single precision and memory-mapped; they are read block by block.
+        Data may be single precision and memory-mapped; they are read block by block. Responses with samples that are not finite, or
+        without a signal, are left out (:func:`operando.frf.usable_channels`).
     references : DOF labels, optional
         Columns wanted. Default: all that were excited.
     estimator : {None, "auto", "h1", "h2", "hv", "lrm", "periodic"}
@@ -86,7 +88,8 @@ def estimate_frf(
     DataError
         If a record has no force or response, a reference was not excited, or an option does not fit.
     """
-    runs = [run_input(r) for r in ([records] if isinstance(records, TimeRecord) else list(records))]
+    usable_records, left_out = usable_channels([records] if isinstance(records, TimeRecord) else list(records))
+    runs = [run_input(r) for r in usable_records]
     if not runs:
         raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
     wanted = None if references is None else parse_dofs(references)
@@ -111,7 +114,7 @@ def estimate_frf(
         if estimator == "periodic" or (automatic and block_seconds is None):
             periodic = _periodic(runs, band, window_lines, estimator == "periodic")
             if periodic is not None:
-                return _finite_lines(merge_runs(periodic, wanted))
+                return _finite_lines(merge_runs(periodic, wanted).with_findings(left_out))
         impacts: list[ImpactBlocks | None] = [None] * len(runs)
         if estimator != "lrm" and hits != "off":
             impacts = _cut_hits(runs, block_seconds, band, hits == "auto")
@@ -144,7 +147,7 @@ def estimate_frf(
             ]
             extra = []
         estimates, unexcited = within_excited(estimates)
-        return _finite_lines(merge_runs(estimates, wanted).with_findings([*extra, *unexcited]))
+        return _finite_lines(merge_runs(estimates, wanted).with_findings([*left_out, *extra, *unexcited]))
 
 
 def _periodic(runs: Sequence[RunInput], band: tuple[float, float] | None, window_lines: int, asked: bool) -> list[RunEstimate] | None:
@@ -186,7 +189,11 @@ def _finite_lines(frf: Frf) -> Frf:
         return frf
     part = lambda a: None if a is None else a[:, :, keep]  # noqa: E731
     return replace(
-        frf, data=frf.data[:, :, keep], axis=FrequencyAxis(frf.frequencies_hz[keep]), variance=part(frf.variance), coherence=part(frf.coherence)
+        frf,
+        data=frf.data[:, :, keep],
+        axis=FrequencyAxis(frf.frequencies_hz[keep]),
+        variance=part(frf.variance),
+        coherence=part(frf.coherence),
     )
 
 

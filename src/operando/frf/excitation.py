@@ -119,7 +119,7 @@ def _periodic_finding(run: RunInput, steady: SteadyPeriods, found: PeriodicFrf) 
     hz = found.frequencies_hz
     step = run.record.sampling_hz / steady.period
     left = f", {steady.discarded} left out at the start (transient or bad samples)" if steady.discarded else ""
-    whole = int(round((hz[-1] - hz[0]) / step)) + 1
+    whole = round((hz[-1] - hz[0]) / step) + 1
     grid = "every line" if whole == hz.size else f"{hz.size} of {whole} lines"
     return Finding(
         "periodic_excitation",

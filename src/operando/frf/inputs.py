@@ -14,8 +14,8 @@ from operando.dof import Dof
 from operando.errors import DataError
 
 QUANTITY = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
-BAD_KINDS = ("overload", "nan", "dropout")
-"""Findings with a time span that no block may touch."""
+BAD_KINDS = ("overload", "dropout")
+"""Findings with a time span that no block may touch (samples that are not finite are looked for block by block)."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class RunInput:
     quantity : str
         FRF quantity.
     bad : tuple of (first, last)
-        Sample spans with overload, dropout or NaN, from the findings of the record.
+        Sample spans with overload or dropout, from the findings of the record.
     findings : tuple of Finding
         What was left out and why.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,7 @@ class Inputs:
             self._contents[file] = None
             return None
         name = self.label(file)
-        records = tuple(checked(replace(r, name=name)) for r in content.records)
+        records = tuple(checked(_trimmed(replace(r, name=name))) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
         named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
@@ -74,7 +75,9 @@ class Inputs:
         return file.relative_to(folder).as_posix() if folder is not None and file.is_relative_to(folder) else file.name
 
     def records(self, state: State, *, force: bool) -> list[TimeRecord]:
-        """Records of a state with responses, and with a force if asked for.
+        """Records of a state with responses, and with a force if asked for, with the channels that every stage uses.
+
+        Which these are is decided here, once (:func:`operando.frf.usable_channels`); what is left out stands in ``findings``.
 
         Raises
         ------
@@ -111,7 +114,21 @@ class Inputs:
                 where=", ".join(p.name for p in state.records[:4]),
                 hint="`operando inspect FILE` shows what each channel is taken for; [channels] labels it",
             )
-        return found
+        return self._usable(state, found)
+
+    def _usable(self, state: State, records: list[TimeRecord]) -> list[TimeRecord]:
+        """The records without the channels that cannot be used; the finding that says so takes the place of those about single files."""
+        from operando.frf import usable_channels
+
+        usable, left_out = usable_channels(records)
+        files = {self.label(file): file for file in state.records}
+        for finding in left_out:
+            if finding.dof is not None:
+                for file in files.values():
+                    rest = [f for f in self.findings.get(file, ()) if not (f.kind in ("nan", "flat") and f.dof == finding.dof)]
+                    self.findings[file] = rest
+            self._note(files.get(finding.file or "", state.records[0]), finding)
+        return usable
 
     def frf(self, state: State) -> Frf:
         """FRFs of all FRF files of a state in one matrix.
@@ -171,7 +188,11 @@ class Inputs:
         return rows
 
     def all_findings(self) -> list[Finding]:
-        """Findings of all files read so far, in the order of the test, each once."""
+        """Findings of all files read so far, in the order of the test, each once; with what is left out of each state."""
+        for state, force in ((self.test.idle, True), (self.test.operating, False), (self.test.check, True)):
+            if state.records:
+                with suppress(OperandoError):  # the stage that needs the records says what is wrong
+                    self.records(state, force=force)
         return list(dict.fromkeys(f for file in self.test.files for f in self.findings.get(file, ())))
 
     def _note(self, file: Path, finding: Finding) -> None:
@@ -220,6 +241,14 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "frf_lines": max(len(h.axis) for h in content.frfs),
         }
     return row
+
+
+def _trimmed(record: TimeRecord) -> TimeRecord:
+    """The record without ends at which no channel holds a number; the finding stands with it."""
+    from operando.frf import trimmed
+
+    cut, findings = trimmed(record)
+    return cut.with_findings(findings) if findings else record
 
 
 def checked(record: TimeRecord) -> TimeRecord:

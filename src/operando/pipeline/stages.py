@@ -156,9 +156,19 @@ def idle_modes(work: Work) -> dict[str, Any]:
 
 
 def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
-    """The runs the FRFs were made of: one that the homogeneity test set aside must not come back through the raw spectra."""
+    """The runs and channels the FRFs were made of: what was set aside there must not come back through the raw spectra."""
     used = {path for path, _ in frf.provenance.inputs}
-    return [r for r in records if any(path in used for path, _ in r.provenance.inputs)] or records
+    runs = [r for r in records if any(path in used for path, _ in r.provenance.inputs)] or records
+    measured, driven = ({(d.node, d.axis) for d in dofs} for dofs in (frf.responses, frf.references))
+    out = []
+    for run in runs:
+        at = [None if (d := c.dof) is None else (d.node, d.axis) for c in run.channels]
+        keep = [i for i in run.response_indices if at[i] in measured] + [i for i in run.force_indices if at[i] in driven]
+        if len(keep) == len(run.response_indices) + len(run.force_indices):
+            out.append(run)
+        elif all(at[i] in driven for i in run.force_indices) and any(i in keep for i in run.response_indices):
+            out.append(run.select(sorted(keep)))
+    return out
 
 
 def operational_modes(work: Work) -> dict[str, Any]:
@@ -346,7 +356,7 @@ def no_evidence(test: Test) -> str | None:
     return no_idle(test) or (None if test.check or test.operating else "the test has neither [check] nor [operating] measurements")
 
 
-READING = ("data", "io", "quality", "dof", "units", "pipeline/inputs", "pipeline/stages")
+READING = ("data", "io", "quality", "frf/usable", "dof", "units", "pipeline/inputs", "pipeline/stages")
 ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits")
 
 _EMA_SETTINGS = ("band", "max_order", "select_hz", "reject_hz", "exclude_bands", "second_opinion")

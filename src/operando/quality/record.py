@@ -13,9 +13,9 @@ from operando.frf.checks import missing_drive_point
 from operando.frf.hits import is_impact
 from operando.frf.impact import impact_blocks, overlap_finding
 from operando.frf.spectra import cross_spectra
+from operando.frf.usable import channel_faults
 from operando.quality.samples import Span, constant_runs, dropouts, not_finite, overload, soft_clipping
 
-FLAT_SHARE = 1e-4
 INVERTED_SHARE = 0.1
 SWAPPED_SHARE = 0.97
 MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
@@ -35,26 +35,15 @@ def check_record(record: TimeRecord) -> TimeRecord:
 
 def check_channels(record: TimeRecord) -> list[Finding]:
     """Findings about the samples of each channel."""
-    spread = np.array([_spread(row) for row in record.data])
     impact = {i for i in record.force_indices if is_impact(_finite(record.data[i]))}
+    flat = {fault.row: fault.message for fault in channel_faults(record) if fault.kind == "flat"}
     out: list[Finding] = []
-    for i, channel in enumerate(record.channels):
-        peers = [spread[k] for k, c in enumerate(record.channels) if c.quantity == channel.quantity and spread[k] > 0]
-        typical = float(np.median(peers)) if peers else 0.0
-        if spread[i] == 0 or spread[i] < FLAT_SHARE * typical:
-            message = f"rms {spread[i]:.3g}" + (f", others {typical:.3g}" if typical else "") + f" {channel.unit}"
-            out.append(
-                _finding(record, i, "flat", f"no signal: {message}", None, "warning", "the channel says nothing", "check cable and sensor")
-            )
-            continue
-        out += _check_samples(record, i, i in impact)
+    for i in range(len(record.channels)):
+        if i in flat:
+            out.append(_finding(record, i, "flat", flat[i], None, "warning", "the channel says nothing", "check cable and sensor"))
+        else:
+            out += _check_samples(record, i, i in impact)
     return out
-
-
-def _spread(row: np.ndarray) -> float:
-    """Standard deviation of the finite samples."""
-    row = row if np.isfinite(row.sum()) else row[np.isfinite(row)]
-    return float(np.std(row, dtype=float)) if row.size else 0.0
 
 
 def _finite(row: np.ndarray) -> np.ndarray:
@@ -66,11 +55,11 @@ def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
     row = record.data[i]
     out = []
     bad = not_finite(row) if not np.isfinite(row.sum()) else []
-    for span in _joined(bad, 16):
-        text = f"{span.length} samples that are not finite"
-        out.append(
-            _finding(record, i, "nan", text, span, "error", "blocks with them are left out", "exclude the channel or repair the file")
-        )
+    if bad:
+        count, spans = sum(s.length for s in bad), "" if len(bad) == 1 else f" in {len(bad)} places"
+        text = f"{count} samples{spans} that are not finite"
+        whole = Span(bad[0].first, bad[-1].last)
+        out.append(_finding(record, i, "nan", text, whole, "error", "the channel is left out", "exclude the channel or repair the file"))
     x = _finite(row) if bad else row
     runs = constant_runs(x)
     clipped = overload(x, runs)
