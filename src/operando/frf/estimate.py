@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, FrequencyAxis, Frf, TimeRecord
+from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.estimators import ESTIMATORS, estimate, inverse_force_matrix
@@ -18,7 +18,7 @@ from operando.frf.impact import ImpactBlocks, impact_blocks, impact_spectra, ove
 from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.rational import roughness_variance
-from operando.frf.runs import RunEstimate, coherence_of, merge_runs
+from operando.frf.runs import RunEstimate, coherence_of, merge_runs, same_references
 from operando.frf.spectra import CrossSpectra, cross_spectra
 from operando.frf.usable import usable_channels
 from operando.frf.wholerecord import choose_lines, rational_run, usable
@@ -114,7 +114,7 @@ def estimate_frf(
         if estimator == "periodic" or (automatic and block_seconds is None):
             periodic = _periodic(runs, band, window_lines, estimator == "periodic")
             if periodic is not None:
-                return _finite_lines(merge_runs(periodic, wanted).with_findings(left_out))
+                return _finished(merge_runs(periodic, wanted), left_out)
         impacts: list[ImpactBlocks | None] = [None] * len(runs)
         if estimator != "lrm" and hits != "off":
             impacts = _cut_hits(runs, block_seconds, band, hits == "auto")
@@ -145,9 +145,9 @@ def estimate_frf(
                 replace(e, findings=(*e.findings, *_hit_findings(r, b, False, e.exponential_window_rate)))
                 for e, r, b in zip(averaged, runs, impacts, strict=True)
             ]
-            extra = []
+            extra = _few_averages(estimates)
         estimates, unexcited = within_excited(estimates)
-        return _finite_lines(merge_runs(estimates, wanted).with_findings([*left_out, *extra, *unexcited]))
+        return _finished(merge_runs(estimates, wanted), [*left_out, *extra, *unexcited])
 
 
 def _periodic(runs: Sequence[RunInput], band: tuple[float, float] | None, window_lines: int, asked: bool) -> list[RunEstimate] | None:
@@ -181,20 +181,16 @@ def _periodic(runs: Sequence[RunInput], band: tuple[float, float] | None, window
     return [*estimates, *(rational_run(r, hz, window_lines) for r in others)]
 
 
-def _finite_lines(frf: Frf) -> Frf:
-    """The FRF without lines that some pair lacks which is measured at others: no stage can use half a line."""
+def _finished(frf: Frf, findings: Sequence[Finding]) -> Frf:
+    """The FRF with findings, those alike as one, and without lines that some pair lacks which is measured at others."""
+    frf = replace(frf, findings=tuple(group_findings([*findings, *frf.findings])))
     there = np.isfinite(frf.data)
     keep = np.all(there | ~there.any(axis=2, keepdims=True), axis=(0, 1))
     if keep.all() or not keep.any():
         return frf
     part = lambda a: None if a is None else a[:, :, keep]  # noqa: E731
-    return replace(
-        frf,
-        data=frf.data[:, :, keep],
-        axis=FrequencyAxis(frf.frequencies_hz[keep]),
-        variance=part(frf.variance),
-        coherence=part(frf.coherence),
-    )
+    axis = FrequencyAxis(frf.frequencies_hz[keep])
+    return replace(frf, data=frf.data[:, :, keep], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
 
 
 def _cut_hits(
@@ -264,7 +260,7 @@ def _averaged_run(
         how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
     h, variance, coherence, condition = estimate(spectra, estimator)
     if spectra.averages <= len(run.forces):
-        variance = roughness_variance(h)
+        variance = roughness_variance(h, force_power=np.real(np.einsum("jjl->jl", spectra.force)))
         coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
     inverse, _ = inverse_force_matrix(spectra.force)
     with np.errstate(divide="ignore"):
@@ -295,21 +291,6 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
     out = []
     dof = ", ".join(str(d) for d in run.references)
     n_f = len(run.forces)
-    if spectra.averages < FEW_AVERAGES * n_f:
-        enough = spectra.averages > n_f
-        out.append(
-            Finding(
-                "few_averages",
-                f"{spectra.averages:.3g} effective averages for {n_f} force(s)",
-                "warning",
-                file=run.name,
-                dof=dof,
-                consequence="coherence and variance are uncertain"
-                if enough
-                else "coherence and variance are only those of what is not smooth from line to line",
-                action="measure longer, use shorter blocks or more hits",
-            )
-        )
     if spectra.skipped:
         message = f"{spectra.skipped} of {spectra.skipped + spectra.blocks} blocks hold bad samples and are left out"
         out.append(Finding("blocks_left_out", message, "info", file=run.name, consequence="fewer averages"))
@@ -325,6 +306,37 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
             )
         )
     return out
+
+
+def _few_averages(estimates: Sequence[RunEstimate]) -> list[Finding]:
+    """One finding for the references of a state whose runs together have few averages."""
+    groups: list[list[RunEstimate]] = []
+    for run in estimates:
+        mine = next((g for g in groups if same_references(g[0], run)), None)
+        if mine is None:
+            groups.append([run])
+        else:
+            mine.append(run)
+    few = [(sum(r.averages for r in g), g[0]) for g in groups if sum(r.averages for r in g) < FEW_AVERAGES * len(g[0].references)]
+    if not few:
+        return []
+    least, run = min(few, key=lambda item: item[0] / len(item[1].references))
+    dofs = [", ".join(map(str, r.references)) for _, r in few]
+    shown = "; ".join(dofs[:6]) + (" …" if len(dofs) > 6 else "")
+    where = f" at {shown}" if len(dofs) == 1 else f" at the worst of {len(dofs)} references ({shown})"
+    return [
+        Finding(
+            "few_averages",
+            f"{least:.3g} effective averages for {len(run.references)} force(s){where}",
+            "warning",
+            file=run.name if len(few) == 1 else None,
+            dof=dofs[0] if len(dofs) == 1 else None,
+            consequence="coherence and variance are uncertain"
+            if least > len(run.references)
+            else "coherence and variance are only those of what is not smooth from line to line",
+            action="measure longer, use shorter blocks or more hits",
+        )
+    ]
 
 
 def _hit_findings(run: RunInput, blocks: ImpactBlocks | None, whole_record: bool, rate: float = 0.0) -> list[Finding]:

@@ -80,7 +80,8 @@ def impact_blocks(
     hits, starts, block, pre = hit_blocks(hits, record.n_samples, block_seconds)
     if starts.size == 0 or block < 16:
         raise DataError("no usable hit in the record", where=record.name or None, hint="; ".join(m for m in hits.messages if m) or None)
-    share, where = remaining_share(record.data, responses, starts, block, record.sampling_hz, band)
+    quiet = int(max(hits.pulses[0] - hits.lead.max(initial=0), 0))
+    share, where = remaining_share(record.data, responses, starts, block, record.sampling_hz, band, quiet)
     if select and share <= REMAINING:
         hits, starts = reject_inconsistent(record, force, responses, hits, starts, block, pre, band)
     return ImpactBlocks(hits, starts, block, pre, share, where)

@@ -156,7 +156,9 @@ def local_rational(
     return LocalRational(h, variance, gain, noise, residual, dof)
 
 
-def roughness_variance(h: Array, n_lines: int = 17, frequencies_hz: Array | None = None, smoothed: bool = True) -> Array:
+def roughness_variance(
+    h: Array, n_lines: int = 17, frequencies_hz: Array | None = None, smoothed: bool = True, force_power: Array | None = None
+) -> Array:
     """E|ΔH|² of FRFs without averages: what a local rational model, common to all responses of a reference, leaves of each.
 
     Parameters
@@ -169,6 +171,9 @@ def roughness_variance(h: Array, n_lines: int = 17, frequencies_hz: Array | None
     smoothed : bool
         Whether it is smoothed over neighbouring windows: right for noise, which hardly changes with frequency, not for distortion,
         which peaks at resonances.
+    force_power : (n_references, n_lines) array, optional
+        Power of the force at each line: noise of the response is even then, that of the FRF grows where the force is weak (the notches
+        of a hammer pulse).
     """
     count = h.shape[2]
     out = np.full(h.shape, np.nan)
@@ -176,11 +181,17 @@ def roughness_variance(h: Array, n_lines: int = 17, frequencies_hz: Array | None
     for k in range(h.shape[1]):
         rows = np.flatnonzero(np.isfinite(h[:, k]).all(axis=1) & np.any(h[:, k] != 0, axis=1))
         if count >= n_lines and rows.size:
-            force = np.ones((1, count), complex)
+            force = np.ones((1, count)) if force_power is None else np.sqrt(np.maximum(force_power[k : k + 1], 1e-300))
             found = local_rational(
-                force, h[rows, k], lines, lines.astype(float), n_lines=n_lines, transient=False, coordinates=frequencies_hz
+                force.astype(complex),
+                h[rows, k] * force,
+                lines,
+                lines.astype(float),
+                n_lines=n_lines,
+                transient=False,
+                coordinates=frequencies_hz,
             )
-            out[rows, k] = found.noise if smoothed else found.residual
+            out[rows, k] = (found.noise if smoothed else found.residual) / force**2
     return out
 
 

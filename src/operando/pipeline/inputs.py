@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from operando.config import State, Test
-from operando.data import Finding, Frf, Geometry, Provenance, TimeRecord, file_hash
+from operando.data import Finding, Frf, Geometry, Provenance, TimeRecord, file_hash, group_findings
 from operando.dof import Dof
 from operando.errors import DataError, MissingError, OperandoError
 
@@ -193,7 +193,7 @@ class Inputs:
             if state.records:
                 with suppress(OperandoError):  # the stage that needs the records says what is wrong
                     self.records(state, force=force)
-        return list(dict.fromkeys(f for file in self.test.files for f in self.findings.get(file, ())))
+        return group_findings(f for file in self.test.files for f in self.findings.get(file, ()))
 
     def _note(self, file: Path, finding: Finding) -> None:
         notes = self.findings.setdefault(file, [])

@@ -9,7 +9,6 @@ import numpy as np
 from operando.data import Finding, TimeRecord
 from operando.data.findings import Severity
 from operando.errors import DataError
-from operando.frf.checks import missing_drive_point
 from operando.frf.hits import is_impact
 from operando.frf.impact import impact_blocks, overlap_finding
 from operando.frf.spectra import cross_spectra
@@ -25,8 +24,8 @@ MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
 def check_record(record: TimeRecord) -> TimeRecord:
     """The same record with findings about its samples, channels and hits.
 
-    Checked are NaN, overload, soft clipping, dropout and flat channels; where there is a force also the drive point (missing,
-    inverted, swapped) and, in hammer records, each hit.
+    Checked are NaN, overload, soft clipping, dropout and flat channels; where there is a force also the drive point (inverted, swapped)
+    and, in hammer records, each hit.
     """
     findings = [*check_channels(record), *check_forces(record)]
     known = {(f.kind, f.dof, f.time_s) for f in record.findings}
@@ -139,14 +138,11 @@ def _finding(
 
 
 def check_forces(record: TimeRecord) -> list[Finding]:
-    """Drive points and hits of a record with force channels."""
+    """Sense of the drive point and hits of a record with force channels (whether there is one is asked of the whole state, by its FRFs)."""
     out: list[Finding] = []
     forces = [i for i in record.force_indices if record.channels[i].dof is not None]
     responses = record.response_indices
     drive = {f: [r for r in responses if record.channels[r].dof.same_axis(record.channels[f].dof)] for f in forces}  # type: ignore[union-attr,arg-type]
-    for f in forces:
-        if responses and not drive[f]:
-            out.append(missing_drive_point(record.channels[f].label, record.name or None, any(drive.values())))
     if len(forces) != 1 or not responses or not np.isfinite(record.data[forces[0]].sum()):
         return out
     force = forces[0]
