@@ -86,13 +86,13 @@ def group_findings(findings: Iterable[Finding]) -> list[Finding]:
     """
     groups: dict[tuple[object, ...], list[Finding]] = {}
     for finding in dict.fromkeys(findings):
-        masked = (_masked(t) for t in (finding.message, finding.consequence))
-        groups.setdefault((finding.kind, finding.severity, *masked, finding.action), []).append(finding)
+        masked = (_masked(t) for t in (finding.message, finding.consequence, finding.action))
+        groups.setdefault((finding.kind, finding.severity, *masked), []).append(finding)
     return [f for group in groups.values() for f in ([_grouped(group)] if len(group) >= ALIKE else group)]
 
 
 def _masked(text: str) -> str:
-    """The text without numbers, DOF labels and names of files and channels made of words and numbers."""
+    """The text without words that hold numbers: numbers, DOF labels, names of files and channels with one."""
     words = (re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?([+-]R?[XYZ])?", "#", word) for word in text.split())
     return " ".join("#" if "#" in word else word for word in words)
 

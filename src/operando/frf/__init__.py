@@ -1,6 +1,6 @@
 """FRF estimation: H1, H2, Hv, several references, hammer hits, local rational models, checks."""
 
-from operando.frf.checks import check_drive_points, check_frf, reciprocity_error
+from operando.frf.checks import check_drive_points, check_frf, power_signs, reciprocity_error
 from operando.frf.estimate import estimate_frf
 from operando.frf.excitation import is_periodic
 from operando.frf.hits import Hits, find_hits, is_impact
@@ -31,6 +31,7 @@ __all__ = [
     "local_rational",
     "merge_runs",
     "periodic_frf",
+    "power_signs",
     "reciprocity_error",
     "resonance_peaks",
     "steady_periods",

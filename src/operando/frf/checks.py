@@ -47,6 +47,20 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
     return float(np.maximum(dissipated, 0).sum() / total) if total > 0 else float("nan")
 
 
+def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
+    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point."""
+    f = frf.frequencies_hz
+    good = _significant(frf, response, reference) & (f > 0)
+    if not good.any():
+        return 0.0, 0.0
+    sign = frf.responses[response].sign * frf.references[reference].sign
+    power = QUANTITIES.index("accelerance") - QUANTITIES.index(frf.quantity)
+    dissipated = np.imag(sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power)
+    variance = np.zeros_like(dissipated) if frf.variance is None else frf.variance[response, reference, good]
+    limit = 3 * np.sqrt(np.where(np.isfinite(variance), variance, 0) / 2) * (2 * np.pi * f[good]) ** power
+    return float(np.mean(dissipated > limit)), float(np.mean(dissipated < -limit))
+
+
 def check_drive_points(frf: Frf) -> list[Finding]:
     """Sign and phase of every drive-point FRF, and references without one.
 
