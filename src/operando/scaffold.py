@@ -244,8 +244,8 @@ def _dof_of_force(record: Any, channels: Sequence[Any], force: Any) -> tuple[str
         inward, outward = signs[drive[0]]
         second = max((share for d, (share, _) in signs.items() if d != drive[0]), default=0.0)
         return drive[0], (
-            f"as at a drive point, power flows into the structure there at {100 * inward:.0f} % of the lines, out at {100 * outward:.0f} %; "
-            f"at the next response it flows in at {100 * second:.0f} %"
+            f"as at a drive point, power flows in there at {100 * inward:.0f} % of the lines, out at {100 * outward:.0f} %; "
+            f"the next response has {100 * second:.0f} % in"
         )
     return str(own), "a node of its own: the measurement does not tell one response as its drive point (label them alike if you know it)"
 

@@ -28,13 +28,13 @@ QUIET = 0.3
 """What is below this part of the rms at both ends of a force is silence before and after the signal."""
 
 EXCITED = 0.05
-"""A line is excited where the force has this part of the amplitude of the strongest line near it, at least."""
+"""A line is excited where the force has this part of the amplitude of the strongest line beside it, at least."""
 
 EXCITED_ANYWHERE = 0.002
 """... and this part of the median excited amplitude: the force of a shaker may fall by 40 dB at a sharp resonance, not by more."""
 
 NEAR = 8
-"""Lines on either side that count as near."""
+"""Lines of a group that shows a transient; and half the widest gap between lines of one multisine, at least."""
 
 SETTLED = 4.0
 """A period is not steady where what it differs by has this many times the usual power at least (a mean over eight lines or more: noise
@@ -158,8 +158,10 @@ def excited_lines(amplitude: Array) -> NDArray[np.bool_]:
     clear = np.flatnonzero(amplitude > EXCITED * level)
     clear = clear[clear > 0]
     gaps = np.diff(clear)
-    widest = max(2 * NEAR, 4 * float(np.median(gaps))) if gaps.size else 0.0
-    near = ndimage.maximum_filter1d(amplitude, 2 * NEAR + 1)
+    widest = max(2 * NEAR, 4 * float(np.median(gaps)), 0.05 * clear.size) if gaps.size else 0.0
+    # As near as excited lines are to each other: a line left out has one beside it, a line in a dip of the force has its like.
+    reach = max(1, int(np.ceil(np.median(gaps)))) if gaps.size else 1
+    near = ndimage.maximum_filter1d(amplitude, 2 * reach + 1)
     out = np.zeros(amplitude.size, bool)
     # A hum line far from the rest (a part of its own) must not make the lines between look excited.
     for part in np.split(clear, np.flatnonzero(gaps > widest) + 1):
@@ -250,6 +252,8 @@ def transient(forces: Array, responses: Array) -> int:
         At the excited lines.
     """
     periods, n_lines = forces.shape[1:]
+    if not responses.shape[0]:
+        return 0
     late = slice(max(1, periods // 2), None)
     edges = np.linspace(0, n_lines, max(1, n_lines // NEAR) + 1).astype(int)[:-1]
     middle = responses[:, late].mean(axis=1, keepdims=True)
