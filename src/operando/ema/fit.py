@@ -20,7 +20,7 @@ from operando.ema.outside import OutsideModes, make_up, outside_modes, without_m
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra, rings_from_one_hit
+from operando.ema.spectra import RunSpectra, excited_limits, frf_spectra, record_spectra, rings_from_one_hit
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 from operando.errors import DataError, IdentificationError
 from operando.frf import is_periodic, usable_channels, whole
@@ -235,8 +235,13 @@ def _runs(
     if not records:
         fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
         return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
-    limit = min(excited_limit(record, band) for record in records)
-    fit_band = (0.6 * band[0], float(max(min(WIDER * band[1], 0.97 * limit), min(band[1], limit))))
+    limits = [excited_limits(record, band) for record in records]
+    low, high = max(low for low, _ in limits), min(high for _, high in limits)
+    fit_band = (max(0.6 * band[0], low), float(max(min(WIDER * band[1], 0.97 * high), min(band[1], high))))
+    if not fit_band[0] < fit_band[1]:
+        raise IdentificationError(
+            f"no band in which all forces have power within {band[0]:g}-{band[1]:g} Hz", hint="fit the runs apart, or choose another band"
+        )
     return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
 
 

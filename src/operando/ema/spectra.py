@@ -145,8 +145,12 @@ def rings_from_one_hit(record: TimeRecord) -> bool:
     return is_impact(force) and find_hits(force, record.sampling_hz).pulses.size == 1
 
 
-def excited_limit(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> float:
-    """Highest frequency [Hz] up to which the force spectrum stays above ``share`` of its median power in the band."""
+def excited_limits(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> tuple[float, float]:
+    """Lowest and highest frequency [Hz] between which the force spectrum stays above ``share`` of its typical power in the band.
+
+    Typical is the level above which half of the power in the band stands, so that a band wider than the excitation changes nothing. Where
+    the force ends inside the band, so does what is returned; else it reaches beyond the band as far as the force does.
+    """
     rows = record.force_indices
     if not rows:
         raise DataError("no force channel", where=record.name or None, hint="idle and check runs need a measured force")
@@ -157,9 +161,17 @@ def excited_limit(record: TimeRecord, band: tuple[float, float], share: float = 
     smooth = np.median(power[: count * width].reshape(count, width), axis=1)
     middle = f[: count * width].reshape(count, width).mean(axis=1)
     inside = (middle >= band[0]) & (middle <= band[1])
-    typical = float(np.median(smooth[inside])) if inside.any() else float(np.median(smooth))
-    low = np.flatnonzero((middle > band[1]) & (smooth < share * typical))
-    return float(middle[low[0]]) if low.size else float(0.92 * record.sampling_hz / 2)
+    ordered = np.sort(smooth[inside] if inside.any() else smooth)[::-1]
+    typical = float(ordered[int(np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum()))])
+    weak = smooth < share * typical
+    there = np.flatnonzero(inside & ~weak)
+    if not there.size:
+        return 0.0, float(0.92 * record.sampling_hz / 2)
+    half = 0.5 * float(middle[1] - middle[0]) if count > 1 else 0.0
+    above, below = np.flatnonzero(weak & (middle > middle[there[-1]])), np.flatnonzero(weak & (middle < middle[there[0]]))
+    high = float(middle[above[0]]) if above.size else float(0.92 * record.sampling_hz / 2)
+    low = float(middle[below[-1]]) + half if below.size else 0.0
+    return low, high
 
 
 def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> list[RunSpectra]:

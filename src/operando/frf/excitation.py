@@ -18,7 +18,7 @@ from operando.frf.runs import RunEstimate, coherence_of, same_references
 
 Array = NDArray[Any]
 
-FAINT, UNSEEN = 0.02, 0.5
+FAINT, UNSEEN = 0.02, 0.9
 """At either end of the band, lines are not excited where the force has less than this part of its typical power and no response has at
 least this coherence with it: noise alone. 0.02 is what the fit of whole records asks for (:func:`operando.ema.spectra.excited_limit`)."""
 
