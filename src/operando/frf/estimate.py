@@ -19,7 +19,7 @@ from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
 from operando.frf.rational import roughness_variance
 from operando.frf.runs import RunEstimate, coherence_of, merge_runs, same_references
-from operando.frf.spectra import CrossSpectra, cross_spectra
+from operando.frf.spectra import CrossSpectra, block_starts, cross_spectra
 from operando.frf.usable import usable_channels
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
@@ -244,7 +244,11 @@ def _averaged_run(
     record = run.record
     block = blocks.block if blocks is not None else max(8, round(block_s * record.sampling_hz))
     lines = _lines(band, record.sampling_hz, block)
-    rate = 0.0
+    rate, share = 0.0, 0.0
+    if blocks is None:
+        window = window or "hann"
+        share = overlap if overlap is not None else (0.5 if window == "hann" else 0.0)
+    run = _with_bad_samples_if_need_be(run, block_starts(record.n_samples, block, share) if blocks is None else blocks.starts, block)
     if blocks is not None:
         window = window or ("exponential" if blocks.single and blocks.overlapping else "rectangular")
         responses = run.finite(run.responses)
@@ -252,10 +256,16 @@ def _averaged_run(
         run = replace(run, responses=tuple(responses))
         how = f"hits={spectra.blocks}, block_seconds={block / record.sampling_hz:g}, window={window!r}"
     else:
-        window = window or "hann"
-        share = overlap if overlap is not None else (0.5 if window == "hann" else 0.0)
         spectra = cross_spectra(
-            record.data, run.forces, run.responses, record.sampling_hz, block, overlap=share, window=window, lines=lines, bad=run.bad
+            record.data,
+            run.forces,
+            run.responses,
+            record.sampling_hz,
+            block,
+            overlap=share,
+            window=window or "hann",
+            lines=lines,
+            bad=run.bad,
         )
         how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
     h, variance, coherence, condition = estimate(spectra, estimator)
@@ -284,6 +294,21 @@ def _averaged_run(
         findings=findings,
         provenance=record.provenance.then(f"estimate_frf(estimator={estimator!r}, {how}, averages={spectra.averages:.3g})"),
     )
+
+
+def _with_bad_samples_if_need_be(run: RunInput, starts: np.ndarray, block: int) -> RunInput:
+    """The run without its bad spans where no block would be left, and the finding that says so: a doubtful estimate is better than none."""
+    if not run.bad or not all(any(s <= last and s + block > begin for begin, last in run.bad) for s in starts):
+        return run
+    finding = Finding(
+        "bad_samples_used",
+        f"each of {len(starts)} blocks holds samples that are clipped or lost; they are used all the same",
+        "warning",
+        file=run.name,
+        consequence="FRFs of the channels with an overload or dropout are wrong in size",
+        action="exclude these channels in [channels], or measure again with a larger input range",
+    )
+    return replace(run, bad=(), findings=(*run.findings, finding))
 
 
 def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarray) -> list[Finding]:
@@ -344,7 +369,7 @@ def _hit_findings(run: RunInput, blocks: ImpactBlocks | None, whole_record: bool
     if blocks is None:
         return []
     dof = str(run.references[0])
-    out = [] if whole_record else blocks.hits.findings(run.name, dof)
+    out = [] if whole_record and not blocks.cut else blocks.findings(run.name, dof)
     if blocks.overlapping:
         out.append(overlap_finding(blocks, run.name, dof, whole_record, rate))
     return out

@@ -36,6 +36,8 @@ class ImpactBlocks:
         Largest share of its amplitude that a line keeps at the end of a block.
     remaining_hz : float
         The line.
+    cut : int
+        Hits used although their force is cut at a level, for there are no others.
     """
 
     hits: Hits
@@ -44,6 +46,25 @@ class ImpactBlocks:
     pre_trigger: int
     remaining: float
     remaining_hz: float
+    cut: int = 0
+
+    def findings(self, name: str | None, dof: str | None) -> list[Finding]:
+        """Findings about single hits: each that is not used, and that those used are cut."""
+        out = self.hits.findings(name, dof)
+        if self.cut:
+            text = f"the force of every hit is cut at {float(self.hits.levels[self.hits.used].max()):.4g} N; {self.cut} hits are used so"
+            out.append(
+                Finding(
+                    "overload",
+                    text,
+                    "error",
+                    file=name,
+                    dof=dof,
+                    consequence="the force was larger than measured: FRFs are too large and modal masses too small, frequencies are right",
+                    action="choose a larger input range and repeat the measurement",
+                )
+            )
+        return out
 
     @property
     def overlapping(self) -> bool:
@@ -77,6 +98,10 @@ def impact_blocks(
         for i, reason in enumerate(hits.reasons):
             if reason in ("weak_hit", "double_hit"):
                 hits = hits.reject(i, "", "")
+    cut = 0
+    if not hits.used.any():
+        for i in [i for i, reason in enumerate(hits.reasons) if reason == "overload"]:
+            hits, cut = hits.reject(i, "", ""), cut + 1
     hits, starts, block, pre = hit_blocks(hits, record.n_samples, block_seconds)
     if starts.size == 0 or block < 16:
         raise DataError("no usable hit in the record", where=record.name or None, hint="; ".join(m for m in hits.messages if m) or None)
@@ -84,7 +109,7 @@ def impact_blocks(
     share, where = remaining_share(record.data, responses, starts, block, record.sampling_hz, band, quiet)
     if select and share <= REMAINING:
         hits, starts = reject_inconsistent(record, force, responses, hits, starts, block, pre, band)
-    return ImpactBlocks(hits, starts, block, pre, share, where)
+    return ImpactBlocks(hits, starts, block, pre, share, where, cut)
 
 
 def reject_inconsistent(

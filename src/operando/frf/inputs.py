@@ -16,6 +16,8 @@ from operando.errors import DataError
 QUANTITY = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 BAD_KINDS = ("overload", "dropout")
 """Findings with a time span that no block may touch (samples that are not finite are looked for block by block)."""
+LONGEST_BAD = 0.125
+"""A span longer than this part of the record (a block by default) is used as it is: nothing would be left without it."""
 
 
 @dataclass(frozen=True)
@@ -144,5 +146,7 @@ def _bad_spans(record: TimeRecord, labels: set[str]) -> tuple[tuple[int, int], .
     for finding in record.findings:
         if finding.kind in BAD_KINDS and finding.time_s is not None and (finding.dof is None or finding.dof in labels):
             first, last = ((t - record.start_s) * record.sampling_hz for t in finding.time_s)
+            if last - first > LONGEST_BAD * record.n_samples:
+                continue
             spans.append((max(0, int(np.floor(first))), min(record.n_samples - 1, int(np.ceil(last)))))
     return tuple(sorted(spans))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from operando.data import Finding, TimeRecord
 from operando.data.findings import Severity
@@ -13,7 +14,7 @@ from operando.frf.hits import is_impact
 from operando.frf.impact import impact_blocks, overlap_finding
 from operando.frf.spectra import cross_spectra
 from operando.frf.usable import channel_faults
-from operando.quality.samples import Span, constant_runs, dropouts, not_finite, overload, soft_clipping
+from operando.quality.samples import PileUp, Span, constant_runs, dropouts, not_finite, overload, pile_up, soft_clipping
 
 INVERTED_SHARE = 0.1
 SWAPPED_SHARE = 0.97
@@ -61,9 +62,12 @@ def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
         out.append(_finding(record, i, "nan", text, whole, "error", "the channel is left out", "exclude the channel or repair the file"))
     x = _finite(row) if bad else row
     runs = constant_runs(x)
-    clipped = overload(x, runs)
+    clipped = [] if impact else overload(x, runs)  # a pulse that is cut is judged with the hits
     unit = record.channels[i].unit
-    if clipped:
+    piled = None if impact else pile_up(x)
+    if piled is not None:
+        out.append(_cut_finding(record, i, piled))
+    elif clipped:
         count = sum(s.length for s in clipped)
         level = max(abs(float(x[s.first])) for s in clipped)
         for n, span in enumerate(_joined(clipped, max(16, x.size // 200))):
@@ -96,6 +100,28 @@ def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
                     _finding(record, i, "dropout", text, span, "warning", "blocks with it are left out", "check cable and connector")
                 )
     return out
+
+
+def _cut_finding(record: TimeRecord, i: int, piled: PileUp) -> Finding:
+    """The finding for a channel that is cut at a level throughout, with what that does to FRFs.
+
+    Of a normally distributed signal cut at a·σ the part p beyond it is erfc(a/√2); the cut signal follows the whole one by 1 − p and
+    has the power 1 − p − 2aφ(a) + a²p (Bussgang 1952): H1 with a force so cut is larger by the ratio of the two, with a response so cut
+    smaller by 1 − p.
+    """
+    share = piled.share
+    a = float(np.sqrt(2) * special.erfcinv(share))
+    power = 1 - share - 2 * a * np.exp(-0.5 * a * a) / np.sqrt(2 * np.pi) + a * a * share
+    channel = record.channels[i]
+    text = f"{100 * share:.2g} % of the samples are cut at {piled.level:.4g} {channel.unit}".rstrip()
+    if channel.is_force:
+        consequence = (
+            f"the force was larger than measured: FRFs about {20 * np.log10((1 - share) / power):.1f} dB too large; they are right if "
+            "the force itself was cut (an amplifier at its limit)"
+        )
+    else:
+        consequence = f"FRFs at this DOF are about {-20 * np.log10(1 - share):.1f} dB too small, with harmonics"
+    return _finding(record, i, "overload", text, piled.span, "warning", consequence, "choose a larger input range, or a smaller force")
 
 
 def _all_constant(record: TimeRecord, span: Span) -> bool:
@@ -214,7 +240,7 @@ def _check_hits(record: TimeRecord, force: int, responses: list[int]) -> list[Fi
         blocks = impact_blocks(record, force, responses)
     except DataError as error:
         return [Finding("weak_hit", error.message, "error", file=record.name or None, dof=label, action="repeat the measurement")]
-    out = blocks.hits.findings(record.name or None, label)
+    out = blocks.findings(record.name or None, label)
     if blocks.overlapping and not blocks.single:  # what one hit needs is said by the FRF, which knows its window
         out.append(overlap_finding(blocks, record.name or None, label, True))
     return out
