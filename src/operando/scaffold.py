@@ -16,10 +16,10 @@ IDLE_WORDS = ("idle", "rest", "still", "standstill", "stopped", "parked", "off",
 CHECK_WORDS = ("check", "verification", "verify", "validation", "judge", "proof")
 OPERATING_WORDS = ("operating", "operation", "operational", "running", "oma", "ambient", "on", "load", "loaded")
 MOTION = ("acceleration", "velocity", "displacement")
-DRIVE_POINT = (0.9, 0.01)
-"""Shares of lines at which power flows in, at least, and out, at most, beyond three standard deviations, where a response is guessed to
-sit at the force. Out is 0 at a true drive point but for noise (0.1 % of lines) and phase errors; F-16 ground vibration test: 95 and 0 % at
-the shaker, 57 and 9 %, 60 and 3 % on the wing."""
+DRIVE_POINT = 0.01
+"""Share of the lines at which power flows out of the structure, beyond three standard deviations: no more at the response that is guessed
+to sit at the force, twice as much at all others. At a true drive point it is 0 but for noise (0.1 % of lines) and phase errors; F-16
+ground vibration test: 0 % at the shaker, 9 and 3 % on the wing."""
 SKIPPED_SUFFIXES = (
     ".toml", ".md", ".json", ".html", ".pdf", ".png", ".jpg", ".jpeg", ".svg", ".py", ".ipynb", ".zip", ".gz", ".doc", ".docx",
     ".xls", ".xlsx", ".log", ".yaml", ".yml", ".m", ".exe", ".part",
@@ -239,13 +239,14 @@ def _dof_of_force(record: Any, channels: Sequence[Any], force: Any) -> tuple[str
     except OperandoError as error:
         return str(own), f"a node of its own, for its FRFs cannot be estimated ({error.message})"
     signs = {str(d): power_signs(frf, i, 0) for i, d in enumerate(frf.responses)}
-    drive = [d for d, (inward, outward) in signs.items() if inward >= DRIVE_POINT[0] and outward <= DRIVE_POINT[1]]
-    if len(drive) == 1:
+    drive = [d for d, (inward, outward) in signs.items() if outward <= DRIVE_POINT and inward > 10 * DRIVE_POINT]
+    others = [outward for d, (_, outward) in signs.items() if d not in drive]
+    if len(drive) == 1 and min(others, default=1.0) > 2 * DRIVE_POINT:
         inward, outward = signs[drive[0]]
-        second = max((share for d, (share, _) in signs.items() if d != drive[0]), default=0.0)
+        second = f"; at the others it flows out at {100 * min(others):.0f} % or more" if others else ""
         return drive[0], (
-            f"as at a drive point, power flows in there at {100 * inward:.0f} % of the lines, out at {100 * outward:.0f} %; "
-            f"the next response has {100 * second:.0f} % in"
+            f"as at a drive point, power flows into the structure there at {100 * inward:.0f} % of the lines and out at "
+            f"{100 * outward:.0f} %{second}"
         )
     return str(own), "a node of its own: the measurement does not tell one response as its drive point (label them alike if you know it)"
 

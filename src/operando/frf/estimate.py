@@ -123,6 +123,9 @@ def estimate_frf(
         if estimator != "lrm":
             kind = "h1" if estimator in (None, "auto") else str(estimator)
             length = _block_seconds(runs, impacts, block_seconds)
+            if window is None and any(b is not None and b.single and b.overlapping for b in impacts):
+                # One window for all hits: FRFs under different ones are those of different structures.
+                window = "exponential" if all(b is not None for b in impacts) else None
             averaged = [
                 _averaged_run(r, b, kind, length, overlap, window, band, exponential_end) for r, b in zip(runs, impacts, strict=True)
             ]

@@ -27,8 +27,9 @@ STANDS = 20.0
 """A line stands out of the noise at this many times its power (of 1000 lines of noise alone one does with a probability of 2e-6)."""
 GROWS = 1.2
 """A response does not grow after the hit: what has a fifth more power in the last quarter than in the first is background."""
-BEFORE = 2.0
-"""A line was not there before the hit where its power at the end is this many times that before."""
+BEFORE = 4.0
+"""A line was not there before the hit where its power at the end is this many times that before (a tone between two lines of a short
+spectrum loses a third of its power, noise the rest)."""
 AROUND = 16
 """Lines on either side that tell the noise near a line."""
 FINDING_KINDS = {
