@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from operando.dof import Dof
 from operando.errors import DataError
 from operando.frf import check_frf, is_periodic
 from operando.frf.periodic import excited_lines, period_of, periodic_frf, steady_periods
+from operando.quality import check_record
 from structures import Chain
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
@@ -80,6 +82,17 @@ def test_default_estimate_uses_excited_lines_of_steady_periods(start):
     assert np.sqrt(np.sum(np.abs(frf.data - exact) ** 2) / np.sum(np.abs(exact) ** 2)) < 1.5 * expected
     kinds = {f.kind for f in check_frf(frf).findings}
     assert not kinds & {"low_coherence", "drive_point_sign", "inverted", "nonlinear", "nonlinear_distortion"}
+
+
+def test_peaks_that_come_back_in_each_period_are_no_cut_signal():
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        force = multisine(rng)
+        record = shaken(Chain(4, zeta=0.01), [1], force[None], 20, rng, noise=0.003)
+        assert check_record(record).findings == ()
+        cut = np.clip(force, -0.5 * np.abs(force).max(), 0.5 * np.abs(force).max())
+        found = check_record(replace(record, data=np.vstack([np.tile(cut, 20)[None], record.data[1:]]))).findings
+        assert [(f.kind, f.dof) for f in found] == [("overload", "1+Z")]
 
 
 def test_variance_covers_the_error_against_truth():

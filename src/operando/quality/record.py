@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -12,10 +13,13 @@ from operando.data.findings import Severity
 from operando.errors import DataError
 from operando.frf.hits import is_impact
 from operando.frf.impact import impact_blocks, overlap_finding
+from operando.frf.periodic import period_of
 from operando.frf.spectra import cross_spectra
 from operando.frf.usable import channel_faults
 from operando.quality.samples import PileUp, Span, constant_runs, dropouts, not_finite, overload, pile_up, soft_clipping
 
+SHORTEST_PERIOD = 256
+"""Samples below which one period (of a tone) is too short to tell how its values are distributed; all samples are taken then."""
 INVERTED_SHARE = 0.1
 SWAPPED_SHARE = 0.97
 MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
@@ -37,21 +41,34 @@ def check_channels(record: TimeRecord) -> list[Finding]:
     """Findings about the samples of each channel."""
     impact = {i for i in record.force_indices if is_impact(_finite(record.data[i]))}
     flat = {fault.row: fault.message for fault in channel_faults(record) if fault.kind == "flat"}
+    period = _period(record, impact)
     out: list[Finding] = []
     for i in range(len(record.channels)):
         if i in flat:
             out.append(_finding(record, i, "flat", flat[i], None, "warning", "the channel says nothing", "check cable and sensor"))
         else:
-            out += _check_samples(record, i, i in impact)
+            out += _check_samples(record, i, i in impact, period)
     return out
+
+
+def _period(record: TimeRecord, impact: set[int]) -> int | None:
+    """Samples after which the force repeats itself, None where it does not or is not known."""
+    forces = [i for i in record.force_indices if i not in impact and np.isfinite(record.data[i].sum()) and np.ptp(record.data[i]) > 0]
+    try:
+        return period_of(np.asarray(record.data[forces[0]], float)) if forces else None
+    except DataError:
+        return None
 
 
 def _finite(row: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(row), row, 0.0)
 
 
-def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
-    """NaN, overload, dropout and soft clipping of one channel that carries a signal."""
+def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None) -> list[Finding]:
+    """NaN, overload, dropout and soft clipping of one channel that carries a signal.
+
+    Of a signal that repeats itself one period tells whether it is cut: its highest peak comes back in each of them.
+    """
     row = record.data[i]
     out = []
     bad = not_finite(row) if not np.isfinite(row.sum()) else []
@@ -64,7 +81,7 @@ def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
     runs = constant_runs(x)
     clipped = [] if impact else overload(x, runs)  # a pulse that is cut is judged with the hits
     unit = record.channels[i].unit
-    piled = None if impact else pile_up(x)
+    piled = None if impact else _piled(x, period)
     if piled is not None:
         out.append(_cut_finding(record, i, piled))
     elif clipped:
@@ -100,6 +117,17 @@ def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
                     _finding(record, i, "dropout", text, span, "warning", "blocks with it are left out", "check cable and connector")
                 )
     return out
+
+
+def _piled(x: np.ndarray, period: int | None) -> PileUp | None:
+    """Samples piled up at an extreme, from one period where the signal repeats itself; the span is that of the whole record."""
+    if period is None or period < SHORTEST_PERIOD:
+        return pile_up(x)
+    found = pile_up(x[-period:])
+    if found is None:
+        return None
+    before = x.size - period
+    return replace(found, span=Span((found.span.first + before) % period, found.span.last + before))
 
 
 def _cut_finding(record: TimeRecord, i: int, piled: PileUp) -> Finding:
