@@ -14,7 +14,7 @@ from operando.data import Channel, TimeRecord
 from operando.dof import Dof
 from operando.errors import DataError
 from operando.frf import check_frf, is_periodic
-from operando.frf.periodic import excited_lines, period_of, periodic_frf, steady_periods
+from operando.frf.periodic import clock_drift, excited_lines, period_of, periodic_frf, steady_periods
 from operando.quality import check_record
 from structures import Chain
 
@@ -249,6 +249,36 @@ def test_a_random_run_joins_periodic_ones_on_their_lines():
     np.testing.assert_allclose(frf.frequencies_hz, LINES * FS / PERIOD)
     exact = chain.accelerance(frf.frequencies_hz, ref=[0, 2])
     assert np.sqrt(np.sum(np.abs(frf.data - exact) ** 2) / np.sum(np.abs(exact) ** 2)) < 0.01
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.31, -0.4])
+def test_a_generator_with_a_clock_of_its_own(drift):
+    """A period that is no whole number of samples is resampled: without, its lines leak into each other (last assertion)."""
+    rng = np.random.default_rng(12)
+    chain = Chain(4, zeta=0.004)
+    period = PERIOD + drift
+    hz, phase = LINES * FS / period, rng.uniform(0, 2 * np.pi, LINES.size)
+    t = np.arange(int(6.5 * PERIOD)) / FS
+    tones = np.exp(1j * (2 * np.pi * np.outer(hz, t) + phase[:, None]))
+    force = tones.real.sum(axis=0)
+    x = np.real(chain.accelerance(hz, ref=[0])[:, 0] @ tones)
+    x = x + 1e-3 * x.std(axis=1, keepdims=True) * rng.standard_normal(x.shape)
+    record = TimeRecord(
+        np.vstack([force[None], x]),
+        FS,
+        (Channel(Dof(1, "Z"), "force", "N"), *(Channel(Dof(i, "Z"), "acceleration", "m/s2") for i in range(1, 5))),
+    )
+    frf = estimate_frf(record)
+    assert clock_drift(force, PERIOD) == pytest.approx(drift, abs=0.01)
+    np.testing.assert_allclose(frf.frequencies_hz, hz, rtol=1e-6)
+
+    def error(hz, h):
+        truth = chain.accelerance(hz, ref=[0])
+        return np.sqrt(np.sum(np.abs(h - truth) ** 2) / np.sum(np.abs(truth) ** 2))
+
+    assert error(frf.frequencies_hz, frf.data) < 2e-3
+    whole = periodic_frf([steady_periods(record.data, [0], range(1, 5), FS, PERIOD)])
+    assert drift == 0 or error(whole.frequencies_hz, whole.data) > 5 * error(frf.frequencies_hz, frf.data)
 
 
 def test_asked_for_without_a_period():
