@@ -37,7 +37,10 @@ DRIFT = 0.1
 """Samples by which the last period may begin off the sample grid: at a tenth of the rate its lines are then turned by 4 degrees."""
 
 FINER = 4
-"""Oversampling before splines."""
+"""Oversampling before splines, and of the lags at which a force is compared with itself."""
+
+LONG = 2_000_000
+"""Samples from which whole lags must do (memory)."""
 
 NEAR = 8
 """Lines of a group that shows a transient; and half the widest gap between lines of one multisine, at least."""
@@ -133,9 +136,11 @@ def period_of(force: Array) -> int:
     f = f[loud[0] : loud[-1] + 1] if loud.size else f
     n = f.size
     size = sfft.next_fast_len(2 * n, real=True)
-    product = sfft.irfft(np.abs(sfft.rfft(f, size)) ** 2, size)[: n // 2 + 1]
+    finer = FINER if n < LONG else 1
+    count = (n // 2) * finer + 1
+    product = sfft.irfft(np.abs(sfft.rfft(f, size)) ** 2, size * finer)[:count] * finer
     energy = np.concatenate([[0.0], np.cumsum(f**2)])
-    lag = np.arange(product.size)
+    lag = np.arange(count) // finer
     both = np.sqrt((energy[n] - energy[lag]) * energy[n - lag])
     like = product / np.maximum(both, 1e-300)
     # The first lag that is as good as any, beyond the width of the peak at 0.
@@ -144,8 +149,8 @@ def period_of(force: Array) -> int:
     if best < ALIKE:
         raise DataError(f"the force does not repeat itself (likeness {best:.2f})", hint="state the period, or treat it as random")
     first = start + int(np.argmax(like[start:] > best - 0.3 * (1 - ALIKE)))
-    around = slice(first, min(first + 3, like.size))
-    return first + int(np.argmax(like[around]))
+    around = slice(first, min(first + 3 * finer, like.size))
+    return round((first + int(np.argmax(like[around]))) / finer)
 
 
 def excited_lines(amplitude: Array) -> NDArray[np.bool_]:
