@@ -135,6 +135,31 @@ def test_distortion_of_a_nonlinear_chain_is_what_other_phases_scatter_by():
     assert hz.size == 2
 
 
+def test_realisations_show_the_distortion_at_peaks_and_repeated_phases_do_not_average_it():
+    """Six realisations against the mean of ten others; and three repetitions of one."""
+    rng = np.random.default_rng(1)
+    force, motion, _ = cubic_chain(16, rng)
+    channels = (
+        Channel(Dof(1, "Z"), "force", "N"),
+        Channel(Dof(1, "Z"), "acceleration", "m/s2"),
+        Channel(Dof(2, "Z"), "acceleration", "m/s2"),
+    )
+    runs = [TimeRecord(np.vstack([f, x]), 64.0, channels, name=f"{k}") for k, (f, x) in enumerate(zip(force, motion, strict=True))]
+    some, others = estimate_frf(runs[:6]), estimate_frf(runs[6:])
+    assert not any(f.kind == "nonlinear" for f in (*some.findings, *others.findings))
+    error = np.abs(some.data - others.data) ** 2
+    expected = some.variance + others.variance
+    assert 0.90 < np.mean(error < WITHIN_95 * expected) < 0.98
+    peaks = np.abs(others.data) > 0.5 * np.abs(others.data).max(axis=2, keepdims=True)
+    assert 0.6 < np.sqrt(error[peaks].sum() / expected[peaks].sum()) < 1.6
+    again = []
+    for k in range(3):
+        shifted = np.roll(np.array(runs[0].data), 100 * k, axis=1)
+        again.append(replace(runs[0], data=shifted + 1e-3 * shifted.std() * rng.standard_normal(shifted.shape), name=f"again {k}"))
+    single, repeated = estimate_frf(again[0]), estimate_frf(again)
+    assert np.median(repeated.variance / single.variance) > 0.6
+
+
 def cubic_chain(realisations, rng):
     """Two masses with a cubic spring between them under a full multisine: (M, N) force, (M, 2, N) accelerations at 64 Hz, modes [Hz]."""
     n, periods, sub, fs = 1024, 4, 6, 64.0

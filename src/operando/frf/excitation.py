@@ -13,7 +13,8 @@ from operando.data import Finding, TimeRecord
 from operando.errors import DataError
 from operando.frf.hits import is_impact
 from operando.frf.inputs import RunInput
-from operando.frf.periodic import LEAST_LINES, PeriodicFrf, SteadyPeriods, periodic_frf, steady_periods
+from operando.frf.periodic import ALIKE, FREEDOM, LEAST_LINES, PeriodicFrf, SteadyPeriods, periodic_frf, steady_periods
+from operando.frf.rational import smooth
 from operando.frf.runs import RunEstimate, coherence_of, same_references
 
 Array = NDArray[Any]
@@ -25,6 +26,13 @@ least this coherence with it: noise alone. 0.02 is what the fit of whole records
 ABSENT = 1e-4
 """Power below which (−40 dB) a line is not excited whatever the coherence: what force is left there is a reaction to the structure's own
 motion (harmonics of distortion, measured at −67 dB on the F-16 ground vibration test), not a cause of it."""
+
+REALISATIONS = 3
+"""Realisations of a multisine from which their scatter, smoothed to ``FREEDOM`` degrees, is a better variance than that of each alone."""
+
+CHANGED = 9.0
+"""Scatter over the variance of single realisations from which runs differ by more than distortion (the ratio of the homogeneity test,
+3, squared: what a single realisation misses at peaks is a factor of two; tests/test_frf_periodic.py)."""
 
 DISTORTED = 4.0
 """Distortion is named where its power is this many times the noise's, in the median over lines (6 dB; the ratio of two estimates of the
@@ -70,15 +78,70 @@ def periodic_runs(runs: Sequence[RunInput]) -> list[tuple[tuple[int, ...], RunEs
             mine[0].append(i)
         else:
             groups.append([i])
-    out = []
+    done: list[tuple[tuple[int, ...], SteadyPeriods, PeriodicFrf, RunEstimate]] = []
     for group in groups:
         steadies = [p for i in group if (p := periods[i]) is not None]
         try:
             found = periodic_frf(steadies)
         except DataError:
             continue
-        out.append((tuple(group), _run_estimate([runs[i] for i in group], steadies, found)))
+        done.append((tuple(group), steadies[0], found, _run_estimate([runs[i] for i in group], steadies, found)))
+    variances = _over_realisations([(steady, found, run) for _, steady, found, run in done])
+    return [
+        (group, replace(run, variance=variance, coherence=coherence_of(run.data, variance, run.averages)))
+        for (group, _, _, run), variance in zip(done, variances, strict=True)
+    ]
+
+
+def _over_realisations(found: Sequence[tuple[SteadyPeriods, PeriodicFrf, RunEstimate]]) -> list[Array]:
+    """Variance of each run, from all runs of one reference, level and grid of lines.
+
+    Distortion changes with the phases of the force: over three realisations and more the scatter of the FRFs is its variance, with all that
+    one realisation cannot show (the height of peaks). Runs with the same phases repeat it, and it does not fall by averaging them.
+    """
+    out = [f.variance for _, f, _ in found]
+    groups: list[list[int]] = []
+    for i, (_, periodic, run) in enumerate(found):
+        mine = [g for g in groups if _alike(found[g[0]][1:], (periodic, run))]
+        if mine:
+            mine[0].append(i)
+        elif len(run.references) == 1:
+            groups.append([i])
+    for group in (g for g in groups if len(g) > 1):
+        steadies = [found[i][0] for i in group]
+        copies = [sum(_same_phases(one, other) for other in steadies) for one in steadies]
+        distortion = np.array([found[i][1].distortion for i in group])
+        if len(group) >= REALISATIONS and max(copies) == 1:
+            h = np.array([found[i][1].data for i in group])
+            free = len(group) - 1
+            scatter = smooth(h.var(axis=0, ddof=1), 2 * (int(np.ceil(FREEDOM / free)) // 2) + 1)
+            stated = np.mean([out[i] for i in group], axis=0)
+            # More than distortion: the structure changed between the runs, which the homogeneity test says.
+            if np.median(scatter / stated) < CHANGED:
+                for i in group:
+                    out[i] = np.maximum(scatter, found[i][1].noise)
+        for k, i in enumerate(group):
+            if copies[k] > 1:
+                out[i] = found[i][1].noise + copies[k] * distortion[k]
     return out
+
+
+def _alike(first: tuple[PeriodicFrf, RunEstimate], second: tuple[PeriodicFrf, RunEstimate]) -> bool:
+    """Whether two runs have one reference, the same responses in the same order, level and lines."""
+    (a, run), (b, other) = first, second
+    same = run.references == other.references and run.responses == other.responses and 1 / 1.2 < run.level / other.level < 1.2
+    return same and a.frequencies_hz.shape == b.frequencies_hz.shape and bool(np.allclose(a.frequencies_hz, b.frequencies_hz))
+
+
+def _same_phases(first: SteadyPeriods, second: SteadyPeriods) -> bool:
+    """Whether two forces are the same but for their beginning: the correlation of their periods at the best lag."""
+    if first.period != second.period:
+        return False
+    a, b = first.forces[0].mean(axis=0), second.forces[0].mean(axis=0)
+    a, b = np.where(first.excited, a, 0), np.where(second.excited, b, 0)
+    power = np.sqrt(np.sum(np.abs(a) ** 2) * np.sum(np.abs(b) ** 2))
+    lags = np.fft.irfft(a * b.conj(), first.period) * first.period / 2
+    return bool(np.max(np.abs(lags)) > ALIKE * power)
 
 
 def _together(first: RunInput, periods: SteadyPeriods | None, run: RunInput, steady: SteadyPeriods) -> bool:
