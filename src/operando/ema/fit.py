@@ -20,10 +20,9 @@ from operando.ema.outside import OutsideModes, make_up, outside_modes, without_m
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_limits, frf_spectra, record_spectra, rings_from_one_hit
+from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra, whole_records
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 from operando.errors import DataError, IdentificationError
-from operando.frf import is_periodic, usable_channels, whole
 from operando.stabilization import RejectedPole, Stabilization
 
 WIDER = 1.33
@@ -141,13 +140,7 @@ def _fit(
     frf = frf.to_quantity("accelerance")
     dofs = model_dofs(frf)
     band = _analysis_band(frf, band)
-    records = usable_channels(records)[0] if records else None
-    if records and len(whole(records)) < len(records):
-        records = None  # a force with samples that are not finite: its FRF comes from the blocks without them
-    if records and any(rings_from_one_hit(record) or is_periodic(record) for record in records):
-        # Transients free in each mode look like the response to a single hit; the FRF starts from rest. Under a periodic force the FRF at
-        # the excited lines holds all that the records do, with noise and distortion in its variance.
-        records = None
+    records = whole_records(records)
     runs, fit_band = _runs(frf, dofs, band, records)
     weights = _weights(frf)
     data = np.nan_to_num(frf.data)
@@ -235,13 +228,7 @@ def _runs(
     if not records:
         fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
         return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
-    limits = [excited_limits(record, band) for record in records]
-    low, high = max(low for low, _ in limits), min(high for _, high in limits)
-    fit_band = (max(0.6 * band[0], low), float(max(min(WIDER * band[1], 0.97 * high), min(band[1], high))))
-    if not fit_band[0] < fit_band[1]:
-        raise IdentificationError(
-            f"no band in which all forces have power within {band[0]:g}-{band[1]:g} Hz", hint="fit the runs apart, or choose another band"
-        )
+    fit_band = excited_fit_band(records, band, WIDER)
     return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
 
 

@@ -13,7 +13,7 @@ from scipy import fft as sfft
 from operando.data import Frf, TimeRecord
 from operando.dof import Dof, match_dofs
 from operando.errors import DataError, IdentificationError
-from operando.frf.hits import find_hits, is_impact
+from operando.frf import find_hits, is_impact, is_periodic, usable_channels, whole
 
 
 @dataclass(frozen=True)
@@ -143,6 +143,39 @@ def rings_from_one_hit(record: TimeRecord) -> bool:
         return False
     force = np.asarray(record.data[rows[0]], float)
     return is_impact(force) and find_hits(force, record.sampling_hz).pulses.size == 1
+
+
+def whole_records(records: Sequence[TimeRecord] | None) -> list[TimeRecord] | None:
+    """The records whose spectra the fit may use, with the channels that can be used; None where the FRFs say more.
+
+    A transient that is free in each mode looks like the response to a single hit, whose FRF starts from rest. Under a periodic force the
+    FRF at the excited lines holds all that the records do, with noise and distortion in its variance. A force with samples that are not
+    finite has an FRF from the blocks without them.
+    """
+    if not records:
+        return None
+    usable = usable_channels(records)[0]
+    if len(whole(usable)) < len(usable) or any(rings_from_one_hit(record) or is_periodic(record) for record in usable):
+        return None
+    return usable
+
+
+def excited_fit_band(records: Sequence[TimeRecord], band: tuple[float, float], wider: float) -> tuple[float, float]:
+    """Lines to fit [Hz]: a little more than the analysis band, and no further than all forces have power.
+
+    Raises
+    ------
+    IdentificationError
+        If there is no such band.
+    """
+    limits = [excited_limits(record, band) for record in records]
+    low, high = max(low for low, _ in limits), min(high for _, high in limits)
+    fit_band = (max(0.6 * band[0], low), float(max(min(wider * band[1], 0.97 * high), min(band[1], high))))
+    if not fit_band[0] < fit_band[1]:
+        raise IdentificationError(
+            f"no band in which all forces have power within {band[0]:g}-{band[1]:g} Hz", hint="fit the runs apart, or choose another band"
+        )
+    return fit_band
 
 
 def excited_limits(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> tuple[float, float]:

@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 FAINT, UNSEEN = 0.02, 0.9
 """At either end of the band, lines are not excited where the force has less than this part of its typical power and no response has at
-least this coherence with it: noise alone. 0.02 is what the fit of whole records asks for (:func:`operando.ema.spectra.excited_limit`)."""
+least this coherence with it: noise alone. 0.02 is what the fit of whole records asks for (:func:`operando.ema.spectra.excited_limits`)."""
 
 ABSENT = 1e-4
 """Power below which (−40 dB) a line is not excited whatever the coherence: what force is left there is a reaction to the structure's own
