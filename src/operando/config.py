@@ -17,7 +17,7 @@ from operando.states import State as State
 from operando.states import check_keys, find_files, is_number, record_named, state_of
 from operando.units import SI_UNIT, parse_unit
 
-ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
+ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
 HITS = ("auto", "all", "off")
 EMA_ANSWERS = ("auto", "linear", "polished")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
@@ -33,8 +33,8 @@ class Analysis:
     band : (float, float) or None
         Analysis band [Hz]; None: chosen from the data.
     block_seconds, overlap, window, estimator : optional
-        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv`` or ``lrm`` of the FRF estimate (None: chosen
-        from the length of the records).
+        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv``, ``lrm`` or ``periodic`` of the FRF
+        estimate (None: chosen from the force and the length of the records).
     hits : str
         Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
     hits_reject : tuple of str

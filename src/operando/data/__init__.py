@@ -1,6 +1,6 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
-from operando.data.findings import Finding
+from operando.data.findings import Finding, group_findings
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
 from operando.data.geometry import Geometry
 from operando.data.modal import ModalModel, phase_collinearity
@@ -21,5 +21,6 @@ __all__ = [
     "ResidualTerms",
     "TimeRecord",
     "file_hash",
+    "group_findings",
     "phase_collinearity",
 ]

@@ -20,9 +20,9 @@ from operando.ema.findings import fit_findings, linear_findings, quantity_findin
 from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear
 from operando.ema.order import OrderLog
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
-from operando.ema.polished import polish_runs, polished_answer
+from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
-from operando.ema.spectra import RunSpectra, rings_from_one_hit
+from operando.ema.spectra import RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_columns, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
@@ -39,9 +39,10 @@ POLISH_SUPPORT = 0.4
 """The same for the maximum-likelihood fit, which searches for weaker ones by its residuals."""
 
 POLISH_WORK = 4e12
-"""Largest work of one polish that is begun by itself, in floating-point operations of its normal equations: about two minutes."""
+"""Largest work of a polish that is begun by itself, in floating-point operations: about two minutes of one core."""
 
-POLISH_STEPS = 60
+ACCEPTED_MISFIT = 3.0
+"""Reduced chi-square on unused lines up to which a polished answer is taken without a look at the linear one's."""
 
 
 @dataclass(frozen=True)
@@ -172,9 +173,7 @@ def fit_ema(
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with threadpool_limits(1, "blas"):
         frf = frf.to_quantity("accelerance")
-        if records and any(rings_from_one_hit(record) for record in records):
-            # Transients free in each mode look like the response to a single hit; the FRF starts from rest.
-            records = None
+        records = whole_records(records)
         job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), tuple(records or ()), ema, progress, _weights(frf))
         model = automatic
         if model is None or not isinstance(model.details, EmaDetails) or ema not in ("auto", model.details.answer):
@@ -236,6 +235,22 @@ def _identify(job: _Job, max_order: int | None) -> ModalModel:
     return _answer(job, pairs, fit, log, tuple(candidates), runs, fit_band, max_order, findings)
 
 
+@dataclass(frozen=True)
+class _Outcome:
+    """One of the two answers, with what the details tell of it."""
+
+    model: ModalModel
+    poles: tuple[Real, Real, Real]  # frequencies, damping ratios, shapes of the modes
+    misfit_by_row: Real
+    fit_misfit: float
+    converged: bool
+    lower: bool
+    fit_band: tuple[float, float]
+    rejected: tuple[RejectedPole, ...]
+    rounds: tuple[str, ...]
+    findings: list[Finding]
+
+
 def _answer(
     job: _Job,
     pairs: Pairs,
@@ -255,81 +270,118 @@ def _answer(
     evidence = judge_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, evidence, mass.scaled)
-    polish, reason = _polish_wanted(job, fit, evidence)
-    if polish:
-        if not runs:
-            runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None)
-        first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
-        hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
-        answer = polished_answer(runs, job.dofs, job.band, hz, zeta, progress=job.progress)
-        theta = answer.fit.parameters
-        drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
-        scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
-        model = polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled)
-        hz, zeta, shapes, order_log, misfit, by_row = theta.hz, theta.zeta, theta.shapes, answer.log, answer.misfit, answer.misfit_by_row
-        chi, converged, lower, turned_rows = answer.fit.cost / answer.fit.n_data, answer.fit.converged, answer.lower, answer.turned
-        rejected, rounds = tuple(order_log.rejected), (*log.rounds, *order_log.rounds)
-        more: list[Finding] = []
-    else:
-        misfit, by_row = float("nan"), np.full(len(job.dofs), np.nan)
-        if pairs.noise_known:
-            misfit, by_row = heldout_misfit(pairs, fit, job.band, len(job.dofs))
-        scaled = bool(job.frf.si and mass.scaled.any())
-        model = linear_model(job.frf, job.dofs, fit, evidence, mass, job.band, misfit, scaled)
-        sure = np.array([not e.doubts for e in evidence])
-        hz, zeta, shapes = fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]
-        order_log = _drive_log(fit, mass, sure)
-        chi = float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain))
-        converged, lower, turned_rows = True, True, tuple(int(row) for row in turned)
-        doubtful = [
-            RejectedPole(float(h), float(z), e.doubts[0][0], "; ".join(text for _, text in e.doubts))
-            for h, z, e in zip(fit.poles.hz, fit.poles.zeta, evidence, strict=True)
-            if e.doubts
-        ]
-        rejected, rounds = (*doubtful, *log.rejected), tuple(log.rounds)
-        fit_band = fit.ends_hz
-        local = model.n_residuals < len(job.dofs) - np.unique(fit.pairs.columns).size
-        more = linear_findings(kept, job.band, len(job.dofs) - np.unique(fit.pairs.columns).size if local else 0)
-    findings = [
-        *findings,
-        *fit_findings(job.frf, job.dofs, hz, job.band, order_log, misfit if polish else float("nan")),
-        *more,
-        *(turned_finding(str(job.dofs[row])) for row in turned_rows),
-    ]
-    stabilization = _diagram(job, fit_band, max_order, hz, zeta, shapes)
-    every = (*rejected, *(() if stabilization is None else stabilization.rejected))
+    wanted, reason = _polish_wanted(job, fit)
+    found: _Outcome | None = None
+    if wanted:
+        found, reason = _polished(job, pairs, fit, log, candidates, runs, fit_band, reason)
+    answer = "linear" if found is None else "polished"
+    if found is None:
+        found = _linear(job, pairs, fit, log, kept, mass, turned)
+    stabilization = _diagram(job, found.fit_band, max_order, *found.poles)
     details = EmaDetails(
         stabilization,
-        every,
-        rounds,
-        fit_band,
-        by_row,
-        chi,
-        converged,
-        lower,
-        (),
-        "polished" if polish else "linear",
-        reason,
-        kept,
-        candidates,
+        (*found.rejected, *(() if stabilization is None else stabilization.rejected)),
+        found.rounds,
+        found.fit_band,
+        found.misfit_by_row,
+        found.fit_misfit,
+        found.converged,
+        found.lower,
+        answer=answer,
+        answer_reason=reason,
+        linear=kept,
+        candidates=candidates,
     )
-    return replace(model, findings=(*model.findings, *findings), details=details)
+    return replace(found.model, findings=(*found.model.findings, *findings, *found.findings), details=details)
 
 
-def _polish_wanted(job: _Job, fit: LinearFit, evidence: list[Any]) -> tuple[bool, str]:
+def _polished(
+    job: _Job,
+    pairs: Pairs,
+    fit: LinearFit,
+    log: ChoiceLog,
+    candidates: tuple[Candidate, ...],
+    runs: list[RunSpectra],
+    fit_band: tuple[float, float],
+    reason: str,
+) -> tuple[_Outcome | None, str]:
+    """The maximum-likelihood answer, or None and why it is not taken: too much work, or worse on unused lines than the linear stage."""
+    if not runs:
+        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, None)
+    first = [(c.frequency_hz, c.damping_ratio) for c in candidates if c.prominent and c.support > POLISH_SUPPORT]
+    hz, zeta = _distinct(first) if first else (fit.poles.hz, fit.poles.zeta)
+    work = polish_work(runs, len(job.dofs), hz.size)
+    if job.answer == "auto" and work > POLISH_WORK:
+        minutes = 2 * work / POLISH_WORK
+        return None, f'polishing would take about {minutes:.0f} minutes, two are allowed; ema = "polished" does it'
+    answer = polished_answer(runs, job.dofs, job.band, hz, zeta, progress=job.progress)
+    if job.answer == "auto" and pairs.noise_known and not answer.misfit < ACCEPTED_MISFIT:
+        linear = heldout_misfit(pairs, fit, job.band, len(job.dofs))[0]
+        if not answer.misfit < linear:
+            return None, f"polished, the reduced chi-square on unused lines is {answer.misfit:.3g}; by the linear stage it is {linear:.3g}"
+    theta = answer.fit.parameters
+    drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
+    scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
+    said = fit_findings(job.frf, job.dofs, theta.hz, job.band, answer.log, answer.misfit)
+    outcome = _Outcome(
+        polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled),
+        (theta.hz, theta.zeta, theta.shapes),
+        answer.misfit_by_row,
+        answer.fit.cost / answer.fit.n_data,
+        answer.fit.converged,
+        answer.lower,
+        fit_band,
+        tuple(answer.log.rejected),
+        (*log.rounds, *answer.log.rounds),
+        [*said, *(turned_finding(str(job.dofs[row])) for row in answer.turned)],
+    )
+    return outcome, reason
+
+
+def _linear(
+    job: _Job, pairs: Pairs, fit: LinearFit, log: ChoiceLog, kept: LinearModes, mass: UnitMassShapes, turned: NDArray[np.int_]
+) -> _Outcome:
+    """The linear stage's answer: modes without doubts."""
+    misfit, by_row = float("nan"), np.full(len(job.dofs), np.nan)
+    if pairs.noise_known:
+        misfit, by_row = heldout_misfit(pairs, fit, job.band, len(job.dofs))
+    model = linear_model(job.frf, job.dofs, fit, list(kept.evidence), mass, job.band, misfit, bool(job.frf.si and mass.scaled.any()))
+    sure = np.array([not e.doubts for e in kept.evidence])
+    doubtful = [
+        RejectedPole(float(h), float(z), e.doubts[0][0], "; ".join(text for _, text in e.doubts))
+        for h, z, e in zip(fit.mean_hz, fit.poles.zeta, kept.evidence, strict=True)
+        if e.doubts
+    ]
+    undriven = len(job.dofs) - np.unique(fit.pairs.columns).size
+    said = fit_findings(job.frf, job.dofs, fit.mean_hz[sure], job.band, _drive_log(fit, mass, sure), float("nan"))
+    return _Outcome(
+        model,
+        (fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]),
+        by_row,
+        float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain)),
+        True,
+        True,
+        fit.ends_hz,
+        (*doubtful, *log.rejected),
+        tuple(log.rounds),
+        [
+            *said,
+            *linear_findings(kept, job.band, undriven if model.n_residuals < undriven else 0),
+            *(turned_finding(str(job.dofs[row])) for row in turned),
+        ],
+    )
+
+
+def _polish_wanted(job: _Job, fit: LinearFit) -> tuple[bool, str]:
     """Whether to polish, and why or why not."""
-    error = fit.model_error
-    unknowns = fit.n_modes * (2 + len(job.dofs)) + 8 * fit.pairs.accelerance.shape[0]
-    work = POLISH_STEPS * (float(unknowns) ** 3 / 3 + 4 * fit.pairs.accelerance.size * (5 * fit.n_modes) ** 2)
+    error = f"{100 * fit.model_error:.2g} % of the FRFs"
     if job.answer != "auto":
         return job.answer == "polished", f"ema = {job.answer!r}"
     if not (job.records or fit.pairs.noise_known):
         return False, "the FRFs come without coherence: their noise is not known well enough to weigh every line by it"
     if not fit.noise_limited:
-        return False, f"the FRFs differ from modes by {100 * error:.2g} % of themselves: a likelihood of noise alone would bend the modes"
-    if work > POLISH_WORK:
-        return False, f'polishing {unknowns} unknowns would take about {work / POLISH_WORK * 2:.0f} minutes; ema = "polished" does it'
-    return True, f"noise limits the fit (model error {100 * error:.2g} % of the FRFs)"
+        return False, f"the model error is {error}: a likelihood of noise alone would bend the modes"
+    return True, f"noise limits the fit (model error {error})"
 
 
 def _starting_poles(candidates: Sequence[Candidate], ends: tuple[float, float]) -> Poles:

@@ -16,12 +16,16 @@ from operando.ema.order import OrderLog, complete_start, refine, search_order, t
 from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Parameters, Real
-from operando.ema.remaining import choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
+from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
+from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 
 WIDER = 1.33
 """The fit reaches this far above the analysis band where the force does."""
+
+
+POLISH_STEPS = 60
+"""Steps that the searches, the final fit and the one that judges it take together, about (30 … 90 on the practice cases)."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,14 @@ class PolishedAnswer:
     log: OrderLog
     turned: tuple[int, ...]
     lower: bool
+
+
+def polish_work(runs: Sequence[RunSpectra], n_dofs: int, n_modes: int) -> float:
+    """Floating-point operations of a polish, about: normal equations over the lines of each run, and their solution."""
+    lines = sum(run.frequencies_hz.size * run.response_rows.size * (6 * n_modes + 12) ** 2 / 4 for run in runs)
+    unknowns = n_modes * (2 + min(n_dofs, MAX_UNKNOWNS // max(n_modes, 1)))
+    nuisance = sum(run.response_rows.size * (8 * run.forces.shape[0] + 7) for run in runs)
+    return float(POLISH_STEPS * (lines + unknowns**3 / 3 + unknowns**2 * nuisance))
 
 
 def polished_answer(
@@ -93,8 +105,7 @@ def polish_runs(
     if not records:
         fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
         return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
-    limit = min(excited_limit(record, band) for record in records)
-    fit_band = (0.6 * band[0], float(max(min(WIDER * band[1], 0.97 * limit), min(band[1], limit))))
+    fit_band = excited_fit_band(records, band, WIDER)
     return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
 
 

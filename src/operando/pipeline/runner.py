@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from operando.config import Test, load_test
-from operando.data import Finding
+from operando.data import Finding, group_findings
 from operando.errors import ConfigError, OperandoError
 from operando.jsonable import jsonable
 from operando.pipeline.cache import FOLDER, StageCache, code_hash, key_of, whole, write_json
@@ -259,7 +259,7 @@ class _Run:
         r = self.results
         carried = [o.findings for o in (r.idle_frf, r.idle, r.operating, r.hybrid) if o is not None]
         carried += [run.frf.findings for run in r.check]
-        r.findings = list(dict.fromkeys([*self.own_findings, *(f for group in carried for f in group)]))
+        r.findings = group_findings([*self.own_findings, *(f for group in carried for f in group)])
 
     def _report(self) -> None:
         stage = Stage("report", "report", lambda work: {}, optional=True)
