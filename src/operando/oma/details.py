@@ -14,6 +14,62 @@ from operando.stabilization import RejectedPole, Stabilization
 
 
 @dataclass(frozen=True)
+class SetUp:
+    """One set-up of a merged analysis: its sensors, its modes, and which merged mode each belongs to.
+
+    Parameters
+    ----------
+    name : str
+        Names of its records.
+    sensors : tuple of str
+        DOFs it measures.
+    shared : tuple of str
+        Those that another set-up measures, too.
+    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std : (n,) arrays
+        Its own modes; NaN where there is no standard deviation.
+    merged : (n,) int array
+        Index of the merged mode each belongs to, −1 where it was left out.
+    reasons : tuple of str
+        Why a mode was left out (empty where it was not); one a mode.
+    stabilization : Stabilization or None
+    failed : str
+        Why the whole set-up is not used; empty where it is.
+    """
+
+    name: str
+    sensors: tuple[str, ...]
+    shared: tuple[str, ...]
+    frequencies_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    frequency_std_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    damping_ratios: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    damping_ratio_std: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    merged: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, int))
+    reasons: tuple[str, ...] = ()
+    stabilization: Stabilization | None = None
+    failed: str = ""
+
+
+@dataclass(frozen=True)
+class JointCheck:
+    """The joint estimate beside the merged modes; NaN where it has no such mode.
+
+    Parameters
+    ----------
+    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std, mac : (n,) arrays
+        Of the joint mode that belongs to each merged mode; MAC between both shapes.
+    text : str
+        What it is, or why there is none.
+    """
+
+    frequencies_hz: NDArray[np.float64]
+    frequency_std_hz: NDArray[np.float64]
+    damping_ratios: NDArray[np.float64]
+    damping_ratio_std: NDArray[np.float64]
+    mac: NDArray[np.float64]
+    text: str
+
+
+@dataclass(frozen=True)
 class OmaDetails:
     """How the modes were found.
 
@@ -33,6 +89,10 @@ class OmaDetails:
         All settings as used, defaults filled in.
     halves : tuple of ModalModel
         Modes of the first and of the second half of the record, identified apart (``fit_halves``); empty where nobody asked.
+    setups : tuple of SetUp
+        Set-ups of different sensors that were merged; empty for one set-up.
+    joint : JointCheck or None
+        The joint estimate of merged set-ups, beside the answer.
     """
 
     stabilization: Stabilization
@@ -42,6 +102,8 @@ class OmaDetails:
     model_orders: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, int))
     settings: dict[str, Any] = field(default_factory=dict)
     halves: tuple[ModalModel, ...] = ()
+    setups: tuple[SetUp, ...] = ()
+    joint: JointCheck | None = None
 
     @property
     def rejected(self) -> tuple[RejectedPole, ...]:
