@@ -2,7 +2,7 @@
 
 from operando.data.findings import Finding
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
-from operando.data.geometry import Geometry
+from operando.data.geometry import Geometry, direction_of, node_motion
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.provenance import Provenance, file_hash
 from operando.data.time import Channel, TimeRecord
@@ -17,6 +17,8 @@ __all__ = [
     "ModalModel",
     "Provenance",
     "TimeRecord",
+    "direction_of",
     "file_hash",
+    "node_motion",
     "phase_collinearity",
 ]

@@ -83,11 +83,12 @@ def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any]) -> Mean:
     return Mean(float(np.sum(w * y)), w, float(np.sqrt(tau2)), variance)
 
 
-def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster]) -> Merged:
+def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Sequence[float]) -> Merged:
     """Modes of several set-ups joined (post-separate-estimation rescaling, Reynders, Magalhães, De Roeck & Cunha 2009).
 
     Frequencies and dampings are weighted means (``mean_with_scatter``). The variance of each set-up is brought to the common
-    damping first: both grow with the damping as found (Au 2014), so that its own variance would give a set-up weight for too small a damping.
+    damping first: both grow with the damping as found (Au 2014), so that its own variance would give a set-up weight for too small a
+    damping; and it is never taken below that of a resonance seen at its best in so long a record, since few blocks may agree by chance.
     Shapes get one complex factor a set-up, all together by least squares at the shared sensors (Au 2011).
 
     Parameters
@@ -96,6 +97,8 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster]) -> Merged:
         One a set-up, each with a covariance.
     clusters : sequence of Cluster
         Set-up and mode of each merged mode.
+    seconds : sequence of float
+        Length of the records of each set-up [s].
     """
     dofs = union_of_dofs(models)
     row_of = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(dofs)}
@@ -113,10 +116,11 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster]) -> Merged:
         z = np.array([models[k].damping_ratios[i] for k, i in of])
         own = [np.array([float(np.sum(roots[k][q * models[k].n_modes + i] ** 2)) for k, i in of]) for q in (0, 1)]
         common = float(np.mean(z))
+        cycles = 2 * np.pi * float(np.mean(f)) * np.array([seconds[k] for k, _ in of])
         for _ in range(3):
-            damping = mean_with_scatter(z, own[1] * common / z)
+            damping = mean_with_scatter(z, np.maximum(own[1] * common / z, common / cycles))
             common = max(damping.value, 1e-6)
-        frequency = mean_with_scatter(f, own[0] * common / z)
+        frequency = mean_with_scatter(f, np.maximum(own[0] * common / z, f**2 * common / cycles))
         hz[r], zeta[r], scatter[r] = frequency.value, damping.value, frequency.tau
         for row, mean, block in ((r, frequency, 0), (n + r, damping, 1)):
             for (k, i), w in zip(of, mean.weights, strict=True):

@@ -16,7 +16,7 @@ from operando.oma.conditioning import gather_responses
 from operando.oma.details import JointCheck, OmaDetails, SetUp
 from operando.oma.joint import Joint, SetUpData, fit_joint
 from operando.oma.matching import Cluster, likeness, match
-from operando.oma.merge import Merged, merge, union_of_dofs
+from operando.oma.merge import Merged, merge
 from operando.oma.single import Identification, Options, each_once, identify
 from operando.oma.spectra import Spectra
 from operando.oma.uncertainty import unit_changes
@@ -91,7 +91,7 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
         raise IdentificationError(
             f"no mode is in two of {len(used)} set-ups", hint="look at each set-up by itself; are they of one structure in one state?"
         )
-    merged = merge([m.model for m in used if m.model is not None], clusters)
+    merged = merge([m.model for m in used if m.model is not None], clusters, [m.identification.prepared.seconds for m in used if m.identification])
     joint, why_not = _joint(used, options)
     partner, check = _beside(merged, joint, why_not)
     merged = _filled(merged, joint, partner)
@@ -338,7 +338,7 @@ def _model(
     joint_in_order = JointCheck(*(getattr(check, k)[order] for k in _CHECKED), text=check.text)
     seen = merged.seen[:, order]
     findings = [
-        *[f for m in used if m.model is not None for f in m.model.findings],
+        *[f if f.file else replace(f, file=m.name) for m in used if m.model is not None for f in m.model.findings],
         *_setup_findings(setups, members, model),
         *_unseen_findings(model, seen, joint_in_order),
         *_joint_findings(model, joint_in_order),

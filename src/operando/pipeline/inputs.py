@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from operando.config import State, Test
 from operando.data import Finding, Frf, Geometry, Provenance, TimeRecord, file_hash
 from operando.dof import Dof
-from operando.errors import DataError, MissingError, OperandoError
+from operando.errors import ConfigError, DataError, MissingError, OperandoError
 
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
@@ -132,7 +133,36 @@ class Inputs:
         return merge_frfs(frfs)
 
     def geometry(self) -> Geometry | None:
-        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known."""
+        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known, directions of
+        DOFs that are no axes as declared."""
+        found = self._geometry()
+        return found if found is None or not self.test.directions else replace(found, directions=self.test.directions)
+
+    def check_directions(self) -> None:
+        """Every DOF in [directions] must be in the data.
+
+        Raises
+        ------
+        ConfigError
+            If one is not; the nearest is named.
+        """
+        measured: dict[str, None] = {}
+        for file in self.test.files if self.test.directions else ():
+            content = self.content(file)
+            if content is not None:
+                dofs = [c.dof for r in content.records for c in r.channels if c.dof is not None]
+                dofs += [d for h in content.frfs for d in (*h.responses, *h.references)]
+                measured |= dict.fromkeys(str(d.unsigned) for d in dofs)
+        for label in self.test.directions:
+            if label not in measured:
+                near = difflib.get_close_matches(label, measured, 1, 0.3)
+                raise ConfigError(
+                    f"DOF {label} is in no file" + (f"; the nearest measured one is {near[0]}" if near else ""),
+                    where="[directions]",
+                    hint="label a channel with it in [channels], or take it out of [directions]",
+                )
+
+    def _geometry(self) -> Geometry | None:
         test = self.test
         files = [test.geometry_file] if test.geometry_file is not None else list(test.files)
         for file in files:

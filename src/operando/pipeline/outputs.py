@@ -7,7 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from operando.data import Finding, Frf, ModalModel
+import numpy as np
+
+from operando.data import Finding, Frf, Geometry, ModalModel, node_motion
+from operando.dof import Dof
 from operando.errors import MissingError
 from operando.pipeline.cache import whole, write_json
 from operando.results import Results
@@ -44,7 +47,7 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
         objects = [results.idle_frf]
     elif name in ("idle_modes.uff", "operating_modes.uff"):
         model = results.idle if name == "idle_modes.uff" else results.operating
-        objects = [results.geometry, None if model is None else proper_modes(model)]
+        objects = [results.geometry, None if model is None else along_axes(proper_modes(model), results.geometry, name, findings)]
     elif name == "ofrf.uff":
         objects = [ofrf(results, findings)]
     elif name == "ofrf_effect.uff":
@@ -88,6 +91,29 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
 def proper_modes(model: ModalModel) -> ModalModel:
     """Modes without the residual pseudo-modes, which stand for nothing outside the synthesis."""
     return replace(model.modes_proper(), details=None)
+
+
+def along_axes(model: ModalModel, geometry: Geometry | None, name: str, findings: list[Finding]) -> ModalModel:
+    """The model with X, Y, Z motion at nodes whose measured directions are no axes: UFF knows no others."""
+    directions = {} if geometry is None else geometry.directions
+    skewed = {d.node for d in model.dofs if d.named or str(d.unsigned) in directions}
+    if not skewed:
+        return model
+    kept = [i for i, d in enumerate(model.dofs) if d.node not in skewed]
+    turned = [i for i, d in enumerate(model.dofs) if d.node in skewed]
+    motion = node_motion([model.dofs[i] for i in turned], model.shapes[turned], directions)
+    dofs = [model.dofs[i] for i in kept] + [Dof(node, axis) for node in motion for axis in ("X", "Y", "Z")]
+    shapes = np.concatenate([model.shapes[kept], *motion.values()])
+    findings.append(
+        Finding(
+            "directions_resolved",
+            f"{name} holds X, Y, Z motion of {len(motion)} nodes that were measured along other directions",
+            "info",
+            consequence="where a node has fewer than three independent directions, what they do not see stands as zero",
+            action="model.h5 and summary.json have the values as measured",
+        )
+    )
+    return replace(model, dofs=tuple(dofs), shapes=shapes, covariance=None, std=None)
 
 
 def ofrf_lines(results: Results) -> Any:

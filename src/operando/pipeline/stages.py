@@ -86,6 +86,7 @@ def offered(function: Callable[..., Any], findings: list[Finding], **keywords: A
 def inspect_files(work: Work) -> dict[str, Any]:
     """Inventory, geometry, findings of all files."""
     inventory = work.inputs.inventory()
+    work.inputs.check_directions()
     geometry = work.inputs.geometry()
     findings = work.inputs.all_findings()
     if all(row["format"] is None for row in inventory):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Geometry
+from operando.data import Geometry, node_motion
 from operando.dof import Dof
 from operando.report.canvas import ORANGE_PURPLE, WHITE_BLUE, Canvas, shades
 from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
@@ -17,7 +17,6 @@ from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_AXES = {"X": 0, "Y": 1, "Z": 2}
 _PER_ROW = 3
 
 
@@ -72,7 +71,8 @@ class _Mesh:
     """What is drawn: node positions, sides and patches among all nodes, and which nodes are measured."""
 
     def __init__(self, geometry: Geometry, dofs: tuple[Dof, ...]) -> None:
-        index = {n: i for i, n in enumerate(geometry.nodes)}
+        index = self.index = {n: i for i, n in enumerate(geometry.nodes)}
+        self.directions = geometry.directions
         self.xyz = np.asarray(geometry.coordinates, float)
         self.node_of_dof = [index.get(d.node) for d in dofs]
         self.measured = np.zeros(len(index), bool)
@@ -144,9 +144,9 @@ def _project(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
 def _displacements(mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> NDArray[np.float64]:
     """Displacement vector of each node (n_nodes, 3) for a real shape; rotations are not drawn, scalars move along z."""
     out = np.zeros((mesh.xyz.shape[0], 3))
-    for dof, node, value in zip(dofs, mesh.node_of_dof, shape, strict=True):
-        if node is not None and dof.axis in ("", "X", "Y", "Z"):
-            out[node, _AXES.get(dof.axis, 2)] += dof.sign * float(value)
+    for number, motion in node_motion(dofs, np.asarray(shape, float)[:, None], mesh.directions).items():
+        if number in mesh.index:
+            out[mesh.index[number]] = motion[:, 0]
     return out
 
 
