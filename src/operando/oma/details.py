@@ -55,18 +55,18 @@ class JointCheck:
 
     Parameters
     ----------
-    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std, mac : (n,) arrays
-        Of the joint mode that belongs to each merged mode; MAC between both shapes.
     text : str
         What it is, or why there is none.
+    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std, mac : (n,) arrays
+        Of the joint mode that belongs to each merged mode; MAC between both shapes.
     """
 
+    text: str
     frequencies_hz: NDArray[np.float64]
     frequency_std_hz: NDArray[np.float64]
     damping_ratios: NDArray[np.float64]
     damping_ratio_std: NDArray[np.float64]
     mac: NDArray[np.float64]
-    text: str
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
 from operando.data import ModalModel, TimeRecord
 from operando.errors import ConfigError
+from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
-from operando.oma.single import Band, Options, identify
+from operando.oma.single import Band, Options, default_block_rows, identify
 from operando.stabilization import Tolerances
 
 METHODS = ("ssi-cov", "ssi-dat")
@@ -42,10 +44,11 @@ def fit_oma(
     Parameters
     ----------
     record : TimeRecord or sequence of TimeRecord
-        One run or several over the same sensors (their correlations are averaged). Only response channels with a DOF are used;
-        displacement, velocity and acceleration may be mixed.
+        One run or several. Runs over the same sensors are averaged (their correlations); runs of different sensors are set-ups, merged
+        by the sensors they share (``operando.oma.setups``). Only response channels with a DOF are used; displacement, velocity
+        and acceleration may be mixed.
     band : (low, high), optional
-        Analysis band [Hz]; default from ten periods in a run to 0.4 of the sampling rate.
+        Analysis band [Hz]; by default where the resonances hold their power (``operando.oma.band``), stated as a finding.
     max_order : int, optional
         Largest model order (states); default from the canonical correlations.
     references : DOF labels, optional
@@ -76,7 +79,8 @@ def fit_oma(
     Raises
     ------
     DataError, DofError
-        If the record cannot be used (no response DOF, samples that are not finite, runs that do not fit together).
+        If the record cannot be used (no response DOF, samples that are not finite, runs that do not fit together, set-ups that share
+        no sensor).
     ConfigError
         If an option is out of range.
     IdentificationError
@@ -87,10 +91,16 @@ def fit_oma(
     if weighting not in WEIGHTINGS:
         raise ConfigError(f"weighting {weighting!r} is none of {', '.join(WEIGHTINGS)}")
     setups = group_setups([record] if isinstance(record, TimeRecord) else list(record))
+    records = [r for group in setups for r in group]
     with threadpool_limits(1, "blas"):
+        if band is None:
+            channels = max(len(r.response_indices) for r in records)
+            choice = default_band(records, block_rows or default_block_rows(max(channels, 1), [r.n_samples for r in records]))
+        else:
+            choice = BandChoice(checked_band(band, records), "given")
         options = Options(
-            check_band(band, setups),
-            "given",
+            choice.band,
+            choice.text,
             max_order,
             references,
             tuple(float(f) for f in known_harmonics_hz),
@@ -103,23 +113,19 @@ def fit_oma(
             uncertainty,
             second_opinion,
         )
-        if len(setups) == 1:
-            return identify(setups[0], options).modes()
-        return fit_setups(setups, options)
+        model = identify(setups[0], options).modes() if len(setups) == 1 else fit_setups(setups, options)
+    return replace(model, findings=(*choice.findings, *model.findings))
 
 
-def check_band(band: Band | None, setups: Sequence[Sequence[TimeRecord]]) -> Band:
-    """The band asked for, or one from the data.
+def checked_band(band: Band, records: Sequence[TimeRecord]) -> Band:
+    """The band asked for.
 
     Raises
     ------
     ConfigError
-        If the band is empty or reaches half the sampling rate of a record.
+        If it is empty or reaches half the sampling rate of a record.
     """
-    records = [r for group in setups for r in group]
     rate = min(r.sampling_hz for r in records)
-    if band is None:
-        return 10 / min(r.duration_s for r in records), 0.4 * rate
     low, high = float(band[0]), float(band[1])
     if not 0 <= low < high:
         raise ConfigError(f"band {band} Hz is empty", hint="give [low, high] in Hz")

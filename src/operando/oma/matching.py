@@ -88,10 +88,10 @@ def match(models: Sequence[ModalModel]) -> list[Cluster]:
                 cost[i, c] = min(float(np.median(costs)), 1e6)
         rows, columns = linear_sum_assignment(cost)
         taken = set()
-        for i, c in zip(rows, columns, strict=True):
+        for i, c in zip(rows.tolist(), columns.tolist(), strict=True):
             if cost[i, c] < 1e5:
-                clusters[c].members[k] = int(i)
-                taken.add(int(i))
+                clusters[c].members[k] = i
+                taken.add(i)
         clusters += [Cluster({k: i}) for i in range(model.n_modes) if i not in taken]
     centre = lambda c: float(np.median([models[m].frequencies_hz[i] for m, i in c.members.items()]))  # noqa: E731
     return sorted(clusters, key=centre)

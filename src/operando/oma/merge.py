@@ -1,4 +1,4 @@
-"""Modes of several set-ups as one: weighted means of frequency and damping, shapes joined at the shared sensors (post-identification merging)."""
+"""Modes of several set-ups as one: weighted means of frequency and damping, shapes joined at the shared sensors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from operando.oma.uncertainty import student_widening, unit_changes
 
 @dataclass(frozen=True)
 class Merged:
-    """Merged modes: hz, zeta (n,), shapes (m, n) of unit norm, seen (m, n) bool, and factor (p, k): its product with itself is the covariance."""
+    """Merged modes: hz, zeta (n,), shapes (m, n) of unit norm, seen (m, n) bool, and factor (p, k) of the covariance."""
 
     dofs: tuple[Dof, ...]
     hz: NDArray[np.float64]
@@ -147,7 +147,7 @@ def covariance_root(covariance: NDArray[np.float64] | None) -> NDArray[np.float6
 
 
 class _Part:
-    """A mode as one set-up sees it: rows in the union, shape in the sense of the union, changes of the shape for each column of the root."""
+    """A mode as one set-up sees it: rows in the union, shape in the sense of the union, its changes for each column of the root."""
 
     def __init__(self, setup: int, rows: NDArray[Any], signs: NDArray[Any], model: ModalModel, mode: int, root: NDArray[Any]) -> None:
         self.setup, self.rows = setup, rows

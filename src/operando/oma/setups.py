@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, ModalModel, Provenance, TimeRecord
+from operando.data import ModalModel, Provenance, TimeRecord
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError, DofError, IdentificationError, OperandoError
-from operando.oma.conditioning import gather_responses
 from operando.oma.details import JointCheck, OmaDetails, SetUp
 from operando.oma.joint import Joint, SetUpData, fit_joint
-from operando.oma.matching import Cluster, likeness, match
+from operando.oma.matching import Cluster, frequency_limit, likeness, match
 from operando.oma.merge import Merged, merge
+from operando.oma.setup_findings import joint_findings, listed, setup_findings, unseen_findings
 from operando.oma.single import Identification, Options, each_once, identify
 from operando.oma.spectra import Spectra
 from operando.oma.uncertainty import unit_changes
@@ -24,9 +24,6 @@ from operando.stabilization import RejectedPole, Stabilization
 
 SECOND_LOOK = 0.01
 """How near a pole of a set-up's diagram must lie to a mode of the others to be asked about (relative), as for a choice by hand."""
-DIFFERS = 3.0
-"""The merged modes and the joint estimate are said to differ from so many standard deviations of their difference on (both use the
-same records, so that the difference is smaller than independent ones)."""
 
 
 @dataclass
@@ -91,7 +88,8 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
         raise IdentificationError(
             f"no mode is in two of {len(used)} set-ups", hint="look at each set-up by itself; are they of one structure in one state?"
         )
-    merged = merge([m.model for m in used if m.model is not None], clusters, [m.identification.prepared.seconds for m in used if m.identification])
+    seconds = [m.identification.prepared.seconds for m in used if m.identification is not None]
+    merged = merge([m.model for m in used if m.model is not None], clusters, seconds)
     joint, why_not = _joint(used, options)
     partner, check = _beside(merged, joint, why_not)
     merged = _filled(merged, joint, partner)
@@ -135,7 +133,7 @@ def _check_connected(members: list[_Member]) -> None:
         groups.append(group)
     best = max(groups, key=len)
     if len(best) == 1:
-        names = "; ".join(f"{m.name}: {_listed([str(d) for d in m.sensors])}" for m in members[:4])
+        names = "; ".join(f"{m.name}: {listed([str(d) for d in m.sensors])}" for m in members[:4])
         raise DofError(
             f"{len(members)} operating records of different sensors share none ({names})",
             hint="set-ups are merged by the sensors they share: leave at least one sensor where it is, or give one file alone",
@@ -210,8 +208,6 @@ def _of(used: list[_Member], k: int) -> ModalModel:
 
 
 def _one(a: ModalModel, i: int, b: ModalModel, j: int) -> bool:
-    from operando.oma.matching import frequency_limit
-
     far = abs(float(a.frequencies_hz[i] - b.frequencies_hz[j])) <= frequency_limit(a, i, b, j)
     return far and likeness(a, i, b, j)[1]
 
@@ -245,7 +241,7 @@ def _beside(merged: Merged, joint: Joint | None, why_not: str) -> tuple[NDArray[
     partner = np.full(n, -1)
     nothing = [np.full(n, np.nan) for _ in range(5)]
     if joint is None:
-        return partner, JointCheck(*nothing, text=f"no joint estimate: {why_not}")
+        return partner, JointCheck(f"no joint estimate: {why_not}", *nothing)
     rows, signs = match_dofs(merged.dofs, joint.dofs)
     shapes = joint.shapes[rows] * np.asarray(signs)[:, None]
     hz, hz_std, zeta, zeta_std, mac = nothing
@@ -260,7 +256,7 @@ def _beside(merged: Merged, joint: Joint | None, why_not: str) -> tuple[NDArray[
         partner[r] = j
         hz[r], hz_std[r], zeta[r], zeta_std[r], mac[r] = joint.hz[j], joint.hz_std[j], joint.zeta[j], joint.zeta_std[j], like[j]
     text = "one subspace identification of all set-ups, correlations normalised by the shared sensors (Döhler et al. 2010)"
-    return partner, JointCheck(hz, hz_std, zeta, zeta_std, mac, text)
+    return partner, JointCheck(text, hz, hz_std, zeta, zeta_std, mac)
 
 
 def _mac(u: NDArray[Any], v: NDArray[Any]) -> float:
@@ -335,13 +331,13 @@ def _model(
         band_hz=options.band,
     )
     model = stacked.select_modes(order)
-    joint_in_order = JointCheck(*(getattr(check, k)[order] for k in _CHECKED), text=check.text)
+    joint_in_order = JointCheck(check.text, *(getattr(check, k)[order] for k in _CHECKED))
     seen = merged.seen[:, order]
     findings = [
         *[f if f.file else replace(f, file=m.name) for m in used if m.model is not None for f in m.model.findings],
-        *_setup_findings(setups, members, model),
-        *_unseen_findings(model, seen, joint_in_order),
-        *_joint_findings(model, joint_in_order),
+        *setup_findings(setups, [m.hint for m in members], model),
+        *unseen_findings(model, seen, joint_in_order),
+        *joint_findings(model, joint_in_order),
     ]
     call = ", ".join(f"{k}={v!r}" for k, v in settings.items())
     provenance = Provenance.merge(*(r.provenance for m in used for r in m.records)).then(f"fit_oma({call})")
@@ -412,91 +408,6 @@ def _mean_spectra(spectra: Sequence[Spectra]) -> Spectra:
     first = spectra[0]
     n = min(s.singular_values.shape[0] for s in spectra)
     tiny = 1e-300
-    logs = [
-        [np.interp(first.frequencies_hz, s.frequencies_hz, np.log(np.maximum(s.singular_values[i], tiny))) for i in range(n)] for s in spectra
-    ]
-    return Spectra(first.frequencies_hz, np.exp(np.mean(logs, axis=0)))
-
-
-def _listed(texts: Sequence[str], most: int = 8) -> str:
-    return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
-
-
-def _setup_findings(setups: Sequence[SetUp], members: Sequence[_Member], model: ModalModel) -> list[Finding]:
-    """What was merged, which set-ups are left out, which of their modes."""
-    good = [s for s in setups if not s.failed]
-    shared = list(dict.fromkeys(d for s in good for d in s.shared))
-    out = [
-        Finding(
-            "setups_merged",
-            f"{len(good)} set-ups of {len(model.dofs)} sensors in all are merged by {_listed(shared)}: {model.n_modes} modes",
-            "info",
-            consequence="frequencies and damping are weighted means over the set-ups, deviations hold the scatter between them",
-        )
-    ]
-    for s, m in zip(setups, members, strict=True):
-        if s.failed:
-            out.append(
-                Finding(
-                    "setup_left_out",
-                    f"set-up with {_listed(s.sensors)}: {s.failed}",
-                    "warning",
-                    file=s.name,
-                    consequence="its sensors are in no merged shape",
-                    action=m.hint or "look at this file by itself",
-                )
-            )
-            continue
-        alone = [f"{f:.5g} Hz" for f, reason in zip(s.frequencies_hz, s.reasons, strict=True) if reason]
-        if alone:
-            out.append(
-                Finding(
-                    "setup_mode_unmatched",
-                    f"{len(alone)} of {s.frequencies_hz.size} modes of this set-up match none of another: {_listed(alone)}",
-                    "info" if len(alone) < 0.5 * s.frequencies_hz.size else "warning",
-                    file=s.name,
-                    consequence="they are not among the merged modes",
-                    action="take one over with select_hz (oma_select_hz in a test file) if it is local to these sensors",
-                )
-            )
-    return out
-
-
-def _unseen_findings(model: ModalModel, seen: NDArray[np.bool_], check: JointCheck) -> list[Finding]:
-    out = []
-    for r in np.flatnonzero(~seen.all(axis=0)):
-        gap = [str(d) for d, s in zip(model.dofs, seen[:, r], strict=True) if not s]
-        known = np.isfinite(check.frequencies_hz[r])
-        out.append(
-            Finding(
-                "mode_not_in_all_setups",
-                f"mode at {model.frequencies_hz[r]:.5g} Hz is not seen by the set-ups of {_listed(gap)}",
-                "info" if known else "warning",
-                consequence="its shape there is that of the joint estimate" if known else "its shape there is set to zero and uncertain",
-            )
-        )
-    return out
-
-
-def _joint_findings(model: ModalModel, check: JointCheck) -> list[Finding]:
-    if not np.any(np.isfinite(check.frequencies_hz)):
-        return [Finding("no_joint_estimate", check.text, "info", consequence="the merged modes stand alone")]
-    out = []
-    f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
-    assert f_std is not None
-    assert z_std is not None
-    for r in np.flatnonzero(np.isfinite(check.frequencies_hz)):
-        f, z = float(model.frequencies_hz[r]), float(model.damping_ratios[r])
-        df, dz = float(check.frequencies_hz[r]) - f, float(check.damping_ratios[r]) - z
-        wide = (np.hypot(f_std[r], check.frequency_std_hz[r]), np.hypot(z_std[r], check.damping_ratio_std[r]))
-        if abs(df) > DIFFERS * wide[0] or abs(dz) > DIFFERS * wide[1] or check.mac[r] < 0.9:
-            out.append(
-                Finding(
-                    "joint_estimate_differs",
-                    f"mode at {f:.5g} Hz: the joint estimate has {df:+.2g} Hz, damping ratio {100 * z + 100 * dz:.3g} % for {100 * z:.3g} %, "
-                    f"MAC {check.mac[r]:.2f}",
-                    "info",
-                    consequence="the merged values (set-up by set-up) are used; the difference shows how far they depend on the way",
-                )
-            )
-    return out
+    hz = first.frequencies_hz
+    logs = [[np.interp(hz, s.frequencies_hz, np.log(np.maximum(row, tiny))) for row in s.singular_values[:n]] for s in spectra]
+    return Spectra(hz, np.exp(np.mean(logs, axis=0)))

@@ -84,7 +84,8 @@ class _Mesh:
         self.outline = set(self.edges) | {tuple(sorted((f[i - 1], f[i]))) for f in self.faces for i in range(len(f))}
         moving = lambda group: bool(np.all(self.measured[list(group)]))  # noqa: E731
         usable = [e for e in self.outline if moving(e)]
-        if len(usable) < 0.5 * max(len(self.outline), 1):
+        # Sensors on few nodes of a plate are joined by triangles; of a space frame, by nothing that is not there.
+        if len(usable) < 0.5 * max(len(self.outline), 1) and not (self.outline and _is_spatial(self.xyz[self.measured])):
             self.faces, self.edges = _triangulate(self.xyz, np.flatnonzero(self.measured))
             if not self.outline:
                 self.outline = set(self.edges) | {tuple(sorted((f[i - 1], f[i]))) for f in self.faces for i in range(len(f))}
@@ -106,6 +107,11 @@ def _is_flat(points: NDArray[np.float64]) -> bool:
         return False
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(s[1] > 0.02 * s[0] and s[2] < 0.1 * s[1])
+
+
+def _is_spatial(points: NDArray[np.float64]) -> bool:
+    """Whether points lie neither close to a plane nor on a line."""
+    return points.shape[0] >= 4 and not _is_flat(points) and np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) == 3
 
 
 def _triangulate(xyz: NDArray[np.float64], nodes: NDArray[np.intp]) -> tuple[list[tuple[int, ...]], set[tuple[int, ...]]]:
@@ -173,8 +179,10 @@ def _deformed(sheet: Canvas, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[
     if mesh.edges:
         color, thick = ("#46525d", 0.7) if mesh.faces else (MODEL, 1.2)
         sheet.lines([flat[list(e)] for e in mesh.edges], color, thick)
-    if not mesh.faces and not mesh.edges:
-        sheet.lines([np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], MODEL, 1.0)
+    joined = {n for group in (*mesh.faces, *mesh.edges) for n in group}
+    alone = [n for n in np.flatnonzero(shown) if n not in joined]
+    if alone:
+        sheet.lines([np.array([rest[n], flat[n]]) for n in alone], MODEL, 1.0)
     sheet.dots(flat[shown], shades(0.5 + 0.5 * signed[shown], ORANGE_PURPLE), 2.5, 0.35)
 
 
