@@ -30,6 +30,8 @@ class Responses:
     dofs : tuple of Dof
     derivative : (r,) int array
         0 displacement, 1 velocity, 2 acceleration.
+    names : tuple of str
+        Of the runs.
     """
 
     runs: tuple[NDArray[Any], ...]
@@ -38,6 +40,7 @@ class Responses:
     derivative: NDArray[np.int_]
     findings: tuple[Finding, ...]
     provenance: Provenance
+    names: tuple[str, ...] = ()
 
 
 def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
@@ -123,7 +126,7 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
     derivative = np.array([DERIVATIVE[c.quantity] for c in channels])
     dofs = parse_dofs([c.dof for c in channels if c.dof is not None])
     provenance = Provenance.merge(*(r.provenance for r in runs))
-    return Responses(tuple(arrays), first.sampling_hz, dofs, derivative, tuple(findings), provenance)
+    return Responses(tuple(arrays), first.sampling_hz, dofs, derivative, tuple(findings), provenance, tuple(r.name for r in runs))
 
 
 def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: float) -> tuple[NDArray[np.float64], float]:

@@ -13,6 +13,8 @@ from operando.data import Finding, ModalModel, TimeRecord
 from operando.dof import match_dofs, parse_dofs
 from operando.errors import IdentificationError
 from operando.oma.conditioning import Responses, at_suitable_rate, gather_responses
+from operando.oma.decay import DecayDiagram, decay_diagram, decay_findings, uncertain_decays
+from operando.oma.decay_detect import find_decays
 from operando.oma.details import OmaDetails
 from operando.oma.diagram import MIN_BLOCKS, CovDiagram, DatDiagram, Prepared, ssi_cov_diagram, ssi_dat_diagram
 from operando.oma.estimate import best_orders
@@ -23,6 +25,7 @@ from operando.oma.verdicts import harmonic_finding, harmonic_poles, stationarity
 from operando.stabilization import Stabilization, Tolerances, demote, select_modes
 
 Band = tuple[float, float]
+Diagram = CovDiagram | DatDiagram | DecayDiagram
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Identification:
     responses : Responses
     prepared : Prepared
         Runs at the rate used, without sinusoids.
-    diagram : CovDiagram or DatDiagram
+    diagram : CovDiagram, DatDiagram or DecayDiagram
     harmonics : list of Harmonic
     spectra : Spectra
     options : Options
@@ -61,7 +64,7 @@ class Identification:
 
     responses: Responses
     prepared: Prepared
-    diagram: CovDiagram | DatDiagram
+    diagram: Diagram
     harmonics: list[Harmonic]
     spectra: Spectra
     options: Options
@@ -102,7 +105,11 @@ class Identification:
                 hint="look at the spectra; widen the band, raise max_order, or choose poles by hand with select_hz",
             )
         estimate = self.diagram.estimate(best_orders(stabilization, self.diagram.orders))
-        doubtful = uncertain_modes(estimate, self.prepared.seconds, options.select_hz)
+        doubtful = (
+            uncertain_decays(estimate, options.select_hz)
+            if isinstance(self.diagram, DecayDiagram)
+            else uncertain_modes(estimate, self.prepared.seconds, options.select_hz)
+        )
         keep = [i for i in range(estimate.hz.size) if i not in doubtful]
         stabilization = demote(stabilization, doubtful)
         opinion = None
@@ -129,7 +136,7 @@ class Identification:
             band_hz=band,
             findings=(
                 *self.responses.findings,
-                *stationarity_findings(self.prepared.runs, self.prepared.rate),
+                *self._kind_findings(),
                 *[harmonic_finding(h) for h in self.harmonics],
                 *_statistics_findings(self.diagram, options.method),
             ),
@@ -138,11 +145,17 @@ class Identification:
         )
         return model.select_modes(keep)
 
+    def _kind_findings(self) -> list[Finding]:
+        """What the records are: decays, or not stationary."""
+        if isinstance(self.diagram, DecayDiagram):
+            return decay_findings(self.diagram, self.responses.names)
+        return stationarity_findings(self.prepared.runs, self.prepared.rate)
+
     def settings(self) -> dict[str, Any]:
         """All settings as used."""
         o = self.options
         return {
-            "method": o.method,
+            "method": "free-decay" if isinstance(self.diagram, DecayDiagram) else o.method,
             "weighting": o.weighting if o.method == "ssi-cov" else "pyOMA-2",
             "band": list(o.band),
             "band_source": o.band_source,
@@ -165,16 +178,15 @@ class Identification:
         return pyoma_opinion(hz, zeta, shapes, std, longest, p.rate, o.band, p.rows, self.diagram.orders[-1], p.references, o.tolerances)
 
 
-def prepare(responses: Responses, options: Options) -> tuple[Prepared, list[Harmonic]]:
-    """Runs at a rate that suits the band, without sinusoids, and these."""
+def prepare(responses: Responses, runs: list[NDArray[Any]], rate: float, options: Options) -> tuple[Prepared, list[Harmonic]]:
+    """Runs without sinusoids, and these."""
     refs = reference_rows(options.references, responses)
-    runs, rate = at_suitable_rate(responses, options.band)
     rows = options.block_rows or default_block_rows(len(responses.dofs), [run.shape[1] for run in runs])
     runs, harmonics = _without_harmonics(runs, rate, options.band, options.known_harmonics_hz)
     return Prepared(runs, rate, rows, refs, responses.derivative), harmonics
 
 
-def identify(records: Sequence[TimeRecord] | Responses, options: Options) -> Identification:
+def identify(records: Sequence[TimeRecord], options: Options) -> Identification:
     """Stabilisation diagram of one set-up.
 
     Raises
@@ -182,18 +194,24 @@ def identify(records: Sequence[TimeRecord] | Responses, options: Options) -> Ide
     DataError, DofError, IdentificationError
         See ``fit_oma``.
     """
-    responses = records if isinstance(records, Responses) else gather_responses(records)
-    prepared, harmonics = prepare(responses, options)
-    diagram: CovDiagram | DatDiagram
+    responses = gather_responses(records)
+    runs, rate = at_suitable_rate(responses, options.band)
+    decays = [find_decays(run, rate, options.band[0]) for run in runs]
+    spectra = output_spectra(responses.runs, responses.sampling_hz, options.band)
+    if options.method == "ssi-cov" and all(decays):
+        prepared = Prepared(runs, rate, 0, reference_rows(options.references, responses), responses.derivative)
+        found = decay_diagram(prepared, decays, options.max_order, options.tolerances)
+        return Identification(responses, replace(prepared, rows=found.rows), found, [], spectra, options)
+    prepared, harmonics = prepare(responses, runs, rate, options)
+    diagram: Diagram
     if options.method == "ssi-cov":
         diagram = ssi_cov_diagram(prepared, options.max_order, options.weighting, options.uncertainty, options.tolerances)
     else:
         diagram = ssi_dat_diagram(prepared, options.max_order, options.tolerances)
-    spectra = output_spectra(responses.runs, responses.sampling_hz, options.band)
-    return Identification(responses, prepared, diagram, harmonics, spectra, replace(options))
+    return Identification(responses, prepared, diagram, harmonics, spectra, options)
 
 
-def _statistics_findings(diagram: CovDiagram | DatDiagram, method: str) -> list[Finding]:
+def _statistics_findings(diagram: Diagram, method: str) -> list[Finding]:
     if method == "ssi-dat":
         text = f"SSI-dat by pyOMA-2 on {diagram.samples} samples of one run gives no uncertainty"
         return [Finding("no_uncertainty", text, "info", action="use method='ssi-cov' for standard deviations")]
