@@ -13,8 +13,8 @@ from scipy import fft
 from operando.data import Finding, TimeRecord
 
 AVERAGES = 12
-"""Blocks (without overlap) the spectra are averaged over: enough that a line of noise, averaged over channels too, never reaches ``STANDS_OUT``
-times its neighbours (a chi-square of 24 degrees of freedom exceeds ten times its median with probability 1e-30)."""
+"""Blocks (without overlap) the spectra are averaged over: enough that a line of noise never reaches ``STANDS_OUT`` times its neighbours
+(a chi-square of 24 degrees of freedom exceeds ten times its median with probability 1e-30)."""
 STANDS_OUT = 10.0
 """Power of a line over the median about it (half an octave to either side) from which it counts as resonant."""
 SHARE = 0.99
@@ -26,8 +26,8 @@ LEAST_CYCLES = 10.0
 HIGHEST = 0.4
 """Largest upper limit as part of the sampling rate: anti-aliasing filters begin above."""
 LEAST_LAG = 0.4
-"""Part of the lowest resonance's period that the correlation lags must span: on a lattice mast (18 sensors, 2.8 to 118 Hz) all modes are found
-at 0.4 and one of them at 0.12. It bounds the upper limit, since the lags are counted in samples."""
+"""Part of the lowest resonance's period that the correlation lags must span: on a lattice mast (18 sensors, 2.8 to 118 Hz) all modes are
+found at 0.4 and one of them at 0.12. It bounds the upper limit, since the lags are counted in samples."""
 SAMPLES_PER_PERIOD = 2.5
 """Rate of the identification over the upper limit of the band (``conditioning.at_suitable_rate``)."""
 

@@ -133,7 +133,7 @@ class DecayDiagram:
                     self.changing.append(
                         Finding(
                             "amplitude_dependent",
-                            f"mode at {size[i]:.5g} Hz: its frequency lies {100 * difference[i]:+.2g} % higher early in the decay than late "
+                            f"mode at {size[i]:.5g} Hz: early in the decay its frequency lies {100 * difference[i]:+.2g} % off that late "
                             f"(noise: ± {196 * spread[i]:.2g} %)",
                             "warning",
                             band_hz=(0.95 * size[i], 1.05 * size[i]),
@@ -265,8 +265,8 @@ def decay_findings(diagram: DecayDiagram, names: Sequence[str]) -> list[Finding]
     lengths = [p.shape[1] / diagram.prepared.rate for p in diagram.pieces]
     first = Finding(
         "free_decay",
-        f"{len(lengths)} free {'decay' if len(lengths) == 1 else 'decays'} of {min(lengths):.3g} to {max(lengths):.3g} s, no stationary vibration: "
-        "the power falls by orders of magnitude",
+        f"{len(lengths)} free {'decay' if len(lengths) == 1 else 'decays'} of {min(lengths):.3g} to {max(lengths):.3g} s, no stationary "
+        "vibration: the power falls by orders of magnitude",
         "info",
         file=", ".join(dict.fromkeys(n for n in names if n)) or None,
         consequence="analysed as free decays (subspace identification of the decays themselves), not by correlations",

@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FALL = 100.0
-"""Fall of power (20 dB) within a record from which on it is a decay. The power of a stationary record in windows of two or more periods of
+FALL = 50.0
+"""Fall of power (17 dB) within a record from which on it is a decay. The power of a stationary record in windows of two or more periods of
 its lowest mode changes by less than that for good: it comes back (``RISE``) within some correlation times."""
 ONSET = 10.0
 """Rise of power from a window to the next but one at which a decay begins."""
 RISE = 3.0
-"""A window may exceed the lowest of those before it so many times while the decay lasts (beating of close modes); more is new excitation."""
+"""A window may exceed the lowest of those before it so many times while the decay lasts (beating of close modes), no more."""
 FLOOR = 4.0
 """The decay ends where its power is so many times that of the quietest tenth of the record."""
 LEAST_WINDOWS, MOST_WINDOWS = 12, 200
+INSIDE = 0.9
+"""Part of the power above the noise that must lie in the decays."""
 LEAST_FALL_PIECE = 10.0
 """A piece between two onsets must fall so far to be analysed (a knock that came too early leaves little)."""
 
@@ -25,8 +27,8 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
     """Free decays in a record: (first sample, one past the last) of each; empty if the record is no record of decays.
 
     Power is taken in windows of two periods of the lowest frequency (at least 12, at most 200 windows), as the mean over
-    channels of unit mean square. A record of decays begins with its loudest window, or with a quiet stretch and a sudden rise; from each rise
-    on the power falls, with ripples, down to the noise or the next rise; in all it falls by 20 dB or more. A record that is
+    channels of unit mean square. A record of decays begins with its loudest window, or with a quiet stretch and a sudden rise; from each
+    rise on the power falls, with ripples, down to the noise or the next rise; in all it falls by 17 dB or more. A record that is
     loud for long and then dies away (a machine that stops) is none.
 
     Parameters
@@ -58,14 +60,15 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
         if level[first] >= LEAST_FALL_PIECE * level[first + last]:
             begin = first * length + int(np.argmax(power[first * length : (first + 1) * length]))
             pieces.append((begin, (first + last + 1) * length))
-    loud = sum(level[a // length : b // length].sum() for a, b in pieces)
-    return pieces if loud > 0.8 * level.sum() else []
+    above = np.maximum(level - 2 * floor, 0)
+    inside = sum(above[a // length : b // length].sum() for a, b in pieces)
+    return pieces if inside > INSIDE * above.sum() else []
 
 
 def _onsets(level: NDArray[np.float64]) -> list[int]:
     """Windows in which a decay begins: loudest after a sudden rise (or at the start of the record)."""
     top = float(level.max())
-    found = []
+    found: list[int] = []
     for k in range(level.size):
         before = float(level[max(k - 2, 0) : k].min()) if k else 0.0
         here = float(level[k])

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel, Provenance, TimeRecord
+from operando.data import Finding, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError, DofError, IdentificationError, OperandoError
+from operando.oma.decay import DecayDiagram
 from operando.oma.details import JointCheck, OmaDetails, SetUp
 from operando.oma.joint import Joint, SetUpData, fit_joint
 from operando.oma.matching import Cluster, frequency_limit, likeness, match
@@ -20,6 +21,7 @@ from operando.oma.setup_findings import joint_findings, listed, setup_findings, 
 from operando.oma.single import Identification, Options, each_once, identify
 from operando.oma.spectra import Spectra
 from operando.oma.uncertainty import unit_changes
+from operando.oma.verdicts import short_record_finding
 from operando.stabilization import RejectedPole, Stabilization
 
 SECOND_LOOK = 0.01
@@ -226,6 +228,8 @@ def _seen_twice(used: list[_Member], clusters: list[Cluster], options: Options) 
 
 
 def _joint(used: list[_Member], options: Options) -> tuple[Joint | None, str]:
+    if any(isinstance(m.identification.diagram, DecayDiagram) for m in used if m.identification is not None):
+        return None, "free decays have no stationary correlations"
     data = [SetUpData(m.identification.responses, m.identification.prepared) for m in used if m.identification is not None]
     if options.method != "ssi-cov":
         return None, "the joint estimate is made with method ssi-cov only"
@@ -334,7 +338,14 @@ def _model(
     joint_in_order = JointCheck(check.text, *(getattr(check, k)[order] for k in _CHECKED))
     seen = merged.seen[:, order]
     findings = [
-        *[f if f.file else replace(f, file=m.name) for m in used if m.model is not None for f in m.model.findings],
+        *[
+            f if f.file else replace(f, file=m.name)
+            for m in used
+            if m.model is not None
+            for f in m.model.findings
+            if f.kind != "short_record"
+        ],
+        *_short(model, [x.prepared.seconds for x in identified]),
         *setup_findings(setups, [m.hint for m in members], model),
         *unseen_findings(model, seen, joint_in_order),
         *joint_findings(model, joint_in_order),
@@ -352,6 +363,12 @@ def _model(
         joint=joint_in_order,
     )
     return replace(model, findings=tuple(dict.fromkeys(findings)), provenance=provenance, details=details)
+
+
+def _short(model: ModalModel, seconds: Sequence[float]) -> list[Finding]:
+    """That all set-ups together are short for the modes."""
+    found = short_record_finding(model.frequencies_hz, model.damping_ratios, float(np.sum(seconds)))
+    return [] if found is None else [found]
 
 
 _CHECKED = ("frequencies_hz", "frequency_std_hz", "damping_ratios", "damping_ratio_std", "mac")

@@ -21,7 +21,7 @@ from operando.oma.estimate import best_orders
 from operando.oma.harmonics import Harmonic, find_harmonics
 from operando.oma.pyoma import second_opinion as pyoma_opinion
 from operando.oma.spectra import Spectra, output_spectra
-from operando.oma.verdicts import harmonic_finding, harmonic_poles, stationarity_findings, uncertain_modes
+from operando.oma.verdicts import harmonic_finding, harmonic_poles, short_record_finding, stationarity_findings, uncertain_modes
 from operando.stabilization import Stabilization, Tolerances, demote, select_modes
 
 Band = tuple[float, float]
@@ -139,6 +139,7 @@ class Identification:
                 *self._kind_findings(),
                 *[harmonic_finding(h) for h in self.harmonics],
                 *_statistics_findings(self.diagram, options.method),
+                *self._short(estimate.hz[keep], estimate.zeta[keep]),
             ),
             provenance=self.responses.provenance.then(f"fit_oma({call})"),
             details=details,
@@ -150,6 +151,11 @@ class Identification:
         if isinstance(self.diagram, DecayDiagram):
             return decay_findings(self.diagram, self.responses.names)
         return stationarity_findings(self.prepared.runs, self.prepared.rate)
+
+    def _short(self, hz: NDArray[np.float64], zeta: NDArray[np.float64]) -> list[Finding]:
+        """That the records are short for the modes; decays say all by their standard deviations."""
+        found = None if isinstance(self.diagram, DecayDiagram) else short_record_finding(hz, zeta, self.prepared.seconds)
+        return [] if found is None else [found]
 
     def settings(self) -> dict[str, Any]:
         """All settings as used."""
