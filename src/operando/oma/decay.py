@@ -23,6 +23,10 @@ MOST_ROWS = 240
 MAX_ORDER = 60
 SURROGATES = 60
 """Surrogates for the covariance: its standard deviations are then known to 9 %, which Student's t allows for."""
+FAR = 10.0
+"""Moves so many times their median (7 standard deviations) belong to another pole."""
+SAME_POLE = 0.05
+"""A pole of the early or late part that lies farther off (relative), or has lost its damping or three times as much, is another one."""
 DIFFERENT = 3.0
 """Standard deviations between early and late part of the decays from which on a mode counts as changing with amplitude."""
 
@@ -110,10 +114,10 @@ class DecayDiagram:
             found, early, late = self._again(gram_of(drawn, self.rows), lam, where)
             draws.append(_parameters(found[0], _aligned(found[1], shapes)) - theta)
             early_late.append(_ratio(early, lam) - _ratio(late, lam))
-        changes = np.array(draws)
+        changes = without_lost(np.array(draws), lam.size, self.scale.size)
         covariance = changes.T @ changes / SURROGATES * student_widening(SURROGATES) ** 2
         _, early, late = self._again(gram_of(self.pieces, self.rows), lam, where)
-        drawn_differences = np.array(early_late)
+        drawn_differences = np.where(np.isfinite(early_late), early_late, 0.0)
         difference = _ratio(early, lam) - _ratio(late, lam)
         spread = np.sqrt(np.mean(drawn_differences**2, axis=0))
         self._add_change(covariance, lam, difference, spread)
@@ -124,6 +128,7 @@ class DecayDiagram:
     ) -> None:
         """Half the difference between early and late part, where it is significant, into the variances; findings name the modes."""
         n = lam.size
+        difference = np.where(np.isfinite(difference), difference, 0.0)
         size = np.concatenate([np.abs(lam) / 2 / np.pi, -lam.real / np.abs(lam)])
         self.changing.clear()
         for i in range(2 * n):
@@ -289,7 +294,25 @@ def _aligned(shapes: NDArray[np.complex128], like: NDArray[np.complex128]) -> ND
 
 
 def _ratio(found: NDArray[np.complex128], lam: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Relative differences of frequency and of damping ratio to λ (2·n,)."""
+    """Relative differences of frequency and of damping ratio to λ (2·n,); NaN where it is another pole."""
     f = np.abs(found) / np.abs(lam) - 1
     z = (found.real / np.abs(found)) / (lam.real / np.abs(lam)) - 1
-    return np.concatenate([f, z])
+    lost = (np.abs(f) > SAME_POLE) | (z < -1) | (z > 2)
+    return np.where(np.concatenate([lost, lost]), np.nan, np.concatenate([f, z]))
+
+
+def without_lost(changes: NDArray[np.float64], n: int, r: int) -> NDArray[np.float64]:
+    """Changes of the parameters (draws, p) with those of a mode set aside in draws where another pole was taken for it.
+
+    A draw is one of these where the frequency or damping moves ``FAR`` times the median move. Where more than one draw in ten is, the
+    mode is not held by the data and all draws count.
+    """
+    out = changes.copy()
+    for i in range(n):
+        move = np.abs(changes[:, [i, n + i]])
+        far = np.any(move > FAR * np.maximum(np.median(move, axis=0), 1e-300), axis=1)
+        if 0 < far.sum() <= 0.1 * far.size:
+            own = [i, n + i, *(2 * n + i * r + np.arange(r)), *(2 * n + (n + i) * r + np.arange(r))]
+            out[np.ix_(np.flatnonzero(far), own)] = 0
+            out[:, own] *= np.sqrt(far.size / (far.size - far.sum()))
+    return out
