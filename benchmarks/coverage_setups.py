@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+
 from coverage_oma import Plate
 
 STAY = (0, 1)

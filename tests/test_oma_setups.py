@@ -183,7 +183,9 @@ def frame_test(folder, band=None):
 
     rows = [line.split() for line in (FRAME / "grid.txt").read_text().splitlines()[1:] if line.strip()]
     lines = [tuple(int(v) for v in line.split()[:2]) for line in (FRAME / "lines.txt").read_text().splitlines()[1:] if line.strip()]
-    write_uff(folder / "geometry.uff", Geometry(tuple(int(r[0]) for r in rows), np.array([[float(v) for v in r[1:4]] for r in rows]), lines))
+    write_uff(
+        folder / "geometry.uff", Geometry(tuple(int(r[0]) for r in rows), np.array([[float(v) for v in r[1:4]] for r in rows]), lines)
+    )
     text = ['name = "frame"', "[operating]", f'records = ["{FRAME.as_posix()}/setup0*.uff"]', "[geometry]", 'file = "geometry.uff"']
     text += ['units = "m"', "[directions]"]
     with open(FRAME / "directions.csv", encoding="utf-8") as stream:

@@ -92,7 +92,7 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Se
 
     Frequencies and dampings are weighted means (``mean_with_scatter``). The variance of each set-up is brought to the common
     damping first: both grow with the damping as found (Au 2014), so that its own variance would give a set-up weight for too small a
-    damping; and the weights take none for better than a resonance seen at its best in so long a record, since few blocks may agree by chance.
+    damping; and the weights take none for better than a resonance seen at its best in so long a record: few blocks agree by chance.
     Shapes get one complex factor a set-up, all together by least squares at the shared sensors (Au 2011).
 
     Parameters

@@ -47,11 +47,13 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
     sheet = Canvas(width, height)
     step = width / columns
     mesh = None if geometry is None else _mesh(geometry, tuple(dofs))
-    half = (step - 0.1) / 2
+    alone = all(p.idle is None for p in pairs)
+    half = (step - 0.1) / (1 if alone else 2)
     for k, pair in enumerate(pairs):
         x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
         sheet.text(x0 + 0.06, y0 + cell + 0.14, pair.label, 9, bold=True)
-        for side, (shape, text, color) in enumerate(((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))):
+        both = ((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))
+        for side, (shape, text, color) in enumerate(both[1:] if alone else both):
             left = x0 + 0.04 + side * half
             sheet.text(left + half / 2, y0 + cell - 0.05, text, 7.5, "middle", color)
             box = (left + 0.05, y0, half - 0.1, cell - 0.14)

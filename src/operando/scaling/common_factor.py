@@ -76,8 +76,8 @@ def sampling_rate_finding(pairing: Pairing, idle: ModalModel, operating: ModalMo
         f"all {len(alike)} operational modes that keep their shape lie at {factor:.5f} ± {1.96 * std:.5f} times their idle frequency"
         + _taken_for(factor, std),
         "warning",
-        consequence="if the sampling rate of one file is wrong, all frequencies and the operational FRFs are shifted by this factor; if the "
-        "stiffness of the whole structure changed (temperature, support, mass of all parts alike), the shift is real",
+        consequence="if the sampling rate of one file is wrong, all frequencies and the operational FRFs are shifted by this factor; if "
+        "the stiffness of the whole structure changed (temperature, support, mass of all parts alike), the shift is real",
         action="compare the sampling rate in the headers of idle and operating records with that of the measuring system; "
         "right one ([units] sampling_hz for tables, or export again); a real change of the whole is global_stiffness",
     )
@@ -88,5 +88,5 @@ def _taken_for(factor: float, std: float) -> str:
     for a, b in RATES:
         for low, high in ((a, b), (b, a)):
             if abs(low / high - factor) < max(3 * std, 1e-4):
-                return f", as an operating header that says {low:g} for {high:g} Hz (or an idle one, turned round) would make it"
+                return f", as an operating header of {low:g} for {high:g} Hz would make it (or an idle one, turned round)"
     return ""
