@@ -27,6 +27,8 @@ FAR = 10.0
 """Moves so many times their median (7 standard deviations) belong to another pole."""
 SAME_POLE = 0.05
 """A pole of the early or late part that lies farther off (relative), or has lost its damping or three times as much, is another one."""
+HELD = 0.95
+"""Part of the surrogates in which early and late part must hold a mode, for their difference to be judged."""
 DIFFERENT = 3.0
 """Standard deviations between early and late part of the decays from which on a mode counts as changing with amplitude."""
 
@@ -117,10 +119,11 @@ class DecayDiagram:
         changes = without_lost(np.array(draws), lam.size, self.scale.size)
         covariance = changes.T @ changes / SURROGATES * student_widening(SURROGATES) ** 2
         _, early, late = self._again(gram_of(self.pieces, self.rows), lam, where)
-        drawn_differences = np.where(np.isfinite(early_late), early_late, 0.0)
+        drawn = np.array(early_late)
+        held = np.mean(np.isfinite(drawn), axis=0) >= HELD
+        spread = np.sqrt(np.mean(np.where(np.isfinite(drawn), drawn, 0.0) ** 2, axis=0))
         difference = _ratio(early, lam) - _ratio(late, lam)
-        spread = np.sqrt(np.mean(drawn_differences**2, axis=0))
-        self._add_change(covariance, lam, difference, spread)
+        self._add_change(covariance, lam, np.where(held & np.isfinite(difference), difference, 0.0), spread)
         return covariance
 
     def _add_change(
@@ -128,7 +131,6 @@ class DecayDiagram:
     ) -> None:
         """Half the difference between early and late part, where it is significant, into the variances; findings name the modes."""
         n = lam.size
-        difference = np.where(np.isfinite(difference), difference, 0.0)
         size = np.concatenate([np.abs(lam) / 2 / np.pi, -lam.real / np.abs(lam)])
         self.changing.clear()
         for i in range(2 * n):
