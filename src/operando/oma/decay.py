@@ -119,9 +119,9 @@ class DecayDiagram:
         changes = without_lost(np.array(draws), lam.size, self.scale.size)
         covariance = changes.T @ changes / SURROGATES * student_widening(SURROGATES) ** 2
         _, early, late = self._again(gram_of(self.pieces, self.rows), lam, where)
-        drawn = np.array(early_late)
-        held = np.mean(np.isfinite(drawn), axis=0) >= HELD
-        spread = np.sqrt(np.mean(np.where(np.isfinite(drawn), drawn, 0.0) ** 2, axis=0))
+        differences = np.array(early_late)
+        held = np.mean(np.isfinite(differences), axis=0) >= HELD
+        spread = np.sqrt(np.mean(np.where(np.isfinite(differences), differences, 0.0) ** 2, axis=0))
         difference = _ratio(early, lam) - _ratio(late, lam)
         self._add_change(covariance, lam, np.where(held & np.isfinite(difference), difference, 0.0), spread)
         return covariance

@@ -78,8 +78,8 @@ def sampling_rate_finding(pairing: Pairing, idle: ModalModel, operating: ModalMo
         "warning",
         consequence="if the sampling rate of one file is wrong, all frequencies and the operational FRFs are shifted by this factor; if "
         "the stiffness of the whole structure changed (temperature, support, mass of all parts alike), the shift is real",
-        action="compare the sampling rate in the headers of idle and operating records with that of the measuring system; "
-        "right one ([units] sampling_hz for tables, or export again); a real change of the whole is global_stiffness",
+        action="compare the sampling rate in the headers of idle and operating records with that of the measuring system, and export "
+        "again with the right one ([units] sampling_hz for tables); a real change of the whole is global_stiffness",
     )
 
 
