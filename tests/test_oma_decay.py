@@ -94,6 +94,14 @@ def test_a_machine_that_stops_is_not_all_decay():
     assert any(f.kind == "nonstationary" for f in fit_oma(record(stopped), band=BAND).findings)
 
 
+def test_decays_among_stationary_records_are_left_out():
+    steady = record(simulate(CHAIN, 100.0, FS, 7), name="steady")
+    model = fit_oma([steady, record(decays(4), name="knock")], band=BAND)
+    assert model.details.settings["method"] == "ssi-cov"
+    assert [f.file for f in model.findings if f.kind == "free_decay"] == ["knock"]
+    assert np.allclose(model.frequencies_hz, fit_oma(steady, band=BAND).frequencies_hz)
+
+
 def test_short_records_say_so():
     model = fit_oma(record(simulate(CHAIN, 2.0, FS, 7)), band=BAND)
     said = [f for f in model.findings if f.kind == "short_record"]

@@ -108,12 +108,16 @@ def test_a_bad_set_up_spoils_none(records):
     assert np.all(np.abs(model.frequencies_hz - CHAIN.hz) < 4 * model.frequency_std_hz)
     said = [f for f in model.findings if f.kind in ("setup_left_out", "setup_mode_unmatched") and f.file == "noise"]
     assert said or all(s.merged.max(initial=-1) < 0 for s in model.details.setups if s.name == "noise")
-    dead = replace(records[2], data=np.vstack([records[2].data[:2], np.zeros((1, records[2].n_samples))]), name="dead")
+    dead = replace(records[2], data=np.zeros(records[2].data.shape), name="dead")
     model = fit_oma([*records[:2], dead], band=BAND)
     assert model.n_modes == 5
     left = [f for f in model.findings if f.kind == "setup_left_out"]
     assert [f.file for f in left] == ["dead"]
     assert "constant" in left[0].message
+    one_dead = replace(records[2], data=np.vstack([records[2].data[:2], np.zeros((1, records[2].n_samples))]), name="one dead")
+    model = fit_oma([*records[:2], one_dead], band=BAND)
+    assert len(model.dofs) == 4
+    assert [f.file for f in model.findings if f.kind == "channel_left_out"] == ["one dead"]
 
 
 def test_a_set_up_at_another_rate_in_its_header_does_not_match(records):

@@ -204,6 +204,11 @@ def identify(records: Sequence[TimeRecord], options: Options) -> Identification:
     runs, rate = at_suitable_rate(responses, options.band)
     decays = [find_decays(run, rate, options.band[0]) for run in runs]
     spectra = output_spectra(responses.runs, responses.sampling_hz, options.band)
+    if any(decays) and not all(decays):
+        steady = [r for r, d in zip(records, decays, strict=True) if not d]
+        rest = identify(steady, options)
+        said = tuple(_decay_among(r.name) for r, d in zip(records, decays, strict=True) if d)
+        return replace(rest, responses=replace(rest.responses, findings=(*rest.responses.findings, *said)))
     if options.method == "ssi-cov" and all(decays):
         prepared = Prepared(runs, rate, 0, reference_rows(options.references, responses), responses.derivative)
         found = decay_diagram(prepared, decays, options.max_order, options.tolerances)
@@ -215,6 +220,18 @@ def identify(records: Sequence[TimeRecord], options: Options) -> Identification:
     else:
         diagram = ssi_dat_diagram(prepared, options.max_order, options.tolerances)
     return Identification(responses, prepared, diagram, harmonics, spectra, options)
+
+
+def _decay_among(name: str) -> Finding:
+    """A record of decays beside stationary ones of the same sensors."""
+    return Finding(
+        "free_decay",
+        "the record holds free decays, the others of these sensors stationary vibration",
+        "warning",
+        file=name or None,
+        consequence="it is left out",
+        action="analyse the decays by themselves",
+    )
 
 
 def _statistics_findings(diagram: Diagram, method: str) -> list[Finding]:
