@@ -27,7 +27,7 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
     """Free decays in a record: (first sample, one past the last) of each; empty if the record is no record of decays.
 
     Power is taken in windows of two periods of the lowest frequency (at least 12, at most 200 windows), as the mean over
-    channels of unit mean square. A record of decays begins with its loudest window, or with a quiet stretch and a sudden rise; from each
+    channels, each over the quietest tenth of its windows. A record of decays begins with its loudest window, or with a quiet stretch and a sudden rise; from each
     rise on the power falls, with ripples, down to the noise or the next rise; in all it falls by 17 dB or more. A record that is
     loud for long and then dies away (a machine that stops) is none.
 
@@ -41,12 +41,14 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
     """
     x = np.asarray(run, float)
     x = x - x[:, -max(x.shape[1] // 10, 1) :].mean(axis=1, keepdims=True)
-    size = np.mean(x**2, axis=1, keepdims=True)
-    power = np.mean(x**2 / np.maximum(size, 1e-300), axis=0)
     count = int(np.clip(x.shape[1] / rate * lowest_hz / 2, LEAST_WINDOWS, MOST_WINDOWS))
     length = x.shape[1] // count
     if length < 4:
         return []
+    by_channel = (x[:, : count * length] ** 2).reshape(-1, count, length).mean(axis=2)
+    quiet = np.sort(by_channel, axis=1)[:, : max(count // 10, 1)].mean(axis=1)
+    quiet = np.maximum(quiet, 1e-8 * by_channel.max(axis=1) + 1e-300)
+    power = np.mean(x**2 / quiet[:, None], axis=0)
     level = power[: count * length].reshape(count, length).mean(axis=1)
     floor = float(np.sort(level)[: max(count // 10, 1)].mean())
     if level.max() < FALL * floor:
@@ -61,7 +63,7 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
             begin = first * length + int(np.argmax(power[first * length : (first + 1) * length]))
             pieces.append((begin, (first + last + 1) * length))
     above = np.maximum(level - 2 * floor, 0)
-    inside = sum(above[a // length : b // length].sum() for a, b in pieces)
+    inside = sum(above[max(a // length - 2, 0) : b // length].sum() for a, b in pieces)  # with the rise before
     return pieces if inside > INSIDE * above.sum() else []
 
 
