@@ -47,6 +47,7 @@ def test_several_decays_make_surer():
     assert np.median(four.frequency_std_hz / one.frequency_std_hz) < 0.75
 
 
+@pytest.mark.slow
 def test_deviations_of_decays_hold():
     """A small Monte Carlo: 95 % intervals cover (benchmarks/coverage_setups.py has the large one)."""
     hits, found = [], 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -177,6 +178,19 @@ def test_mean_with_scatter_covers():
                 hits.append(abs(mean.value) < 1.959964 * np.sqrt(mean.variance))
             least = 0.94 if tau == 0 else 0.88 if k == 8 else 0.83  # 600 draws: ± 0.02
             assert least < np.mean(hits) < 0.99, (k, tau)
+
+
+@pytest.mark.slow
+def test_intervals_of_merged_set_ups_cover():
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+    from coverage_setups import setups, summary
+
+    found = [setups(draw)[0] for draw in range(30)]
+    share, cover = summary("merged set-ups", [f[0] for f in found], sum(f[1] for f in found))
+    assert share > 0.95
+    assert sum(f[1] for f in found) <= 4  # modes too many, of 210
+    assert 0.88 <= min(cover)
+    assert np.mean(cover) <= 0.99  # single set-ups of five sensors are 1.2 to 1.3 times too wide already
 
 
 def frame_test(folder, band=None):
