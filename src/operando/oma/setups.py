@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof, match_dofs, parse_dofs
-from operando.errors import DataError, DofError, IdentificationError, OperandoError
+from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.oma.decay import DecayDiagram
 from operando.oma.details import JointCheck, OmaDetails, SetUp
 from operando.oma.joint import Joint, SetUpData, fit_joint
@@ -69,11 +69,18 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
 
     Raises
     ------
+    ConfigError
+        If standard deviations are not asked for.
     DofError
         If the set-ups share no sensor.
     IdentificationError
-        If no set-up can be identified, or no mode is in two of them.
+        If no set-up can be identified, no mode is in two of them, or one chosen by hand in none.
     """
+    if options.method != "ssi-cov" or not options.uncertainty:
+        raise ConfigError(
+            "set-ups are weighed by their standard deviations, which only method ssi-cov with uncertainty gives",
+            hint="leave method and uncertainty at their defaults, or fit each set-up alone",
+        )
     members = [_Member(list(g), _name(g), _sensors(g)) for g in groups]
     _check_connected(members)
     for m in members:
@@ -83,6 +90,11 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
         first = next(m for m in members if m.failed)
         raise IdentificationError(f"none of {len(members)} set-ups can be identified: {first.failed}", where=first.name, hint=first.hint)
     used = [m for m in members if m.model is not None]
+    for f in options.select_hz:
+        if not any(np.any(np.abs(_of(used, k).frequencies_hz - f) <= SECOND_LOOK * f) for k in range(len(used))):
+            raise IdentificationError(
+                f"no set-up has a pole near {f:g} Hz chosen by hand", hint="take a frequency from a stabilisation diagram"
+            )
     clusters = match([m.model for m in used if m.model is not None])
     clusters = _second_look(used, clusters)
     clusters = _seen_twice(used, clusters, options)
@@ -147,15 +159,21 @@ def _check_connected(members: list[_Member]) -> None:
 
 
 def _identify(m: _Member, options: Options) -> None:
-    own = options
+    own = replace(options, select_hz=(), second_opinion=False)
     if options.references is not None:
         wanted = parse_dofs(options.references)
         have = _keys(m)
-        own = replace(options, references=tuple(d for d in wanted if (d.node, d.axis) in have) or None, select_hz=())
+        own = replace(own, references=tuple(d for d in wanted if (d.node, d.axis) in have) or None)
     try:
-        m.identification = identify(m.records, replace(own, select_hz=(), second_opinion=False))
-        near = [f for f in options.select_hz if _has_pole(m.identification, f)]
-        m.model = m.identification.modes(near)
+        found = identify(m.records, own)
+        near = tuple(f for f in options.select_hz if _has_pole(found, f))
+        m.identification = replace(found, options=replace(own, select_hz=near))
+        try:
+            m.model = m.identification.modes()
+        except IdentificationError:
+            if not near:
+                raise
+            m.identification, m.model = found, found.modes()  # poles there, but no chain of them
     except OperandoError as error:
         m.failed, m.hint = error.message, error.hint or ""
         return
@@ -231,8 +249,6 @@ def _joint(used: list[_Member], options: Options) -> tuple[Joint | None, str]:
     if any(isinstance(m.identification.diagram, DecayDiagram) for m in used if m.identification is not None):
         return None, "free decays have no stationary correlations"
     data = [SetUpData(m.identification.responses, m.identification.prepared) for m in used if m.identification is not None]
-    if options.method != "ssi-cov":
-        return None, "the joint estimate is made with method ssi-cov only"
     try:
         return fit_joint(data, options.band, options.tolerances), ""
     except (OperandoError, np.linalg.LinAlgError) as error:
@@ -345,6 +361,7 @@ def _model(
             for f in m.model.findings
             if f.kind != "short_record"
         ],
+        *([_NOT_ASKED] if options.second_opinion else []),
         *_short(model, [x.prepared.seconds for x in identified]),
         *setup_findings(setups, [m.hint for m in members], model),
         *unseen_findings(model, seen, joint_in_order),
@@ -363,6 +380,14 @@ def _model(
         joint=joint_in_order,
     )
     return replace(model, findings=tuple(dict.fromkeys(findings)), provenance=provenance, details=details)
+
+
+_NOT_ASKED = Finding(
+    "no_second_opinion",
+    "pyOMA-2 is not asked where set-ups are merged",
+    "info",
+    action="run one set-up alone with second_opinion",
+)
 
 
 def _short(model: ModalModel, seconds: Sequence[float]) -> list[Finding]:
