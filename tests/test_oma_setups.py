@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from operando.errors import ConfigError, DofError, IdentificationError
 from operando.oma import fit_halves, fit_oma
 from operando.oma.matching import match
 from operando.oma.merge import mean_with_scatter
+from operando.oma.setup_findings import common_ratio
 from test_oma_fit import BAND, CHAIN, FS, simulate
 
 FRAME = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "frame"
@@ -127,6 +129,17 @@ def test_a_set_up_at_another_rate_in_its_header_does_not_match(records):
     assert model.n_modes == 5
     assert np.all(np.abs(model.frequencies_hz - CHAIN.hz) < 4 * model.frequency_std_hz)
     assert any(f.kind == "setup_mode_unmatched" and f.file == "wrong" and f.severity == "warning" for f in model.findings)
+    rate = [f for f in model.findings if f.kind == "sampling_rate"]
+    assert [f.file for f in rate] == ["wrong"]
+    assert "1.04" in rate[0].message
+
+
+def test_common_ratio_of_modes():
+    """``SAME_RATIO``: one factor within 0.3 %, in most modes; other modes are no factor."""
+    hz = np.array([3.0, 7.0, 12.0, 19.0])
+    assert common_ratio(hz * 0.9766, hz) == pytest.approx(0.9766)
+    assert common_ratio(hz, hz) is None
+    assert common_ratio(hz * np.array([0.97, 0.98, 0.99, 1.02]), hz) is None
 
 
 def test_set_ups_without_a_shared_sensor(records):
@@ -145,7 +158,7 @@ def test_choice_by_hand_over_set_ups(records):
     kept = fit_oma(records, band=BAND, select_hz=[f])
     assert kept.n_modes == 5
     with pytest.raises(IdentificationError, match="no set-up has a pole"):
-        fit_oma(records, band=BAND, select_hz=[79.5])
+        fit_oma(records, band=BAND, select_hz=[190.0])
     with pytest.raises(ConfigError, match="standard deviations"):
         fit_oma(records, band=BAND, uncertainty=False)
 
@@ -248,6 +261,9 @@ def test_frame_of_eight_set_ups(tmp_path, band):
     assert not [s for s in model.details.setups if s.failed]
     if band is None:
         assert any(f.kind == "band_by_default" for f in results.findings)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["operating"]
+    assert [len(s["sensors"]) for s in summary["setups"]] == [5] * 8
+    assert len(summary["joint"]["modes"]) == FRAME_HZ.size
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Mode shapes" in report
     assert "setup03.uff" in report

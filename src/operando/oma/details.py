@@ -48,6 +48,26 @@ class SetUp:
     stabilization: Stabilization | None = None
     failed: str = ""
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: sensors, modes with the merged mode each belongs to (null where to none), why it failed (null where not)."""
+        return {
+            "name": self.name,
+            "sensors": list(self.sensors),
+            "shared": list(self.shared),
+            "modes": [
+                {
+                    "frequency_hz": float(self.frequencies_hz[i]),
+                    "frequency_std_hz": float(self.frequency_std_hz[i]),
+                    "damping_ratio": float(self.damping_ratios[i]),
+                    "damping_ratio_std": float(self.damping_ratio_std[i]),
+                    "merged": int(self.merged[i]) if self.merged[i] >= 0 else None,
+                    "reason": self.reasons[i] or None,
+                }
+                for i in range(self.frequencies_hz.size)
+            ],
+            "left_out": self.failed or None,
+        }
+
 
 @dataclass(frozen=True)
 class JointCheck:
@@ -67,6 +87,22 @@ class JointCheck:
     damping_ratios: NDArray[np.float64]
     damping_ratio_std: NDArray[np.float64]
     mac: NDArray[np.float64]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: what it is, and one entry a merged mode (null where the joint estimate has none)."""
+        rows = [
+            {
+                "frequency_hz": float(self.frequencies_hz[i]),
+                "frequency_std_hz": float(self.frequency_std_hz[i]),
+                "damping_ratio": float(self.damping_ratios[i]),
+                "damping_ratio_std": float(self.damping_ratio_std[i]),
+                "mac": float(self.mac[i]),
+            }
+            if np.isfinite(self.frequencies_hz[i])
+            else None
+            for i in range(self.frequencies_hz.size)
+        ]
+        return {"text": self.text, "modes": rows}
 
 
 @dataclass(frozen=True)

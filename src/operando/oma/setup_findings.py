@@ -14,10 +14,29 @@ DIFFERS = 3.0
 """The merged modes and the joint estimate are said to differ from so many standard deviations of their difference on (both use the
 same records, so that the difference is smaller than independent ones)."""
 
+SAME_RATIO = 0.003
+"""Ratios of frequencies that count as one (relative): three standard deviations of a frequency known to 0.1 %."""
+
 
 def listed(texts: Sequence[str], most: int = 8) -> str:
     """The first texts and how many more there are."""
     return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
+
+
+def common_ratio(hz: NDArray[np.float64], others_hz: NDArray[np.float64]) -> float | None:
+    """Factor at which nearly all frequencies lie from others in the same order; None where there is none, or it is near 1.
+
+    Each pair proposes its ratio; the one with most pairs within ``SAME_RATIO`` counts, if at least three and four in five modes have it.
+    """
+    ratios = hz[:, None] / others_hz[None, :]
+    best, factor = 0, 1.0
+    for ratio in ratios[(ratios > 0.5) & (ratios < 2.0)]:
+        near = np.abs(ratios / ratio - 1) < SAME_RATIO
+        count = min(int(near.any(axis=1).sum()), int(near.any(axis=0).sum()))
+        if count > best:
+            best, factor = count, float(np.median(ratios[near]))
+    enough = best >= max(3, 0.8 * min(hz.size, others_hz.size))
+    return factor if enough and abs(factor - 1) > SAME_RATIO else None
 
 
 def setup_findings(setups: Sequence[SetUp], hints: Sequence[str], model: ModalModel) -> list[Finding]:
@@ -46,6 +65,19 @@ def setup_findings(setups: Sequence[SetUp], hints: Sequence[str], model: ModalMo
             )
             continue
         alone = [f"{f:.5g} Hz" for f, reason in zip(s.frequencies_hz, s.reasons, strict=True) if reason]
+        factor = common_ratio(s.frequencies_hz, model.frequencies_hz) if len(alone) > 0.5 * s.frequencies_hz.size else None
+        if factor is not None:
+            out.append(
+                Finding(
+                    "sampling_rate",
+                    f"the modes of this set-up lie at {factor:.4f} times the merged ones",
+                    "warning",
+                    file=s.name,
+                    consequence="they are not merged; a wrong sampling rate shifts all modes by one factor, as does a stiffness or "
+                    "mass that changed everywhere",
+                    action="compare the sampling rate in its header with those of the other files and of the measuring system",
+                )
+            )
         if alone:
             out.append(
                 Finding(
