@@ -74,6 +74,18 @@ def test_shapes_are_drawn_along_the_directions():
     assert mode_shapes(tilted, named, pair) == mode_shapes(square, along_z, pair)
 
 
+def test_export_without_a_geometry(tmp_path):
+    extra = '[channels]\n"acc2" = {dof = "2+a"}\n[directions]\n"2+a" = [0.0, 0.6, 0.8]'
+    path = write_test(tmp_path, check=False, idle=False, extra=extra)
+    path.write_text(path.read_text(encoding="utf-8").replace('[geometry]\nfile = "geometry.uff"\n', ""), encoding="utf-8")
+    results = run(path, tmp_path / "out", until="oma")
+    assert results.geometry is None
+    from operando.io import read
+
+    model = read(tmp_path / "out" / "operating_modes.uff").models[0]
+    assert {"2+Y", "2+Z"} <= {str(d) for d in model.dofs}  # X, which it does not see, is zero
+
+
 def test_declared_directions_from_file_to_report(tmp_path):
     """A channel labelled along a named direction: shapes, report, and an export in X, Y, Z."""
     extra = '[channels]\n"acc2" = {dof = "2+a"}\n[directions]\n"2+a" = [0.0, 0.6, 0.8]'

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from operando.data import Finding, Frf, Geometry, ModalModel, node_motion
+from operando.data import Finding, Frf, ModalModel, node_motion
 from operando.dof import Dof
 from operando.errors import MissingError
 from operando.pipeline.cache import whole, write_json
@@ -47,7 +47,7 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
         objects = [results.idle_frf]
     elif name in ("idle_modes.uff", "operating_modes.uff"):
         model = results.idle if name == "idle_modes.uff" else results.operating
-        objects = [results.geometry, None if model is None else along_axes(proper_modes(model), results.geometry, name, findings)]
+        objects = [results.geometry, None if model is None else along_axes(proper_modes(model), _directions(results), name, findings)]
     elif name == "ofrf.uff":
         objects = [ofrf(results, findings)]
     elif name == "ofrf_effect.uff":
@@ -93,9 +93,14 @@ def proper_modes(model: ModalModel) -> ModalModel:
     return replace(model.modes_proper(), details=None)
 
 
-def along_axes(model: ModalModel, geometry: Geometry | None, name: str, findings: list[Finding]) -> ModalModel:
+def _directions(results: Results) -> dict[str, Any]:
+    """Directions declared in the test file, by DOF; also without a geometry."""
+    given: dict[str, Any] = results.settings.get("directions", {})
+    return given
+
+
+def along_axes(model: ModalModel, directions: Mapping[str, Sequence[float]], name: str, findings: list[Finding]) -> ModalModel:
     """The model with X, Y, Z motion at nodes whose measured directions are no axes: UFF knows no others."""
-    directions = {} if geometry is None else geometry.directions
     skewed = {d.node for d in model.dofs if d.named or str(d.unsigned) in directions}
     if not skewed:
         return model
