@@ -67,6 +67,30 @@ def test_modes_of_all_sensors(merged):
     assert np.mean(np.abs(merged.shapes.real - turn * truth) < 2 * merged.shape_std) > 0.85
 
 
+def test_merging_agrees_with_pyoma():
+    """pyOMA-2's merging (PoSER) of its own SSI-cov at a fixed order as an oracle: frequencies, dampings, shapes over all sensors."""
+    pytest.importorskip("pyoma2")
+    from operando.oma.pyoma import contained_pyoma
+
+    records = [setup(masses, 10 + k) for k, masses in enumerate(SENSORS)]
+    with contained_pyoma():
+        from pyoma2.algorithms import SSIcov
+        from pyoma2.setup import MultiSetup_PoSER, SingleSetup
+
+        singles = []
+        for r in records:
+            single = SingleSetup(np.asarray(r.data, float).T, FS)
+            single.add_algorithms(SSIcov(name="ssi", br=30, ordmax=40))
+            single.run_by_name("ssi")
+            single.mpe("ssi", sel_freq=list(CHAIN.hz), order_in=24)
+            singles.append(single)
+        other = MultiSetup_PoSER(ref_ind=[[0, 1]] * 3, single_setups=singles, names=["ssi"]).merge_results()["ssi"]
+    model = fit_oma(records, band=BAND)
+    assert np.all(np.abs(model.frequencies_hz - other.Fn) < 3 * model.frequency_std_hz)
+    assert np.all(np.abs(model.damping_ratios - other.Xi) < 3 * model.damping_ratio_std)
+    assert np.min(np.abs(np.sum(unit(other.Phi).conj() * model.shapes, axis=0)) ** 2) > 0.999
+
+
 def test_what_is_stated_of_set_ups(merged, records):
     details = merged.details
     assert [s.name for s in details.setups] == [r.name for r in records]
