@@ -74,13 +74,13 @@ def test_merging_agrees_with_pyoma():
 
     records = [setup(masses, 10 + k) for k, masses in enumerate(SENSORS)]
     with contained_pyoma():
-        from pyoma2.algorithms import SSIcov
+        from pyoma2.algorithms import SSI
         from pyoma2.setup import MultiSetup_PoSER, SingleSetup
 
         singles = []
         for r in records:
             single = SingleSetup(np.asarray(r.data, float).T, FS)
-            single.add_algorithms(SSIcov(name="ssi", br=30, ordmax=40))
+            single.add_algorithms(SSI(name="ssi", br=30, ordmax=40, method="cov"))
             single.run_by_name("ssi")
             single.mpe("ssi", sel_freq=list(CHAIN.hz), order_in=24)
             singles.append(single)
