@@ -87,7 +87,7 @@ def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any], least: NDAr
     return Mean(float(np.sum(w * y)), w, float(np.sqrt(tau2)), variance)
 
 
-def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Sequence[float]) -> Merged:
+def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Sequence[float], blocks: Sequence[int]) -> Merged:
     """Modes of several set-ups joined (post-separate-estimation rescaling, Reynders, Magalhães, De Roeck & Cunha 2009).
 
     Frequencies and dampings are weighted means (``mean_with_scatter``). The variance of each set-up is brought to the common
@@ -103,12 +103,15 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Se
         Set-up and mode of each merged mode.
     seconds : sequence of float
         Length of the records of each set-up [s].
+    blocks : sequence of int
+        Blocks each covariance comes from: it was widened by Student's t for them, all together have more.
     """
     dofs = union_of_dofs(models)
     row_of = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(dofs)}
     rows = [np.array([row_of[d.node, d.axis][0] for d in m.dofs]) for m in models]
     signs = [np.array([row_of[d.node, d.axis][1] * d.sign for d in m.dofs], float) for m in models]
-    roots = [covariance_root(m.covariance) for m in models]
+    together = student_widening(sum(b - 1 for b in blocks))
+    roots = [covariance_root(m.covariance) * (together / student_widening(b - 1)) for m, b in zip(models, blocks, strict=True)]
     starts = np.concatenate([[0], np.cumsum([r.shape[1] for r in roots])]).astype(int)
     n, m = len(clusters), len(dofs)
     hz, zeta, scatter = np.zeros(n), np.zeros(n), np.zeros(n)

@@ -103,7 +103,8 @@ def fit_setups(groups: Sequence[Sequence[TimeRecord]], options: Options) -> Moda
             f"no mode is in two of {len(used)} set-ups", hint="look at each set-up by itself; are they of one structure in one state?"
         )
     seconds = [m.identification.prepared.seconds for m in used if m.identification is not None]
-    merged = merge([m.model for m in used if m.model is not None], clusters, seconds)
+    blocks = [m.identification.diagram.blocks for m in used if m.identification is not None]
+    merged = merge([m.model for m in used if m.model is not None], clusters, seconds, blocks)
     joint, why_not = _joint(used, options)
     partner, check = _beside(merged, joint, why_not)
     merged = _filled(merged, joint, partner)
