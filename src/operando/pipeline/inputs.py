@@ -36,9 +36,10 @@ class _Asked(dict[str, dict[str, Any]]):
 
 @dataclass(frozen=True)
 class _Names:
-    """What a file calls its channels, and where its forces act and its responses are."""
+    """What a file calls its channels, all DOFs it measures, and where its forces act and its responses are."""
 
     labels: frozenset[str]
+    dofs: frozenset[Dof]
     forces: frozenset[Dof]
     responses: frozenset[Dof]
 
@@ -49,7 +50,8 @@ def _names_of(content: Any) -> _Names:
     labels = {text for c in channels for text in (c.name, c.label) if text} | {str(d) for d in dofs}
     forces = {c.dof for c in channels if c.is_force and c.dof is not None} | {d for h in content.frfs for d in h.references}
     responses = {d for r in content.records for i in r.response_indices if (d := r.channels[i].dof) is not None}
-    return _Names(frozenset(labels), frozenset(forces), frozenset(responses))
+    measured = {c.dof for c in channels if c.dof is not None} | set(dofs)
+    return _Names(frozenset(labels), frozenset(measured), frozenset(forces), frozenset(responses))
 
 
 class Inputs:
@@ -202,7 +204,12 @@ class Inputs:
         return merge_frfs(frfs)
 
     def geometry(self) -> Geometry | None:
-        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known."""
+        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known, directions of
+        DOFs that are no axes as declared."""
+        found = self._geometry()
+        return found if found is None or not self.test.directions else replace(found, directions=self.test.directions)
+
+    def _geometry(self) -> Geometry | None:
         test = self.test
         parts = [(test.geometry_file, None)] if test.geometry_file is not None else list(test.parts)
         for file, span in parts:
@@ -243,7 +250,9 @@ class Inputs:
         return rows
 
     def check_names(self) -> None:
-        """Whether every name in [channels], and every DOF in the references, is in the files. Files that cannot be read may hold them.
+        """Whether every name in [channels], and every DOF in [directions] and the references, is in the files.
+
+        Files that cannot be read may hold them.
 
         Raises
         ------
@@ -260,6 +269,10 @@ class Inputs:
             if name not in self._channels.found:
                 labels = {label for names in self._names.values() for label in names.labels}
                 raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, f"{where} [channels]")
+        known_dofs = {str(dof.unsigned) for names in self._names.values() for dof in names.dofs}
+        for label in self.test.directions:
+            if label not in known_dofs:
+                raise _unknown(f"[directions] {label!r} is a DOF of no file", label, known_dofs, f"{where} [directions]")
         analysis = self.test.analysis
         forces = {dof for file in self.test.idle.files for dof in self._names[file].forces}
         moving = {dof for file in self.test.operating.files for dof in self._names[file].responses}

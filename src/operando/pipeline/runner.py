@@ -135,7 +135,7 @@ class _Run:
         for name in stage.states:
             state = (() if test.geometry_file is None else (test.geometry_file,)) if name == "geometry" else getattr(test, name).files
             files.append((name, self.work.inputs.hashes(state)))
-        reading = (test.units, test.channels, test.geometry_units) if stage.states else ()
+        reading = (test.units, test.channels, test.geometry_units, test.directions) if stage.states else ()
         spans = {name: [repr(span) for span in getattr(test, name).spans] for name in stage.states if name != "geometry"}
         upstream = [self.keys[name] for name in stage.upstream]
         if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
