@@ -235,7 +235,7 @@ class _Run:
         self.own_findings.append(
             Finding(
                 "stage_failed",
-                f"stage {stage.name}: {text}",
+                f"stage {stage.part_of}: {text}",
                 "error",
                 file=error.where,
                 consequence="what builds on it is left out" if not what else "the results stand in model.h5",
