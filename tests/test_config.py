@@ -189,3 +189,53 @@ hits_reject = ["./idle/run2.uff#3", "run.uff#01"]
     assert test.settings()["hits_reject"] == ["./idle/run2.uff#3", "run.uff#01"]
     with pytest.raises(ConfigError, match="no record of"):
         test.with_analysis(hits_reject=["idle/run77.uff#1"])
+
+
+DIRECTIONS = """
+[directions]
+"5+a" = [0.86, 0.47, -0.15]
+"5-b" = [0.0, 0.0, -1.0]
+"7+X" = [-1, 0, 0]
+"""
+
+
+def test_directions_are_unit_vectors_of_positive_dofs(folder):
+    text = FULL.replace('dof = "12+Z"', 'dof = "5+a"').replace('"13+Z"', '"5+b"') + DIRECTIONS
+    test = load_test(write(folder, text))
+    assert set(test.directions) == {"5+a", "5+b", "7+X"}
+    assert sum(v**2 for v in test.directions["5+a"]) == pytest.approx(1)  # NOT_UNIT: two decimals are enough
+    assert test.directions["5+b"] == (0, 0, 1)
+    assert test.settings()["directions"]["7+X"] == [-1, 0, 0]
+    assert load_test(write(folder, FULL)).directions == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message", "hint"),
+    [
+        ("[0.86, 0.47, -0.15]", "[0.86, 0.47]", "three numbers", None),
+        ("[0.86, 0.47, -0.15]", "[0.86, 0.47, 0.9]", "length 1.33", "divide"),
+        ('"5+a"', '"5a"', "no DOF label", "lower case"),
+        ('"5+a"', '"5+RX"', "rotation", None),
+        ('"5-b"', '"5+a"', "", None),
+        ('"7+X"', '"5+b"', "given twice", None),
+        ('dof = "12+Z"', 'dof = "5+c"', "not declared", "did you mean"),
+        ('dof = "12+Z"', 'dof = "31+q"', "not declared", "[directions]"),
+    ],
+)
+def test_wrong_directions_are_refused_with_help(folder, old, new, message, hint):
+    with pytest.raises(ConfigError) as caught:
+        load_test(write(folder, (FULL + DIRECTIONS).replace(old, new, 1)))
+    error = caught.value.to_dict()
+    assert message in error["error"]
+    if hint is not None:
+        assert hint in error["hint"]
+
+
+def test_directions_of_dofs_that_are_not_there(tmp_path):
+    from measurements import write_test
+    from operando.pipeline import run
+
+    path = write_test(tmp_path, check=False, idle=False, extra='[directions]\n"3+X" = [1.0, 0.0, 0.0]')
+    with pytest.raises(ConfigError, match="'3\\+X' is a DOF of no file") as caught:
+        run(path, tmp_path / "out", until="inspect")
+    assert "did you mean '3+Z'" in caught.value.hint

@@ -193,19 +193,22 @@ def test_equal_runs_are_averaged_and_others_kept_apart_by_level():
     np.testing.assert_allclose(apart.data, pooled.data)
 
 
-def test_bad_samples_are_left_out_block_by_block():
+def test_bad_force_samples_are_left_out_block_by_block_and_a_bad_response_everywhere():
     chain = Chain(3, zeta=0.03)
     f, x = simulate(chain, FS, 32768, [1], np.random.default_rng(8))
-    x[1, 5000:5010] = np.nan
-    frf = estimate_frf(make_record(f, x, FS, [1]), estimator="h1", block_seconds=2.0)
+    broken = f.copy()
+    broken[0, 5000:5010] = np.nan
+    frf = estimate_frf(make_record(broken, x, FS, [1]), estimator="h1", block_seconds=2.0)
     assert np.isfinite(frf.data).all()
     assert any(item.kind == "blocks_left_out" for item in frf.findings)
     exact = sampled_accelerance(chain, frf.frequencies_hz, FS, range(3), [0])
     band = frf.axis.band(10, 150)
     assert relative(frf.data[..., band], exact[..., band]) < 0.1
-    whole = estimate_frf(make_record(f, x, FS, [1]), estimator="lrm", band=(10, 150))
-    assert [str(d) for d in whole.responses] == ["1+Z", "3+Z"]
-    assert any(item.kind == "nan" and item.dof == "2+Z" for item in whole.findings)
+    x[1, 5000:5010] = np.nan
+    for estimator in ("lrm", "h1"):
+        whole = estimate_frf(make_record(f, x, FS, [1]), estimator=estimator, band=(10, 150))
+        assert [str(d) for d in whole.responses] == ["1+Z", "3+Z"]
+        assert [item.dof for item in whole.findings if item.kind == "nan"] == ["2+Z"]
 
 
 def test_options_are_checked():

@@ -153,14 +153,14 @@ def test_wrong_input_is_refused(clean):
     no_dof = TimeRecord(clean, FS, tuple(Channel(None, "acceleration", name=f"ch{i}") for i in range(5)))
     with pytest.raises(DofError, match="without DOF: ch0"):
         fit_oma(no_dof)
-    with pytest.raises(DofError, match="not in this run"):
-        fit_oma([r, r.select([0, 1, 2])])
+    with pytest.raises(DofError, match="share none"):
+        fit_oma([r.select([0, 1]), r.select([2, 3, 4])])
     with pytest.raises(DataError, match="sampled"):
         fit_oma([r, record(clean, 100.0)])
     with pytest.raises(DataError, match="not finite"):
-        fit_oma(record(np.where(np.arange(clean.shape[1]) == 7, np.nan, clean)))
+        fit_oma(record(np.where(np.arange(clean.shape[1]) == 7, np.nan, clean)), band=BAND)
     with pytest.raises(DataError, match="constant"):
-        fit_oma(record(np.vstack([clean[:4], np.ones((1, clean.shape[1]))])))
+        fit_oma(record(np.ones((2, clean.shape[1]))), band=BAND)
     with pytest.raises(DataError, match="no operating record"):
         fit_oma([])
     with pytest.raises(ConfigError, match="band"):
@@ -169,6 +169,20 @@ def test_wrong_input_is_refused(clean):
         fit_oma(r, method="fdd")
     with pytest.raises(IdentificationError, match="too few"):
         fit_oma(record(clean[:, :300]), band=BAND, block_rows=60)
+
+
+def test_unusable_channels_are_left_out_and_said(clean):
+    spoiled = clean.copy()
+    spoiled[1, 5:8] = np.nan
+    spoiled[4] = 2.0
+    found = fit_oma(record(spoiled), band=BAND)
+    assert [str(d) for d in found.dofs] == ["1+Z", "3+Z", "4+Z"]
+    assert found.n_modes == 5
+    said = [f for f in found.findings if f.kind == "channel_left_out"]
+    assert [f.dof for f in said] == ["2+Z", "5+Z"]
+    assert "3 samples" in said[0].message
+    without = fit_oma(record(clean).select([0, 2, 3]), band=BAND)
+    assert np.allclose(found.frequencies_hz, without.frequencies_hz)
 
 
 def test_changing_operation_is_noted(clean):

@@ -17,7 +17,7 @@ from operando.states import State as State
 from operando.states import check_keys, find_files, is_number, record_named, state_of
 from operando.units import SI_UNIT, parse_unit
 
-ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm")
+ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
 HITS = ("auto", "all", "off")
 EMA_ANSWERS = ("auto", "linear", "polished")
 SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
@@ -33,8 +33,8 @@ class Analysis:
     band : (float, float) or None
         Analysis band [Hz]; None: chosen from the data.
     block_seconds, overlap, window, estimator : optional
-        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv`` or ``lrm`` of the FRF estimate (None: chosen
-        from the length of the records).
+        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv``, ``lrm`` or ``periodic`` of the FRF
+        estimate (None: chosen from the force and the length of the records).
     hits : str
         Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
     hits_reject : tuple of str
@@ -113,6 +113,8 @@ class Test:
     channels : dict
         Channel name or DOF → dict of ``dof, quantity, unit, sensitivity, exclude, reason``.
     analysis : Analysis
+    directions : dict
+        DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
     """
 
     __test__: ClassVar[bool] = False  # not a test class, whatever its name suggests to a collector
@@ -127,6 +129,7 @@ class Test:
     units: dict[str, Any] = field(default_factory=dict)
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
     analysis: Analysis = field(default_factory=Analysis)
+    directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -155,8 +158,9 @@ class Test:
         return name
 
     def settings(self) -> dict[str, Any]:
-        """Settings as exported with every output: those of [analysis] with defaults, units and channels as given, parts of records."""
-        given = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+        """Settings as exported with every output: those of [analysis] with defaults, what else is given, parts of records."""
+        given: dict[str, Any] = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
+        given["directions"] = {k: list(v) for k, v in self.directions.items()}
         parts = [
             {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
             for name, state in self.states.items()
@@ -236,7 +240,7 @@ def load_test(path: str | Path) -> Test:
 def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     """Test of a parsed TOML table; ``path`` is the file it came from (see :func:`load_test`)."""
     where = str(path)
-    known = ("name", "idle", "operating", "check", "geometry", "units", "channels", "analysis")
+    known = ("name", "idle", "operating", "check", "geometry", "units", "channels", "analysis", "directions")
     check_keys(table, known, where)
     for section in known[1:]:
         if section in table and not isinstance(table[section], Mapping):
@@ -258,6 +262,9 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
     check_keys(geometry, ("file", "units"), f"{where} [geometry]")
     file = geometry.get("file")
     geometry_units = geometry.get("units")
+    directions = _directions(table.get("directions", {}), f"{where} [directions]")
+    channels = _channels(table.get("channels", {}), f"{where} [channels]")
+    _check_declared(channels, directions, f"{where} [channels]")
     if geometry_units is not None:
         _unit(geometry_units, "displacement", f"{where} [geometry] units")
     test = Test(
@@ -267,8 +274,9 @@ def parse_test(table: Mapping[str, Any], path: Path) -> Test:
         geometry_file=None if file is None else find_files([file], folder, f"{where} [geometry] file")[0],
         geometry_units=geometry_units,
         units=_units(table.get("units", {}), f"{where} [units]"),
-        channels=_channels(table.get("channels", {}), f"{where} [channels]"),
+        channels=channels,
         analysis=_analysis(table.get("analysis", {}), f"{where} [analysis]"),
+        directions=directions,
     )
     test.rejected_hits(test.idle)
     return test
@@ -330,6 +338,44 @@ def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]
             raise ConfigError(f"reason is {entry['reason']!r}, expected a text", where=here)
         out[name] = dict(entry)
     return out
+
+
+NOT_UNIT = 0.05
+"""Largest difference of a direction's length from 1: three components rounded to two decimals keep within 1 %; more is no unit vector."""
+
+
+def _directions(table: Mapping[str, Any], where: str) -> dict[str, tuple[float, ...]]:
+    """DOF in its positive sense → vector of unit length."""
+    out: dict[str, tuple[float, ...]] = {}
+    for label, value in table.items():
+        here = f"{where} {label!r}"
+        try:
+            dof = Dof.parse(label)
+        except DofError as error:
+            hint = "write node, sign and a name in lower case, as in 5+a, or the label the file has, as in 7+X"
+            raise ConfigError(error.message, where=here, hint=hint) from None
+        if dof.axis in ("", "RX", "RY", "RZ"):
+            raise ConfigError(f"{dof} is a {'rotation' if dof.axis else 'scalar'}, which has no direction here", where=here)
+        _check(value, isinstance(value, list | tuple) and len(value) == 3 and all(is_number(v) for v in value), "three numbers", here)
+        length = sum(float(v) ** 2 for v in value) ** 0.5
+        if abs(length - 1) > NOT_UNIT:
+            raise ConfigError(f"the vector has length {length:.3g}, expected a unit vector", where=here, hint="divide it by its length")
+        if str(dof.unsigned) in out:
+            raise ConfigError(f"the direction of {dof.unsigned} is given twice", where=here)
+        out[str(dof.unsigned)] = tuple(dof.sign * float(v) / length for v in value)
+    return out
+
+
+def _check_declared(channels: Mapping[str, Mapping[str, Any]], directions: Mapping[str, Any], where: str) -> None:
+    """Every named direction in [channels] must stand in [directions]."""
+    for name, entry in channels.items():
+        if "dof" in entry and (dof := Dof.parse(entry["dof"])).named and str(dof.unsigned) not in directions:
+            near = difflib.get_close_matches(str(dof.unsigned), directions, 1, 0.5)
+            raise ConfigError(
+                f"direction {dof.axis!r} of {dof} is not declared",
+                where=f"{where} {name!r}",
+                hint=f"did you mean {near[0]!r}?" if near else f'give its unit vector: [directions] "{dof.unsigned}" = [0.0, 0.6, 0.8]',
+            )
 
 
 def _check(value: Any, good: bool, expected: str, where: str) -> Any:

@@ -11,6 +11,8 @@ AXES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 """Axis names in the order of the UFF direction codes 0 to 6."""
 
 _PATTERN = re.compile(r"^\s*(\d+)\s*(?:([+-])?\s*(R?[XYZ]))?\s*$", re.IGNORECASE)
+_NAMED = re.compile(r"^\s*(\d+)([+-])([a-z][a-z0-9_]{0,15})\s*$")
+_NAME = re.compile(r"^[a-z][a-z0-9_]{0,15}$")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -21,8 +23,9 @@ class Dof:
     ----------
     node : int
         Node number, not negative.
-    axis : {"", "X", "Y", "Z", "RX", "RY", "RZ"}
-        Axis; empty for a scalar.
+    axis : str
+        "X", "Y", "Z", "RX", "RY" or "RZ"; empty for a scalar; or the name of a direction that is no axis, in lower case ("a", "beam1"),
+        whose unit vector stands in [directions] of the test file (``Geometry.directions``).
     sign : {1, -1}
         Sense along the axis; a scalar has sign 1.
 
@@ -39,14 +42,15 @@ class Dof:
     def __post_init__(self) -> None:
         if self.node < 0:
             raise DofError(f"node number {self.node} is negative", hint="node numbers start at 0")
-        if self.axis not in AXES:
-            raise DofError(f"unknown axis {self.axis!r}", hint="use X, Y, Z, RX, RY, RZ or nothing for a scalar")
+        if self.axis not in AXES and not (_NAME.match(self.axis) and self.axis.upper() not in AXES):
+            hint = "use X, Y, Z, RX, RY, RZ, nothing for a scalar, or the name of a direction in lower case"
+            raise DofError(f"unknown axis {self.axis!r}", hint=hint)
         if self.sign not in (1, -1) or (self.axis == "" and self.sign != 1):
             raise DofError(f"sign {self.sign} of DOF {self.node}{self.axis} is not allowed")
 
     @classmethod
     def parse(cls, text: str | Dof) -> Dof:
-        """Read ``12+Z``, ``12Z`` (positive), ``7-X``, ``101+RY`` or a scalar ``12``.
+        """Read ``12+Z``, ``12Z`` (positive), ``7-X``, ``101+RY``, a scalar ``12``, or a named direction with its sign, ``5+a``.
 
         Raises
         ------
@@ -56,6 +60,9 @@ class Dof:
         if isinstance(text, Dof):
             return text
         match = _PATTERN.match(str(text))
+        named = _NAMED.match(str(text)) if match is None else None
+        if named is not None:
+            return cls(int(named[1]), named[3], -1 if named[2] == "-" else 1)
         if match is None:
             raise DofError(f"{text!r} is no DOF label", hint="write node, sign, axis, as in 12+Z, 7-X, 101+RY, or 12")
         node, sign, axis = match.groups()
@@ -75,8 +82,21 @@ class Dof:
         return cls(int(node), AXES[abs(code)], -1 if code < 0 else 1)
 
     @property
+    def named(self) -> bool:
+        """Whether the direction is no axis but one named in [directions]."""
+        return self.axis not in AXES
+
+    @property
     def uff_code(self) -> int:
-        """UFF direction code, −6 … 6."""
+        """UFF direction code, −6 … 6.
+
+        Raises
+        ------
+        DofError
+            If the direction is no axis.
+        """
+        if self.named:
+            raise DofError(f"direction {self.axis!r} of DOF {self} has no UFF code", hint="UFF knows X, Y, Z and rotations only")
         return AXES.index(self.axis) * self.sign
 
     @property

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from operando.errors import DataError
@@ -68,3 +70,53 @@ class Finding:
             if kw.get(key) is not None:
                 kw[key] = tuple(kw[key])
         return cls(**kw)
+
+
+ALIKE = 3
+"""Findings that differ in file, DOF and numbers alone are grouped from this number on; one or two are easier read apart."""
+
+SHOWN = 3
+"""Names shown of a group."""
+
+
+def group_findings(findings: Iterable[Finding]) -> list[Finding]:
+    """The findings in their order, each once, with those that are alike (but for files, DOFs and numbers) as one that counts them.
+
+    A group takes the words of its first member and names how many there are, and the first few files or DOFs.
+    """
+    groups: dict[tuple[object, ...], list[Finding]] = {}
+    for finding in dict.fromkeys(findings):
+        masked = (_masked(t) for t in (finding.message, finding.consequence, finding.action))
+        groups.setdefault((finding.kind, finding.severity, *masked), []).append(finding)
+    return [f for group in groups.values() for f in ([_grouped(group)] if len(group) >= ALIKE else group)]
+
+
+def _masked(text: str) -> str:
+    """The text without words that hold numbers: numbers, DOF labels, names of files and channels with one."""
+    words = (re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?([+-]R?[XYZ])?", "#", word) for word in text.split())
+    return " ".join("#" if "#" in word else word for word in words)
+
+
+def _grouped(group: list[Finding]) -> Finding:
+    first = group[0]
+    parts = []
+    for names, what in ((_names(f.file for f in group), "files"), (_names(f.dof for f in group), "DOFs")):
+        if len(names) > 1:
+            shown = ", ".join(names[:SHOWN]) + (" …" if len(names) > SHOWN else "")
+            parts.append(f"{len(names)} {what} ({shown})")
+    where = " in " + " and ".join(parts) if parts else ""
+    word = "the same" if len({f.message for f in group}) == 1 else "alike"
+    same = lambda values: len(set(values)) == 1  # noqa: E731
+    return replace(
+        first,
+        message=f"{first.message} [{word} {len(group)} times{where}]",
+        file=first.file if same(f.file for f in group) else None,
+        set=first.set if same(f.set for f in group) else None,
+        dof=first.dof if same(f.dof for f in group) else None,
+        time_s=first.time_s if same(f.time_s for f in group) else None,
+        band_hz=first.band_hz if same(f.band_hz for f in group) else None,
+    )
+
+
+def _names(values: Iterable[str | None]) -> list[str]:
+    return [v for v in dict.fromkeys(values) if v]

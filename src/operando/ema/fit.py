@@ -22,7 +22,7 @@ from operando.ema.order import OrderLog
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
-from operando.ema.spectra import RunSpectra, rings_from_one_hit
+from operando.ema.spectra import RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_columns, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
@@ -173,9 +173,7 @@ def fit_ema(
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with threadpool_limits(1, "blas"):
         frf = frf.to_quantity("accelerance")
-        if records and any(rings_from_one_hit(record) for record in records):
-            # Transients free in each mode look like the response to a single hit; the FRF starts from rest.
-            records = None
+        records = whole_records(records)
         job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), tuple(records or ()), ema, progress, _weights(frf))
         model = automatic
         if model is None or not isinstance(model.details, EmaDetails) or ema not in ("auto", model.details.answer):

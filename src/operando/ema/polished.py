@@ -17,7 +17,7 @@ from operando.ema.outside import OutsideModes, make_up, outside_modes, without_m
 from operando.ema.polish import Polished, signed, start_parameters
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
-from operando.ema.spectra import RunSpectra, excited_limit, frf_spectra, record_spectra
+from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
 from operando.ema.start import inverted_forces, linear_residues, outside_kernels
 
 WIDER = 1.33
@@ -105,8 +105,7 @@ def polish_runs(
     if not records:
         fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
         return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
-    limit = min(excited_limit(record, band) for record in records)
-    fit_band = (0.6 * band[0], float(max(min(WIDER * band[1], 0.97 * limit), min(band[1], limit))))
+    fit_band = excited_fit_band(records, band, WIDER)
     return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
 
 

@@ -13,7 +13,7 @@ from scipy import fft as sfft
 from operando.data import Frf, TimeRecord
 from operando.dof import Dof, match_dofs
 from operando.errors import DataError, IdentificationError
-from operando.frf.hits import find_hits, is_impact
+from operando.frf import find_hits, is_impact, is_periodic, usable_channels, whole
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,45 @@ def rings_from_one_hit(record: TimeRecord) -> bool:
     return is_impact(force) and find_hits(force, record.sampling_hz).pulses.size == 1
 
 
-def excited_limit(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> float:
-    """Highest frequency [Hz] up to which the force spectrum stays above ``share`` of its median power in the band."""
+def whole_records(records: Sequence[TimeRecord] | None) -> list[TimeRecord] | None:
+    """The records whose spectra the fit may use, with the channels that can be used; None where the FRFs say more.
+
+    A transient that is free in each mode looks like the response to a single hit, whose FRF starts from rest. Under a periodic force the
+    FRF at the excited lines holds all that the records do, with noise and distortion in its variance. A force with samples that are not
+    finite has an FRF from the blocks without them.
+    """
+    if not records:
+        return None
+    usable = usable_channels(records)[0]
+    if len(whole(usable)) < len(usable) or any(rings_from_one_hit(record) or is_periodic(record) for record in usable):
+        return None
+    return usable
+
+
+def excited_fit_band(records: Sequence[TimeRecord], band: tuple[float, float], wider: float) -> tuple[float, float]:
+    """Lines to fit [Hz]: a little more than the analysis band, and no further than all forces have power.
+
+    Raises
+    ------
+    IdentificationError
+        If there is no such band.
+    """
+    limits = [excited_limits(record, band) for record in records]
+    low, high = max(low for low, _ in limits), min(high for _, high in limits)
+    fit_band = (max(0.6 * band[0], low), float(max(min(wider * band[1], 0.97 * high), min(band[1], high))))
+    if not fit_band[0] < fit_band[1]:
+        raise IdentificationError(
+            f"no band in which all forces have power within {band[0]:g}-{band[1]:g} Hz", hint="fit the runs apart, or choose another band"
+        )
+    return fit_band
+
+
+def excited_limits(record: TimeRecord, band: tuple[float, float], share: float = 0.02) -> tuple[float, float]:
+    """Lowest and highest frequency [Hz] between which the force spectrum stays above ``share`` of its typical power in the band.
+
+    Typical is the level above which half of the power in the band stands, so that a band wider than the excitation changes nothing. Where
+    the force ends inside the band, so does what is returned; else it reaches beyond the band as far as the force does.
+    """
     rows = record.force_indices
     if not rows:
         raise DataError("no force channel", where=record.name or None, hint="idle and check runs need a measured force")
@@ -157,9 +194,17 @@ def excited_limit(record: TimeRecord, band: tuple[float, float], share: float = 
     smooth = np.median(power[: count * width].reshape(count, width), axis=1)
     middle = f[: count * width].reshape(count, width).mean(axis=1)
     inside = (middle >= band[0]) & (middle <= band[1])
-    typical = float(np.median(smooth[inside])) if inside.any() else float(np.median(smooth))
-    low = np.flatnonzero((middle > band[1]) & (smooth < share * typical))
-    return float(middle[low[0]]) if low.size else float(0.92 * record.sampling_hz / 2)
+    ordered = np.sort(smooth[inside] if inside.any() else smooth)[::-1]
+    typical = float(ordered[int(np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum()))])
+    weak = smooth < share * typical
+    there = np.flatnonzero(inside & ~weak)
+    if not there.size:
+        return 0.0, float(0.92 * record.sampling_hz / 2)
+    half = 0.5 * float(middle[1] - middle[0]) if count > 1 else 0.0
+    above, below = np.flatnonzero(weak & (middle > middle[there[-1]])), np.flatnonzero(weak & (middle < middle[there[0]]))
+    high = float(middle[above[0]]) if above.size else float(0.92 * record.sampling_hz / 2)
+    low = float(middle[below[-1]]) + half if below.size else 0.0
+    return low, high
 
 
 def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> list[RunSpectra]:

@@ -1,20 +1,26 @@
 """FRF estimation: H1, H2, Hv, several references, hammer hits, local rational models, checks."""
 
-from operando.frf.checks import check_drive_points, check_frf, reciprocity_error
+from operando.frf.checks import check_drive_points, check_frf, power_signs, reciprocity_error
 from operando.frf.estimate import estimate_frf
+from operando.frf.excitation import is_periodic
 from operando.frf.given import merge_frfs
 from operando.frf.hits import Hits, find_hits, hits_of, is_impact, without_hits
 from operando.frf.leakage import Peak, resonance_peaks
+from operando.frf.periodic import PeriodicFrf, SteadyPeriods, periodic_frf, steady_periods
 from operando.frf.rational import LocalRational, local_rational
 from operando.frf.runs import RunEstimate, merge_runs
 from operando.frf.spectra import CrossSpectra, cross_spectra, effective_averages
+from operando.frf.usable import channel_faults, trimmed, usable_channels, whole
 
 __all__ = [
     "CrossSpectra",
     "Hits",
     "LocalRational",
     "Peak",
+    "PeriodicFrf",
     "RunEstimate",
+    "SteadyPeriods",
+    "channel_faults",
     "check_drive_points",
     "check_frf",
     "cross_spectra",
@@ -23,10 +29,17 @@ __all__ = [
     "find_hits",
     "hits_of",
     "is_impact",
+    "is_periodic",
     "local_rational",
     "merge_frfs",
     "merge_runs",
+    "periodic_frf",
+    "power_signs",
     "reciprocity_error",
     "resonance_peaks",
+    "steady_periods",
+    "trimmed",
+    "usable_channels",
+    "whole",
     "without_hits",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,20 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
     return float(np.maximum(dissipated, 0).sum() / total) if total > 0 else float("nan")
 
 
+def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
+    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point."""
+    f = frf.frequencies_hz
+    good = _significant(frf, response, reference) & (f > 0)
+    if not good.any():
+        return 0.0, 0.0
+    sign = frf.responses[response].sign * frf.references[reference].sign
+    power = QUANTITIES.index("accelerance") - QUANTITIES.index(frf.quantity)
+    dissipated = np.imag(sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power)
+    variance = np.zeros_like(dissipated) if frf.variance is None else frf.variance[response, reference, good]
+    limit = 3 * np.sqrt(np.where(np.isfinite(variance), variance, 0) / 2) * (2 * np.pi * f[good]) ** power
+    return float(np.mean(dissipated > limit)), float(np.mean(dissipated < -limit))
+
+
 def check_drive_points(frf: Frf) -> list[Finding]:
     """Sign and phase of every drive-point FRF, and references without one.
 
@@ -54,13 +69,15 @@ def check_drive_points(frf: Frf) -> list[Finding]:
     list of Finding
         ``inverted`` where nearly all dissipated power is negative (force or response channel of the wrong sign);
         ``drive_point_sign`` where the sign is mixed (force and response not at the same point, a delay, or a wrong label);
-        ``missing_drive_point`` for a reference without a response on its DOF.
+        ``missing_drive_point``, once, for the references without a response on their DOF.
     """
     out: list[Finding] = []
     pairs = {j: i for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()}
+    lacking = [str(reference) for j, reference in enumerate(frf.references) if j not in pairs]
+    if lacking:
+        out.append(missing_drive_points(lacking, frf.name or None, len(pairs)))
     for j, reference in enumerate(frf.references):
         if j not in pairs:
-            out.append(missing_drive_point(str(reference), frf.name or None, bool(pairs)))
             continue
         i = pairs[j]
         share = power_share(frf, i, j)
@@ -149,16 +166,21 @@ def _opposite_in_translation(h: Array) -> list[int]:
     return opposite if len(along) - len(opposite) >= max(3, 2 * len(opposite)) else []
 
 
-def missing_drive_point(reference: str, file: str | None, others: bool) -> Finding:
-    """The finding for a reference that no response sits on."""
+def missing_drive_points(lacking: Sequence[str], file: str | None, others: int) -> Finding:
+    """The finding for the references of a state that no response sits on; ``others`` have one and scale the modes."""
+    shown = ", ".join(lacking[:6]) + (" …" if len(lacking) > 6 else "")
+    one = len(lacking) == 1
+    text = f"no response on the reference DOF {shown}" if one else f"no response on {len(lacking)} reference DOFs ({shown})"
     return Finding(
         "missing_drive_point",
-        f"no response on the reference DOF {reference}",
+        text,
         "info" if others else "warning",
         file=file,
-        dof=reference,
-        consequence="other drive points scale the modes" if others else "modes cannot be scaled to unit modal mass",
-        action="measure the response where the force acts",
+        dof=lacking[0] if one else None,
+        consequence=f"{others} other drive point{'s' * (others > 1)} scale the modes"
+        if others
+        else "modes cannot be scaled to unit modal mass",
+        action="" if others else "measure the response where a force acts",
     )
 
 

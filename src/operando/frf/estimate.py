@@ -9,21 +9,21 @@ from typing import TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, Frf, TimeRecord
+from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings
 from operando.dof import parse_dofs
 from operando.errors import DataError
-from operando.frf.estimators import ESTIMATORS, estimate, inverse_force_matrix
+from operando.frf.averaged import averaged_run, few_averages
+from operando.frf.estimators import ESTIMATORS
+from operando.frf.excitation import at_lines, on_common_lines, periodic_runs, within_excited
 from operando.frf.hits import find_hits, is_impact, rejected_numbers
-from operando.frf.impact import ImpactBlocks, impact_blocks, impact_spectra, overlap_finding
+from operando.frf.impact import ImpactBlocks, impact_blocks, overlap_finding
 from operando.frf.inputs import RunInput, run_input
 from operando.frf.leakage import LINES_NEEDED, Peak, resonance_peaks, sharpest
-from operando.frf.rational import roughness_variance
-from operando.frf.runs import RunEstimate, coherence_of, merge_runs
+from operando.frf.runs import RunEstimate, merge_runs
 from operando.frf.singles import average_hits
-from operando.frf.spectra import CrossSpectra, cross_spectra
+from operando.frf.usable import usable_channels
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
-FEW_AVERAGES = 4.0
 SHORT = 0.7
 """Blocks of a hammer run shorter than this part of the median over the runs do not shorten those of the others (as within one run)."""
 
@@ -55,13 +55,15 @@ def estimate_frf(
     Parameters
     ----------
     records : TimeRecord or sequence of TimeRecord
-        Data may be single precision and memory-mapped; they are read block by block.
+        Data may be single precision and memory-mapped; they are read block by block. Responses with samples that are not finite, or
+        without a signal, are left out (:func:`operando.frf.usable_channels`).
     references : DOF labels, optional
         Columns wanted. Default: all that were excited.
-    estimator : {None, "auto", "h1", "h2", "hv", "lrm"}
-        ``lrm`` is the leakage-free local rational estimate on whole records. None or ``auto``: H1 where blocks are long enough
-        for the damping (hammer: where each response decays before the next hit), else ``lrm``; the finding ``estimator`` gives
-        the reason.
+    estimator : {None, "auto", "h1", "h2", "hv", "lrm", "periodic"}
+        ``periodic`` averages whole periods of a force that repeats, on the lines it excites (see :mod:`operando.frf.periodic`).
+        ``lrm`` is the leakage-free local rational estimate on whole records. None or ``auto``: ``periodic`` where a force repeats and
+        no block length is given; H1 where blocks are long enough for the damping (hammer: where each response decays before the next
+        hit), else ``lrm``; the findings ``periodic_excitation`` and ``estimator`` give the reason.
     block_seconds : float, optional
         Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough; hammer:
         the shortest time between two hits.
@@ -86,7 +88,8 @@ def estimate_frf(
     Returns
     -------
     Frf
-        With variance and coherence of each line; ``averages`` is the effective number (``lrm``: residual degrees of freedom).
+        With variance and coherence of each line; ``averages`` is the effective number (``lrm``: residual degrees of freedom). Lines
+        without force are left out: those between the lines of a multisine, and those beyond the excited band.
         A record that cannot be used becomes the finding ``unusable_run``, as long as there are others.
 
     Raises
@@ -97,11 +100,11 @@ def estimate_frf(
     given = [records] if isinstance(records, TimeRecord) else list(records)
     if not given:
         raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
-    lost: list[Finding] = []
-    runs = [run for _, run in _survivors(run_input, given, lambda record: record.name, lost)]
+    usable_records, lost = usable_channels(given)
+    runs = [run for _, run in _survivors(run_input, usable_records, lambda record: record.name, lost)]
     wanted = None if references is None else parse_dofs(references)
-    if estimator not in (None, "auto", "lrm", *ESTIMATORS):
-        raise DataError(f"estimator {estimator!r} is none of auto, lrm, {', '.join(ESTIMATORS)}")
+    if estimator not in (None, "auto", "lrm", "periodic", *ESTIMATORS):
+        raise DataError(f"estimator {estimator!r} is none of auto, periodic, lrm, {', '.join(ESTIMATORS)}")
     if hits not in ("auto", "all", "off"):
         raise DataError(f"hits {hits!r} is none of auto, all, off")
     if band is not None and not 0 <= band[0] < band[1]:
@@ -120,8 +123,13 @@ def estimate_frf(
     if hits_reject and hits == "off":
         raise DataError("hits_reject names hits, and hits is off", hint='set hits to "auto" or "all"')
     with threadpool_limits(1, "blas"):
-        rejected = _rejected(runs, hits_reject)
+        lost_names = {record.name for record in given} - {run.record.name for run in runs}
+        rejected = _rejected(runs, [text for text in hits_reject if text.rpartition("#")[0] not in lost_names])
         cut: list[_Cut] = [(run, None, numbers) for run, numbers in zip(runs, rejected, strict=True)]
+        if estimator == "periodic" or (automatic and block_seconds is None):
+            periodic = _periodic(cut, band, window_lines, estimator == "periodic")
+            if periodic is not None:
+                return _finished(merge_runs(periodic, wanted), lost)
         if estimator != "lrm" and hits != "off":
             cut = _cut_hits(cut, block_seconds, band, hits == "auto", lost)
         averaged: list[tuple[_Cut, RunEstimate]] = []
@@ -131,7 +139,7 @@ def estimate_frf(
             length = _block_seconds(cut, block_seconds)
             fitting = _of_length(cut, length, lost)
             options = (kind, overlap, window, window or _hit_window(fitting), band, exponential_end)
-            averaged = _survivors(lambda c: _averaged_run(c[0], c[1], length, *options), fitting, _name, lost)
+            averaged = _survivors(lambda c: averaged_run(c[0], c[1], length, *options), fitting, _name, lost)
             if automatic:
                 reason, peak = _leakage_reason(averaged)
                 good = sum(usable(run) for run, _, _ in cut)
@@ -148,8 +156,9 @@ def estimate_frf(
         else:
             estimates = [replace(e, findings=(*e.findings, *_hit_findings(c, False, e.exponential_window_rate))) for c, e in averaged]
             estimates = average_hits(estimates)
-            extra = []
-        return merge_runs(estimates, wanted).with_findings([*lost, *extra])
+            extra = few_averages(estimates)
+        estimates, unexcited = within_excited(estimates)
+        return _finished(merge_runs(estimates, wanted), [*lost, *extra, *unexcited])
 
 
 _Cut = tuple[RunInput, ImpactBlocks | None, tuple[int, ...]]
@@ -158,6 +167,52 @@ _Cut = tuple[RunInput, ImpactBlocks | None, tuple[int, ...]]
 
 def _name(cut: _Cut) -> str:
     return cut[0].record.name
+
+
+def _periodic(cut: Sequence[_Cut], band: tuple[float, float] | None, window_lines: int, asked: bool) -> list[RunEstimate] | None:
+    """Estimates on the excited lines of the runs whose forces repeat, the others by local rational models at those lines.
+
+    None where no run is periodic, or one can be estimated in neither way.
+
+    Raises
+    ------
+    DataError
+        If it was asked for and a run is not periodic.
+    """
+    found = periodic_runs([run for run, _, _ in cut])
+    done = {i for places, _ in found for i in places}
+    others = [c for i, c in enumerate(cut) if i not in done]
+    if asked and others:
+        raise DataError(
+            "the forces do not repeat three times, or several forces cannot be told apart",
+            where=others[0][0].name,
+            hint="leave estimator at auto, or give at least three periods (and one run for each of several forces)",
+        )
+    if not found or not all(usable(c[0]) for c in others):
+        return None
+    estimates = on_common_lines([e for _, e in found])
+    hz = estimates[0].frequencies_hz
+    if band is not None:
+        keep = (hz >= band[0]) & (hz <= band[1])
+        if not keep.any():
+            raise DataError(f"band {band} Hz holds no excited line", hint=f"the force excites {hz[0]:.4g} to {hz[-1]:.4g} Hz")
+        estimates, hz = [at_lines(e, keep) for e in estimates], hz[keep]
+    for c in others:
+        run = rational_run(c[0], hz, window_lines, c[2])
+        estimates.append(replace(run, findings=(*run.findings, *_hit_findings(c, True))))
+    return estimates
+
+
+def _finished(frf: Frf, findings: Sequence[Finding]) -> Frf:
+    """The FRF with findings, those alike as one, and without lines that some pair lacks which is measured at others."""
+    frf = replace(frf, findings=tuple(group_findings([*findings, *frf.findings])))
+    there = np.isfinite(frf.data)
+    keep = np.all(there | ~there.any(axis=2, keepdims=True), axis=(0, 1))
+    if keep.all() or not keep.any():
+        return frf
+    part = lambda a: None if a is None else a[:, :, keep]  # noqa: E731
+    axis = FrequencyAxis(frf.frequencies_hz[keep])
+    return replace(frf, data=frf.data[:, :, keep], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
 
 
 def _survivors(make: Callable[[T], S], items: Sequence[T], name: Callable[[T], str], lost: list[Finding]) -> list[tuple[T, S]]:
@@ -263,111 +318,6 @@ def _block_seconds(runs: Sequence[_Cut], given: float | None) -> float:
     return given if given is not None else min(run.record.duration_s for run, _, _ in runs) / 8
 
 
-def _lines(band: tuple[float, float] | None, sampling_hz: float, block: int) -> slice | None:
-    if band is None:
-        return None
-    step = sampling_hz / block
-    first, last = int(np.ceil(band[0] / step - 1e-9)), min(block // 2, int(np.floor(band[1] / step + 1e-9)))
-    if last < first:
-        raise DataError(f"band {band} Hz holds no line of blocks of {block / sampling_hz:g} s", hint="give a longer block_seconds")
-    return slice(first, last + 1)
-
-
-def _averaged_run(
-    run: RunInput,
-    blocks: ImpactBlocks | None,
-    block_s: float,
-    estimator: str,
-    overlap: float | None,
-    window: str | None,
-    hit_window: str,
-    band: tuple[float, float] | None,
-    end: float,
-) -> RunEstimate:
-    """H1, H2 or Hv of one run, averaged over blocks or hits."""
-    record = run.record
-    block = blocks.block if blocks is not None else max(8, round(block_s * record.sampling_hz))
-    lines = _lines(band, record.sampling_hz, block)
-    rate = 0.0
-    if blocks is not None:
-        window = hit_window
-        responses = run.finite(run.responses)
-        spectra, rate = impact_spectra(record, run.forces[0], responses, blocks, window=window, end=end, lines=lines, bad=run.bad)
-        run = replace(run, responses=tuple(responses))
-        how = f"hits={spectra.blocks}, block_seconds={block / record.sampling_hz:g}, window={window!r}"
-    else:
-        window = window or "hann"
-        share = overlap if overlap is not None else (0.5 if window == "hann" else 0.0)
-        spectra = cross_spectra(
-            record.data, run.forces, run.responses, record.sampling_hz, block, overlap=share, window=window, lines=lines, bad=run.bad
-        )
-        how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
-    h, variance, coherence, condition = estimate(spectra, estimator)
-    if spectra.averages <= len(run.forces):
-        variance = roughness_variance(h)
-        coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
-    inverse, _ = inverse_force_matrix(spectra.force)
-    with np.errstate(divide="ignore"):
-        gain = spectra.averages / np.real(np.einsum("jjl->jl", inverse))
-    findings = (*run.findings, *_average_findings(run, spectra, condition))
-    return RunEstimate(
-        spectra.frequencies_hz,
-        h,
-        variance,
-        np.array(np.broadcast_to(coherence[:, None, :], h.shape)),
-        np.nan_to_num(gain, nan=0.0, posinf=0.0),
-        spectra.averages,
-        run.response_dofs,
-        run.references,
-        run.quantity,
-        run.level,
-        estimator,
-        si=run.si,
-        name=record.name,
-        exponential_window_rate=rate,
-        hit_s=record.start_s + float(blocks.hits.times_s[blocks.hits.used][0]) if blocks is not None and blocks.single else None,
-        findings=findings,
-        provenance=record.provenance.then(f"estimate_frf(estimator={estimator!r}, {how}, averages={spectra.averages:.3g})"),
-    )
-
-
-def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarray) -> list[Finding]:
-    """Findings about the number of averages, blocks left out and correlated forces."""
-    out = []
-    dof = ", ".join(str(d) for d in run.references)
-    n_f = len(run.forces)
-    if spectra.averages < FEW_AVERAGES * n_f:
-        enough = spectra.averages > n_f
-        out.append(
-            Finding(
-                "few_averages",
-                f"{spectra.averages:.3g} effective averages for {n_f} force(s)",
-                "warning",
-                file=run.name,
-                dof=dof,
-                consequence="coherence and variance are uncertain"
-                if enough
-                else "coherence and variance are only those of what is not smooth from line to line",
-                action="measure longer, use shorter blocks or more hits",
-            )
-        )
-    if spectra.skipped:
-        message = f"{spectra.skipped} of {spectra.skipped + spectra.blocks} blocks hold bad samples and are left out"
-        out.append(Finding("blocks_left_out", message, "info", file=run.name, consequence="fewer averages"))
-    if n_f > 1 and np.median(condition) > 1e3:
-        out.append(
-            Finding(
-                "ill_conditioned",
-                f"the forces at {dof} are nearly coherent (median condition number {np.median(condition):.3g})",
-                "warning",
-                file=run.name,
-                consequence="the columns cannot be told apart",
-                action="drive the shakers with independent signals",
-            )
-        )
-    return out
-
-
 def _hit_findings(cut: _Cut, whole_record: bool, rate: float = 0.0) -> list[Finding]:
     """Findings of a hammer run: hits that are not used, and overlap. The whole record uses every hit but those rejected by hand."""
     run, blocks, rejected = cut
@@ -376,10 +326,10 @@ def _hit_findings(cut: _Cut, whole_record: bool, rate: float = 0.0) -> list[Find
         hits = find_hits(run.record.data[run.forces[0]], run.record.sampling_hz) if rejected else None
         for k in rejected:
             hits = None if hits is None else hits.reject(k, "rejected_hit", "rejected by hand")
+        found = [] if hits is None else hits.findings(run.name, dof, start_s=run.record.start_s)
     else:
-        hits = blocks.hits
-    found = [] if hits is None else hits.findings(run.name, dof, start_s=run.record.start_s)
-    out = [f for f in found if f.kind == "rejected_hit" or not whole_record]
+        found = blocks.findings(run.name, dof, start_s=run.record.start_s)
+    out = found if blocks is not None and blocks.cut else [f for f in found if f.kind == "rejected_hit" or not whole_record]
     if blocks is not None and blocks.overlapping:
         out.append(overlap_finding(blocks, run.name, dof, whole_record, rate))
     return out
@@ -423,7 +373,7 @@ def _shorter_blocks(
     shorter = 2 * LINES_NEEDED / peak.bandwidth_hz
     if shorter > 0.6 * length:
         return averaged
-    return [(cut, _averaged_run(cut[0], cut[1], shorter, *options)) for cut, _ in averaged]
+    return [(cut, averaged_run(cut[0], cut[1], shorter, *options)) for cut, _ in averaged]
 
 
 def _estimator_finding(reason: str, peak: Peak | None, lines: np.ndarray) -> Finding:

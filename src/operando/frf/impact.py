@@ -12,7 +12,8 @@ from scipy import fft
 
 from operando.data import Finding, TimeRecord
 from operando.errors import DataError
-from operando.frf.hits import Hits, find_hits, hit_blocks, remaining_share
+from operando.frf.hits import Hits, find_hits, hit_blocks
+from operando.frf.remaining import remaining_share
 from operando.frf.spectra import CrossSpectra, cross_spectra
 
 IMPACT_WINDOWS = ("rectangular", "force", "exponential", "force_exponential")
@@ -39,6 +40,8 @@ class ImpactBlocks:
         Largest share of its amplitude that a line keeps at the end of a block.
     remaining_hz : float
         The line.
+    cut : int
+        Hits used although their force is cut at a level, for there are no others.
     """
 
     hits: Hits
@@ -47,6 +50,25 @@ class ImpactBlocks:
     pre_trigger: int
     remaining: float
     remaining_hz: float
+    cut: int = 0
+
+    def findings(self, name: str | None, dof: str | None, *, start_s: float = 0.0) -> list[Finding]:
+        """Findings about single hits: each that is not used, and that those used are cut. ``start_s``: time of the first sample [s]."""
+        out = self.hits.findings(name, dof, start_s=start_s)
+        if self.cut:
+            text = f"the force of every hit is cut at {float(self.hits.levels[self.hits.used].max()):.4g} N; {self.cut} hits are used so"
+            out.append(
+                Finding(
+                    "overload",
+                    text,
+                    "error",
+                    file=name,
+                    dof=dof,
+                    consequence="the force was larger than measured: FRFs are too large and modal masses too small, frequencies are right",
+                    action="choose a larger input range and repeat the measurement",
+                )
+            )
+        return out
 
     @property
     def overlapping(self) -> bool:
@@ -83,13 +105,18 @@ def impact_blocks(
                 hits = hits.reject(i, "", "")
     for i in rejected:
         hits = hits.reject(i, "rejected_hit", "rejected by hand")
+    cut = 0
+    if not hits.used.any():
+        for i in [i for i, reason in enumerate(hits.reasons) if reason == "overload"]:
+            hits, cut = hits.reject(i, "", ""), cut + 1
     hits, starts, block, pre = hit_blocks(hits, record.n_samples, block_seconds)
     if starts.size == 0 or block < 16:
         raise DataError("no usable hit in the record", where=record.name or None, hint="; ".join(m for m in hits.messages if m) or None)
-    share, where = remaining_share(record.data, responses, starts, block, record.sampling_hz, band)
+    quiet = int(max(hits.pulses[0] - hits.lead.max(initial=0), 0))
+    share, where = remaining_share(record.data, responses, starts, block, record.sampling_hz, band, quiet)
     if select and share <= REMAINING:
         hits, starts = reject_inconsistent(record, force, responses, hits, starts, block, pre, band)
-    return ImpactBlocks(hits, starts, block, pre, share, where)
+    return ImpactBlocks(hits, starts, block, pre, share, where, cut)
 
 
 def reject_inconsistent(

@@ -14,8 +14,10 @@ from operando.dof import Dof
 from operando.errors import DataError
 
 QUANTITY = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
-BAD_KINDS = ("overload", "nan", "dropout")
-"""Findings with a time span that no block may touch."""
+BAD_KINDS = ("overload", "dropout")
+"""Findings with a time span that no block may touch (samples that are not finite are looked for block by block)."""
+LONGEST_BAD = 0.125
+"""A span longer than this part of the record (a block by default) is used as it is: nothing would be left without it."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class RunInput:
     quantity : str
         FRF quantity.
     bad : tuple of (first, last)
-        Sample spans with overload, dropout or NaN, from the findings of the record.
+        Sample spans with overload or dropout, from the findings of the record.
     findings : tuple of Finding
         What was left out and why.
     """
@@ -144,5 +146,7 @@ def _bad_spans(record: TimeRecord, labels: set[str]) -> tuple[tuple[int, int], .
     for finding in record.findings:
         if finding.kind in BAD_KINDS and finding.time_s is not None and (finding.dof is None or finding.dof in labels):
             first, last = ((t - record.start_s) * record.sampling_hz for t in finding.time_s)
+            if last - first > LONGEST_BAD * record.n_samples:
+                continue
             spans.append((max(0, int(np.floor(first))), min(record.n_samples - 1, int(np.ceil(last)))))
     return tuple(sorted(spans))

@@ -36,6 +36,8 @@ class LocalRational:
         Information: 1/gain is the variance of H at unit noise of the spectra.
     noise : (n_responses, n_lines) array
         Noise variance of the response spectra.
+    residual : (n_responses, n_lines) array
+        The same of each window alone, before it is smoothed over neighbouring windows.
     degrees_of_freedom : float
         Complex degrees of freedom of the residual of one response in one window.
     """
@@ -44,6 +46,7 @@ class LocalRational:
     variance: Array
     gain: Array
     noise: Array
+    residual: Array
     degrees_of_freedom: float
 
 
@@ -88,6 +91,7 @@ def local_rational(
     passes: int = 2,
     chunk: int = 128,
     transient: bool = True,
+    coordinates: Array | None = None,
 ) -> LocalRational:
     """Local rational estimate of H at chosen lines of the DFT of a whole record.
 
@@ -113,6 +117,8 @@ def local_rational(
         Centres handled at once (bounds the memory).
     transient : bool
         Whether the spectra hold a transient; FRFs themselves, with a force of 1, do not.
+    coordinates : (n,) array, optional
+        Frequency of each entry of ``lines`` in any unit, where they are not evenly spaced (excited lines with gaps).
 
     Raises
     ------
@@ -130,7 +136,11 @@ def local_rational(
 
     def gather(s: slice) -> _Windows:
         columns = np.searchsorted(lines, windows[s])
-        r = (windows[s] - centres[s, None]) / (n_lines // 2)
+        if coordinates is None:
+            r = (windows[s] - centres[s, None]) / (n_lines // 2)
+        else:
+            r = coordinates[columns] - np.interp(centres[s], lines, coordinates)[:, None]
+            r = r / np.max(np.abs(r), axis=1, keepdims=True)
         return _prepare(np.moveaxis(force[:, columns], 0, -1), np.moveaxis(response[:, columns], 0, -1), r, order, transient)
 
     noise = np.empty((n_x, n_c))
@@ -138,14 +148,17 @@ def local_rational(
     for s in parts:
         denominators[s], noise[:, s] = _first_pass(gather(s), passes, dof)
     stride = float(np.median(np.diff(centres))) if n_c > 1 else 1.0
+    residual = noise
     noise = smooth(noise, max(3, 2 * int(n_lines / max(stride, 1e-3)) + 1))
     h, variance, gain = np.empty((n_x, n_f, n_c), complex), np.empty((n_x, n_f, n_c)), np.empty((n_f, n_c))
     for s in parts:
         h[:, :, s], variance[:, :, s], gain[:, s] = _last_pass(gather(s), denominators[s], noise[:, s].T)
-    return LocalRational(h, variance, gain, noise, dof)
+    return LocalRational(h, variance, gain, noise, residual, dof)
 
 
-def roughness_variance(h: Array, n_lines: int = 17) -> Array:
+def roughness_variance(
+    h: Array, n_lines: int = 17, frequencies_hz: Array | None = None, smoothed: bool = True, force_power: Array | None = None
+) -> Array:
     """E|ΔH|² of FRFs without averages: what a local rational model, common to all responses of a reference, leaves of each.
 
     Parameters
@@ -153,6 +166,14 @@ def roughness_variance(h: Array, n_lines: int = 17) -> Array:
     h : (n_responses, n_references, n_lines) complex array
     n_lines : int
         Lines a window; with fewer lines in all the variance is NaN.
+    frequencies_hz : (n_lines,) array, optional
+        Lines [Hz] where they are not evenly spaced.
+    smoothed : bool
+        Whether it is smoothed over neighbouring windows: right for noise, which hardly changes with frequency, not for distortion,
+        which peaks at resonances.
+    force_power : (n_references, n_lines) array, optional
+        Power of the force at each line: noise of the response is even then, that of the FRF grows where the force is weak (the notches
+        of a hammer pulse).
     """
     count = h.shape[2]
     out = np.full(h.shape, np.nan)
@@ -160,8 +181,17 @@ def roughness_variance(h: Array, n_lines: int = 17) -> Array:
     for k in range(h.shape[1]):
         rows = np.flatnonzero(np.isfinite(h[:, k]).all(axis=1) & np.any(h[:, k] != 0, axis=1))
         if count >= n_lines and rows.size:
-            force = np.ones((1, count), complex)
-            out[rows, k] = local_rational(force, h[rows, k], lines, lines.astype(float), n_lines=n_lines, transient=False).noise
+            force = np.ones((1, count)) if force_power is None else np.sqrt(np.maximum(force_power[k : k + 1], 1e-300))
+            found = local_rational(
+                force.astype(complex),
+                h[rows, k] * force,
+                lines,
+                lines.astype(float),
+                n_lines=n_lines,
+                transient=False,
+                coordinates=frequencies_hz,
+            )
+            out[rows, k] = (found.noise if smoothed else found.residual) / force**2
     return out
 
 

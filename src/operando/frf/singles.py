@@ -43,8 +43,7 @@ def _averaged(group: Sequence[RunEstimate]) -> RunEstimate:
         scatter = sum((w * np.abs(p.data - mean) ** 2 for w, p in zip(weight, parts, strict=True)), np.zeros(mean.shape))
         variance = scatter / total / (len(parts) - 1)
     averages = float(len(parts))
-    # that one hit has no scatter is no remark about several
-    found = [f for p in parts for f in p.findings if f.kind != "few_averages"]
+    found = [f for p in parts for f in p.findings]
     return replace(
         parts[0],
         data=mean,

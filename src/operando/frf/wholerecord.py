@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from operando.data import Finding
 from operando.errors import DataError
 from operando.frf.hits import find_hits, hit_begins
 from operando.frf.inputs import RunInput
@@ -58,12 +57,7 @@ def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17, r
             where=run.name,
             hint='use estimator="h1": it leaves out the blocks with bad samples',
         )
-    findings = list(run.findings)
     rows = run.finite(run.responses)
-    for i in set(run.responses) - set(rows):
-        label = record.channels[i].label
-        message = f"response {label} holds samples that are not finite; the whole-record estimate leaves it out"
-        findings.append(Finding("nan", message, file=run.name, dof=label, action='estimator="h1" leaves out single blocks instead'))
     n = int(fft.prev_fast_len(record.n_samples, real=True))
     centres = np.asarray(frequencies_hz) * n / record.sampling_hz
     size = window_size(len(run.forces) + len(rejected), window_lines)
@@ -91,7 +85,7 @@ def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17, r
         "lrm",
         si=run.si,
         name=record.name,
-        findings=tuple(findings),
+        findings=run.findings,
         provenance=record.provenance.then(f"estimate_frf(estimator='lrm', window_lines={size}, order=2)"),
     )
 

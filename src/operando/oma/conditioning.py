@@ -30,6 +30,8 @@ class Responses:
     dofs : tuple of Dof
     derivative : (r,) int array
         0 displacement, 1 velocity, 2 acceleration.
+    names : tuple of str
+        Of the runs.
     """
 
     runs: tuple[NDArray[Any], ...]
@@ -38,15 +40,18 @@ class Responses:
     derivative: NDArray[np.int_]
     findings: tuple[Finding, ...]
     provenance: Provenance
+    names: tuple[str, ...] = ()
 
 
 def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
     """Response rows that all runs have, in the order and sense of the first run.
 
+    A channel with samples that are not finite, or that is constant, in any run is left out of all, with a finding.
+
     Raises
     ------
     DataError
-        If there is no run, sampling rates or quantities differ, or samples are not finite.
+        If there is no run, sampling rates or quantities differ, or no channel has finite, changing samples.
     DofError
         If no response channel has a DOF, or a run lacks one of the first.
     """
@@ -83,6 +88,7 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
         )
     channels = [first.channels[i] for i in rows]
     arrays: list[NDArray[Any]] = []
+    unusable: dict[int, str] = {}
     for run in runs:
         if abs(run.sampling_hz - first.sampling_hz) > 1e-6 * first.sampling_hz:
             raise DataError(
@@ -109,21 +115,41 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
         data = run.data[picked] if picked != list(range(run.data.shape[0])) else run.data
         if any(s < 0 for s in signs):
             data = data * np.asarray(signs, data.dtype)[:, None]
-        for row, channel in zip(data, channels, strict=True):
+        for i, (row, channel) in enumerate(zip(data, channels, strict=True)):
             if not np.all(np.isfinite(row)):
-                raise DataError(
-                    f"channel {channel.label} holds samples that are not finite",
-                    where=run.name or None,
-                    hint="exclude the channel, or cut the record to its finite part",
-                )
-            if np.ptp(row) == 0:
-                raise DataError(f"channel {channel.label} is constant", where=run.name or None, hint="exclude the channel")
+                unusable.setdefault(i, f"channel {channel.label} holds {np.sum(~np.isfinite(row))} samples that are not finite")
+            elif np.ptp(row) == 0:
+                unusable.setdefault(i, f"channel {channel.label} is constant")
+            else:
+                continue
+            findings.append(_left_out(unusable[i], channel.label, run.name))
         arrays.append(data)
         findings += run.findings if run is not first else ()
+    if unusable:
+        good = [i for i in range(len(channels)) if i not in unusable]
+        if not good:
+            raise DataError(
+                "; ".join(list(unusable.values())[:4]),
+                where=first.name or None,
+                hint="no channel is left; cut the record to its finite part",
+            )
+        arrays, channels = [data[good] for data in arrays], [channels[i] for i in good]
     derivative = np.array([DERIVATIVE[c.quantity] for c in channels])
     dofs = parse_dofs([c.dof for c in channels if c.dof is not None])
     provenance = Provenance.merge(*(r.provenance for r in runs))
-    return Responses(tuple(arrays), first.sampling_hz, dofs, derivative, tuple(findings), provenance)
+    return Responses(tuple(arrays), first.sampling_hz, dofs, derivative, tuple(findings), provenance, tuple(r.name for r in runs))
+
+
+def _left_out(message: str, label: str, file: str) -> Finding:
+    return Finding(
+        "channel_left_out",
+        message,
+        "warning",
+        file=file or None,
+        dof=label,
+        consequence="the channel is left out of the operational modal analysis, in all runs of these sensors",
+        action="cut the record to its finite part, or exclude the channel in [channels]",
+    )
 
 
 def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: float) -> tuple[NDArray[np.float64], float]:
@@ -163,3 +189,12 @@ def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: flo
         row = np.asarray(data[i], float)
         out[i] = fft.irfft(fft.rfft(row - row.mean(), size)[:lines] * gain, new_size)[:n_new]
     return out, rate
+
+
+def at_suitable_rate(responses: Responses, band: tuple[float, float]) -> tuple[list[NDArray[Any]], float]:
+    """Resample to two and a half times the upper band limit where the record is much faster."""
+    wanted = 2.5 * band[1]
+    if responses.sampling_hz < 1.3 * wanted:
+        return list(responses.runs), responses.sampling_hz
+    done = [resample(run, responses.sampling_hz, 1.05 * band[1], wanted) for run in responses.runs]
+    return [d[0] for d in done], done[0][1]

@@ -14,6 +14,98 @@ from operando.stabilization import RejectedPole, Stabilization
 
 
 @dataclass(frozen=True)
+class SetUp:
+    """One set-up of a merged analysis: its sensors, its modes, and which merged mode each belongs to.
+
+    Parameters
+    ----------
+    name : str
+        Names of its records.
+    sensors : tuple of str
+        DOFs it measures.
+    shared : tuple of str
+        Those that another set-up measures, too.
+    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std : (n,) arrays
+        Its own modes; NaN where there is no standard deviation.
+    merged : (n,) int array
+        Index of the merged mode each belongs to, −1 where it was left out.
+    reasons : tuple of str
+        Why a mode was left out (empty where it was not); one a mode.
+    stabilization : Stabilization or None
+    failed : str
+        Why the whole set-up is not used; empty where it is.
+    """
+
+    name: str
+    sensors: tuple[str, ...]
+    shared: tuple[str, ...]
+    frequencies_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    frequency_std_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    damping_ratios: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    damping_ratio_std: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    merged: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, int))
+    reasons: tuple[str, ...] = ()
+    stabilization: Stabilization | None = None
+    failed: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: sensors, modes with the merged mode each belongs to (null where to none), why it failed (null where not)."""
+        return {
+            "name": self.name,
+            "sensors": list(self.sensors),
+            "shared": list(self.shared),
+            "modes": [
+                {
+                    "frequency_hz": float(self.frequencies_hz[i]),
+                    "frequency_std_hz": float(self.frequency_std_hz[i]),
+                    "damping_ratio": float(self.damping_ratios[i]),
+                    "damping_ratio_std": float(self.damping_ratio_std[i]),
+                    "merged": int(self.merged[i]) if self.merged[i] >= 0 else None,
+                    "reason": self.reasons[i] or None,
+                }
+                for i in range(self.frequencies_hz.size)
+            ],
+            "left_out": self.failed or None,
+        }
+
+
+@dataclass(frozen=True)
+class JointCheck:
+    """The joint estimate beside the merged modes; NaN where it has no such mode.
+
+    Parameters
+    ----------
+    text : str
+        What it is, or why there is none.
+    frequencies_hz, frequency_std_hz, damping_ratios, damping_ratio_std, mac : (n,) arrays
+        Of the joint mode that belongs to each merged mode; MAC between both shapes.
+    """
+
+    text: str
+    frequencies_hz: NDArray[np.float64]
+    frequency_std_hz: NDArray[np.float64]
+    damping_ratios: NDArray[np.float64]
+    damping_ratio_std: NDArray[np.float64]
+    mac: NDArray[np.float64]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: what it is, and one entry a merged mode (null where the joint estimate has none)."""
+        rows = [
+            {
+                "frequency_hz": float(self.frequencies_hz[i]),
+                "frequency_std_hz": float(self.frequency_std_hz[i]),
+                "damping_ratio": float(self.damping_ratios[i]),
+                "damping_ratio_std": float(self.damping_ratio_std[i]),
+                "mac": float(self.mac[i]),
+            }
+            if np.isfinite(self.frequencies_hz[i])
+            else None
+            for i in range(self.frequencies_hz.size)
+        ]
+        return {"text": self.text, "modes": rows}
+
+
+@dataclass(frozen=True)
 class OmaDetails:
     """How the modes were found.
 
@@ -33,6 +125,10 @@ class OmaDetails:
         All settings as used, defaults filled in.
     halves : tuple of ModalModel
         Modes of the first and of the second half of the record, identified apart (``fit_halves``); empty where nobody asked.
+    setups : tuple of SetUp
+        Set-ups of different sensors that were merged; empty for one set-up.
+    joint : JointCheck or None
+        The joint estimate of merged set-ups, beside the answer.
     """
 
     stabilization: Stabilization
@@ -42,6 +138,8 @@ class OmaDetails:
     model_orders: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, int))
     settings: dict[str, Any] = field(default_factory=dict)
     halves: tuple[ModalModel, ...] = ()
+    setups: tuple[SetUp, ...] = ()
+    joint: JointCheck | None = None
 
     @property
     def rejected(self) -> tuple[RejectedPole, ...]:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.special import stdtrit
 
 from operando.oma.correlation import BlockCorrelations, block_hankel
 from operando.oma.subspace import Factors, Poles, Realisation
+
+NORMAL_95 = 1.959964
+"""Standard deviations of the normal distribution that hold 95 % on both sides."""
 
 
 @dataclass(frozen=True)
@@ -132,20 +137,31 @@ def normalised_changes(
         power = lam[None, :] ** derivative[:, None]
         d_raw = d_raw / power - derivative[None, :, None] * (raw / power)[None] * (change.lam / lam)[:, None, :]
         raw = raw / power
-    peak = raw[np.argmax(np.abs(raw), axis=0), np.arange(raw.shape[1])]
-    factor = np.abs(peak) / peak / np.linalg.norm(raw, axis=0)
-    unit, d_unit = raw * factor, d_raw * factor
-    top = np.argmax(np.abs(raw), axis=0), np.arange(raw.shape[1])
-    turn = d_unit[:, top[0], top[1]].imag / unit[top].real
-    d_unit = d_unit - 1j * unit[None] * turn[:, None, :]
-    d_unit = d_unit - unit[None] * np.sum(unit.conj()[None] * d_unit, axis=1).real[:, None, :]
+    d_unit = unit_changes(raw, d_raw)[1]
     flat = d_unit.transpose(0, 2, 1).reshape(d_unit.shape[0], -1)
     return np.concatenate([d_hz, d_zeta, flat.real, flat.imag], axis=1)
 
 
+def unit_changes(shapes: NDArray[Any], change: NDArray[Any]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Shapes (r, p) and their changes (k, r, p) after scaling to unit norm, the largest component real and positive."""
+    top = np.argmax(np.abs(shapes), axis=0), np.arange(shapes.shape[1])
+    peak = shapes[top]
+    factor = np.abs(peak) / peak / np.linalg.norm(shapes, axis=0)
+    unit, d_unit = shapes * factor, change * factor
+    turn = d_unit[:, top[0], top[1]].imag / unit[top].real
+    d_unit = d_unit - 1j * unit[None] * turn[:, None, :]
+    d_unit = d_unit - unit[None] * np.sum(unit.conj()[None] * d_unit, axis=1).real[:, None, :]
+    return unit, d_unit
+
+
+def student_widening(freedom: float) -> float:
+    """Factor on a standard deviation of so many degrees of freedom by which ±1.96 of it cover 95 % (Student's t)."""
+    return float(stdtrit(freedom, 0.975)) / NORMAL_95
+
+
 def covariance_of_mean(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Covariance of the weighted mean of independent block values, widened so that ±1.96 standard deviations cover 95 % in spite of
-    the finite number of blocks (Student's t with n_blocks − 1 degrees of freedom, by its expansion in 1/ν).
+    the finite number of blocks (Student's t with n_blocks − 1 degrees of freedom).
 
     Parameters
     ----------
@@ -155,7 +171,5 @@ def covariance_of_mean(changes: NDArray[np.float64], weights: NDArray[np.float64
         Sum 1.
     """
     nu = weights.size - 1
-    quantile = 1.959964
-    widen = 1 + (quantile**2 + 1) / (4 * nu) + (5 * quantile**4 + 16 * quantile**2 + 3) / (96 * nu**2)
     scaled = changes * weights[:, None]
-    return scaled.T @ scaled * (weights.size / nu) * widen**2
+    return scaled.T @ scaled * (weights.size / nu) * student_widening(nu) ** 2

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from operando.config import Span, State, Test
-from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash
+from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash, group_findings
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, MissingError, OperandoError
 
@@ -35,9 +36,10 @@ class _Asked(dict[str, dict[str, Any]]):
 
 @dataclass(frozen=True)
 class _Names:
-    """What a file calls its channels, and where its forces act and its responses are."""
+    """What a file calls its channels, all DOFs it measures, and where its forces act and its responses are."""
 
     labels: frozenset[str]
+    dofs: frozenset[Dof]
     forces: frozenset[Dof]
     responses: frozenset[Dof]
 
@@ -48,7 +50,8 @@ def _names_of(content: Any) -> _Names:
     labels = {text for c in channels for text in (c.name, c.label) if text} | {str(d) for d in dofs}
     forces = {c.dof for c in channels if c.is_force and c.dof is not None} | {d for h in content.frfs for d in h.references}
     responses = {d for r in content.records for i in r.response_indices if (d := r.channels[i].dof) is not None}
-    return _Names(frozenset(labels), frozenset(forces), frozenset(responses))
+    measured = {c.dof for c in channels if c.dof is not None} | set(dofs)
+    return _Names(frozenset(labels), frozenset(measured), frozenset(forces), frozenset(responses))
 
 
 class Inputs:
@@ -94,7 +97,7 @@ class Inputs:
             return None
         self._names[file] = _names_of(content)
         name = self.test.label(file, span)
-        records = tuple(checked(replace(self._part(r, file, span), name=name)) for r in content.records)
+        records = tuple(checked(_trimmed(replace(self._part(r, file, span), name=name))) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
         found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
         named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
@@ -125,7 +128,9 @@ class Inputs:
         return self.test.label(file)
 
     def records(self, state: State, *, force: bool) -> list[TimeRecord]:
-        """Records of a state with responses, and with a force if asked for.
+        """Records of a state with responses, and with a force if asked for, with the channels that every stage uses.
+
+        Which these are is decided here, once (:func:`operando.frf.usable_channels`); what is left out stands in ``findings``.
 
         Raises
         ------
@@ -162,7 +167,21 @@ class Inputs:
                 where=", ".join(p.name for p in state.records[:4]),
                 hint="`operando inspect FILE` shows what each channel is taken for; [channels] labels it",
             )
-        return found
+        return self._usable(state, found)
+
+    def _usable(self, state: State, records: list[TimeRecord]) -> list[TimeRecord]:
+        """The records without the channels that cannot be used; the finding that says so takes the place of those about single files."""
+        from operando.frf import usable_channels
+
+        usable, left_out = usable_channels(records)
+        files = {self.test.label(file, span): file for file, span in state.runs}
+        for finding in left_out:
+            if finding.dof is not None:
+                for file in files.values():
+                    rest = [f for f in self.findings.get(file, ()) if not (f.kind in ("nan", "flat") and f.dof == finding.dof)]
+                    self.findings[file] = rest
+            self._note(files.get(finding.file or "", state.records[0]), finding)
+        return usable
 
     def frf(self, state: State) -> Frf:
         """FRFs of all FRF files of a state in one matrix.
@@ -185,7 +204,12 @@ class Inputs:
         return merge_frfs(frfs)
 
     def geometry(self) -> Geometry | None:
-        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known."""
+        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known, directions of
+        DOFs that are no axes as declared."""
+        found = self._geometry()
+        return found if found is None or not self.test.directions else replace(found, directions=self.test.directions)
+
+    def _geometry(self) -> Geometry | None:
         test = self.test
         parts = [(test.geometry_file, None)] if test.geometry_file is not None else list(test.parts)
         for file, span in parts:
@@ -226,7 +250,9 @@ class Inputs:
         return rows
 
     def check_names(self) -> None:
-        """Whether every name in [channels], and every DOF in the references, is in the files. Files that cannot be read may hold them.
+        """Whether every name in [channels], and every DOF in [directions] and the references, is in the files.
+
+        Files that cannot be read may hold them.
 
         Raises
         ------
@@ -243,6 +269,10 @@ class Inputs:
             if name not in self._channels.found:
                 labels = {label for names in self._names.values() for label in names.labels}
                 raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, f"{where} [channels]")
+        known_dofs = {str(dof.unsigned) for names in self._names.values() for dof in names.dofs}
+        for label in self.test.directions:
+            if label not in known_dofs:
+                raise _unknown(f"[directions] {label!r} is a DOF of no file", label, known_dofs, f"{where} [directions]")
         analysis = self.test.analysis
         forces = {dof for file in self.test.idle.files for dof in self._names[file].forces}
         moving = {dof for file in self.test.operating.files for dof in self._names[file].responses}
@@ -271,8 +301,12 @@ class Inputs:
                 raise UnfitTest(error.message, where=f"{self.test.path or 'test'} [analysis] hits_reject", hint=error.hint) from None
 
     def all_findings(self) -> list[Finding]:
-        """Findings of all files read so far, in the order of the test, each once."""
-        return list(dict.fromkeys(f for file in self.test.files for f in self.findings.get(file, ())))
+        """Findings of all files read so far, in the order of the test, each once; with what is left out of each state."""
+        for state, force in ((self.test.idle, True), (self.test.operating, False), (self.test.check, True)):
+            if state.records:
+                with suppress(OperandoError):  # the stage that needs the records says what is wrong
+                    self.records(state, force=force)
+        return group_findings(f for file in self.test.files for f in self.findings.get(file, ()))
 
     def _note(self, file: Path, finding: Finding) -> None:
         notes = self.findings.setdefault(file, [])
@@ -344,6 +378,14 @@ def list_hits(records: Sequence[TimeRecord]) -> list[dict[str, Any]]:
             for t, level in zip(hits.times_s + record.start_s, hits.levels, strict=True):
                 out.append({"number": len(out), "time_s": float(t), "peak": float(level), "unit": unit})
     return out
+
+
+def _trimmed(record: TimeRecord) -> TimeRecord:
+    """The record without ends at which no channel holds a number; the finding stands with it."""
+    from operando.frf import trimmed
+
+    cut, findings = trimmed(record)
+    return cut.with_findings(findings) if findings else record
 
 
 def checked(record: TimeRecord) -> TimeRecord:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from operando.data import Finding, Frf
+import numpy as np
+
+from operando.data import Finding, Frf, ModalModel, node_motion
+from operando.dof import Dof
 from operando.errors import MissingError
 from operando.pipeline.cache import whole, write_json
 from operando.results import Results
@@ -44,7 +47,10 @@ def write_output(name: str, out: Path, results: Results) -> list[Finding]:
         objects = [results.idle_frf]
     elif name in ("idle_modes.uff", "operating_modes.uff"):
         model = results.idle if name == "idle_modes.uff" else results.operating
-        objects = [results.geometry, None if model is None else replace(model.without_residuals(), details=None)]
+        objects = [results.geometry]
+        if model is not None:
+            proper = replace(model.without_residuals(), details=None)
+            objects.append(along_axes(proper, _directions(results), name, findings))
     elif name == "ofrf.uff":
         objects = [ofrf(results, findings)]
     elif name == "ofrf_effect.uff":
@@ -83,6 +89,34 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
     for step, name, value in changes:
         model = model.with_values(step, **{name: value})
     return model.structure()
+
+
+def _directions(results: Results) -> dict[str, Any]:
+    """Directions declared in the test file, by DOF; also without a geometry."""
+    given: dict[str, Any] = results.settings.get("directions", {})
+    return given
+
+
+def along_axes(model: ModalModel, directions: Mapping[str, Sequence[float]], name: str, findings: list[Finding]) -> ModalModel:
+    """The model with X, Y, Z motion at nodes whose measured directions are no axes: UFF knows no others."""
+    skewed = {d.node for d in model.dofs if d.named or str(d.unsigned) in directions}
+    if not skewed:
+        return model
+    kept = [i for i, d in enumerate(model.dofs) if d.node not in skewed]
+    turned = [i for i, d in enumerate(model.dofs) if d.node in skewed]
+    motion = node_motion([model.dofs[i] for i in turned], model.shapes[turned], directions)
+    dofs = [model.dofs[i] for i in kept] + [Dof(node, axis) for node in motion for axis in ("X", "Y", "Z")]
+    shapes = np.concatenate([model.shapes[kept], *motion.values()])
+    findings.append(
+        Finding(
+            "directions_resolved",
+            f"{name} holds X, Y, Z motion of {len(motion)} nodes that were measured along other directions",
+            "info",
+            consequence="where a node has fewer than three independent directions, what they do not see stands as zero",
+            action="model.h5 and summary.json have the values as measured",
+        )
+    )
+    return replace(model, dofs=tuple(dofs), shapes=shapes, covariance=None, std=None)
 
 
 def ofrf_lines(results: Results) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from operando.config import Test, load_test
-from operando.data import Finding
+from operando.data import Finding, group_findings
 from operando.errors import ConfigError, OperandoError
 from operando.jsonable import jsonable
 from operando.pipeline.cache import FOLDER, StageCache, code_hash, key_of, whole, write_json
@@ -135,7 +135,7 @@ class _Run:
         for name in stage.states:
             state = (() if test.geometry_file is None else (test.geometry_file,)) if name == "geometry" else getattr(test, name).files
             files.append((name, self.work.inputs.hashes(state)))
-        reading = (test.units, test.channels, test.geometry_units) if stage.states else ()
+        reading = (test.units, test.channels, test.geometry_units, test.directions) if stage.states else ()
         spans = {name: [repr(span) for span in getattr(test, name).spans] for name in stage.states if name != "geometry"}
         upstream = [self.keys[name] for name in stage.upstream]
         if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
@@ -235,7 +235,7 @@ class _Run:
         self.own_findings.append(
             Finding(
                 "stage_failed",
-                f"stage {stage.name}: {text}",
+                f"stage {stage.part_of}: {text}",
                 "error",
                 file=error.where,
                 consequence="what builds on it is left out" if not what else "the results stand in model.h5",
@@ -259,7 +259,7 @@ class _Run:
         r = self.results
         carried = [o.findings for o in (r.idle_frf, r.idle, r.operating, r.hybrid) if o is not None]
         carried += [run.frf.findings for run in r.check]
-        r.findings = list(dict.fromkeys([*self.own_findings, *(f for group in carried for f in group)]))
+        r.findings = group_findings([*self.own_findings, *(f for group in carried for f in group)])
 
     def _report(self) -> None:
         stage = Stage("report", "report", lambda work: {}, optional=True)

@@ -194,7 +194,7 @@ def idle_modes(work: Work) -> dict[str, Any]:
 
 
 def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
-    """The runs the FRFs were made of: one that the homogeneity test set aside must not come back through the raw spectra."""
+    """The runs and channels the FRFs were made of: what was set aside there must not come back through the raw spectra."""
     used = {path for path, _ in frf.provenance.inputs}
     calls = set(frf.provenance.calls)
 
@@ -202,7 +202,17 @@ def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
         cuts = [call for call in record.provenance.calls if call.startswith("cut(")]  # of two parts of a file one may be used
         return any(path in used for path, _ in record.provenance.inputs) and all(call in calls for call in cuts)
 
-    return [r for r in records if behind(r)] or records
+    runs = [r for r in records if behind(r)] or records
+    measured, driven = ({(d.node, d.axis) for d in dofs} for dofs in (frf.responses, frf.references))
+    out = []
+    for run in runs:
+        at = [None if (d := c.dof) is None else (d.node, d.axis) for c in run.channels]
+        keep = [i for i in run.response_indices if at[i] in measured] + [i for i in run.force_indices if at[i] in driven]
+        if len(keep) == len(run.response_indices) + len(run.force_indices):
+            out.append(run)
+        elif all(at[i] in driven for i in run.force_indices) and any(i in keep for i in run.response_indices):
+            out.append(run.select(sorted(keep)))
+    return out
 
 
 def operational_modes(work: Work) -> dict[str, Any]:
@@ -392,12 +402,12 @@ def no_evidence(test: Test) -> str | None:
     return no_idle(test) or (None if test.check or test.operating else "the test has neither [check] nor [operating] measurements")
 
 
-READING = ("data", "io", "quality", "dof", "units", "pipeline/inputs", "pipeline/stages")
+READING = ("data", "io", "quality", "frf/usable", "dof", "units", "pipeline/inputs", "pipeline/stages")
 ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
 
 _EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands", "second_opinion")
 _OMA_SETTINGS = ("oma_max_order", "oma_references", "known_harmonics_hz", "oma_select_hz", "oma_reject_hz")
-_EMA_ROOMS = (*READING, "ema", "stabilization", "synthesis", "indicators", "frf/hits", "frf/leakage")
+_EMA_ROOMS = (*READING, "ema", "stabilization", "synthesis", "indicators", "frf/hits", "frf/leakage", "frf/excitation", "frf/periodic")
 _OMA_ROOMS = (*READING, "oma", "stabilization", "indicators")
 
 STEPS: tuple[Stage, ...] = (

@@ -56,12 +56,19 @@ def _idle(results: Results) -> dict[str, Any] | None:
 def _operating(results: Results) -> dict[str, Any] | None:
     if results.operating is None:
         return None
-    harmonics = getattr(results.operating.details, "harmonics_hz", ())
-    return results.operating.to_dict() | {
-        "harmonics_hz": [float(f) for f in harmonics],
-        "band_hz": results.operating.band_hz,
-        "calls": results.operating.provenance.calls,
-    }
+    details = results.operating.details
+    harmonics = getattr(details, "harmonics_hz", ())
+    setups, joint = getattr(details, "setups", ()), getattr(details, "joint", None)
+    merged = {"setups": [s.to_dict() for s in setups], "joint": None if joint is None else joint.to_dict()} if setups else {}
+    return (
+        results.operating.to_dict()
+        | merged
+        | {
+            "harmonics_hz": [float(f) for f in harmonics],
+            "band_hz": results.operating.band_hz,
+            "calls": results.operating.provenance.calls,
+        }
+    )
 
 
 def _reciprocity(frf: Any) -> float | None:

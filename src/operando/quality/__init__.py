@@ -1,7 +1,7 @@
 """Raw-data checks: findings with numbers, never silent deletion."""
 
 from operando.quality.record import check_channels, check_forces, check_record, check_runs, dissipated_shares
-from operando.quality.samples import constant_runs, dropouts, not_finite, overload, soft_clipping
+from operando.quality.samples import constant_runs, dropouts, not_finite, overload, pile_up, soft_clipping
 
 __all__ = [
     "check_channels",
@@ -13,5 +13,6 @@ __all__ = [
     "dropouts",
     "not_finite",
     "overload",
+    "pile_up",
     "soft_clipping",
 ]

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy import special
 
 from operando.data import Finding, TimeRecord
 from operando.data.findings import Severity
 from operando.errors import DataError
-from operando.frf.checks import missing_drive_point
 from operando.frf.hits import is_impact
 from operando.frf.impact import impact_blocks, overlap_finding
+from operando.frf.periodic import period_of
 from operando.frf.spectra import cross_spectra
-from operando.quality.samples import Span, constant_runs, dropouts, not_finite, overload, soft_clipping
+from operando.frf.usable import channel_faults
+from operando.quality.samples import PileUp, Span, constant_runs, dropouts, not_finite, overload, pile_up, soft_clipping
 
-FLAT_SHARE = 1e-4
+SHORTEST_PERIOD = 256
+"""Samples below which one period (of a tone) is too short to tell how its values are distributed; all samples are taken then."""
 INVERTED_SHARE = 0.1
 SWAPPED_SHARE = 0.97
 MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
@@ -25,8 +29,8 @@ MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
 def check_record(record: TimeRecord) -> TimeRecord:
     """The same record with findings about its samples, channels and hits.
 
-    Checked are NaN, overload, soft clipping, dropout and flat channels; where there is a force also the drive point (missing,
-    inverted, swapped) and, in hammer records, each hit.
+    Checked are NaN, overload, soft clipping, dropout and flat channels; where there is a force also the drive point (inverted, swapped)
+    and, in hammer records, each hit.
     """
     findings = [*check_channels(record), *check_forces(record)]
     known = {(f.kind, f.dof, f.time_s) for f in record.findings}
@@ -35,47 +39,52 @@ def check_record(record: TimeRecord) -> TimeRecord:
 
 def check_channels(record: TimeRecord) -> list[Finding]:
     """Findings about the samples of each channel."""
-    spread = np.array([_spread(row) for row in record.data])
     impact = {i for i in record.force_indices if is_impact(_finite(record.data[i]))}
+    flat = {fault.row: fault.message for fault in channel_faults(record) if fault.kind == "flat"}
+    period = _period(record, impact)
     out: list[Finding] = []
-    for i, channel in enumerate(record.channels):
-        peers = [spread[k] for k, c in enumerate(record.channels) if c.quantity == channel.quantity and spread[k] > 0]
-        typical = float(np.median(peers)) if peers else 0.0
-        if spread[i] == 0 or spread[i] < FLAT_SHARE * typical:
-            message = f"rms {spread[i]:.3g}" + (f", others {typical:.3g}" if typical else "") + f" {channel.unit}"
-            out.append(
-                _finding(record, i, "flat", f"no signal: {message}", None, "warning", "the channel says nothing", "check cable and sensor")
-            )
-            continue
-        out += _check_samples(record, i, i in impact)
+    for i in range(len(record.channels)):
+        if i in flat:
+            out.append(_finding(record, i, "flat", flat[i], None, "warning", "the channel says nothing", "check cable and sensor"))
+        else:
+            out += _check_samples(record, i, i in impact, period)
     return out
 
 
-def _spread(row: np.ndarray) -> float:
-    """Standard deviation of the finite samples."""
-    row = row if np.isfinite(row.sum()) else row[np.isfinite(row)]
-    return float(np.std(row, dtype=float)) if row.size else 0.0
+def _period(record: TimeRecord, impact: set[int]) -> int | None:
+    """Samples after which the force repeats itself, None where it does not or is not known."""
+    forces = [i for i in record.force_indices if i not in impact and np.isfinite(record.data[i].sum()) and np.ptp(record.data[i]) > 0]
+    try:
+        return period_of(np.asarray(record.data[forces[0]], float)) if forces else None
+    except DataError:
+        return None
 
 
 def _finite(row: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(row), row, 0.0)
 
 
-def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
-    """NaN, overload, dropout and soft clipping of one channel that carries a signal."""
+def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None) -> list[Finding]:
+    """NaN, overload, dropout and soft clipping of one channel that carries a signal.
+
+    Of a signal that repeats itself one period tells whether it is cut: its highest peak comes back in each of them.
+    """
     row = record.data[i]
     out = []
     bad = not_finite(row) if not np.isfinite(row.sum()) else []
-    for span in _joined(bad, 16):
-        text = f"{span.length} samples that are not finite"
-        out.append(
-            _finding(record, i, "nan", text, span, "error", "blocks with them are left out", "exclude the channel or repair the file")
-        )
+    if bad:
+        count, spans = sum(s.length for s in bad), "" if len(bad) == 1 else f" in {len(bad)} places"
+        text = f"{count} samples{spans} that are not finite"
+        whole = Span(bad[0].first, bad[-1].last)
+        out.append(_finding(record, i, "nan", text, whole, "error", "the channel is left out", "exclude the channel or repair the file"))
     x = _finite(row) if bad else row
     runs = constant_runs(x)
-    clipped = overload(x, runs)
+    clipped = [] if impact else overload(x, runs)  # a pulse that is cut is judged with the hits
     unit = record.channels[i].unit
-    if clipped:
+    piled = None if impact else _piled(x, period)
+    if piled is not None:
+        out.append(_cut_finding(record, i, piled))
+    elif clipped:
         count = sum(s.length for s in clipped)
         level = max(abs(float(x[s.first])) for s in clipped)
         for n, span in enumerate(_joined(clipped, max(16, x.size // 200))):
@@ -108,6 +117,39 @@ def _check_samples(record: TimeRecord, i: int, impact: bool) -> list[Finding]:
                     _finding(record, i, "dropout", text, span, "warning", "blocks with it are left out", "check cable and connector")
                 )
     return out
+
+
+def _piled(x: np.ndarray, period: int | None) -> PileUp | None:
+    """Samples piled up at an extreme, from one period where the signal repeats itself; the span is that of the whole record."""
+    if period is None or period < SHORTEST_PERIOD:
+        return pile_up(x)
+    found = pile_up(x[-period:])
+    if found is None:
+        return None
+    before = x.size - period
+    return replace(found, span=Span((found.span.first + before) % period, found.span.last + before))
+
+
+def _cut_finding(record: TimeRecord, i: int, piled: PileUp) -> Finding:
+    """The finding for a channel that is cut at a level throughout, with what that does to FRFs.
+
+    Of a normally distributed signal cut at a·σ the part p beyond it is erfc(a/√2); the cut signal follows the whole one by 1 − p and
+    has the power 1 − p − 2aφ(a) + a²p (Bussgang 1952): H1 with a force so cut is larger by the ratio of the two, with a response so cut
+    smaller by 1 − p.
+    """
+    share = piled.share
+    a = float(np.sqrt(2) * special.erfcinv(share))
+    power = 1 - share - 2 * a * np.exp(-0.5 * a * a) / np.sqrt(2 * np.pi) + a * a * share
+    channel = record.channels[i]
+    text = f"{100 * share:.2g} % of the samples are cut at {piled.level:.4g} {channel.unit}".rstrip()
+    if channel.is_force:
+        consequence = (
+            f"the force was larger than measured: FRFs about {20 * np.log10((1 - share) / power):.1f} dB too large; they are right if "
+            "the force itself was cut (an amplifier at its limit)"
+        )
+    else:
+        consequence = f"FRFs at this DOF are about {-20 * np.log10(1 - share):.1f} dB too small, with harmonics"
+    return _finding(record, i, "overload", text, piled.span, "warning", consequence, "choose a larger input range, or a smaller force")
 
 
 def _all_constant(record: TimeRecord, span: Span) -> bool:
@@ -150,14 +192,11 @@ def _finding(
 
 
 def check_forces(record: TimeRecord) -> list[Finding]:
-    """Drive points and hits of a record with force channels."""
+    """Sense of the drive point and hits of a record with force channels (whether there is one is asked of the whole state, by its FRFs)."""
     out: list[Finding] = []
     forces = [i for i in record.force_indices if record.channels[i].dof is not None]
     responses = record.response_indices
     drive = {f: [r for r in responses if record.channels[r].dof.same_axis(record.channels[f].dof)] for f in forces}  # type: ignore[union-attr,arg-type]
-    for f in forces:
-        if responses and not drive[f]:
-            out.append(missing_drive_point(record.channels[f].label, record.name or None, any(drive.values())))
     if len(forces) != 1 or not responses or not np.isfinite(record.data[forces[0]].sum()):
         return out
     force = forces[0]
@@ -229,7 +268,7 @@ def _check_hits(record: TimeRecord, force: int, responses: list[int]) -> list[Fi
         blocks = impact_blocks(record, force, responses)
     except DataError as error:
         return [Finding("weak_hit", error.message, "error", file=record.name or None, dof=label, action="repeat the measurement")]
-    out = blocks.hits.findings(record.name or None, label)
+    out = blocks.findings(record.name or None, label)
     if blocks.overlapping and not blocks.single:  # what one hit needs is said by the FRF, which knows its window
         out.append(overlap_finding(blocks, record.name or None, label, True))
     return out

@@ -13,6 +13,13 @@ Array = NDArray[Any]
 
 SHORTEST_DROPOUT = 16
 
+PILED = 8.0
+"""Samples at an extreme over those beside it, in a signal that is cut there (see :func:`pile_up`)."""
+WIDEST = 0.03
+"""Largest width of a pile, of the extreme: a cut with noise of 0.4 % of it."""
+LEAST_PILED = 5e-4
+"""Smallest share of the samples piled up at one extreme: a random force cut there is 0.01 dB off (Bussgang 1952)."""
+
 
 @dataclass(frozen=True)
 class Span:
@@ -85,6 +92,47 @@ def overload(x: Array, runs: list[Span] | None = None) -> list[Span]:
     limit = max(spread, 0.02 * max(top - middle, middle - bottom))
     # A long rest value that happens to be the least or largest sample (a hammer at rest) is near the median, not at full scale.
     return [r for r in candidates if jump(r) > 20 * step and abs(float(x[r.first]) - middle) > limit]
+
+
+@dataclass(frozen=True)
+class PileUp:
+    """Samples piled up at the top, the bottom or both: where, how many, and the first and last of them."""
+
+    level: float
+    share: float
+    span: Span
+
+
+def pile_up(x: Array) -> PileUp | None:
+    """Evidence that a signal is cut at a level: far more samples within some width of an extreme than in the two widths next to it.
+
+    Unlike :func:`overload` it needs no runs of equal samples, so that it finds what a converter with noise, or a fast signal, leaves. The
+    density of a sine grows to its top, too: with depth w as √w, by a factor of 2.7 over the mean of the next two widths; that of a wave as
+    flat as a fourth power by 6.3; a cut by ``PILED`` and more. Two-level signals (nearly everything at the extremes) are no cut ones.
+
+    Parameters
+    ----------
+    x : (n,) finite array
+    """
+    middle = float(np.median(x))
+    top, bottom = float(x.max()) - middle, middle - float(x.min())
+    step = smallest_step(x)
+    rows = np.zeros(x.size, bool)
+    level = 0.0
+    for sign, height in ((1.0, top), (-1.0, bottom)):
+        depth = height - sign * (x - middle)
+        near = np.sort(depth[depth < 3 * WIDEST * height])
+        width = max(1.5 * step, 1e-6 * height)
+        while width < WIDEST * height:
+            first = int(np.searchsorted(near, width))
+            beside = 0.5 * (int(np.searchsorted(near, 3 * width)) - first)
+            if first > max(LEAST_PILED * x.size, 10.0) and first > PILED * max(beside, 1.0) and first < 0.4 * x.size:
+                rows |= depth < width
+                level = max(level, abs(middle + sign * height))
+                break
+            width *= 2
+    where = np.flatnonzero(rows)
+    return PileUp(level, where.size / x.size, Span(int(where[0]), int(where[-1]))) if where.size else None
 
 
 def dropouts(x: Array, runs: list[Span] | None = None) -> list[Span]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Geometry
+from operando.data import Geometry, node_motion
 from operando.dof import Dof
 from operando.report.canvas import ORANGE_PURPLE, WHITE_BLUE, Canvas, shades
 from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
@@ -17,7 +17,6 @@ from operando.report.svg import GREY, IDLE, INK, MODEL, PALE, drawn, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_AXES = {"X": 0, "Y": 1, "Z": 2}
 _PER_ROW = 3
 
 
@@ -48,11 +47,13 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
     sheet = Canvas(width, height)
     step = width / columns
     mesh = None if geometry is None else _mesh(geometry, tuple(dofs))
-    half = (step - 0.1) / 2
+    alone = all(p.idle is None for p in pairs)
+    half = (step - 0.1) / (1 if alone else 2)
     for k, pair in enumerate(pairs):
         x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
         sheet.text(x0 + 0.06, y0 + cell + 0.14, pair.label, 9, bold=True)
-        for side, (shape, text, color) in enumerate(((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))):
+        both = ((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))
+        for side, (shape, text, color) in enumerate(both[1:] if alone else both):
             left = x0 + 0.04 + side * half
             sheet.text(left + half / 2, y0 + cell - 0.05, text, 7.5, "middle", color)
             box = (left + 0.05, y0, half - 0.1, cell - 0.14)
@@ -72,7 +73,8 @@ class _Mesh:
     """What is drawn: node positions, sides and patches among all nodes, and which nodes are measured."""
 
     def __init__(self, geometry: Geometry, dofs: tuple[Dof, ...]) -> None:
-        index = {n: i for i, n in enumerate(geometry.nodes)}
+        index = self.index = {n: i for i, n in enumerate(geometry.nodes)}
+        self.directions = geometry.directions
         self.xyz = np.asarray(geometry.coordinates, float)
         self.node_of_dof = [index.get(d.node) for d in dofs]
         self.measured = np.zeros(len(index), bool)
@@ -84,7 +86,8 @@ class _Mesh:
         self.outline = set(self.edges) | {tuple(sorted((f[i - 1], f[i]))) for f in self.faces for i in range(len(f))}
         moving = lambda group: bool(np.all(self.measured[list(group)]))  # noqa: E731
         usable = [e for e in self.outline if moving(e)]
-        if len(usable) < 0.5 * max(len(self.outline), 1):
+        # Sensors on few nodes of a plate are joined by triangles; of a space frame, by nothing that is not there.
+        if len(usable) < 0.5 * max(len(self.outline), 1) and not (self.outline and _is_spatial(self.xyz[self.measured])):
             self.faces, self.edges = _triangulate(self.xyz, np.flatnonzero(self.measured))
             if not self.outline:
                 self.outline = set(self.edges) | {tuple(sorted((f[i - 1], f[i]))) for f in self.faces for i in range(len(f))}
@@ -106,6 +109,11 @@ def _is_flat(points: NDArray[np.float64]) -> bool:
         return False
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(s[1] > 0.02 * s[0] and s[2] < 0.1 * s[1])
+
+
+def _is_spatial(points: NDArray[np.float64]) -> bool:
+    """Whether points lie neither close to a plane nor on a line."""
+    return points.shape[0] >= 4 and not _is_flat(points) and np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) == 3
 
 
 def _triangulate(xyz: NDArray[np.float64], nodes: NDArray[np.intp]) -> tuple[list[tuple[int, ...]], set[tuple[int, ...]]]:
@@ -144,9 +152,9 @@ def _project(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
 def _displacements(mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[Any]) -> NDArray[np.float64]:
     """Displacement vector of each node (n_nodes, 3) for a real shape; rotations are not drawn, scalars move along z."""
     out = np.zeros((mesh.xyz.shape[0], 3))
-    for dof, node, value in zip(dofs, mesh.node_of_dof, shape, strict=True):
-        if node is not None and dof.axis in ("", "X", "Y", "Z"):
-            out[node, _AXES.get(dof.axis, 2)] += dof.sign * float(value)
+    for number, motion in node_motion(dofs, np.asarray(shape, float)[:, None], mesh.directions).items():
+        if number in mesh.index:
+            out[mesh.index[number]] = motion[:, 0]
     return out
 
 
@@ -173,8 +181,10 @@ def _deformed(sheet: Canvas, mesh: _Mesh, dofs: tuple[Dof, ...], shape: NDArray[
     if mesh.edges:
         color, thick = ("#46525d", 0.7) if mesh.faces else (MODEL, 1.2)
         sheet.lines([flat[list(e)] for e in mesh.edges], color, thick)
-    if not mesh.faces and not mesh.edges:
-        sheet.lines([np.array([a, b]) for a, b in zip(rest[shown], flat[shown], strict=True)], MODEL, 1.0)
+    joined = {n for group in (*mesh.faces, *mesh.edges) for n in group}
+    alone = [n for n in np.flatnonzero(shown) if n not in joined]
+    if alone:
+        sheet.lines([np.array([rest[n], flat[n]]) for n in alone], MODEL, 1.0)
     sheet.dots(flat[shown], shades(0.5 + 0.5 * signed[shown], ORANGE_PURPLE), 2.5, 0.35)
 
 

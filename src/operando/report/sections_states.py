@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from operando.data import Frf, ModalModel
-from operando.report import derive, figures_frf, figures_stabilization, tables
+from operando.report import derive, figures_frf, figures_stabilization, sections_setups, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.text import band_text, count, esc, finite, listing, number
 from operando.results import Results
@@ -199,6 +199,7 @@ def operating(results: Results, numbering: Numbering) -> str:
         out.append(numbering.figure(svg, "Singular values of the operating spectra with the modes taken (numbered) and harmonics."))
     out.append("<h3>Stabilisation diagram</h3>" + _stabilization(model, numbering, results, "operating"))
     out.append(tables.modal_table(model, "<b>Operating modes.</b> Shapes are complex and of arbitrary scale."))
+    out.append(sections_setups.setups(model))
     out.append(_second_opinion(model, results))
     return "".join(out)
 

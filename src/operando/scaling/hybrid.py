@@ -15,6 +15,7 @@ from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
 from operando.scaling.carried import LEAST_LEFT, NOT_HELD, CommonShift, common_shift, lessened, part_left, shape_change
+from operando.scaling.common_factor import sampling_rate_finding
 from operando.scaling.condensed import CondensedBasis, best_addition, condensed_basis
 from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
@@ -79,6 +80,9 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     in_band = np.asarray(idle.in_band)
     pairing = pair_modes(e[:, real_idle], idle.frequencies_hz, o, proper.frequencies_hz, threshold, in_band)
     findings += [_conflict(text) for text in pairing.conflicts]
+    one_factor = sampling_rate_finding(pairing, idle, proper)
+    if one_factor is not None:
+        findings.append(one_factor)
     basis = _basis(e[:, real_idle], idle.frequencies_hz, in_band, dofs, findings, _more_dofs(idle, idle_rows))
     turned, factor = real_shapes(o)
     noise = _noise(proper, rows, signs, factor)
