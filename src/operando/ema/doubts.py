@@ -85,7 +85,8 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
             doubts.append(("complex_shape", f"its residues are not in phase (collinearity {collinearity[k]:.2f})"))
         if dominance[k] < (HIDDEN_ERRORS * fit.model_error) ** 2:
             doubts.append(("hidden", f"at its own resonance it has {100 * dominance[k]:.0f} % of the modes' power where it shows best"))
-        if zeta[k] > BACKGROUND_DAMPING * typical and collinearity[k] < BACKGROUND_COLLINEARITY:
+        background = zeta[k] > BACKGROUND_DAMPING * typical and collinearity[k] < BACKGROUND_COLLINEARITY
+        if background and not fit.noise_limited:
             doubts.append(("background", f"its damping {100 * zeta[k]:.3g} % is {zeta[k] / typical:.0f} times that of the other modes"))
         if fit.log_damping_std[k] > MAX_LOG_DAMPING_STD:
             doubts.append(("uncertain", f"its damping is uncertain by {100 * fit.log_damping_std[k]:.0f} %"))

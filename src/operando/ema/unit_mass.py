@@ -19,6 +19,9 @@ SEEN = 3.0
 FREE_STD = 20.0
 """Shape values that no data hold have a prior of so many times the mode's rms."""
 
+UNSEEN_STD = 0.5
+"""Relative standard deviation of the shape value at a drive point that is taken for the scale though its residue does not stand out."""
+
 NEGATIVE_SHARE = 0.5
 
 
@@ -69,6 +72,14 @@ def residue_std(fit: LinearFit) -> Real:
     return np.asarray(np.sqrt(fit.correlation * fit.projection.a_std**2 + (share * a) ** 2 + (SMALL_SHARE * share * top) ** 2))
 
 
+def real_residues(fit: LinearFit) -> Real:
+    """Residues rotated to real, (P, n): by the mean phase of each mode, which is 0 for real modes and not for those of local dampers."""
+    residues = fit.residues()
+    weight = 1 / np.maximum(fit.projection.a_std, 1e-300) ** 2
+    phase = 0.5 * np.angle(np.sum(weight * residues**2, axis=0))
+    return np.asarray((residues * np.exp(-1j * phase)).real)
+
+
 def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     """Shapes by robust weighted least squares of R_jk = φ_j φ_k, with the uncertainty of residues and poles.
 
@@ -81,13 +92,13 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     """
     n = fit.n_modes
     rows, columns = fit.pairs.rows, fit.pairs.columns
-    std = residue_std(fit)
+    std, residues = residue_std(fit), real_residues(fit)
     shapes, scaled, chi = np.zeros((n_dofs, n)), np.zeros(n, bool), np.full(n, np.nan)
     poles = np.concatenate([fit.poles.hz, fit.poles.zeta])
     by_poles = np.zeros((n_dofs * n, 2 * n))
     own = np.zeros((n, n_dofs, n_dofs))
     for r in range(n):
-        shape, scaled[r], gain, variance, chi[r] = _one_shape(rows, columns, fit.projection.a[:, r], std[:, r], n_dofs)
+        shape, scaled[r], gain, variance, chi[r] = _one_shape(rows, columns, residues[:, r], std[:, r], n_dofs)
         shapes[:, r] = shape
         by_poles[r * n_dofs : (r + 1) * n_dofs] = gain @ fit.projection.slope[:, r]
         own[r] = variance
@@ -113,15 +124,16 @@ def _one_shape(
     drive = np.flatnonzero(rows == columns)
     best = int(drive[np.argmax(residue[drive] / std[drive])]) if drive.size else -1
     scaled = best >= 0 and residue[best] > SEEN * std[best]
-    phi = _start(rows, columns, residue, best if scaled else -1, n_dofs)
+    # A drive point that hardly moves gives no scale, but says that it hardly moves: about as much as its residue is uncertain.
+    phi = _start(rows, columns, residue, best, float(np.sqrt(max(residue[best], std[best]))), n_dofs)
     known = np.isin(np.arange(n_dofs), np.concatenate([rows, columns]))
     rms = float(np.sqrt(np.mean(phi[known] ** 2))) or 1.0
     prior = np.full(n_dofs, 1 / (FREE_STD * rms) ** 2)
     # A negative drive-point residue is no scale; it is told, and left out.
     use = ~((rows == columns) & (residue < 0))
     if not scaled:
-        strongest = int(np.argmax(np.abs(phi)))
-        prior[strongest] = 1 / (1e-3 * abs(phi[strongest]) + 1e-300) ** 2
+        held = int(rows[best]) if best >= 0 else int(np.argmax(np.abs(phi)))
+        prior[held] = 1 / (UNSEEN_STD * abs(phi[held]) + 1e-300) ** 2
     centre = phi.copy()
     size = residue.size
     for _ in range(rounds):
@@ -147,11 +159,11 @@ def _one_shape(
     return phi, bool(scaled), gain, birge * (gain * std) @ (gain * std).T, chi
 
 
-def _start(rows: NDArray[np.int_], columns: NDArray[np.int_], residue: Real, drive: int, n_dofs: int) -> Real:
+def _start(rows: NDArray[np.int_], columns: NDArray[np.int_], residue: Real, drive: int, scale: float, n_dofs: int) -> Real:
     """Shape values from the row and the column of one drive point; without one, from the strongest column at an arbitrary scale."""
     phi = np.zeros(n_dofs)
     if drive >= 0:
-        centre, scale = int(rows[drive]), float(np.sqrt(residue[drive]))
+        centre = int(rows[drive])
     else:
         strength = {int(c): float(np.sum(residue[columns == c] ** 2)) for c in np.unique(columns)}
         strength |= {int(r): max(strength.get(int(r), 0.0), float(np.sum(residue[rows == r] ** 2))) for r in np.unique(rows)}
