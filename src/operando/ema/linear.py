@@ -16,11 +16,8 @@ MAX_DAMPING = 0.15
 NOISE_LIMITED = 0.01
 """Model error α below which the noise limits the fit: 1 % of the FRF."""
 
-FEW_PAIRS = 12
-"""Below so many pairs the scatter between them tells too little: the larger of the two covariances counts."""
-
-GROUPS = 8
-"""Groups of neighbouring places of a roving test that count as one."""
+FEW_PLACES = 24
+"""Below so many places the scatter between them tells too little: the larger of the two covariances counts."""
 
 START_SHARE = 0.05
 """Error of the first fit, as a share of the FRF, before there are residuals to estimate it from."""
@@ -39,7 +36,7 @@ class LinearFit:
     variance : Variance
     covariance : (2n, 2n) array
         Of [ln f, ln ζ], for judging poles: errors of a pair may be correlated over its lines in any way. :func:`stated_covariance` adds
-        what pairs have in common.
+        what a drift within a pair does.
     correlation : float
         ν, lines that count as one.
     ends_hz : (float, float)
@@ -147,34 +144,41 @@ def fit_linear(
             break
     now = project(pairs, poles, variance.total, now.residues, ends_hz, exact=True)
     nu = line_correlation(now.error, variance.total)
-    return _sorted(LinearFit(pairs, poles, now, variance, _covariance(now, nu), nu, ends_hz))
+    return _sorted(LinearFit(pairs, poles, now, variance, _covariance(pairs, now, nu), nu, ends_hz))
 
 
-def _covariance(projection: Projection, nu: float) -> Real:
-    """Cluster sandwich over the pairs (Liang & Zeger, Biometrika 73, 1986, 13–22); with few pairs at least that of ν correlated lines."""
+def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
+    """Cluster sandwich (Liang & Zeger, Biometrika 73, 1986, 13–22): all pairs of one roving place are a cluster.
+
+    One hit, or one mounting of the sensors, is behind them all. With few clusters the covariance of ν correlated lines counts where it is
+    larger.
+    """
     inverse = _inverse(projection.normal)
     naive = 0.5 * nu * inverse
-    if projection.gradient.shape[0] < 2:
+    place = np.unique(pairs.grid[:, roving_side(pairs)], return_inverse=True)[1]
+    count = int(place.max()) + 1
+    if count < 2:
         return np.asarray(naive)
-    own = _sandwich(inverse, projection.gradient)
-    return _raised(own, np.diag(naive)) if projection.gradient.shape[0] < FEW_PAIRS else own
+    gradient = np.zeros((count, projection.gradient.shape[1]))
+    np.add.at(gradient, place, projection.gradient)
+    own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
+    return _raised(own, np.diag(naive)) if count < FEW_PLACES else own
+
+
+def roving_side(pairs: Pairs) -> int:
+    """0 where the responses rove, 1 where the references do: the side with more places."""
+    return int(np.argmax([np.unique(places).size for places in pairs.grid.T]))
 
 
 def stated_covariance(fit: LinearFit) -> Real:
-    """Covariance of [ln f, ln ζ] to be stated: with what neighbouring pairs have in common, and what a drift within a pair adds.
+    """Covariance of [ln f, ln ζ] to be stated: that of the fit, and what a drift does to the damping.
 
-    What changes slowly while hammer or sensors rove is alike in neighbours: groups of them count as one where that is more. A shift
-    within a pair as large as that between the pairs broadens it: 1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²).
+    The shift of a mode in a pair enters the fit to first order. What is left, and a shift within a pair, broaden: 1/(x + iζ) averaged
+    over a spread s is as with ζ(1 + s²/ζ²). The frequency is the mean over the pairs, a sample of all that might have been measured.
     """
-    covariance, n = fit.covariance, fit.n_modes
-    roving = fit.pairs.grid[:, int(np.argmax([np.unique(side).size for side in fit.pairs.grid.T]))]
-    places = np.unique(roving)
-    if places.size >= 3 * GROUPS:
-        group = np.searchsorted(places, roving) * GROUPS // places.size
-        sums = np.stack([fit.projection.gradient[group == g].sum(axis=0) for g in range(GROUPS)])
-        covariance = _raised(covariance, np.diag(_sandwich(_inverse(fit.projection.normal), sums)))
-    broadened = np.concatenate([np.zeros(n), np.minimum(fit.poles.drift / fit.poles.zeta, 1.0) ** 4])
-    return _raised(covariance, np.diag(covariance) + broadened)
+    variances, n = np.diag(fit.covariance).copy(), fit.n_modes
+    variances[n:] += np.minimum(fit.poles.drift / fit.poles.zeta, 1.0) ** 4
+    return _raised(fit.covariance, variances)
 
 
 def _inverse(normal: Real) -> Real:
@@ -187,11 +191,6 @@ def _raised(covariance: Real, variances: Real) -> Real:
     own = np.maximum(np.diag(covariance), 1e-300)
     ratio = np.sqrt(np.maximum(variances, own) / own)
     return np.asarray(covariance * np.outer(ratio, ratio))
-
-
-def _sandwich(inverse: Real, gradient: Real) -> Real:
-    count = gradient.shape[0]
-    return np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
 
 
 def keep_modes(fit: LinearFit, keep: NDArray[Any]) -> tuple[Poles, tuple[Real, Real]]:
@@ -218,6 +217,7 @@ def _sorted(fit: LinearFit) -> LinearFit:
         evidence=p.evidence[:, k],
         a_std=p.a_std[:, k],
         slope=p.slope[:, k][:, :, both],
+        shift_known=p.shift_known[:, k],
         spread_sums=p.spread_sums[:, k],
     )
     return replace(fit, poles=fit.poles.take(k), projection=projection, covariance=fit.covariance[np.ix_(both, both)])
