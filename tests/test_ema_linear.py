@@ -14,7 +14,7 @@ from operando.ema.fit import model_dofs
 from operando.ema.linear import NOISE_LIMITED, fit_linear
 from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
 from operando.ema.projection import Poles, project
-from operando.ema.unit_mass import SEEN, turned_columns, unit_mass_shapes
+from operando.ema.unit_mass import SEEN, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from structures import Chain
 
@@ -172,8 +172,9 @@ def test_a_roving_test_with_one_sensor_turned_is_consistent():
     frf = Frf(h, F, DOFS[:3], DOFS)
     model = fit_ema(frf, band=BAND, ema="linear")
     modes = assert_modes(model, c)
-    scale = np.abs(modes.shapes) / np.abs(c.phi)
-    assert np.max(np.abs(scale - 1)) < 0.05
+    scale = modes.shapes / c.phi
+    assert np.max(np.abs(np.abs(scale) - 1)) < 0.05
+    assert np.all(np.sign(scale) == np.sign(scale[:1]))  # in the senses of the hammer, which is right
 
 
 def test_frfs_turned_by_90_degrees_are_told_and_analysed():
@@ -206,7 +207,7 @@ def test_a_drive_point_is_absent_below_three_deviations():
     drive = unit_mass_shapes(fit, N).drive
     assert [int(pairs.rows[p]) for p, _ in drive] == [0, 3]
     assert all(np.all(np.abs(t) > SEEN) for _, t in drive)
-    assert not turned_columns(fit).size
+    assert not turned_dofs(fit).size
 
 
 def test_no_mode_is_added_to_noise_and_none_is_left_out():

@@ -28,7 +28,7 @@ def turned_finding(dof: str) -> Finding:
         f"the drive-point residues at {dof} are negative: force and accelerometer there have opposite senses",
         "error",
         dof=dof,
-        consequence="the fit used the force with the opposite sense; FRFs of this reference in idle_frf.uff keep the measured one",
+        consequence="the fit used the opposite sense for the one of the two that stays; idle_frf.uff keeps the measured one",
         action="check the direction of the force sensor and of the accelerometer at this DOF, and correct the label or the polarity",
     )
 

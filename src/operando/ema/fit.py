@@ -23,7 +23,7 @@ from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
 from operando.ema.spectra import RunSpectra, whole_records
-from operando.ema.unit_mass import UnitMassShapes, turned_columns, unit_mass_shapes
+from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
 
@@ -263,7 +263,7 @@ def _answer(
     findings: list[Finding],
 ) -> ModalModel:
     """The linear answer, and the polished one in its place where that is wanted."""
-    turned = turned_columns(fit)
+    turned = turned_dofs(fit)
     if turned.size:
         pairs = pairs.turned(turned)
         fit = fit_linear(fit.pairs.turned(turned), fit.poles, fit.ends_hz, before=fit.variance, rounds=1)
@@ -447,7 +447,7 @@ def _exactly(job: _Job) -> AddModes:
         poles = Poles(hz, np.clip(zeta, 1e-5, MAX_DAMPING))
         pairs, _ = _right_quantity(frf_pairs(job.frf, job.dofs, ends), poles)
         fit = fit_linear(pairs.lines(informative_lines(pairs.frequencies_hz, hz, zeta)), poles, ends, rounds=3)
-        turned = turned_columns(fit)
+        turned = turned_dofs(fit)
         if turned.size:
             fit = fit_linear(fit.pairs.turned(turned), fit.poles, ends, before=fit.variance, rounds=1)
         return fit, unit_mass_shapes(fit, len(job.dofs))

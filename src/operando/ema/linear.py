@@ -155,7 +155,7 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
     """
     inverse = _inverse(projection.normal)
     naive = 0.5 * nu * inverse
-    place = np.unique(pairs.grid[:, roving_side(pairs)], return_inverse=True)[1]
+    place = np.unique(pairs.grid[:, pairs.roving_side], return_inverse=True)[1]
     count = int(place.max()) + 1
     if count < 2:
         return np.asarray(naive)
@@ -163,11 +163,6 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
     np.add.at(gradient, place, projection.gradient)
     own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
     return _raised(own, np.diag(naive)) if count < FEW_PLACES else own
-
-
-def roving_side(pairs: Pairs) -> int:
-    """0 where the responses rove, 1 where the references do: the side with more places."""
-    return int(np.argmax([np.unique(places).size for places in pairs.grid.T]))
 
 
 def stated_covariance(fit: LinearFit) -> Real:

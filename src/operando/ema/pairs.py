@@ -70,9 +70,19 @@ class Pairs:
             grid=self.grid[keep],
         )
 
-    def turned(self, columns: NDArray[np.int_]) -> Pairs:
-        """The pairs with the forces at some DOFs in the opposite sense."""
-        sign = np.where(np.isin(self.columns, columns), -1.0, 1.0)
+    @property
+    def roving_side(self) -> int:
+        """0 where the responses rove, 1 where the references do: the side with more places."""
+        return int(np.argmax([np.unique(places).size for places in self.grid.T]))
+
+    @property
+    def staying(self) -> NDArray[np.int_]:
+        """DOF of each pair on the side with fewer places: the accelerometers of a roving hammer, else the references."""
+        return self.rows if self.roving_side == 1 else self.columns
+
+    def turned(self, dofs: NDArray[np.int_]) -> Pairs:
+        """The pairs with the staying sensors at some DOFs in the opposite sense."""
+        sign = np.where(np.isin(self.staying, dofs), -1.0, 1.0)
         return replace(self, accelerance=self.accelerance * sign[:, None])
 
 

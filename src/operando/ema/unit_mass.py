@@ -49,19 +49,18 @@ class UnitMassShapes:
     chi_square: Real
 
 
-def turned_columns(fit: LinearFit) -> NDArray[np.int_]:
+def turned_dofs(fit: LinearFit) -> NDArray[np.int_]:
     """DOFs whose drive-point residues are mostly negative over the modes: force and accelerometer there have opposite senses.
 
-    Σ R|R|/σ over the modes is judged, so that a certain residue outweighs uncertain ones. Turning the force makes a single reference and a
-    roving test consistent alike: which of the two sensors is wrong the FRFs cannot say.
+    Σ R|R| over the modes is judged, each weighed by its certainty, so that a certain residue outweighs uncertain ones. Which of the two
+    is wrong the FRFs cannot say; one sensor that stays explains all of its pairs, so all of them are turned.
     """
-    out = []
+    out, std = [], residue_std(fit)
     for p in fit.pairs.drive_points:
         value = fit.projection.a[p]
-        std = residue_std(fit)[p]
-        weight = value**2 / (1 + (std / np.maximum(np.abs(value), 1e-300)) ** 2)
+        weight = value**2 / (1 + (std[p] / np.maximum(np.abs(value), 1e-300)) ** 2)
         if np.sum(np.sign(value) * weight) < -NEGATIVE_SHARE * np.sum(weight):
-            out.append(int(fit.pairs.columns[p]))
+            out.append(int(fit.pairs.staying[p]))
     return np.array(out, int)
 
 
@@ -86,7 +85,7 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     Parameters
     ----------
     fit : LinearFit
-        Of pairs whose forces all have the right sense (:func:`turned_columns`).
+        Of pairs that all have the right sense (:func:`turned_dofs`).
     n_dofs : int
         DOFs of the model.
     """
