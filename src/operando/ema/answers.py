@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,27 @@ class LinearModes:
     scaled: NDArray[np.bool_]
     model_error: float
     correlation: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object, one entry a pole."""
+        poles = [
+            {
+                "frequency_hz": float(self.frequencies_hz[k]),
+                "frequency_std_hz": float(self.frequency_std_hz[k]),
+                "damping_ratio": float(self.damping_ratios[k]),
+                "damping_ratio_std": float(self.damping_ratio_std[k]),
+                "scaled": bool(self.scaled[k]),
+                "evidence": e.evidence,
+                "rank_share": e.rank_share,
+                "collinearity": e.collinearity,
+                "dominance": e.dominance,
+                "quadrature": e.quadrature,
+                "drift": e.drift,
+                "doubts": [{"code": code, "reason": reason} for code, reason in e.doubts],
+            }
+            for k, e in enumerate(self.evidence)
+        ]
+        return {"poles": poles, "model_error": self.model_error, "correlated_lines": self.correlation}
 
 
 def linear_modes(fit: LinearFit, evidence: list[Evidence], scaled: NDArray[np.bool_]) -> LinearModes:

@@ -38,6 +38,10 @@ def _idle(results: Results) -> dict[str, Any] | None:
     out: dict[str, Any] = {"modes": [], "residual_modes": 0, "misfit": None, "scaling": None, "band_hz": None}
     if results.idle is not None:
         out |= results.idle.to_dict() | {"band_hz": results.idle.band_hz, "si": results.idle.si, "calls": results.idle.provenance.calls}
+        details = results.idle.details
+        linear = getattr(details, "linear", None)
+        if linear is not None:
+            out |= {"answer": {"used": details.answer, "reason": details.answer_reason}, "linear": linear.to_dict()}
     frf = results.idle_frf
     if frf is not None:
         out["frf"] = {

@@ -94,6 +94,10 @@ def _idle_text(results: Results) -> str:
 def _fit_text(model: ModalModel) -> str:
     """How the fit went: lines used, convergence, the worst DOF, the rounds of the search."""
     details, parts = model.details, []
+    answer, reason = getattr(details, "answer", None), getattr(details, "answer_reason", "")
+    if answer is not None:
+        stage = "the linear stage" if answer == "linear" else "the maximum-likelihood fit that polishes the linear stage"
+        parts.append(f"The modes are those of {stage}: {esc(reason)}.")
     fit_band, fit_misfit = getattr(details, "fit_band_hz", None), getattr(details, "fit_misfit", None)
     if fit_band is not None:
         text = f"The fit used lines in {band_text(fit_band)}"
@@ -112,7 +116,8 @@ def _fit_text(model: ModalModel) -> str:
     if rounds:
         lines = "".join(f"<li>{esc(r)}</li>" for r in rounds)
         out += f"<details><summary>Search for the number of modes ({count(len(rounds), 'step')})</summary><ul>{lines}</ul></details>"
-    return out
+    linear = getattr(details, "linear", None)
+    return out if linear is None else out + tables.evidence_table(linear)
 
 
 def _band(model: ModalModel, results: Results) -> str:

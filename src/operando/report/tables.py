@@ -354,6 +354,35 @@ def rejected_table(rejected: Sequence[Any]) -> str:
     return f"<details{opened}><summary>{len(rows)} candidates rejected: {esc(summary)}</summary>{body}</details>"
 
 
+def evidence_table(linear: Any) -> str:
+    """Poles of the linear stage of the EMA with what speaks for each, and doubts; folded."""
+    rows = [
+        [
+            plus_minus(h, s, factor=1.96),
+            plus_minus(100 * z, 100 * d, factor=1.96),
+            number(e.evidence, 3),
+            fixed(100 * e.rank_share, 1),
+            fixed(e.collinearity, 2),
+            fixed(100 * e.quadrature, 1),
+            fixed(100 * e.drift, 3),
+            esc("; ".join(text for _, text in e.doubts)) or "a mode",
+        ]
+        for h, s, z, d, e in zip(
+            linear.frequencies_hz,
+            linear.frequency_std_hz,
+            linear.damping_ratios,
+            linear.damping_ratio_std,
+            linear.evidence,
+            strict=True,
+        )
+    ]
+    head = ["Frequency [Hz]", "Damping [%]", "Evidence [lines]", "One shape [%]", "Collinearity", "Quadrature [%]", "Drift [%]", "Verdict"]
+    body = table(head, rows, numeric=tuple(range(7)), wide=True)
+    return (
+        f"<details><summary>Evidence of each pole in the linear stage ({len(rows)} poles; ± is the 95 % interval)</summary>{body}</details>"
+    )
+
+
 def alternatives_table(alternatives: Mapping[str, Any], refused: Mapping[str, Any], taken: str | None) -> str:
     """What the other named methods give, as the greatest difference from the one taken; why one was refused."""
     rows = []
