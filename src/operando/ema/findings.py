@@ -86,7 +86,7 @@ def fit_findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, f
         out.append(
             Finding(
                 "misfit",
-                f"the idle model misses held-out lines by {misfit:.3g} times their variance",
+                f"the reduced chi-square of the idle model on lines the fit did not use is {misfit:.3g}",
                 "warning",
                 consequence="noise does not limit this model: real modes, linearity or stationarity fail; intervals are widened",
                 action="look at the misfit by DOF, at complex shapes, and at the level dependence of the FRFs",
@@ -112,7 +112,7 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
         out.append(
             Finding(
                 "mode_drift",
-                f"{_at([h for h, _ in moving])} differ between the pairs by {100 * max(d for _, d in moving):.2g} % in frequency (rms)",
+                f"the frequency of {_at([h for h, _ in moving])} differs between the pairs, by up to {100 * max(d for _, d in moving):.2g} % rms",
                 "info",
                 band_hz=(min(h for h, _ in moving), max(h for h, _ in moving)),
                 consequence="each pair has its own small shift in the fit; the frequency stated is the mean",

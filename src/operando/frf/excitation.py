@@ -15,7 +15,7 @@ from operando.frf.hits import is_impact
 from operando.frf.inputs import RunInput
 from operando.frf.periodic import ALIKE, FREEDOM, LEAST_LINES, PeriodicFrf, SteadyPeriods, periodic_frf, steady_periods
 from operando.frf.rational import smooth
-from operando.frf.runs import RunEstimate, coherence_of, same_references
+from operando.frf.runs import RunEstimate, by_references, coherence_of, same_references
 
 Array = NDArray[Any]
 
@@ -229,14 +229,7 @@ def on_common_lines(estimates: Sequence[RunEstimate]) -> list[RunEstimate]:
         If fewer than half of the lines of the reference with the fewest are common to all.
     """
     axes: list[Array] = []
-    groups: list[list[RunEstimate]] = []
-    for run in estimates:
-        for group in groups:
-            if same_references(group[0], run):
-                group.append(run)
-                break
-        else:
-            groups.append([run])
+    groups = by_references(estimates)
     spacing = min(float(np.min(np.diff(e.frequencies_hz))) for e in estimates)
     key = lambda hz: np.rint(np.asarray(hz) / (1e-3 * spacing)).astype(np.int64)  # noqa: E731
     names = {int(k): float(v) for e in estimates for k, v in zip(key(e.frequencies_hz), e.frequencies_hz, strict=True)}

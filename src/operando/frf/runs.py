@@ -60,6 +60,19 @@ class RunEstimate:
     provenance: Provenance = field(default_factory=Provenance)
 
 
+def by_references(runs: Sequence[RunEstimate]) -> list[list[RunEstimate]]:
+    """The runs in groups of the same references."""
+    groups: list[list[RunEstimate]] = []
+    for run in runs:
+        for group in groups:
+            if same_references(group[0], run):
+                group.append(run)
+                break
+        else:
+            groups.append([run])
+    return groups
+
+
 def same_references(first: RunEstimate, second: RunEstimate) -> bool:
     """Whether two runs excite the same DOFs, in whatever sense and order."""
     key = lambda run: {(d.node, d.axis) for d in run.references}  # noqa: E731
@@ -222,15 +235,7 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
     if any(r.frequencies_hz.shape != axis.shape or not np.allclose(r.frequencies_hz, axis) for r in runs[1:]):
         raise DataError("the runs do not have the same frequency lines", hint="use the same sampling rate and block length for all runs")
     findings: list[Finding] = []
-    groups: list[list[RunEstimate]] = []
-    for run in runs:
-        for group in groups:
-            if same_references(group[0], run):
-                group.append(run)
-                break
-        else:
-            groups.append([run])
-    kept = [merge_group(group, findings) for group in groups]
+    kept = [merge_group(group, findings) for group in by_references(runs)]
     columns: list[Dof] = []
     for run in kept:
         columns += [d for d in run.references if not any(d.same_axis(c) for c in columns)]

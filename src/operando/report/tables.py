@@ -358,8 +358,8 @@ def evidence_table(linear: Any) -> str:
     """Poles of the linear stage of the EMA with what speaks for each, and doubts; folded."""
     rows = [
         [
-            plus_minus(h, s, factor=1.96),
-            plus_minus(100 * z, 100 * d, factor=1.96),
+            plus_minus(h, s),
+            plus_minus(100 * z, 100 * d),
             number(e.evidence, 3),
             fixed(100 * e.rank_share, 1),
             fixed(e.collinearity, 2),
@@ -378,9 +378,8 @@ def evidence_table(linear: Any) -> str:
     ]
     head = ["Frequency [Hz]", "Damping [%]", "Evidence [lines]", "One shape [%]", "Collinearity", "Quadrature [%]", "Drift [%]", "Verdict"]
     body = table(head, rows, numeric=tuple(range(7)), wide=True)
-    return (
-        f"<details><summary>Evidence of each pole in the linear stage ({len(rows)} poles; ± is the 95 % interval)</summary>{body}</details>"
-    )
+    title = f"Evidence of each pole in the linear stage ({len(rows)} poles; ± is one standard deviation)"
+    return f"<details><summary>{title}</summary>{body}</details>"
 
 
 def alternatives_table(alternatives: Mapping[str, Any], refused: Mapping[str, Any], taken: str | None) -> str:
