@@ -112,7 +112,8 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
         out.append(
             Finding(
                 "mode_drift",
-                f"the frequency of {_at([h for h, _ in moving])} differs between the pairs, by up to {100 * max(d for _, d in moving):.2g} % rms",
+                f"the frequency of {_at([h for h, _ in moving])} differs between the pairs, "
+                f"by up to {100 * max(d for _, d in moving):.2g} % rms",
                 "info",
                 band_hz=(min(h for h, _ in moving), max(h for h, _ in moving)),
                 consequence="each pair has its own small shift in the fit; the frequency stated is the mean",
