@@ -51,7 +51,9 @@ def modes_by_hand(
     n = automatic.n_modes
     doubtful = _doubtful_terms(automatic)
     known = [(float(terms.frequencies_hz[i]), float(terms.damping_ratios[i]), i) for i in (*range(n), *doubtful)]
-    pool = known + [(c.frequency_hz, c.damping_ratio, -1) for c in details.candidates]
+    # a candidate within a few half bandwidths of a pole that the answer has is that pole, less exactly
+    apart = lambda c: all(abs(c.frequency_hz - h) > NEAR_WIDTHS * z * h for h, z, _ in known)  # noqa: E731
+    pool = known + [(c.frequency_hz, c.damping_ratio, -1) for c in details.candidates if apart(c)]
     chosen = [] if modes_hz else known[:n]
     for wanted in (*modes_hz, *select_hz):
         near = _nearest(pool, wanted)
