@@ -17,7 +17,7 @@ from operando.ema.candidates import Candidate, candidate_poles, stabilization_di
 from operando.ema.choose import ChoiceLog, choose_modes
 from operando.ema.doubts import judge_modes
 from operando.ema.findings import fit_findings, linear_findings, quantity_finding, turned_finding
-from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear
+from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
 from operando.ema.order import OrderLog
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
@@ -381,6 +381,9 @@ def _polish_wanted(job: _Job, fit: LinearFit) -> tuple[bool, str]:
         return False, "the FRFs come without coherence: their noise is not known well enough to weigh every line by it"
     if not fit.noise_limited:
         return False, f"the model error is {error}: a likelihood of noise alone would bend the modes"
+    if fit.shift_error > NOISE_LIMITED:
+        shift = f"{100 * fit.shift_error:.2g} % of a half bandwidth"
+        return False, f"modes differ between the pairs by {shift}: poles common to all would err by as much of the FRF at a resonance"
     return True, f"noise limits the fit (model error {error})"
 
 

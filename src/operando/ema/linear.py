@@ -66,6 +66,13 @@ class LinearFit:
         return self.model_error < NOISE_LIMITED
 
     @property
+    def shift_error(self) -> float:
+        """Largest error that poles common to all pairs would make at a resonance, as a share of the FRF: rms shift over ζ."""
+        power = self.projection.a**2 + self.projection.b**2
+        squares = np.sum(power * self.projection.shift**2, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        return float(np.max(np.sqrt(squares) / self.poles.zeta, initial=0.0))
+
+    @property
     def frequency_std_hz(self) -> Real:
         """Standard deviations [Hz]."""
         return np.asarray(self.poles.hz * np.sqrt(np.diag(self.covariance)[: self.n_modes]))
