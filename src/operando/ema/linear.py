@@ -219,7 +219,6 @@ def _sorted(fit: LinearFit) -> LinearFit:
         evidence=p.evidence[:, k],
         a_std=p.a_std[:, k],
         slope=p.slope[:, k][:, :, both],
-        shift_known=p.shift_known[:, k],
         spread_sums=p.spread_sums[:, k],
     )
     return replace(fit, poles=fit.poles.take(k), projection=projection, covariance=fit.covariance[np.ix_(both, both)])

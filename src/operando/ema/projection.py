@@ -78,8 +78,6 @@ class Projection:
         Standard deviation of a at known poles.
     slope : (P, n, 2n) array
         ∂a/∂(ln f, ln ζ).
-    shift_known : (P, n) array
-        γ of the shifts: 1 − posterior/prior variance, how far the pair itself tells its shift.
     spread_sums : (4, n) array
         Σγ(b/amplitude)², Σγ², Σγδ², Σγ² over the pairs, with γ = 1 − posterior/prior variance.
     """
@@ -96,7 +94,6 @@ class Projection:
     evidence: Real
     a_std: Real
     slope: Real
-    shift_known: Real
     spread_sums: Real
 
     @property
@@ -188,10 +185,10 @@ def project(
         rows = slice(start, start + CHUNK)
         before = None if previous is None or amplitude is None else (previous[0][rows], amplitude[rows])
         parts.append(_solve(pairs.accelerance[rows], variance[rows], columns, stack, poles, before))
-    gather = [np.concatenate([p[k] for p in parts]) for k in range(12)]
-    cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope, known = gather
-    normal, sums = np.sum([p[12] for p in parts], axis=0), np.sum([p[13] for p in parts], axis=0)
-    return Projection(cost, a, b, shift, shifted, tails, error, normal, gradient, evidence, a_std, slope, known, sums)
+    gather = [np.concatenate([p[k] for p in parts]) for k in range(11)]
+    cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope = gather
+    normal, sums = np.sum([p[11] for p in parts], axis=0), np.sum([p[12] for p in parts], axis=0)
+    return Projection(cost, a, b, shift, shifted, tails, error, normal, gradient, evidence, a_std, slope, sums)
 
 
 def updated_spreads(poles: Poles, sums: Real, most_quadrature: float) -> Poles:
@@ -282,13 +279,13 @@ def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles
     evidence = (q * u**2 - 2 * m * u * v + p * v**2) / np.maximum(p * q - m**2, 1e-300)
     a_std = np.sqrt(0.5 * p) / scale[:, :n]
     slope = -solved[:, :n, :] / scale[:, :n, None]
-    sums, known_shift = np.zeros((4, n)), np.zeros_like(a)
+    sums = np.zeros((4, n))
     if before is not None:
         known = np.clip(1 - 0.5 * q / scale[:, j] ** 2 / spread_b**2, 0, 1)
         sums[:2] = np.sum(known * (b / before[1]) ** 2, axis=0), np.sum(known**2, axis=0)
-        known_shift = np.clip(1 - 0.5 * posterior[:, core:] / scale[:, core:] ** 2 / poles.drift**2, 0, 1)
-        sums[2:] = np.sum(known_shift * shift**2, axis=0), np.sum(known_shift**2, axis=0)
-    return cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope, known_shift, normal, sums
+        known = np.clip(1 - 0.5 * posterior[:, core:] / scale[:, core:] ** 2 / poles.drift**2, 0, 1)
+        sums[2:] = np.sum(known * shift**2, axis=0), np.sum(known**2, axis=0)
+    return cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope, normal, sums
 
 
 def search_poles(
