@@ -72,11 +72,13 @@ def drift(rng: np.random.Generator, hits: int, pairs: int, faults: Faults) -> np
 
 @dataclass
 class Measured:
-    """FRFs (sensors, hits, lines), the noise amplitude (sensors, hits, lines) and the drifted frequencies (hits, pairs) in Hz."""
+    """FRFs (sensors, hits, lines), the noise amplitude (sensors, hits, lines), the drifted frequencies (hits, pairs) in Hz, and the rows
+    of the structure (hits, DOFs) where the hits fell (a hit in a wrong direction: its point)."""
 
     data: np.ndarray
     noise: np.ndarray
     frequencies: np.ndarray
+    hit_rows: np.ndarray
 
 
 def measure(
@@ -87,9 +89,12 @@ def measure(
     outputs = structure.rows(sensors)
     moved = drift(rng, len(hits), len(modal.oscillating), faults)
     data = np.empty((len(sensors), len(hits), len(hz)), complex)
+    struck = structure.rows(hits).copy()
     for j, hit in enumerate(hits):
         kind, factor = faults.wrong_hits.get(j, ("", 1.0))
         row = structure.tilted(hit) if kind == "direction" else structure.beside(hit, faults.hit_miss * rng.standard_normal(3))
+        if kind != "direction":
+            struck[j] = row
         gain = (1 + faults.hit_gain * rng.standard_normal()) * factor
         data[:, j] = gain * modal.accelerance(hz, outputs, row[None], modal.shifted(moved[j]))[:, 0]
     rms = np.sqrt((np.abs(data) ** 2).mean(axis=2, keepdims=True))
@@ -101,7 +106,7 @@ def measure(
     data = data + noise / np.sqrt(2) * (rng.standard_normal(data.shape) + 1j * rng.standard_normal(data.shape))
     if faults.opposite:
         data = -data
-    return Measured(data, np.broadcast_to(noise, data.shape), modal.frequencies * (1 + moved))
+    return Measured(data, np.broadcast_to(noise, data.shape), modal.frequencies * (1 + moved), struck)
 
 
 def channel_gain(rng: np.random.Generator, hz: np.ndarray, channels: int, faults: Faults) -> np.ndarray:
@@ -234,7 +239,7 @@ def write(
 
 def _answer(structure: Structure, sensors, hits, hz, measured: Measured, faults: Faults) -> dict[str, object]:
     modal = structure.modal
-    outputs, inputs = structure.rows(sensors), structure.rows(hits)
+    outputs, inputs = structure.rows(sensors), measured.hit_rows
     pairs = len(modal.oscillating)
     frequencies = modal.frequencies
     nearest = np.abs(hz[:, None] - frequencies[None]).argmin(axis=0)
@@ -244,6 +249,8 @@ def _answer(structure: Structure, sensors, hits, hz, measured: Measured, faults:
     power = np.einsum("rrp->rp", np.abs(amount) ** 2).reshape(pairs, len(sensors), len(hits)).sum(axis=1)  # (pairs, hits)
     weighted = (power * measured.frequencies.T).sum(axis=1) / power.sum(axis=1)
     dofs = list(dict.fromkeys([*hits, *sensors]))
+    struck = {point: row for point, row in zip(hits, measured.hit_rows, strict=True) if point not in sensors}
+    rows = np.array([struck.get(point, at) for point, at in zip(dofs, structure.rows(dofs), strict=True)])
     return answer(
         structure,
         dofs,
@@ -251,6 +258,7 @@ def _answer(structure: Structure, sensors, hits, hz, measured: Measured, faults:
         reasons,
         frequencies=weighted,
         plain=measured.frequencies.mean(axis=0),
+        hit_rows=rows,
         state="idle",
         references=[p.name for p in sensors],
         scaled=True,

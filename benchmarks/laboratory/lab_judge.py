@@ -46,6 +46,12 @@ def mac(first: dict[str, complex], second: dict[str, complex]) -> float:
     return float(abs(np.vdot(a, b)) ** 2 / size) if size else 0.0
 
 
+def _seen(mode: dict[str, Any]) -> dict[str, Any]:
+    """Shape that the measurement holds: at the places that were hit, where the answer has it."""
+    shape: dict[str, Any] = mode.get("shape_as_hit") or mode["shape"]
+    return shape
+
+
 def _tolerance(mode: dict[str, Any]) -> float:
     hz = mode["frequency_hz"]
     return max(FREQUENCY_TOLERANCE * hz, WIDTHS * mode["damping_ratio"] * hz)
@@ -56,7 +62,7 @@ def _match(true: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]) -> t
     distance = np.array([[abs(f["frequency_hz"] - t["frequency_hz"]) / _tolerance(t) for t in true] for f in found]).reshape(
         len(found), len(true)
     )
-    alike = np.array([[mac(shape_of(t["shape"]), shape_of(f["shape"])) for t in true] for f in found]).reshape(len(found), len(true))
+    alike = np.array([[mac(shape_of(_seen(t)), shape_of(f["shape"])) for t in true] for f in found]).reshape(len(found), len(true))
     allowed = (distance <= 1) & (alike > LEAST_MAC)
     rows, columns = linear_sum_assignment(np.where(allowed, distance + 1 - alike, 1e3))
     return {int(i): int(j) for i, j in zip(rows, columns, strict=True) if allowed[i, j]}, distance, alike
@@ -104,6 +110,7 @@ def judge(truth: dict[str, Any], summary: dict[str, Any] | None) -> dict[str, An
 def _errors(true: dict[str, Any], found: dict[str, Any], likeness: float) -> dict[str, Any]:
     """Errors of one mode; ``scale_error`` is that of the residue at the sensors together, as a share of it."""
     out: dict[str, Any] = {"hz": round(true["frequency_hz"], 4), "mac": round(likeness, 4)}
+    out["mac_at_points"] = round(mac(shape_of(true["shape"]), shape_of(found["shape"])), 4)
     truths = {"frequency": true["frequency_hz"], "damping": true["damping_ratio"]}
     values = {"frequency": found["frequency_hz"], "damping": found["damping_ratio"]}
     sigmas = {"frequency": found.get("frequency_std_hz"), "damping": found.get("damping_ratio_std")}
@@ -113,7 +120,7 @@ def _errors(true: dict[str, Any], found: dict[str, Any], likeness: float) -> dic
         out[f"{name}_z"] = None if not sigmas[name] or not true.get("intervals", True) else float(f"{error / sigmas[name]:.4g}")
     if "frequency_plain_mean_hz" in true and sigmas["frequency"] and true.get("intervals", True):
         out["frequency_plain_z"] = float(f"{(found['frequency_hz'] - true['frequency_plain_mean_hz']) / sigmas['frequency']:.4g}")
-    a, b = shape_of(true["shape"]), shape_of(found["shape"])
+    a, b = shape_of(_seen(true)), shape_of(found["shape"])
     common = sorted(a.keys() & b.keys())
     t, e = np.array([a[d] for d in common]), np.array([b[d] for d in common])
     size = np.vdot(t, t).real
@@ -152,6 +159,8 @@ def together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     out["found_but_flagged"] = sum(r["found_but_flagged"] for r in done)
     out["not_counted"] = sum(r["not_counted"] for r in rows)
     out["invented"] = _share(sum(r["invented"] for r in done), sum(r["reported"] for r in done))
+    # a hit beside its point sees another shape: found, but not the shape at the points
+    out["other_shape_at_points"] = sum(m["mac_at_points"] <= LEAST_MAC for m in modes)
     for name in ("frequency", "frequency_plain", "damping"):
         z = [m.get(f"{name}_z") for m in modes]
         out[f"{name}_coverage"] = _share(sum(v is not None and abs(v) <= WITHIN for v in z), sum(v is not None for v in z))
@@ -169,13 +178,21 @@ def together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def table(groups: dict[str, dict[str, Any]]) -> str:
     """Markdown."""
-    head = ["kind", "cases", "not finished", "found", "of finished", "invented"]
+    head = ["kind", "cases", "not finished", "found", "of finished", "of these another shape at the points", "invented"]
     head += ["f in 95 % (median error/σ)", "ζ in 95 % (median error/σ)", "error of f, median, max", "error of ζ, median, max"]
     head += ["DOFs in shapes", "scaled", "error of residues, median, max", "CPU s, median, max", "MB, max"]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for name, g in groups.items():
         bad = ", ".join(f"{n} {what}" for what, n in g["outcomes"].items() if what != "done") or "–"
-        cells = [name, str(g["cases"]), bad, _percent(g["found"]), _percent(g["found_where_finished"]), _percent(g["invented"])]
+        cells = [
+            name,
+            str(g["cases"]),
+            bad,
+            _percent(g["found"]),
+            _percent(g["found_where_finished"]),
+            str(g["other_shape_at_points"]),
+            _percent(g["invented"]),
+        ]
         cells += [_coverage(g, "frequency"), _coverage(g, "damping")]
         cells += [_pair(g["frequency_error"], 100, " %"), _pair(g["damping_error"], 100, " %")]
         scaled = g["scaled"]

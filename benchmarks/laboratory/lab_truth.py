@@ -37,13 +37,18 @@ def answer(
     *,
     frequencies: np.ndarray | None = None,
     plain: np.ndarray | None = None,
+    hit_rows: np.ndarray | None = None,
     **more: object,
 ) -> dict[str, object]:
-    """The JSON document. Where modes drift, ``frequencies`` (pairs,) are means over the test weighted by power, ``plain`` unweighted."""
+    """The JSON document. Where modes drift, ``frequencies`` (pairs,) are means over the test weighted by power, ``plain`` unweighted.
+
+    With ``hit_rows`` (DOFs, of the structure) each mode also has the shape at the places that were hit, ``shape_as_hit``.
+    """
     modal = structure.modal
     hz = modal.frequencies if frequencies is None else frequencies
     even = hz if plain is None else plain
     shapes = structure.rows(list(dofs)) @ modal.shapes
+    as_hit = None if hit_rows is None else hit_rows @ modal.shapes
     low, high = structure.band
     chosen = set(structure.in_band.tolist())
     modes = []
@@ -59,4 +64,6 @@ def answer(
                 "shape": {p.name: [float(v.real), float(v.imag)] for p, v in zip(dofs, shapes[:, r], strict=True)},
             }
         )
+        if as_hit is not None:
+            modes[-1]["shape_as_hit"] = {p.name: [float(v.real), float(v.imag)] for p, v in zip(dofs, as_hit[:, r], strict=True)}
     return {"schema": "laboratory/truth/1", "structure": structure.kind, "band_hz": list(structure.band), **more, "modes": modes}

@@ -17,7 +17,7 @@ from operando.ema.pairs import Pairs, Real
 from operando.ema.polish import Polished
 from operando.ema.polish_model import Parameters
 from operando.ema.polished import PolishedAnswer
-from operando.ema.projection import synthesis, tail_columns
+from operando.ema.projection import tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
 from operando.ema.unit_mass import UnitMassShapes
@@ -261,13 +261,11 @@ def heldout_misfit(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_do
     used = pairs.lines((np.isin(f, thin) | (number % 3 == 0)) & ~held)
     if used.frequencies_hz.size < 8 or not held.any():
         return float("nan"), np.full(n_dofs, np.nan)
-    again = fit_linear(used, fit.poles, fit.ends_hz, residues=fit.projection.residues, rounds=2)
+    again = fit_linear(used, fit.poles, fit.ends_hz, start=fit.projection.coefficients, rounds=2)
     judged = pairs.lines(held & (f >= band[0]) & (f <= band[1]))
     if not judged.frequencies_hz.size:
         return float("nan"), np.full(n_dofs, np.nan)
-    error = np.abs(judged.accelerance - synthesis(judged, again.poles, again.projection, again.ends_hz)) ** 2 / (
-        again.variance.kappa[:, None] * judged.noise
-    )
+    error = np.abs(judged.accelerance - again.on_lines(judged)) ** 2 / (again.variance.kappa[:, None] * judged.noise)
     by_pair = error.mean(axis=1)
     by_row = np.full(n_dofs, np.nan)
     for row in np.unique(pairs.rows):

@@ -13,13 +13,14 @@ from operando.ema.discrepancy import line_correlation
 from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear, keep_modes
 from operando.ema.pairs import Pairs, Real, informative_lines
 from operando.ema.polish_model import kernels
-from operando.ema.projection import Poles, basis
+from operando.ema.projection import CURVED_SHARE, Poles, basis, shift_curvature
 from operando.errors import IdentificationError
 from operando.frf.leakage import lowest_towards_higher
 from operando.stabilization import RejectedPole
 
 MAX_ROUNDS = 14
 SEARCH_ROUNDS = 9
+SETTLE_ROUNDS = 10
 
 MAX_LOG_DAMPING_STD = 0.5
 """A damping ratio unknown to half of itself determines no mode."""
@@ -110,12 +111,13 @@ def choose_modes(
         fit = _with_mode(fit, *new)
     if fit.n_modes == 0:
         raise IdentificationError("no mode is left that the FRFs speak for", hint="widen the band, or check the FRFs")
-    return fit, log
+    settled = fit.projection.coefficients
+    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=settled, before=fit.variance, rounds=SETTLE_ROUNDS), log
 
 
 def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:
-    poles, residues = keep_modes(fit, keep)
-    return fit_linear(fit.pairs, poles, fit.ends_hz, residues=residues, before=fit.variance)
+    poles, start = keep_modes(fit, keep)
+    return fit_linear(fit.pairs, poles, fit.ends_hz, start=start, before=fit.variance, rounds=2)
 
 
 def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
@@ -126,7 +128,8 @@ def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
         np.insert(poles.quadrature, at, float(np.median(poles.quadrature))),
         np.insert(poles.drift, at, float(np.median(poles.drift))),
     )
-    return fit_linear(fit.pairs, grown, fit.ends_hz)
+    a, b, shift = (np.insert(values, at, 0.0, axis=1) for values in fit.projection.coefficients)
+    return fit_linear(fit.pairs, grown, fit.ends_hz, start=(a, b, shift), before=fit.variance, rounds=2)
 
 
 def poor_poles(fit: LinearFit) -> list[tuple[int, str, str]]:
@@ -223,18 +226,18 @@ def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], log: ChoiceLo
         if (gap[k] > NEAR_WIDTHS and not twin) or key in asked:
             continue
         asked.append(key)
-        one, loss, own = _merged(fit, int(k))
-        if loss < fit.penalty() or (twin and loss < TWIN_SHARE * own):
+        one, loss, evidence = _merged(fit, int(k))
+        if loss < fit.penalty() or (twin and loss < TWIN_SHARE * evidence):
             extra = "" if loss < fit.penalty() else ", of one shape: a mode that moves between rows or bends with level"
             reason = f"one mode with {hz[k]:.5g} Hz explains both{extra}"
             log.rejected.append(RejectedPole(float(hz[k + 1]), float(zeta[k + 1]), "twin", reason))
-            log.rounds.append(f"one for two: {hz[k]:.5g} and {hz[k + 1]:.5g} Hz (loss {loss:.3g}, evidence {own:.3g})")
-            poles, (a, b) = keep_modes(fit, np.setdiff1d(np.arange(n), [k + 1]))
+            log.rounds.append(f"one for two: {hz[k]:.5g} and {hz[k + 1]:.5g} Hz (loss {loss:.3g}, evidence {evidence:.3g})")
+            poles, start = keep_modes(fit, np.setdiff1d(np.arange(n), [k + 1]))
             poles = replace(poles, hz=poles.hz.copy(), zeta=poles.zeta.copy(), drift=poles.drift.copy())
             poles.hz[k], poles.zeta[k], poles.drift[k] = one.poles.hz[0], one.poles.zeta[0], one.poles.drift[0]
-            a, b = a.copy(), b.copy()
-            a[:, k], b[:, k] = one.projection.a[:, 0], one.projection.b[:, 0]
-            return fit_linear(fit.pairs, poles, fit.ends_hz, residues=(a, b), before=fit.variance)
+            for values, own in zip(start, one.projection.coefficients, strict=True):
+                values[:, k] = own[:, 0]
+            return fit_linear(fit.pairs, poles, fit.ends_hz, start=start, before=fit.variance, rounds=2)
     return None
 
 
@@ -243,32 +246,38 @@ def _merged(fit: LinearFit, k: int) -> tuple[LinearFit, float, float]:
 
     Asked on the lines around the two, with what the other modes add taken off: the tails follow what these would still adapt.
     """
-    pair = np.array([k, k + 1])
+    pair, n = np.array([k, k + 1]), fit.n_modes
     hz, zeta = fit.poles.hz[pair], fit.poles.zeta[pair]
     f = fit.pairs.frequencies_hz
     reach = LOCAL_WIDTHS * float(np.max(zeta * hz)) + hz[1] - hz[0]
     near = np.abs(f - hz.mean()) < reach
     if near.sum() < 4 * N_TAILS:
         near = np.isin(np.arange(f.size), np.argsort(np.abs(f - hz.mean()))[: 4 * N_TAILS])
-    poles, residues = keep_modes(fit, pair)
-    g, h, gf = (column[:, near] for column in basis(f, poles, fit.pairs.window_rate)[:3])
-    own = residues[0] @ g + residues[1] @ h + fit.projection.shifted[:, pair] @ gf
+    poles, start = keep_modes(fit, pair)
+    g, h, gf, hf = (column[:, near] for column in basis(f, poles, fit.pairs.window_rate)[:4])
+    both = np.concatenate([pair, n + pair])
+    own = start[0] @ g + start[1] @ h + fit.projection.shifted[:, both] @ np.concatenate([gf, hf])
+    own += shift_curvature(f[near], poles, start, fit.pairs.window_rate, CURVED_SHARE * fit.model_error)
     part = fit.pairs.lines(near)
     part = replace(part, accelerance=fit.projection.error[:, near] + own)
     ends = float(part.frequencies_hz[0]), float(part.frequencies_hz[-1])
     hold = replace(fit.variance, total=fit.variance.total[:, near])
-    two = fit_linear(part, poles, ends, residues=residues, rounds=1, hold=hold)
+    two = fit_linear(part, poles, ends, start=start, rounds=1, hold=hold)
     share = fit.projection.evidence[:, pair].sum(axis=0)
     share = share / share.sum()
+    # a mode that moves by what the two are apart
+    drift = max(float(poles.drift.max()), float(0.5 * (hz[1] - hz[0]) / hz.mean()))
+    by_pair = start[0] ** 2 + start[1] ** 2
+    centre = by_pair @ hz / np.maximum(by_pair.sum(axis=1), 1e-300) / (share @ hz) - 1
+    strong = int(np.argmax(share))
     ones = []
-    for weight in (share, np.eye(2)[int(np.argmax(share))]):
-        start = Poles(
-            np.array([weight @ hz]), np.array([weight @ zeta]), poles.quadrature.max(keepdims=True), poles.drift.max(keepdims=True)
-        )
-        together = (residues[0] @ (weight > 0)[:, None], residues[1] @ (weight > 0)[:, None])
-        ones.append(fit_linear(part, start, ends, residues=together, rounds=2, steps=5, hold=hold))
+    for weight, shift in ((share, centre), (np.eye(2)[strong], start[2][:, strong])):
+        pole = Poles(np.array([weight @ hz]), np.array([weight @ zeta]), poles.quadrature.max(keepdims=True), np.array([drift]))
+        a, b = (values @ (weight > 0)[:, None] for values in start[:2])
+        ones.append(fit_linear(part, pole, ends, start=(a, b, shift[:, None]), rounds=6, steps=2, hold=hold))
     best = min(ones, key=lambda one: float(one.projection.cost.sum()))
     loss = float(best.projection.cost.sum() - two.projection.cost.sum()) / fit.correlation
+    loss += fit.projection.a.shape[0] * np.log(drift / float(poles.drift.max()))  # of the wider prior
     evidence = float(best.projection.evidence.sum()) / fit.correlation
     return best, loss, evidence
 

@@ -266,7 +266,7 @@ def _answer(
     turned = turned_dofs(fit)
     if turned.size:
         pairs = pairs.turned(turned)
-        fit = fit_linear(fit.pairs.turned(turned), fit.poles, fit.ends_hz, before=fit.variance, rounds=1)
+        fit = fit.turned(turned)
     evidence = judge_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, evidence, mass.scaled)
@@ -452,7 +452,7 @@ def _exactly(job: _Job) -> AddModes:
         fit = fit_linear(pairs.lines(informative_lines(pairs.frequencies_hz, hz, zeta)), poles, ends, rounds=3)
         turned = turned_dofs(fit)
         if turned.size:
-            fit = fit_linear(fit.pairs.turned(turned), fit.poles, ends, before=fit.variance, rounds=1)
+            fit = fit.turned(turned)
         return fit, unit_mass_shapes(fit, len(job.dofs))
 
     return add

@@ -9,8 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.discrepancy import Variance, fit_variance, line_correlation
-from operando.ema.pairs import Pairs, Real
-from operando.ema.projection import QUADRATURE_FREE, QUADRATURE_MOST, Poles, Projection, modal_power, project, search_poles, updated_spreads
+from operando.ema.pairs import Complex, Pairs, Real
+from operando.ema.projection import (
+    CURVED_SHARE,
+    QUADRATURE_FREE,
+    QUADRATURE_MOST,
+    Coefficients,
+    Poles,
+    Projection,
+    modal_power,
+    project,
+    search_poles,
+    shift_curvature,
+    synthesis,
+    updated_spreads,
+)
 
 MAX_DAMPING = 0.15
 NOISE_LIMITED = 0.01
@@ -18,6 +31,9 @@ NOISE_LIMITED = 0.01
 
 FEW_PLACES = 24
 """Below so many places the scatter between them tells too little: the larger of the two covariances counts."""
+
+SETTLED = 1e-4
+"""A fit has settled where a round moves poles and shifts by less than a hundredth of the standard deviation of a line, in the mean."""
 
 START_SHARE = 0.05
 """Error of the first fit, as a share of the FRF, before there are residuals to estimate it from."""
@@ -104,7 +120,29 @@ class LinearFit:
         count = self.pairs.accelerance.shape[0] if pairs is None else pairs
         return float(modes * 0.5 * (2 * count + 2) * np.log(self.information_lines))
 
-    def residues(self) -> NDArray[np.complex128]:
+    def on_lines(self, pairs: Pairs) -> Complex:
+        """FRFs of the fitted pairs on the lines of ``pairs``, (P, L)."""
+        linear = synthesis(pairs, self.poles, self.projection, self.ends_hz)
+        least = CURVED_SHARE * self.model_error
+        return linear + shift_curvature(pairs.frequencies_hz, self.poles, self.projection.coefficients, pairs.window_rate, least)
+
+    def turned(self, dofs: NDArray[np.int_]) -> LinearFit:
+        """The fit with the staying sensors at some DOFs in the opposite sense."""
+        sign = np.where(np.isin(self.pairs.staying, dofs), -1.0, 1.0)[:, None]
+        p = self.projection
+        projection = replace(
+            p,
+            a=sign * p.a,
+            b=sign * p.b,
+            shifted=sign * p.shifted,
+            curvature=sign * p.curvature,
+            tails=sign * p.tails,
+            error=sign * p.error,
+            slope=sign[..., None] * p.slope,
+        )
+        return replace(self, pairs=self.pairs.turned(dofs), projection=projection)
+
+    def residues(self) -> Complex:
         """a + ib, (P, n)."""
         return np.asarray(self.projection.a + 1j * self.projection.b)
 
@@ -114,7 +152,7 @@ def fit_linear(
     poles: Poles,
     ends_hz: tuple[float, float],
     *,
-    residues: tuple[Real, Real] | None = None,
+    start: Coefficients | None = None,
     rounds: int = 3,
     steps: int = 3,
     before: Variance | None = None,
@@ -128,8 +166,8 @@ def fit_linear(
     poles : Poles
         Start, by rising frequency.
     ends_hz : (float, float)
-    residues : (a, b), optional
-        From a fit of nearly the same poles.
+    start : (a, b, δ), optional
+        From a fit of nearly the same poles; 0 for a mode that is new.
     rounds, steps : int
         Estimates of the variance, and steps on the poles after each.
     before : Variance, optional
@@ -139,17 +177,23 @@ def fit_linear(
     """
     known = hold or before
     first = pairs.noise + START_SHARE**2 * np.abs(pairs.accelerance) ** 2 if known is None else known.total
-    now = project(pairs, poles, first, residues, ends_hz)
+    least = np.inf if known is None else CURVED_SHARE * float(np.median(known.alpha))
+    now = project(pairs, poles, first, start, ends_hz, least)
     for number in range(rounds):
         variance = hold or fit_variance(now.error, modal_power(pairs, poles, now, ends_hz), pairs.noise, pairs.noise_known)
+        least = CURVED_SHARE * float(np.median(variance.alpha))
         if number and hold is None:
             # with a large model error a phase is soon bought; without it what is measured counts, as of modes of local dampers
             free = float(np.median(variance.alpha)) < NOISE_LIMITED
             poles = updated_spreads(poles, now.spread_sums, QUADRATURE_FREE if free else QUADRATURE_MOST)
-        poles, now, moved = search_poles(pairs, poles, variance.total, now.residues, ends_hz, steps=steps, max_damping=MAX_DAMPING)
-        if moved < 2e-3 and number >= 2:
+        last = now.curvature
+        poles, now, fall = search_poles(
+            pairs, poles, variance.total, now.coefficients, ends_hz, steps=steps, max_damping=MAX_DAMPING, least=least
+        )
+        bent = float(np.sum(np.abs(now.curvature - last) ** 2 / variance.total))
+        if number >= 2 and max(fall, bent) < SETTLED * last.size:
             break
-    now = project(pairs, poles, variance.total, now.residues, ends_hz, exact=True)
+    now = project(pairs, poles, variance.total, now.coefficients, ends_hz, least)
     nu = line_correlation(now.error, variance.total)
     return _sorted(LinearFit(pairs, poles, now, variance, _covariance(pairs, now, nu), nu, ends_hz))
 
@@ -157,8 +201,9 @@ def fit_linear(
 def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
     """Cluster sandwich (Liang & Zeger, Biometrika 73, 1986, 13–22): all pairs of one roving place are a cluster.
 
-    One hit, or one mounting of the sensors, is behind them all. With few clusters the covariance of ν correlated lines counts where it is
-    larger.
+    One hit, or one mounting of the sensors, is behind them all. What is stated is the mean over the places that were measured: a slow trend
+    from place to place, in the order of the file, is no error of it, so successive differences stand for the scatter (von Neumann, Ann.
+    Math. Stat. 12, 1941, 367–395). With few clusters the covariance of ν correlated lines counts where it is larger.
     """
     inverse = _inverse(projection.normal)
     naive = 0.5 * nu * inverse
@@ -168,18 +213,21 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
         return np.asarray(naive)
     gradient = np.zeros((count, projection.gradient.shape[1]))
     np.add.at(gradient, place, projection.gradient)
-    own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
-    return _raised(own, np.diag(naive)) if count < FEW_PLACES else own
+    if count < FEW_PLACES:
+        own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
+        return _raised(own, np.diag(naive))
+    steps = np.diff(gradient, axis=0)
+    return np.asarray(inverse @ (steps.T @ steps) @ inverse * 0.5 * count / (count - 1))
 
 
 def stated_covariance(fit: LinearFit) -> Real:
-    """Covariance of [ln f, ln ζ] to be stated: that of the fit, and what a drift does to the damping.
+    """Covariance of [ln f, ln ζ] to be stated: that of the fit, and what a drift within a place does to the damping.
 
-    The shift of a mode in a pair enters the fit to first order. What is left, and a shift within a pair, broaden: 1/(x + iζ) averaged
-    over a spread s is as with ζ(1 + s²/ζ²). The frequency is the mean over the pairs, a sample of all that might have been measured.
+    1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²). A random walk over all places of rms δ has s² = δ²/places within one.
     """
     variances, n = np.diag(fit.covariance).copy(), fit.n_modes
-    variances[n:] += np.minimum(fit.poles.drift / fit.poles.zeta, 1.0) ** 4
+    places = np.unique(fit.pairs.grid[:, fit.pairs.roving_side]).size
+    variances[n:] += np.minimum(fit.poles.drift**2 / fit.poles.zeta**2 / places, 1.0) ** 2
     return _raised(fit.covariance, variances)
 
 
@@ -195,9 +243,10 @@ def _raised(covariance: Real, variances: Real) -> Real:
     return np.asarray(covariance * np.outer(ratio, ratio))
 
 
-def keep_modes(fit: LinearFit, keep: NDArray[Any]) -> tuple[Poles, tuple[Real, Real]]:
-    """Poles and residues of some of the modes: the start of the next fit."""
-    return fit.poles.take(keep), (fit.projection.a[:, keep], fit.projection.b[:, keep])
+def keep_modes(fit: LinearFit, keep: NDArray[Any]) -> tuple[Poles, Coefficients]:
+    """Poles and coefficients of some of the modes: the start of the next fit."""
+    a, b, shift = fit.projection.coefficients
+    return fit.poles.take(keep), (a[:, keep], b[:, keep], shift[:, keep])
 
 
 def _sorted(fit: LinearFit) -> LinearFit:
@@ -213,7 +262,7 @@ def _sorted(fit: LinearFit) -> LinearFit:
         a=p.a[:, k],
         b=p.b[:, k],
         shift=p.shift[:, k],
-        shifted=p.shifted[:, k],
+        shifted=p.shifted[:, both],
         normal=p.normal[np.ix_(both, both)],
         gradient=p.gradient[:, both],
         evidence=p.evidence[:, k],

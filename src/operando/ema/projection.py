@@ -2,7 +2,7 @@
 
 Each pair p of response and reference is
 
-    H_p = Σ_r [a_pr + b_pr s/ω_r + δ_pr a_pr ∂/∂ln f_r] s²/(s² + 2ζ_rω_r s + ω_r²) + tails
+    H_p = Σ_r (1 + δ_pr ∂/∂ln f_r) [a_pr + b_pr s/ω_r] s²/(s² + 2ζ_rω_r s + ω_r²) + tails
 
 with a real residue a, its quadrature part b (a complex mode), the relative shift δ of the mode in this pair (a test object that
 changes while hammer or sensors rove), and tails: modes above and below the lines, a mass line, and 1/s, 1/s² (an offset or a drift
@@ -25,6 +25,9 @@ from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.polish_model import OUTSIDE_DAMPING, kernels
 from operando.ema.start import OUTSIDE_FACTORS
 
+Coefficients = tuple[Real, Real, Real]
+"""Residues a, quadrature parts b and shifts δ, each (P, n)."""
+
 LOWER_FACTOR = 0.6
 RIDGE = 1e-9
 QUADRATURE, QUADRATURE_GUESS, QUADRATURE_MOST, QUADRATURE_FREE = 0.2, 0.05, 0.25, 2.0
@@ -34,7 +37,7 @@ DRIFT, DRIFT_GUESS, DRIFT_MOST = 1e-3, 2e-4, 1e-2
 """The same for δ: roving tests drift by 1e-4 … 1e-3."""
 
 PSEUDO_PAIRS = 2.0
-CHUNK = 64
+CHUNK = 256
 
 
 @dataclass(frozen=True)
@@ -64,8 +67,12 @@ class Projection:
     ----------
     cost : (P,) array
         Σ|e|²/variance of each pair, priors included.
-    a, b, shift, shifted : (P, n) arrays
-        Residues, quadrature parts, relative shifts δ, and their coefficients δ·a (a of the round before).
+    a, b, shift : (P, n) arrays
+        Residues, quadrature parts, relative shifts δ.
+    shifted : (P, 2n) array
+        δ·a and δ·b (a, b of the round before): what ∂g/∂ln f and ∂h/∂ln f are multiplied by.
+    curvature : (P, L) complex array
+        What shifts add beyond their first order.
     tails : (P, t) array
     error : (P, L) complex array
     normal : (2n, 2n) array
@@ -87,6 +94,7 @@ class Projection:
     b: Real
     shift: Real
     shifted: Real
+    curvature: Complex
     tails: Real
     error: Complex
     normal: Real
@@ -101,6 +109,11 @@ class Projection:
         """(a, b)."""
         return self.a, self.b
 
+    @property
+    def coefficients(self) -> Coefficients:
+        """(a, b, δ): the start of the fit of nearly the same poles."""
+        return self.a, self.b, self.shift
+
 
 @dataclass(frozen=True)
 class _Columns:
@@ -114,10 +127,9 @@ class _Columns:
     gz: Complex
     hz: Complex
 
-    def stack(self, exact: bool) -> Complex:
-        """Rows that matrices are made of: g, h, tails, gf, gz, and hf, hz for an exact Jacobian."""
-        more = [self.hf, self.hz] if exact else []
-        return np.concatenate([self.g, self.h, self.tails, self.gf, self.gz, *more])
+    def stack(self) -> Complex:
+        """Rows that matrices are made of."""
+        return np.concatenate([self.g, self.h, self.tails, self.gf, self.gz, self.hf, self.hz])
 
 
 def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
@@ -152,11 +164,44 @@ def modal_power(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[floa
 def synthesis(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Complex:
     """FRFs of the fitted pairs on the lines of ``pairs``, (P, L)."""
     c = _columns(pairs, poles, ends_hz)
-    return np.asarray(fit.a @ c.g + fit.b @ c.h + fit.tails @ c.tails + fit.shifted @ c.gf)
+    return np.asarray(fit.a @ c.g + fit.b @ c.h + fit.tails @ c.tails + fit.shifted @ np.concatenate([c.gf, c.hf]))
+
+
+CURVED_SHARE, CURVED_MOST = 0.1, 1.5
+"""Shifts whose second order at a resonance, (δ/ζ)², is beyond this share of the model error are taken in full, up to 1.5 ζ."""
+
+
+def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: float, least: float) -> Complex:
+    """What the shifts of modes between pairs add beyond their first order, (P, L): a [g(f_r(1 + δ)) − g(f_r) − δ ∂g/∂ln f_r], and b's.
+
+    Parameters
+    ----------
+    f : (L,) array
+        Lines [Hz].
+    poles : Poles
+    coefficients : (a, b, δ)
+    rate : float
+        Of the exponential window [1/s].
+    least : float
+        Modes are left out whose rms shift over ζ, squared, is below this.
+    """
+    a, b, shift = coefficients
+    out = np.zeros((a.shape[0], f.size), complex)
+    power = a**2 + b**2
+    shares = np.sum(power * shift**2, axis=0) / np.maximum(power.sum(axis=0), 1e-300) / poles.zeta**2
+    g, h, gf, hf = basis(f, poles, rate)[:4]
+    s = 2j * np.pi * f + rate
+    for r in np.flatnonzero(shares > least):
+        moved_by = np.clip(shift[:, r], -CURVED_MOST * poles.zeta[r], CURVED_MOST * poles.zeta[r])
+        hz = poles.hz[r] * (1 + moved_by)
+        moved = kernels(f, hz, np.full(hz.size, poles.zeta[r]), rate)[0]
+        out += a[:, r, None] * (moved - g[r] - moved_by[:, None] * gf[r])
+        out += b[:, r, None] * (moved * s / (2 * np.pi * hz[:, None]) - h[r] - moved_by[:, None] * hf[r])
+    return out
 
 
 def project(
-    pairs: Pairs, poles: Poles, variance: Real, previous: tuple[Real, Real] | None, ends_hz: tuple[float, float], exact: bool = False
+    pairs: Pairs, poles: Poles, variance: Real, previous: Coefficients | None, ends_hz: tuple[float, float], least: float = np.inf
 ) -> Projection:
     """Linear fit of all pairs at given poles, and the normal equations of the poles.
 
@@ -166,12 +211,12 @@ def project(
     poles : Poles
     variance : (P, L) array
         Of each line.
-    previous : (a, b), optional
-        Residues of the round before: they size the priors and make the columns of the shifts. Without them b is free and δ left out.
+    previous : (a, b, δ), optional
+        Of the round before: they size the priors and make the columns of the shifts. Without them b is free and δ left out.
     ends_hz : (float, float)
         Bottom and top of the lines, where the tails begin.
-    exact : bool
-        Take b into the Gauss–Newton matrix, too: for covariances. Steps do without at half the work.
+    least : float
+        Shift over ζ, squared, from which on shifts enter in full: what they add beyond the first order, as of the round before.
     """
     columns = _columns(pairs, poles, ends_hz)
     amplitude = None
@@ -179,16 +224,20 @@ def project(
         # a prior on b against the pair's own a and against what the mode has in the pairs at large: b may be there where a is not
         size = np.sqrt(np.mean(np.abs(pairs.accelerance) ** 2, axis=1, keepdims=True))
         amplitude = np.sqrt(0.5 * (previous[0] ** 2 + np.mean((previous[0] / size) ** 2, axis=0) * size**2))
-    stack = columns.stack(exact)
+    stack = columns.stack()
+    curvature = np.zeros_like(pairs.accelerance)
+    if previous is not None and np.isfinite(least):
+        curvature = shift_curvature(pairs.frequencies_hz, poles, previous, pairs.window_rate, least)
+    flat = pairs.accelerance - curvature
     parts = []
     for start in range(0, pairs.accelerance.shape[0], CHUNK):
         rows = slice(start, start + CHUNK)
-        before = None if previous is None or amplitude is None else (previous[0][rows], amplitude[rows])
-        parts.append(_solve(pairs.accelerance[rows], variance[rows], columns, stack, poles, before))
+        before = None if previous is None or amplitude is None else (previous[0][rows], previous[1][rows], amplitude[rows])
+        parts.append(_solve(flat[rows], variance[rows], columns, stack, poles, before))
     gather = [np.concatenate([p[k] for p in parts]) for k in range(11)]
     cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope = gather
     normal, sums = np.sum([p[11] for p in parts], axis=0), np.sum([p[12] for p in parts], axis=0)
-    return Projection(cost, a, b, shift, shifted, tails, error, normal, gradient, evidence, a_std, slope, sums)
+    return Projection(cost, a, b, shift, shifted, curvature, tails, error, normal, gradient, evidence, a_std, slope, sums)
 
 
 def updated_spreads(poles: Poles, sums: Real, most_quadrature: float) -> Poles:
@@ -218,59 +267,69 @@ def _against(weighted: Complex, columns: Complex) -> Real:
     return np.asarray(weighted.real @ columns.real.T + weighted.imag @ columns.imag.T)
 
 
-def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, before: tuple[Real, Real] | None) -> tuple[Any, ...]:
+def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, before: Coefficients | None) -> tuple[Any, ...]:
     """One chunk of pairs: what :class:`Projection` holds, sums last."""
     n, t = c.g.shape[0], c.tails.shape[0]
     core = 2 * n + t
-    by_f = slice(core, core + n)
+    by_f, by_hf = slice(core, core + n), slice(core + 2 * n, core + 3 * n)
     weight = 1 / variance
     gram = _grams(stack, weight)
-    weighted = h * weight
-    right = _against(weighted, stack)
     if before is None:
-        matrix, target = gram[:, :core, :core].copy(), right[:, :core]
+        matrix = gram[:, :core, :core].copy()
     else:
-        old = before[0]
+        # the columns of the shifts, a·gf + b·hf, against all others
+        by_shift = gram[:, :, by_f] * before[0][:, None, :] + gram[:, :, by_hf] * before[1][:, None, :]
+        own = by_shift[:, by_f] * before[0][:, :, None] + by_shift[:, by_hf] * before[1][:, :, None]
         matrix = np.empty((h.shape[0], core + n, core + n))
         matrix[:, :core, :core] = gram[:, :core, :core]
-        matrix[:, :core, core:] = gram[:, :core, by_f] * old[:, None, :]
-        matrix[:, core:, :core] = matrix[:, :core, core:].transpose(0, 2, 1)
-        matrix[:, core:, core:] = gram[:, by_f, by_f] * old[:, :, None] * old[:, None, :]
-        target = np.concatenate([right[:, :core], right[:, by_f] * old], axis=1)
+        matrix[:, :core, core:] = by_shift[:, :core]
+        matrix[:, core:, :core] = by_shift[:, :core].transpose(0, 2, 1)
+        matrix[:, core:, core:] = own
     scale = np.sqrt(np.einsum("pii->pi", matrix))
     scale[scale == 0] = 1
     matrix /= scale[:, :, None] * scale[:, None, :]
     diagonal = np.einsum("pii->pi", matrix)
     diagonal += RIDGE
+    prior = np.zeros_like(scale)  # precision, in the scaled unknowns
     if before is not None:
-        spread_b = np.maximum(poles.quadrature * before[1], 1e-150)
-        diagonal[:, n : 2 * n] += np.minimum(1e12, 0.5 / np.maximum(spread_b * scale[:, n : 2 * n], 1e-150) ** 2)
-        diagonal[:, core:] += np.minimum(1e12, 0.5 / np.maximum(poles.drift * scale[:, core:], 1e-150) ** 2)
+        spread_b = np.maximum(poles.quadrature * before[2], 1e-150)
+        prior[:, n : 2 * n] = np.minimum(1e12, 0.5 / np.maximum(spread_b * scale[:, n : 2 * n], 1e-150) ** 2)
+        prior[:, core:] = np.minimum(1e12, 0.5 / np.maximum(poles.drift * scale[:, core:], 1e-150) ** 2)
+        diagonal += prior
     inverse = np.linalg.inv(matrix)
-    coefficients = np.einsum("pij,pj->pi", inverse, target / scale)
-    cost = np.sum((weighted.conj() * h).real, axis=1) - np.sum(coefficients * target / scale, axis=1)
-    x = coefficients / scale
+    x = np.zeros_like(scale)
+    error = h
+    for _ in range(2):  # refined once: next to strong peaks rounding is more than what pulls the poles
+        rest = error * weight
+        pull = _against(rest, stack)
+        pulls = pull[:, :core]
+        if before is not None:
+            by_shifts = pull[:, by_f] * before[0] + pull[:, by_hf] * before[1]
+            pulls = np.concatenate([pulls, by_shifts], axis=1)
+        x += np.einsum("pij,pj->pi", inverse, pulls / scale - prior * scale * x) / scale
+        error = h - x[:, :core] @ stack[:core]
+        if before is not None:
+            error -= (x[:, core:] * before[0]) @ c.gf + (x[:, core:] * before[1]) @ c.hf
+    coefficients = x * scale
     a, b, tails = x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core]
     shift = x[:, core:] if before is not None else np.zeros_like(a)
-    shifted = shift * before[0] if before is not None else shift
-    error = h - x[:, :core] @ stack[:core] - shifted @ c.gf
-    # Jacobian columns a·gf (+ b·hf), a·gz (+ b·hz), against the fitted columns and each other; gradient by the envelope theorem
-    moved_by = np.concatenate([a, a, b, b], axis=1)[:, : gram.shape[1] - core]
+    shifted = np.zeros((a.shape[0], 2 * n)) if before is None else np.concatenate([shift * before[0], shift * before[1]], axis=1)
+    # from the residuals: as a difference of sums over strong peaks it would be lost in rounding
+    cost = np.sum(np.abs(error) ** 2 * weight, axis=1) + np.sum(prior * coefficients**2, axis=1)
+    # Jacobian columns a·gf + b·hf, a·gz + b·hz, against the fitted columns and each other; gradient by the envelope theorem
+    moved_by = np.concatenate([a, a, b, b], axis=1)
     against = gram[:, :core, core:] * moved_by[:, None, :]
     if before is not None:
-        more = gram[:, by_f, core:] * before[0][:, :, None] * moved_by[:, None, :]
+        more = by_shift[:, core:].transpose(0, 2, 1) * moved_by[:, None, :]
         against = np.concatenate([against, more], axis=1)
     own = np.einsum("pij,pi,pj->ij", gram[:, core:, core:], moved_by, moved_by, optimize=True)
-    if own.shape[0] > 2 * n:
-        against = against[:, :, : 2 * n] + against[:, :, 2 * n :]
-        own = own[: 2 * n, : 2 * n] + own[: 2 * n, 2 * n :] + own[2 * n :, : 2 * n] + own[2 * n :, 2 * n :]
+    against = against[:, :, : 2 * n] + against[:, :, 2 * n :]
+    own = own[: 2 * n, : 2 * n] + own[: 2 * n, 2 * n :] + own[2 * n :, : 2 * n] + own[2 * n :, 2 * n :]
     scaled = against / scale[:, :, None]
     solved = inverse @ scaled
     normal = own - np.tensordot(scaled, solved, axes=([0, 1], [0, 1]))
-    rest = error * weight
-    gradient = np.concatenate(
-        [a * _against(rest, c.gf) + b * _against(rest, c.hf), a * _against(rest, c.gz) + b * _against(rest, c.hz)], axis=1
-    )
+    pull = moved_by * _against(error * weight, stack[core:])
+    gradient = pull[:, : 2 * n] + pull[:, 2 * n :]
     posterior = np.einsum("pii->pi", inverse)
     # evidence of the mode's two columns: cᵀ (inverse block)⁻¹ c
     i, j = np.arange(n), n + np.arange(n)
@@ -282,7 +341,7 @@ def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles
     sums = np.zeros((4, n))
     if before is not None:
         known = np.clip(1 - 0.5 * q / scale[:, j] ** 2 / spread_b**2, 0, 1)
-        sums[:2] = np.sum(known * (b / before[1]) ** 2, axis=0), np.sum(known**2, axis=0)
+        sums[:2] = np.sum(known * (b / np.maximum(before[2], 1e-150)) ** 2, axis=0), np.sum(known**2, axis=0)
         known = np.clip(1 - 0.5 * posterior[:, core:] / scale[:, core:] ** 2 / poles.drift**2, 0, 1)
         sums[2:] = np.sum(known * shift**2, axis=0), np.sum(known**2, axis=0)
     return cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope, normal, sums
@@ -292,11 +351,12 @@ def search_poles(
     pairs: Pairs,
     poles: Poles,
     variance: Real,
-    previous: tuple[Real, Real],
+    previous: Coefficients,
     ends_hz: tuple[float, float],
     *,
     steps: int,
     max_damping: float,
+    least: float = np.inf,
 ) -> tuple[Poles, Projection, float]:
     """A few Levenberg steps on the poles under a given variance.
 
@@ -305,11 +365,12 @@ def search_poles(
     poles, projection
         The best found.
     float
-        Largest move of a frequency in half bandwidths.
+        Fall of the cost.
     """
     n = poles.hz.size
-    now = project(pairs, poles, variance, previous, ends_hz)
-    total, damping, moved = float(now.cost.sum()), 1e-3, 0.0
+    now = project(pairs, poles, variance, previous, ends_hz, least)
+    total, damping = float(now.cost.sum()), 1e-3
+    at_start = total
     for _ in range(steps):
         pull = now.gradient.sum(axis=0)
         diagonal = np.diag(now.normal)
@@ -318,10 +379,12 @@ def search_poles(
         for _ in range(5):
             step = np.linalg.solve(now.normal + np.diag(damping * diagonal + floor), pull)
             limit = np.concatenate([0.7 * poles.zeta, np.full(n, 0.6)])
-            step /= max(1.0, float(np.max(np.abs(step) / limit)))
+            step = np.clip(step, -limit, limit)  # each on its own: a pole that runs away must not hold the others
             zeta = np.clip(poles.zeta * np.exp(step[n:]), 1e-5, max_damping * 1.02)
             trial = replace(poles, hz=poles.hz * np.exp(step[:n]), zeta=zeta)
-            found = project(pairs, trial, variance, previous, ends_hz)
+            # shifts are counted from the pole: it moves, they do the other way
+            a, b, shift = now.coefficients
+            found = project(pairs, trial, variance, (a, b, shift - step[:n]), ends_hz, least)
             if found.cost.sum() <= total * (1 + 1e-12):
                 better = found
                 break
@@ -330,8 +393,7 @@ def search_poles(
             break
         damping = max(damping / 10, 1e-9)
         fall = total - float(better.cost.sum())
-        moved = max(moved, float(np.max(np.abs(step[:n]) / poles.zeta)))
         poles, now, total = trial, better, total - fall
         if fall < max(0.02, 1e-6 * total):
             break
-    return poles, now, moved
+    return poles, now, at_start - total
