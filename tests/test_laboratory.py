@@ -265,7 +265,7 @@ def _perfect(truth):
             "damping_ratio": m["damping_ratio"],
             "damping_ratio_std": 1e-4,
             "in_band": True,
-            "shape": {k: v[0] for k, v in m["shape"].items()},
+            "shape": {k: v[0] for k, v in m["shape_as_hit"].items()},
         }
         for m in truth["modes"]
         if m["in_band"]
@@ -293,6 +293,17 @@ def test_perfect_answer(judged):
     assert total["invented"]["hits"] == 0
     assert total["scale_error"]["max"] < 1e-6
     assert total["dofs"] == 1
+
+
+def test_mode_seen_only_because_hits_fell_beside_their_points(judged):
+    """Judged by the shape at the places that were hit; the answer at the points is counted as another shape."""
+    truth = json.loads(json.dumps(judged))
+    mode = next(m for m in truth["modes"] if m["in_band"] and m["visible"])
+    mode["shape"] = {k: [v[0] * (-1) ** i, 0.0] for i, (k, v) in enumerate(mode["shape"].items())}
+    row = lab_judge.judge(truth, _perfect(truth))
+    total = lab_judge.together([row | {"outcome": "done", "cpu_s": 1.0, "memory_mb": 100.0}])
+    assert row["found"] == row["wanted"]
+    assert total["other_shape_at_points"] == 1
 
 
 def test_wrong_answers_are_counted(judged):

@@ -168,7 +168,10 @@ def synthesis(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float,
 
 
 CURVED_SHARE, CURVED_MOST = 0.1, 1.5
-"""Shifts whose second order at a resonance, (δ/ζ)², is beyond this share of the model error are taken in full, up to 1.5 ζ."""
+"""Shifts whose second order at a resonance, (δ/ζ)², is beyond this share of the model error are taken in full, up to 1.5 ζ.
+
+Not those of two poles within one half bandwidth: what is a shift of one is a residue of the other there.
+"""
 
 
 def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: float, least: float) -> Complex:
@@ -189,9 +192,11 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
     out = np.zeros((a.shape[0], f.size), complex)
     power = a**2 + b**2
     shares = np.sum(power * shift**2, axis=0) / np.maximum(power.sum(axis=0), 1e-300) / poles.zeta**2
+    apart = np.abs(poles.hz[:, None] - poles.hz[None, :]) + np.diag(np.full(poles.hz.size, np.inf))
+    single = apart.min(axis=1) > (poles.zeta * poles.hz)
     g, h, gf, hf = basis(f, poles, rate)[:4]
     s = 2j * np.pi * f + rate
-    for r in np.flatnonzero(shares > least):
+    for r in np.flatnonzero((shares > least) & single):
         moved_by = np.clip(shift[:, r], -CURVED_MOST * poles.zeta[r], CURVED_MOST * poles.zeta[r])
         hz = poles.hz[r] * (1 + moved_by)
         moved = kernels(f, hz, np.full(hz.size, poles.zeta[r]), rate)[0]
