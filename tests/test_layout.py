@@ -31,12 +31,12 @@ LEVELS = {
     "scaling": 9,
     "compare": 10,
     "effects": 11, "nonlinear": 12, "diagnose": 13,
-    "store": 14,
-    "report": 15,
-    "states": 15,
-    "config": 16, "scaffold": 16,
-    "pipeline": 17,
-    "cli": 18,
+    "store": 14, "entries": 14,
+    "report": 15, "values": 15,
+    "states": 16,
+    "config": 17, "scaffold": 17,
+    "pipeline": 18,
+    "cli": 19,
 }  # fmt: skip
 NUMERIC = (
     "dof",

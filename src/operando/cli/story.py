@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,13 +34,6 @@ class Clock:
 
     def __call__(self, stage: str, message: str) -> None:
         click.echo(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}", err=True)
-
-
-def test_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of all commands that run a test."""
-    return click.option("--second-opinion", is_flag=True, help="Ask sdypy-EMA and pyOMA-2 too; the report shows where they differ.")(
-        function
-    )
 
 
 def run_answer(results: Results, out: Path, until: str | None) -> Answer:
