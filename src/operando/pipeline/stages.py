@@ -13,6 +13,7 @@ from operando.config import Analysis, State, Test
 from operando.data import Finding, FrequencyAxis, Frf, TimeRecord
 from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
+from operando.pipeline.names import FREQUENCIES
 from operando.results import CheckRun, Results
 
 
@@ -89,7 +90,7 @@ def inspect_files(work: Work) -> dict[str, Any]:
     work.inputs.check_names()
     work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
-    findings = work.inputs.all_findings()
+    findings = [*work.inputs.all_findings(), *work.inputs.check_geometry(geometry)]
     if all(row["format"] is None for row in inventory):
         raise MissingError("no file of the test can be read", hint=findings[0].message if findings else None)
     if geometry is None:
@@ -402,7 +403,7 @@ def no_evidence(test: Test) -> str | None:
     return no_idle(test) or (None if test.check or test.operating else "the test has neither [check] nor [operating] measurements")
 
 
-READING = ("data", "io", "quality", "frf/usable", "dof", "units", "pipeline/inputs", "pipeline/stages")
+READING = ("data", "io", "quality", "frf/usable", "dof", "units", "pipeline/inputs", "pipeline/names", "pipeline/stages")
 ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
 
 _EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands", "second_opinion")
@@ -416,7 +417,7 @@ STEPS: tuple[Stage, ...] = (
         "inspect",
         inspect_files,
         rooms=(*READING, "frf/hits"),
-        settings=("hits_reject", "references", "oma_references"),
+        settings=("hits_reject", "references", "oma_references", "band", "exclude_bands", "places", *FREQUENCIES),
         states=("idle", "operating", "check", "geometry"),
     ),
     Stage("frf", "frf", idle_frf, no_idle, rooms=(*READING, "frf"), settings=ESTIMATING, states=("idle",)),
