@@ -250,7 +250,7 @@ def _text_of(path: Path) -> str:
 def _not_a_test(path: Path) -> str:
     """What to do with a file that is no TOML: it may be data."""
     if path.suffix.lower() == ".toml":
-        return "a test file is TOML text with lines such as [idle] and records = [\"idle/*.uff\"]"
+        return 'a test file is TOML text with lines such as [idle] and records = ["idle/*.uff"]'
     from operando.io import detect_format
 
     try:

@@ -56,7 +56,9 @@ def synthesise(
     (n_responses, n_references, n_lines) complex array
     """
     kernel = modal_kernel(frequencies_hz, mode_hz, damping_ratios, quantity)
-    residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(len(response_shapes) * len(reference_shapes), kernel.shape[0])
+    residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(
+        len(response_shapes) * len(reference_shapes), kernel.shape[0]
+    )
     if np.iscomplexobj(residues):
         out = residues @ kernel
     else:

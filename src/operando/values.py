@@ -9,8 +9,8 @@ from math import isfinite
 from typing import Any
 
 from operando.dof import Dof
-from operando.errors import ConfigError, DofError, UnitError
 from operando.entries import Entry
+from operando.errors import ConfigError, DofError, UnitError
 from operando.units import SI_UNIT, parse_unit
 
 ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
@@ -132,7 +132,9 @@ def directions(table: Mapping[str, Any], where: Entry) -> dict[str, tuple[float,
         expect(value, isinstance(value, list | tuple) and len(value) == 3 and all(is_number(v) for v in value), "three numbers", here)
         length = sum(float(v) * float(v) for v in value) ** 0.5
         if abs(length - 1) > NOT_UNIT:
-            raise ConfigError(f"the vector has length {length:.3g}, expected a unit vector", where=str(here), hint="divide it by its length")
+            raise ConfigError(
+                f"the vector has length {length:.3g}, expected a unit vector", where=str(here), hint="divide it by its length"
+            )
         if str(found.unsigned) in out:
             raise ConfigError(f"the direction of {found.unsigned} is given twice", where=str(here))
         out[str(found.unsigned)] = tuple(found.sign * float(v) / length for v in value)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from operando.cli.answer import Answer, answers, table
-from operando.cli.test_file import output_option, read_test, results_folder, set_option
+from operando.cli.test_file import need_stage, output_option, read_test, results_folder, set_option
 
 
 @click.command("diagnose", epilog="Example: operando diagnose pump-results")
@@ -25,11 +25,14 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
     from operando.store import load_results
 
     path = Path(source)
-    if (path.is_file() and path.suffix == ".toml") or (path.is_dir() and not (path / "model.h5").exists() and (path / "test.toml").exists()):
+    if (path.is_file() and path.suffix == ".toml") or (
+        path.is_dir() and not (path / "model.h5").exists() and (path / "test.toml").exists()
+    ):
         from operando.cli.story import Clock
         from operando.pipeline import run
 
         test = read_test(path, changes)
+        need_stage(test, "diagnose")
         results = run(test, results_folder(test.name, output), until="diagnose", progress=Clock())
     elif changes or output is not None:
         raise click.UsageError("--set and -o belong to a test file; the results folder given has its settings")

@@ -6,13 +6,14 @@ import click
 
 from operando.cli.answer import Answer, answers
 from operando.cli.story import Clock, run_answer
-from operando.cli.test_file import output_option, read_test, results_folder, test_options
+from operando.cli.test_file import need_stage, output_option, read_test, results_folder, test_options
 
 
 def _up_to(stage: str, test: str, output: str | None, changes: tuple[str, ...], second_opinion: bool) -> Answer:
     from operando.pipeline import run
 
     loaded = read_test(test, changes, second_opinion)
+    need_stage(loaded, stage)
     out = results_folder(loaded.name, output)
     return run_answer(run(loaded, out, until=stage, progress=Clock()), out, stage)
 

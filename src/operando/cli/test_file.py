@@ -19,9 +19,7 @@ set_option = click.option(
     help="Another value of an entry of the test file, as in analysis.band=[5,220]; may be repeated.",
 )
 output_option = click.option("-o", "--output", type=click.Path(), help="Results folder (default: results/NAME here).")
-_second_opinion = click.option(
-    "--second-opinion", is_flag=True, help="Ask sdypy-EMA and pyOMA-2 too; the report shows where they differ."
-)
+_second_opinion = click.option("--second-opinion", is_flag=True, help="Ask sdypy-EMA and pyOMA-2 too; the report shows where they differ.")
 
 
 def test_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -35,6 +33,22 @@ def read_test(path: str | Path, changes: tuple[str, ...] = (), second_opinion: b
 
     test = load_test(path, changes)
     return test.with_analysis(second_opinion=True) if second_opinion else test
+
+
+def need_stage(test: Test, stage: str) -> None:
+    """Refuse a command whose stage the test has no data for.
+
+    Raises
+    ------
+    MissingError
+        With what the test lacks.
+    """
+    from operando.errors import MissingError
+    from operando.pipeline import lacking
+
+    reason = lacking(test, stage)
+    if reason is not None:
+        raise MissingError(f"there is nothing for {stage}: {reason}", where=str(test.path), hint="name its files in the test file")
 
 
 def results_folder(name: str, output: str | None) -> Path:

@@ -168,7 +168,9 @@ def refit(
             if other is not None:
                 found.append(_along(arrays, lines, soft, terms, other, prior, most))
                 x, near, turn, normal, cost = min(found, key=lambda f: f[4])
-        so_far = Fit(tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], inverse(normal), cost, untold=unobservable(normal))
+        so_far = Fit(
+            tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], inverse(normal), cost, untold=unobservable(normal)
+        )
         if cost > 2 * POOR * lines.data.size:
             # Something else is missing: the lines known best must not bend the shapes to make up for it.
             return so_far
@@ -185,7 +187,9 @@ def refit(
             break
         prior = prior.widened(wide)
         x, normal, cost = levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
-    return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], inverse(normal), cost, untold=unobservable(normal))
+    return Fit(
+        tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], inverse(normal), cost, untold=unobservable(normal)
+    )
 
 
 def _along(

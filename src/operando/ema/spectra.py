@@ -96,6 +96,13 @@ class RunSpectra:
         part = self.lines(inside)
         return replace(part, top_hz=float(part.frequencies_hz[-1]))
 
+    def without_bands(self, bands: Sequence[tuple[float, float]]) -> RunSpectra:
+        """The same run on the lines outside these bands [Hz]."""
+        keep = np.ones(self.frequencies_hz.size, bool)
+        for low, high in bands:
+            keep &= (self.frequencies_hz < low) | (self.frequencies_hz > high)
+        return self if keep.all() else self.lines(keep)
+
 
 def record_spectra(record: TimeRecord, dofs: Sequence[Dof], band: tuple[float, float]) -> RunSpectra:
     """Full-record spectra of one run with measured force, noise estimated from the record.

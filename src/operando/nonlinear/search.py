@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import ModalModel, TimeRecord
+from operando.data import ModalModel, TimeRecord, one_level
 from operando.effects import kind_of
 from operando.errors import MissingError
 from operando.nonlinear.laws import LawFit, Motion
@@ -105,7 +105,7 @@ def make_case(
     for group in driven.values():
         top = max(r.force_level for r in group)
         for run in group:
-            (fitted if run.force_level > top / 1.5 else judged).append(run)
+            (fitted if one_level(run.force_level, top) else judged).append(run)
     if not judged and len(fitted) > 1:
         judged = [fitted.pop()]
     measured = sorted({int(i) for r in runs for i in r.rows})

@@ -236,7 +236,9 @@ def check_geometry(test: Test, geometry: Geometry | None, names: Mapping[Path, N
     if len(lacking) == len(nodes) and test.geometry_file is not None:
         has = ", ".join(str(n) for n in sorted(there)[:12]) + (" …" if len(there) > 12 else "")
         text = f"{test.label(test.geometry_file)} holds none of the measured nodes ({_shown(nodes)})"
-        raise UnfitTest(text, where=test.where("geometry", "file"), hint=f"its nodes are {has}; node numbers of sensors and geometry must agree")
+        raise UnfitTest(
+            text, where=test.where("geometry", "file"), hint=f"its nodes are {has}; node numbers of sensors and geometry must agree"
+        )
     return [
         Finding(
             "no_position",
