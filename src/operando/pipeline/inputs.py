@@ -100,6 +100,10 @@ class Inputs:
             units["length"] = self.test.geometry_units
         return units or None
 
+    def readable(self, file: Path) -> bool:
+        """Whether a file asked for before could be read."""
+        return file in self._names
+
     def _state_of(self, file: Path) -> str:
         return next((name for name, state in self.test.states.items() if file in state.files), "geometry")
 

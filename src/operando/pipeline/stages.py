@@ -90,8 +90,13 @@ def inspect_files(work: Work) -> dict[str, Any]:
     work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
     findings = [*work.inputs.all_findings(), *work.inputs.check_geometry(geometry)]
-    if all(row["format"] is None for row in inventory):
-        raise MissingError("no file of the test can be read", hint=findings[0].message if findings else None)
+    for name, state in work.test.states.items():
+        if state and not any(work.inputs.readable(file) for file in state.files):
+            unread = next(f for f in findings if f.kind == "unreadable")
+            where = f"{work.test.where(name, 'records' if state.records else 'frfs')}: {', '.join(f.name for f in state.files[:4])}"
+            raise MissingError(
+                f"no file of [{name}] can be read: {unread.message.removeprefix('cannot be read: ')}", where=where, hint=unread.action
+            )
     if geometry is None:
         message = "no geometry in the files"
         findings.append(
