@@ -77,6 +77,8 @@ def _check_range(definition: EffectKind, parameter: Parameter, values: tuple[flo
     removable = definition.removable and parameter.name == definition.names[0]
     for value in values:
         size = abs(value) if removable else value
+        if not math.isfinite(value) or (parameter.transform == "log" and size <= 0):
+            continue  # the effect itself refuses it
         if (low is not None and not size >= low) or (high is not None and not size <= high):
             ends = f"{'-inf' if low is None else f'{low:g}'} to {'inf' if high is None else f'{high:g}'} {parameter.unit}".strip()
             nearest = min(max(size, low if low is not None else size), high if high is not None else size)

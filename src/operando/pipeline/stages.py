@@ -92,7 +92,7 @@ def inspect_files(work: Work) -> dict[str, Any]:
     findings = [*work.inputs.all_findings(), *work.inputs.check_geometry(geometry)]
     for name, state in work.test.states.items():
         if state and not any(work.inputs.readable(file) for file in state.files):
-            unread = next(f for f in findings if f.kind == "unreadable")
+            unread = work.inputs.findings[state.files[0]][0]
             where = f"{work.test.where(name, 'records' if state.records else 'frfs')}: {', '.join(f.name for f in state.files[:4])}"
             raise MissingError(
                 f"no file of [{name}] can be read: {unread.message.removeprefix('cannot be read: ')}", where=where, hint=unread.action
