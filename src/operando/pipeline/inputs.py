@@ -269,11 +269,14 @@ class Inputs:
 
     def all_findings(self) -> list[Finding]:
         """Findings of all files read so far, in the order of the test, each once; with what is left out of each state."""
-        for state, force in ((self.test.idle, True), (self.test.operating, False), (self.test.check, True)):
+        from operando.quality import check_states
+
+        found = {}
+        for name, state in self.test.states.items():
             if state.records:
                 with suppress(OperandoError):  # the stage that needs the records says what is wrong
-                    self.records(state, force=force)
-        return group_findings(f for file in self.test.files for f in self.findings.get(file, ()))
+                    found[name] = self.records(state, force=name != "operating")
+        return group_findings([*(f for file in self.test.files for f in self.findings.get(file, ())), *check_states(found)])
 
     def _note(self, file: Path, finding: Finding) -> None:
         notes = self.findings.setdefault(file, [])

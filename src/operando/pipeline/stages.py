@@ -261,7 +261,11 @@ def hybrid(work: Work) -> dict[str, Any]:
     operating = _needed(work.results.operating, "operational modes")
     if (cause := no_scale(idle, work.results.findings)) is not None:
         raise Lacking(f"the idle modes are not scaled to unit modal mass, so there is no scale to carry over: {cause[0]}", hint=cause[1])
-    return {"hybrid": scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)}
+    from operando.quality import check_shapes
+
+    made = scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)
+    pairs = [(p.idle, p.operating) for p in made.pairing.pairs if p.idle is not None]
+    return {"hybrid": made, "findings": check_shapes(idle, operating.without_residuals(), pairs)}
 
 
 def check_runs(work: Work) -> dict[str, Any]:
@@ -314,6 +318,10 @@ def comparison(work: Work) -> dict[str, Any]:
     if not results.check:
         raise MissingError("no check FRF")
     band = analysis_band(work)
+    if results.idle_frf is not None:
+        from operando.quality import check_gains
+
+        findings += [f for run in results.check for f in check_gains(results.idle_frf, run.frf, run.name, band)]
     runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     document = compare_all(models, runs, band_hz=band)
     return {"comparison": document | {"settings": results.settings}, "findings": findings}
@@ -439,7 +447,7 @@ STEPS: tuple[Stage, ...] = (
         hybrid,
         no_both,
         ("ema", "oma"),
-        ("scaling", "synthesis", "pipeline/scale", "pipeline/stages"),
+        ("scaling", "synthesis", "quality", "pipeline/scale", "pipeline/stages"),
         ("threshold", "scaling"),
     ),
     Stage("check", "compare", check_runs, no_check, (), (*READING, "frf", "pipeline/levels"), ESTIMATING, ("check",), optional=True),
@@ -449,7 +457,7 @@ STEPS: tuple[Stage, ...] = (
         comparison,
         no_check,
         ("ema", "ofrf", "check"),
-        ("compare", "scaling", "pipeline/stages"),
+        ("compare", "scaling", "quality", "pipeline/stages"),
         ("band", "threshold", "exclude_bands"),
         optional=True,
     ),
