@@ -236,7 +236,9 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
         return [replace(m, along=m.along.on(w, k)) for m, w, k in zip(whole[:n], weights, lines, strict=True)]
 
     judge = whole[n:] or part(stage.judge, stage.judge_lines)
-    return Spot(place, b, outside, rest / count, whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), judge)
+    return Spot(
+        place, b, outside, rest / max(count, 1), whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), judge
+    )
 
 
 def settled(spot: Spot, case: Case, law: LawFit) -> Spot:
