@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import measurements
 from operando.cli import main
-from operando.data import FrequencyAxis, Frf, ModalModel
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
 from operando.io import write_uff
 from operando.results import CheckRun, Results
@@ -53,7 +53,6 @@ def home(tmp_path_factory):
     twice = record(chain, [0], 5.0, 1, "twice", seconds=SECONDS)
     twice = replace(twice, channels=(*twice.channels[:-1], replace(twice.channels[-1], dof=Dof(1, "Z"))))
     write_uff(folder / "twice.uff", twice)
-    from operando.data import Geometry
 
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
     write_uff(folder / "geometry.uff", Geometry((1, 2, 3, 4), corners))
@@ -269,3 +268,62 @@ def test_each_mistake_is_explained(mistake, home, monkeypatch):
     assert hint is None or re.search(hint, document["hint"] or ""), document
     assert "unexpected" not in document["error"]
     assert "Traceback" not in done.output
+
+
+def answer(home, monkeypatch, *words):
+    monkeypatch.chdir(home)
+    done = CliRunner().invoke(main, [*words, "--json"])
+    return done.exit_code, json.loads(done.stdout)
+
+
+def test_a_dof_twice_in_one_set_up_is_a_finding(home, monkeypatch, tmp_path):
+    words = ["frf", "only_idle.toml", "-o", str(tmp_path), "--set", 'idle.records=["twice.uff"]']
+    status, document = answer(home, monkeypatch, *words)
+    (found,) = [f for f in document["findings"] if f["kind"] == "duplicate_dof"]
+    assert status == 0
+    assert (found["severity"], found["file"], found["dof"]) == ("warning", "twice.uff", "1+Z")
+    assert "[channels]" in found["action"]
+
+
+def test_a_check_of_another_rate_is_a_finding(home, monkeypatch, tmp_path):
+    words = ["run", "test.toml", "-o", str(tmp_path), "--until", "inspect", "--set", 'check.records=["slow.uff"]']
+    status, document = answer(home, monkeypatch, *words, "--set", "analysis.band=[10,60]")
+    (found,) = [f for f in document["findings"] if f["kind"] == "unequal_rate"]
+    assert status == 0
+    assert found["severity"] == "info"
+    assert "[idle] 256 Hz, [operating] 256 Hz, [check] 128 Hz" in found["message"]
+    status, document = answer(home, monkeypatch, *words)
+    assert (status, document["error"]) == (1, "90 Hz is beyond 64 Hz, half its sampling rate (slow.uff)")
+
+
+def test_some_nodes_without_a_position_are_a_finding(home, monkeypatch, tmp_path):
+    write_uff(tmp_path / "three.uff", Geometry((1, 2, 3), np.eye(3)))
+    words = ["run", "test.toml", "-o", str(tmp_path / "out"), "--until", "inspect", "--set", f"geometry.file='{tmp_path / 'three.uff'}'"]
+    status, document = answer(home, monkeypatch, *words)
+    (found,) = [f for f in document["findings"] if f["kind"] == "no_position"]
+    assert status == 0
+    assert "lacks 1 of 4 measured nodes: 4" in found["message"]
+
+
+def test_a_failed_stage_is_said_first_and_in_the_exit_status(home, monkeypatch, tmp_path):
+    monkeypatch.chdir(home)
+    done = CliRunner().invoke(main, ["ema", "test.toml", "-o", str(tmp_path), "--set", "analysis.block_seconds=100"])
+    assert done.exit_code == 1
+    first = done.stdout.splitlines()[0]
+    assert first.startswith("chain: stage frf: 1024 samples do not hold a block of 25600 (give a smaller block_seconds")
+
+
+COMMANDS = ("run", "frf", "ema", "oma", "diagnose", "inspect")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_that_reads_a_test_file_takes_changes(command, home, monkeypatch):
+    status, document = answer(home, monkeypatch, command, "test.toml", "--set", "analysis.window=boxcar")
+    assert (status, document["where"]) == (1, "test.toml, --set, [analysis] window")
+    status, document = answer(home, monkeypatch, command, "test.toml", "--set", "name=7")
+    assert (status, document["error"]) == (1, "name is 7, expected a text")
+
+
+def test_changes_need_a_test_file(home, monkeypatch):
+    assert answer(home, monkeypatch, "inspect", "idle/run1.uff", "--set", "analysis.band=[1,2]")[0] == 2
+    assert answer(home, monkeypatch, "diagnose", "results", "--set", "analysis.band=[1,2]")[0] == 2
