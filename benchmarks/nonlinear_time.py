@@ -15,11 +15,11 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from tests.nonlinear_truth import Strip, measure_many, place
 from threadpoolctl import threadpool_limits
 
+from nonlinear_truth import Strip, measure_many, place
 from operando.nonlinear import diagnose_records
 
 SECONDS = 96.0

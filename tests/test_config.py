@@ -78,9 +78,9 @@ def test_folder_and_bom_and_name(folder):
 
 
 def test_every_setting_has_a_check():
-    from operando.config import _CHECKS
+    from operando.values import SETTINGS
 
-    assert set(_CHECKS) == set(Analysis().to_dict())
+    assert set(SETTINGS) == set(Analysis().to_dict())
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.test_nonlinear_records import STRIP, records
 
 from operando.diagnose import diagnose, from_records
 from operando.diagnose.from_records import DISTORTION, standing, suspicion
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
+from test_nonlinear_records import STRIP, records
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 BAND = (5.0, 95.0)

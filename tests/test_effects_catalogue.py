@@ -145,7 +145,7 @@ def test_the_contracts_examples_read():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("point_mas@3+Z", "did you mean point_mass"),
+        ("point_mas@3+Z", "did you mean 'point_mass'"),
         ("point_mass", "1 places, 0 given"),
         ("gyroscopic@3+Z", "2 places, 1 given"),
         ("coupling_spring@3+Z,3-Z", "two different places"),

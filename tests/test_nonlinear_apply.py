@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
-from tests.test_diagnose_records import BAND, frfs
-from tests.test_nonlinear_records import STRIP, records
 
 from operando.cli import main
 from operando.cli.ladder import check_records
@@ -20,6 +18,8 @@ from operando.io import read, write_uff
 from operando.nonlinear import apply_to_records
 from operando.results import CheckRun, Results
 from operando.store import load_results, save_results
+from test_diagnose_records import BAND, frfs
+from test_nonlinear_records import STRIP, records
 
 
 def applied(name, *texts, **how):

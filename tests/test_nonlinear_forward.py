@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.nonlinear_truth import Strip, measure, measure_many, place
 
+from nonlinear_truth import Strip, measure, measure_many, place
 from operando.effects import Effect
 from operando.nonlinear import apply_to_records, diagnose_records, forward
 from operando.nonlinear.forward import by_loop, followed, groups, recorded

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.nonlinear_truth import Strip, measure_many, place
 
+from nonlinear_truth import Strip, measure_many, place
 from operando.diagnose.at_level import level_frf
 from operando.effects import Effect, EffectKind, Parameter, register
 from operando.effects.registry import unregister

@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.nonlinear_truth import Strip, measure_many, place
 
+from nonlinear_truth import Strip, measure_many, place
 from operando.data import ModalModel
 from operando.effects import Effect
 from operando.nonlinear import diagnose_records

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from tests.nonlinear_truth import Strip, measure, place
-
+from nonlinear_truth import Strip, measure, place
 from operando.nonlinear import diagnose_records
 
 STRIP = Strip()

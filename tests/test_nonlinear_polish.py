@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from tests.nonlinear_truth import Strip, measure, place
 
+from nonlinear_truth import Strip, measure, place
 from operando.nonlinear.laws import LawFit, law_cost
 from operando.nonlinear.polish import bounded, polished, std_of
 from operando.nonlinear.search import Field, examine, make_case, settled

@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.nonlinear_truth import Strip, measure_many, place
 
+from nonlinear_truth import Strip, measure_many, place
 from operando.diagnose.diagnosis import Diagnosis
 from operando.diagnose.from_records import FAINT, diagnose_levels
 from operando.dof import Dof

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.nonlinear_truth import RATE, Strip, band_force, place, respond
 
+from nonlinear_truth import RATE, Strip, band_force, place, respond
 from operando.data import Channel, TimeRecord
 from operando.dof import Dof
 from operando.effects import Effect

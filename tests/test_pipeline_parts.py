@@ -17,7 +17,7 @@ from operando.frf import merge_frfs
 from operando.pipeline.cache import StageCache, key_of, whole, write_json
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs, force_rms, level_groups
-from operando.pipeline.stages import offered, runs_behind, without_bands
+from operando.pipeline.stages import offered, runs_behind
 
 
 def runs(*levels_and_masses):
@@ -99,13 +99,13 @@ def test_pairs_given_twice_are_averaged_where_they_agree():
 
 def test_excluded_bands_are_cut_out():
     frf = models.measured(running_chain())
-    cut = without_bands(frf, [(20.0, 30.0), (50.0, 50.2)])
+    cut = frf.without_bands([(20.0, 30.0), (50.0, 50.2)])
     lines = cut.frequencies_hz
     assert not np.any((lines >= 20) & (lines <= 30))
     assert 50.0 not in lines
     assert cut.variance.shape == cut.data.shape
     np.testing.assert_array_equal(cut.data[:, :, -1], frf.data[:, :, -1])
-    assert without_bands(frf, []) is frf
+    assert frf.without_bands([]) is frf
 
 
 def test_runs_set_aside_do_not_come_back():

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from operando.dof import Dof
-from operando.errors import ConfigError, DofError, UnitError
+from operando import values
+from operando.entries import Entry, Given, lines_of
+from operando.errors import ConfigError, OperandoError
 from operando.states import Span as Span
 from operando.states import State as State
-from operando.states import check_keys, find_files, is_number, record_named, state_of
-from operando.units import SI_UNIT, parse_unit
-
-ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
-HITS = ("auto", "all", "off")
-EMA_ANSWERS = ("auto", "linear", "polished")
-SCALINGS = ("auto", "msf_all", "eq13", "eq15", "eq20", "idle_shapes")
-_CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
+from operando.states import find_files, record_named, state_of
+from operando.values import check_keys
 
 
 @dataclass(frozen=True)
@@ -115,6 +109,8 @@ class Test:
     analysis : Analysis
     directions : dict
         DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
+    given : mapping
+        Which line or option gave each entry, for messages.
     """
 
     __test__: ClassVar[bool] = False  # not a test class, whatever its name suggests to a collector
@@ -130,6 +126,11 @@ class Test:
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
     analysis: Analysis = field(default_factory=Analysis)
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    given: Given = field(default_factory=dict, repr=False, compare=False)
+
+    def where(self, section: str, key: str = "") -> str:
+        """An entry of the test file in words: file, line, section, key."""
+        return str(Entry(str(self.path or "test"), section, key, self.given))
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -182,7 +183,7 @@ class Test:
         out = []
         for text in self.analysis.hits_reject:
             file, _, number = text.rpartition("#")
-            name = record_named(file, labels, f"{self.path or 'test'} [analysis] hits_reject")
+            name = record_named(file, labels, self.where("analysis", "hits_reject"))
             if name in mine:
                 out.append(f"{name}#{int(number)}")
         return tuple(dict.fromkeys(out))
@@ -195,19 +196,21 @@ class Test:
         ConfigError
             If a setting is unknown or its value is wrong.
         """
-        checked = _analysis(changes, "analysis settings")
+        checked = _analysis(changes, Entry("settings", "analysis"))
         changed = replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
         changed.rejected_hits(changed.idle)
         return changed
 
 
-def load_test(path: str | Path) -> Test:
+def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
     """Read a test file.
 
     Parameters
     ----------
     path : path
         ``test.toml``, or a folder that holds one. Paths and globs inside are relative to the file.
+    changes : sequence of str, optional
+        Entries that take the place of those in the file, each ``section.key=value`` with the value as TOML.
 
     Raises
     ------
@@ -216,260 +219,125 @@ def load_test(path: str | Path) -> Test:
     """
     path = Path(path)
     if path.is_dir():
+        if (path / "model.h5").exists() and not (path / "test.toml").exists():
+            hint = "give the test file; `operando report`, `ofrf`, `diagnose` and `compare` take a results folder"
+            raise ConfigError("is a results folder, expected a test file", where=str(path), hint=hint)
         path = path / "test.toml"
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise ConfigError(
-            "there is no such test file", where=str(path), hint="`operando init DIR` writes one from the files in DIR"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"not a text in UTF-8 (byte {error.start})", where=str(path), hint="a test file is TOML text") from None
+    text = _text_of(path)
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        hint = (
-            "write Windows paths in single quotes or with /"
-            if "escape" in str(error).lower()
-            else "see the contract of test.toml in the README"
-        )
-        raise ConfigError(f"not valid TOML: {error}", where=str(path), hint=hint) from None
-    return parse_test(table, path)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        line = re.search(r"at line (\d+)", str(error))
+        hint = "write Windows paths in single quotes or with /" if "escape" in str(error).lower() else _not_a_test(path)
+        where = f"{path}, line {line[1]}" if line else str(path)
+        raise ConfigError(f"not valid TOML: {error}", where=where, hint=hint) from None
+    given = lines_of(text)
+    for change in changes:
+        given[_apply(table, change)] = "--set"
+    return parse_test(table, path, given)
 
 
-def parse_test(table: Mapping[str, Any], path: Path) -> Test:
-    """Test of a parsed TOML table; ``path`` is the file it came from (see :func:`load_test`)."""
-    where = str(path)
-    known = ("name", "idle", "operating", "check", "geometry", "units", "channels", "analysis", "directions")
-    check_keys(table, known, where)
-    for section in known[1:]:
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        hint = "`operando init DIR` writes one from the files in DIR"
+        raise ConfigError("there is no such test file", where=str(path), hint=hint) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"not a text in UTF-8 (byte {error.start})", where=str(path), hint=_not_a_test(path)) from None
+
+
+def _not_a_test(path: Path) -> str:
+    """What to do with a file that is no TOML: it may be data."""
+    if path.suffix.lower() == ".toml":
+        return 'a test file is TOML text with lines such as [idle] and records = ["idle/*.uff"]'
+    from operando.io import detect_format
+
+    try:
+        kind = detect_format(path)
+    except (OperandoError, OSError):
+        kind = ""
+    if not kind or (kind == "csv" and path.suffix.lower() != ".csv"):  # any text may be a table
+        return "a test file is TOML text; `operando init DIR` writes one from the files in DIR"
+    return f"this is a measurement file ({kind}): `operando init {path.parent}` writes a test file, `operando inspect` shows what is in it"
+
+
+def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
+    """Put ``section.key=value`` into the table; returns section and key."""
+    name, equals, text = change.partition("=")
+    section, dot, key = (part.strip().strip("\"'") for part in name.partition("."))
+    if not (equals and section) or (dot and not key):
+        hint = "write SECTION.KEY=VALUE, as in analysis.band=[5,220] or analysis.scaling=eq13"
+        raise ConfigError(f"{change!r:.200} names no entry", where="--set", hint=hint)
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        value = text.strip()  # a text without its quotes, as shells leave it
+    if not dot:
+        section, key, target = "", section, table
+    else:
+        target = table.setdefault(section, {})
+        if not isinstance(target, dict):
+            raise ConfigError(f"{section!r} is a value, not a section", where="--set", hint=values.nearest(section, _SECTIONS))
+    target[key] = value
+    return section, key
+
+
+_SECTIONS = ("idle", "operating", "check", "geometry", "units", "channels", "analysis", "directions")
+
+
+def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
+    """Test of a parsed TOML table; ``path`` is the file it came from, ``given`` the line of each entry (see :func:`load_test`)."""
+    where = Entry(str(path), given=given or {})
+    check_keys(table, ("name", *_SECTIONS), where)
+    for section in _SECTIONS:
         if section in table and not isinstance(table[section], Mapping):
-            raise ConfigError(f"{section!r} is a value, expected a table", where=where, hint=f"write [{section}] on a line of its own")
+            hint = f"write [{section}] on a line of its own"
+            raise ConfigError(f"{section!r} is a value, expected a table", where=str(where.at(section)), hint=hint)
     name = table.get("name", path.parent.resolve().name)
     if not isinstance(name, str) or not name.strip():
-        raise ConfigError(f"name is {name!r}, expected a text", where=where)
+        raise ConfigError(f"name is {name!r:.200}, expected a text", where=str(where.at("name")))
     folder = path.parent
-    states = {key: state_of(table.get(key, {}), folder, f"{where} [{key}]") for key in ("idle", "operating", "check")}
+    states = {key: state_of(table.get(key, {}), folder, where.within(key)) for key in ("idle", "operating", "check")}
     if not (states["idle"] or states["operating"]):
-        raise ConfigError("names no measurement", where=where, hint='give [idle] or [operating] with records = ["idle/*.uff"]')
+        hint = 'give [idle] or [operating] with records = ["idle/*.uff"]'
+        raise ConfigError("names no measurement", where=str(where), hint=hint)
     if states["idle"].records and states["idle"].frfs:
-        raise ConfigError("gives both records and frfs", where=f"{where} [idle]", hint="keep one: raw records if there are any")
+        raise ConfigError("gives both records and frfs", where=str(where.within("idle")), hint="keep one: raw records if there are any")
     if states["operating"].frfs:
-        raise ConfigError(
-            "FRFs cannot be measured where the force is unknown", where=f"{where} [operating]", hint="a run with force belongs to [check]"
-        )
-    geometry = table.get("geometry", {})
-    check_keys(geometry, ("file", "units"), f"{where} [geometry]")
-    file = geometry.get("file")
-    geometry_units = geometry.get("units")
-    directions = _directions(table.get("directions", {}), f"{where} [directions]")
-    channels = _channels(table.get("channels", {}), f"{where} [channels]")
-    _check_declared(channels, directions, f"{where} [channels]")
-    if geometry_units is not None:
-        _unit(geometry_units, "displacement", f"{where} [geometry] units")
+        hint = "a run with force belongs to [check]"
+        text = "FRFs cannot be measured where the force is unknown"
+        raise ConfigError(text, where=str(where.within("operating").at("frfs")), hint=hint)
+    geometry, here = table.get("geometry", {}), where.within("geometry")
+    check_keys(geometry, ("file", "units"), here)
+    files = find_files([geometry["file"]], folder, here.at("file")) if "file" in geometry else ()
+    if len(files) > 1:
+        raise ConfigError(f"{geometry['file']!r} matches {len(files)} files, expected one", where=str(here.at("file")))
+    if geometry.get("units") is not None:
+        values.unit(geometry["units"], "displacement", here.at("units"))
+    directions = values.directions(table.get("directions", {}), where.within("directions"))
+    channels = values.channels(table.get("channels", {}), where.within("channels"))
+    values.declared(channels, directions, where.within("channels"))
     test = Test(
         name=name.strip(),
         path=path,
         **states,
-        geometry_file=None if file is None else find_files([file], folder, f"{where} [geometry] file")[0],
-        geometry_units=geometry_units,
-        units=_units(table.get("units", {}), f"{where} [units]"),
+        geometry_file=files[0] if files else None,
+        geometry_units=geometry.get("units"),
+        units=values.units(table.get("units", {}), where.within("units")),
         channels=channels,
-        analysis=_analysis(table.get("analysis", {}), f"{where} [analysis]"),
+        analysis=_analysis(table.get("analysis", {}), where.within("analysis")),
         directions=directions,
+        given=where.given,
     )
     test.rejected_hits(test.idle)
     return test
 
 
+def _analysis(table: Mapping[str, Any], where: Entry) -> Analysis:
+    check_keys(table, (f.name for f in fields(Analysis)), where)
+    return Analysis(**{key: values.setting(key, value, where.at(key)) for key, value in table.items()})
+
+
 def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
-
-
-def _unit(text: Any, quantity: str | None, where: str) -> str:
-    if not isinstance(text, str):
-        raise ConfigError(f"{text!r} is no unit", where=where, hint='write a text such as "g" or "lbf"')
-    try:
-        parse_unit(text, quantity)
-    except UnitError as error:
-        raise ConfigError(error.message, where=where, hint=error.hint) from None
-    return text
-
-
-def _units(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    check_keys(table, (*SI_UNIT, "length", "sampling_hz"), where)
-    out: dict[str, Any] = {}
-    for quantity, text in table.items():
-        here = f"{where} {quantity}"
-        if quantity == "sampling_hz":
-            out[quantity] = _positive(text, here)
-        else:
-            out[quantity] = _unit(text, "displacement" if quantity == "length" else quantity, here)
-    return out
-
-
-def _channels(table: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
-    out: dict[str, dict[str, Any]] = {}
-    for name, entry in table.items():
-        here = f"{where} {name!r}"
-        if not isinstance(entry, Mapping):
-            raise ConfigError(
-                f"{entry!r} is no table", where=here, hint='write for example {dof = "12+Z", quantity = "acceleration", unit = "g"}'
-            )
-        check_keys(entry, _CHANNEL_KEYS, here)
-        if "dof" in entry:
-            try:
-                Dof.parse(entry["dof"])
-            except DofError as error:
-                raise ConfigError(error.message, where=here, hint=error.hint) from None
-        quantity = entry.get("quantity")
-        if quantity is not None and quantity not in SI_UNIT:
-            near = difflib.get_close_matches(str(quantity), SI_UNIT, 1, 0.5)
-            raise ConfigError(
-                f"unknown quantity {quantity!r}", where=here, hint=f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(SI_UNIT)
-            )
-        if "unit" in entry:
-            _unit(entry["unit"], quantity, f"{here} unit")
-        if "sensitivity" in entry and (not is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
-            raise ConfigError(f"sensitivity is {entry['sensitivity']!r}, expected a number other than 0", where=here)
-        if not isinstance(entry.get("exclude", False), bool):
-            raise ConfigError(f"exclude is {entry['exclude']!r}, expected true or false", where=here)
-        if not isinstance(entry.get("reason", ""), str):
-            raise ConfigError(f"reason is {entry['reason']!r}, expected a text", where=here)
-        out[name] = dict(entry)
-    return out
-
-
-NOT_UNIT = 0.05
-"""Largest difference of a direction's length from 1: three components rounded to two decimals keep within 1 %; more is no unit vector."""
-
-
-def _directions(table: Mapping[str, Any], where: str) -> dict[str, tuple[float, ...]]:
-    """DOF in its positive sense → vector of unit length."""
-    out: dict[str, tuple[float, ...]] = {}
-    for label, value in table.items():
-        here = f"{where} {label!r}"
-        try:
-            dof = Dof.parse(label)
-        except DofError as error:
-            hint = "write node, sign and a name in lower case, as in 5+a, or the label the file has, as in 7+X"
-            raise ConfigError(error.message, where=here, hint=hint) from None
-        if dof.axis in ("", "RX", "RY", "RZ"):
-            raise ConfigError(f"{dof} is a {'rotation' if dof.axis else 'scalar'}, which has no direction here", where=here)
-        _check(value, isinstance(value, list | tuple) and len(value) == 3 and all(is_number(v) for v in value), "three numbers", here)
-        length = sum(float(v) ** 2 for v in value) ** 0.5
-        if abs(length - 1) > NOT_UNIT:
-            raise ConfigError(f"the vector has length {length:.3g}, expected a unit vector", where=here, hint="divide it by its length")
-        if str(dof.unsigned) in out:
-            raise ConfigError(f"the direction of {dof.unsigned} is given twice", where=here)
-        out[str(dof.unsigned)] = tuple(dof.sign * float(v) / length for v in value)
-    return out
-
-
-def _check_declared(channels: Mapping[str, Mapping[str, Any]], directions: Mapping[str, Any], where: str) -> None:
-    """Every named direction in [channels] must stand in [directions]."""
-    for name, entry in channels.items():
-        if "dof" in entry and (dof := Dof.parse(entry["dof"])).named and str(dof.unsigned) not in directions:
-            near = difflib.get_close_matches(str(dof.unsigned), directions, 1, 0.5)
-            raise ConfigError(
-                f"direction {dof.axis!r} of {dof} is not declared",
-                where=f"{where} {name!r}",
-                hint=f"did you mean {near[0]!r}?" if near else f'give its unit vector: [directions] "{dof.unsigned}" = [0.0, 0.6, 0.8]',
-            )
-
-
-def _check(value: Any, good: bool, expected: str, where: str) -> Any:
-    if not good:
-        raise ConfigError(f"{value!r} is not allowed; expected {expected}", where=where)
-    return value
-
-
-def _band(value: Any, where: str) -> tuple[float, float]:
-    good = isinstance(value, list | tuple) and len(value) == 2 and all(is_number(v) for v in value) and 0 <= value[0] < value[1]
-    _check(value, good, "two frequencies [low, high] in Hz with 0 <= low < high", where)
-    return float(value[0]), float(value[1])
-
-
-def _bands(value: Any, where: str) -> tuple[tuple[float, float], ...]:
-    _check(value, isinstance(value, list | tuple), "a list of [low, high] in Hz", where)
-    return tuple(_band(v, where) for v in value)
-
-
-def _numbers(value: Any, where: str) -> tuple[float, ...]:
-    good = isinstance(value, list | tuple) and all(is_number(v) and v > 0 for v in value)
-    return tuple(float(v) for v in _check(value, good, "a list of frequencies in Hz", where))
-
-
-def _texts(value: Any, where: str) -> tuple[str, ...]:
-    return tuple(_check(value, isinstance(value, list | tuple) and all(isinstance(v, str) for v in value), "a list of texts", where))
-
-
-def _dofs(value: Any, where: str) -> tuple[str, ...]:
-    out = []
-    for text in _texts(value, where):
-        try:
-            out.append(str(Dof.parse(text)))
-        except DofError as error:
-            raise ConfigError(error.message, where=where, hint=error.hint) from None
-    return tuple(out)
-
-
-def _hits(value: Any, where: str) -> tuple[str, ...]:
-    texts = _texts(value, where)
-    for text in texts:
-        if not re.fullmatch(r".+#\d+", text):
-            raise ConfigError(f"{text!r} names no hit", where=where, hint='write FILE#NUMBER, as in "idle/hammer1.uff#3"; numbers from 0')
-    return texts
-
-
-def _positive(value: Any, where: str) -> float:
-    return float(_check(value, is_number(value) and value > 0, "a positive number", where))
-
-
-def _overlap(value: Any, where: str) -> float:
-    return float(_check(value, is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where))
-
-
-def _order(value: Any, where: str) -> int:
-    return int(_check(value, isinstance(value, int) and not isinstance(value, bool) and value >= 2, "a whole number of at least 2", where))
-
-
-def _threshold(value: Any, where: str) -> float:
-    return float(_check(value, is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
-
-
-def _text(value: Any, where: str) -> str:
-    return str(_check(value, isinstance(value, str) and value != "", "a text", where))
-
-
-def _flag(value: Any, where: str) -> bool:
-    return bool(_check(value, isinstance(value, bool), "true or false", where))
-
-
-def _one_of(choices: tuple[str, ...]) -> Callable[[Any, str], str]:
-    def check(value: Any, where: str) -> str:
-        if isinstance(value, str) and value.lower() in choices:
-            return value.lower()
-        near = difflib.get_close_matches(str(value), choices, 1, 0.5)
-        raise ConfigError(
-            f"{value!r} is not allowed; expected one of {', '.join(choices)}",
-            where=where,
-            hint=f"did you mean {near[0]!r}?" if near else None,
-        )
-
-    return check
-
-
-_CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _text, "estimator": _one_of(ESTIMATORS),
-    "hits": _one_of(HITS), "hits_reject": _hits, "references": _dofs, "max_order": _order, "ema": _one_of(EMA_ANSWERS),
-    "modes_hz": _numbers, "select_hz": _numbers, "reject_hz": _numbers,
-    "threshold": _threshold, "scaling": _one_of(SCALINGS), "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _texts,
-    "places": _texts, "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers,
-    "second_opinion": _flag,
-}  # fmt: skip
-
-
-def _analysis(table: Mapping[str, Any], where: str) -> Analysis:
-    check_keys(table, (f.name for f in fields(Analysis)), where)
-    return Analysis(**{key: _CHECKS[key](value, f"{where} {key}") for key, value in table.items()})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from operando.errors import DofError
 
@@ -13,6 +14,10 @@ AXES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 _PATTERN = re.compile(r"^\s*(\d+)\s*(?:([+-])?\s*(R?[XYZ]))?\s*$", re.IGNORECASE)
 _NAMED = re.compile(r"^\s*(\d+)([+-])([a-z][a-z0-9_]{0,15})\s*$")
 _NAME = re.compile(r"^[a-z][a-z0-9_]{0,15}$")
+
+
+LARGEST_NODE = 10**18 - 1
+"""Node numbers fit the 64-bit integers of arrays and files."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -40,8 +45,9 @@ class Dof:
     sign: int = 1
 
     def __post_init__(self) -> None:
-        if self.node < 0:
-            raise DofError(f"node number {self.node} is negative", hint="node numbers start at 0")
+        if not 0 <= self.node <= LARGEST_NODE:
+            text = f"node number {self.node} is negative" if self.node < 0 else "the node number has more than 18 digits"
+            raise DofError(text, hint="node numbers start at 0 and have up to 18 digits")
         if self.axis not in AXES and not (_NAME.match(self.axis) and self.axis.upper() not in AXES):
             hint = "use X, Y, Z, RX, RY, RZ, nothing for a scalar, or the name of a direction in lower case"
             raise DofError(f"unknown axis {self.axis!r}", hint=hint)
@@ -61,12 +67,16 @@ class Dof:
             return text
         match = _PATTERN.match(str(text))
         named = _NAMED.match(str(text)) if match is None else None
+        digits = (match or named or ["", ""])[1].lstrip("0") or "0"
+        if len(digits) > 18:  # checked here: Python refuses to make a number of some thousand digits
+            hint = "node numbers start at 0 and have up to 18 digits"
+            raise DofError(f"the node number of {str(text)[:20]!r}… has {len(digits)} digits", hint=hint)
         if named is not None:
-            return cls(int(named[1]), named[3], -1 if named[2] == "-" else 1)
+            return cls(int(digits), named[3], -1 if named[2] == "-" else 1)
         if match is None:
-            raise DofError(f"{text!r} is no DOF label", hint="write node, sign, axis, as in 12+Z, 7-X, 101+RY, or 12")
-        node, sign, axis = match.groups()
-        return cls(int(node), (axis or "").upper(), -1 if sign == "-" else 1)
+            raise DofError(f"{text!r:.80} is no DOF label", hint="write node, sign, axis, as in 12+Z, 7-X, 101+RY, or 12")
+        _, sign, axis = match.groups()
+        return cls(int(digits), (axis or "").upper(), -1 if sign == "-" else 1)
 
     @classmethod
     def from_uff(cls, node: int, code: int) -> Dof:
@@ -148,7 +158,10 @@ def match_dofs(wanted: tuple[Dof, ...], available: tuple[Dof, ...]) -> tuple[lis
     for dof in wanted:
         i = table.get((dof.node, dof.axis))
         if i is None:
-            raise DofError(f"DOF {dof} is not measured", hint="available: " + ", ".join(str(d) for d in available[:40]))
+            labels = [str(d) for d in available]
+            near = get_close_matches(str(dof), labels, 1, 0.5)
+            hint = (f"did you mean {near[0]!r}? " if near else "") + "available: " + ", ".join(labels[:40])
+            raise DofError(f"DOF {dof} is not measured", hint=hint)
         indices.append(i)
         signs.append(dof.sign * available[i].sign)
     return indices, signs

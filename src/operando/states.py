@@ -7,11 +7,13 @@ import glob
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import isfinite
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from operando.entries import Entry
 from operando.errors import ConfigError
+from operando.values import check_keys, is_number
 
 _STATE_KEYS = ("records", "frfs")
 _RECORD_KEYS = ("file", "start_s", "stop_s")
@@ -76,53 +78,60 @@ class State:
         return tuple(zip(self.records, self.spans or (None,) * len(self.records), strict=True))
 
 
-def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Raise a ConfigError that names the nearest known key for the first unknown one."""
-    known = tuple(known)
-    for key in table:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
-            hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
-            raise ConfigError(f"unknown key {key!r}" + (f"; the nearest known key is {near[0]!r}" if near else ""), where=where, hint=hint)
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a finite number (and no bool)."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+MOST_NAMES = 2000
+"""Files looked at for a name near to one that is not there."""
 
 
 def _natural(path: Path) -> list[Any]:
-    return [int(part) if part.isdigit() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
+    return [int(part) if part.isdecimal() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
 
 
-def find_files(patterns: Any, folder: Path, where: str) -> tuple[Path, ...]:
+def find_files(patterns: Any, folder: Path, where: Entry) -> tuple[Path, ...]:
     """Files that paths and patterns name, each once, in natural order.
 
     Raises
     ------
     ConfigError
-        If the value is no list of texts, or a pattern matches no file.
+        If the value is no list of texts, or a pattern matches no file; a file of a similar name is told.
     """
     if isinstance(patterns, str):
         patterns = [patterns]
     if not isinstance(patterns, list) or not all(isinstance(p, str) and p for p in patterns):
-        raise ConfigError(f"{patterns!r} is no list of paths", where=where, hint='write for example ["idle/*.uff"]')
+        raise ConfigError(f"{patterns!r:.200} is no list of paths", where=str(where), hint='write for example ["idle/*.uff"]')
     found: dict[Path, None] = {}
     for pattern in patterns:
-        literal = folder / pattern
-        hits = (
-            [literal]
-            if literal.is_file()
-            else sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
-        )
-        hits = [p for p in hits if p.is_file()]
-        if not hits:
-            raise ConfigError(f"{pattern!r} matches no file", where=where, hint=f"paths are relative to {folder.resolve()}")
+        try:
+            hits = _matches(pattern, folder)
+            if not hits:
+                raise _no_file(pattern, folder, where)
+        except (OSError, ValueError, RecursionError, re.error) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(f"{pattern!r:.200} is no path: {error}", where=str(where), hint='write for example ["idle/*.uff"]') from None
         found |= dict.fromkeys(hits)
     return tuple(found)
 
 
-def state_of(table: Mapping[str, Any], folder: Path, where: str) -> State:
+def _matches(pattern: str, folder: Path) -> list[Path]:
+    literal = folder / pattern
+    if literal.is_file():
+        return [literal]
+    found = sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
+    return [p for p in found if p.is_file()]
+
+
+def _no_file(pattern: str, folder: Path, where: Entry) -> ConfigError:
+    """The error for a path or pattern that matches nothing."""
+    if (folder / pattern).is_dir():
+        hint = f"write {pattern.rstrip('/')}/* for the files in it"
+        return ConfigError(f"{pattern!r} is a folder, expected files", where=str(where), hint=hint)
+    there = [p.relative_to(folder).as_posix() for p in islice(folder.rglob("*"), MOST_NAMES) if p.is_file()]
+    near = difflib.get_close_matches(pattern, there, 1, 0.6)
+    hint = (f"did you mean {near[0]!r}? " if near else "") + f"paths are relative to {folder.resolve()}"
+    return ConfigError(f"{pattern!r:.200} matches no file", where=str(where), hint=hint)
+
+
+def state_of(table: Mapping[str, Any], folder: Path, where: Entry) -> State:
     """State of a table of the test file.
 
     Raises
@@ -131,8 +140,8 @@ def state_of(table: Mapping[str, Any], folder: Path, where: str) -> State:
         If a key is unknown, a value is wrong, or a pattern matches no file.
     """
     check_keys(table, _STATE_KEYS, where)
-    runs = _runs(table.get("records", []), folder, f"{where} records")
-    frfs = find_files(table["frfs"], folder, f"{where} frfs") if table.get("frfs", []) != [] else ()
+    runs = _runs(table.get("records", []), folder, where.at("records"))
+    frfs = find_files(table["frfs"], folder, where.at("frfs")) if table.get("frfs", []) != [] else ()
     return State(
         records=tuple(file for file, _ in runs),
         frfs=frfs,
@@ -140,7 +149,7 @@ def state_of(table: Mapping[str, Any], folder: Path, where: str) -> State:
     )
 
 
-def _runs(entries: Any, folder: Path, where: str) -> list[tuple[Path, Span | None]]:
+def _runs(entries: Any, folder: Path, where: Entry) -> list[tuple[Path, Span | None]]:
     """Records and the part of each that counts. What a table says of a file holds also where a pattern names the file, too."""
     entries = entries if isinstance(entries, list) else [entries]
     plain: dict[Path, list[Span | None]] = {}
@@ -150,7 +159,7 @@ def _runs(entries: Any, folder: Path, where: str) -> list[tuple[Path, Span | Non
             check_keys(table, _RECORD_KEYS, where)
             if "file" not in table:
                 raise ConfigError(
-                    f"{dict(table)!r} names no file", where=where, hint='write {file = "run1.uff", start_s = 10, stop_s = 70}'
+                    f"{dict(table)!r:.200} names no file", where=str(where), hint='write {file = "run1.uff", start_s = 10, stop_s = 70}'
                 )
         span = None if table is None else _span(table, where)
         for file in find_files([entry if table is None else table["file"]], folder, where):
@@ -164,12 +173,12 @@ def _runs(entries: Any, folder: Path, where: str) -> list[tuple[Path, Span | Non
     return out
 
 
-def _span(table: Mapping[str, Any], where: str) -> Span | None:
+def _span(table: Mapping[str, Any], where: Entry) -> Span | None:
     """The part of a record that a table names, None where it names none."""
-    here = f"{where} {table['file']}"
+    here = f"{where}: {table['file']!s:.200}"
     for key in ("start_s", "stop_s"):
         if key in table and not is_number(table[key]):
-            raise ConfigError(f"{key} is {table[key]!r}, expected a time in s", where=here)
+            raise ConfigError(f"{key} is {table[key]!r:.200}, expected a time in s", where=here)
     start, stop = (None if table.get(key) is None else float(table[key]) for key in ("start_s", "stop_s"))
     if start is not None and stop is not None and start >= stop:
         raise ConfigError(f"start_s = {start:g} is not before stop_s = {stop:g}", where=here)

@@ -56,13 +56,15 @@ def synthesise(
     (n_responses, n_references, n_lines) complex array
     """
     kernel = modal_kernel(frequencies_hz, mode_hz, damping_ratios, quantity)
-    residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(-1, kernel.shape[0])
+    residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(
+        len(response_shapes) * len(reference_shapes), kernel.shape[0]
+    )
     if np.iscomplexobj(residues):
         out = residues @ kernel
     else:
         stacked = residues @ np.concatenate([kernel.real, kernel.imag], axis=1)
         out = stacked[:, : kernel.shape[1]] + 1j * stacked[:, kernel.shape[1] :]
-    return out.reshape(response_shapes.shape[0], reference_shapes.shape[0], -1)
+    return out.reshape(response_shapes.shape[0], reference_shapes.shape[0], kernel.shape[1])
 
 
 def synthesis_variance(

@@ -29,6 +29,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+class UnknownCommand(click.UsageError):
+    """There is no such command; the nearest is named."""
+
+    def __init__(self, name: str, near: str | None, ctx: click.Context) -> None:
+        self.hint = f"did you mean {near!r}?" if near else "commands: " + ", ".join(COMMANDS)
+        super().__init__(f"there is no command {name!r}; {self.hint}", ctx)
+
+
 class LazyGroup(click.Group):
     """A group that imports the module of a command when the command is called."""
 
@@ -43,6 +51,16 @@ class LazyGroup(click.Group):
         module = importlib.import_module(f"operando.cli.{COMMANDS[cmd_name][0]}")
         command: click.Command = getattr(module, cmd_name)
         return command
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command asked for; of an unknown one the nearest is named."""
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-"):
+            from difflib import get_close_matches
+
+            near = get_close_matches(name, COMMANDS, 1, 0.5)
+            raise UnknownCommand(name, near[0] if near else None, ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of commands, without loading them."""
@@ -60,7 +78,8 @@ class LazyGroup(click.Group):
             if "--json" in given:
                 from operando.cli.answer import print_json
 
-                hint = error.ctx.get_usage() if error.ctx is not None else None
+                usage = error.ctx.get_usage() if error.ctx is not None else None
+                hint = error.hint if isinstance(error, UnknownCommand) else usage
                 print_json({"schema": "operando/error/1", "error": error.format_message(), "where": "command line", "hint": hint})
             error.show()
             sys.exit(2)

@@ -21,6 +21,7 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
     if bool(effects) == suggested:
         raise click.UsageError("name effects to add, or --suggested")
     from operando.cli.ladder import change, present, suggestion
+    from operando.cli.ofrf import check_dofs
     from operando.effects import parse_effect
 
     state = present(folder)
@@ -28,6 +29,8 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
     if suggested:
         return change(folder, state, suggestion(folder, state))
     new = [parse_effect(text, band, fixed=fix) for text in effects]
+    for text, effect in zip(effects, new, strict=True):
+        check_dofs(effect.location, state.idle.dofs if state.idle is not None else (), f"effect {text!r:.200}")
     from operando.cli.ladder import accepted
 
     return change(folder, state, [*accepted(state), *new])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ def compare(model: str, measured: str, output: str | None) -> Answer:
     from operando.compare import compare_all
 
     source = load_model(model)
-    runs = load_measured(measured)
+    runs = [replace(run, frf=run.frf.without_bands(source.exclude_bands)) for run in load_measured(measured)]
     found: dict[str, Any] = compare_all({"model": source.model}, runs, band_hz=source.band_hz)
     errors = found["models"]["model"]
     document = found | {"model": errors, "model_source": f"{model}: {source.what}", "measured_source": measured, "band_hz": source.band_hz}

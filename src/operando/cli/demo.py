@@ -7,21 +7,19 @@ from pathlib import Path
 import click
 
 from operando.cli.answer import Answer, answers
-from operando.cli.story import Clock, run_answer, test_options
+from operando.cli.story import Clock, run_answer
+from operando.cli.test_file import read_test, test_options
 
 
 @click.command("demo", epilog="Example: operando demo -o demo && open demo/report.html")
-@click.option("-o", "--output", type=click.Path(file_okay=False), default="demo", show_default=True, help="Results folder.")
+@click.option("-o", "--output", type=click.Path(), default="demo", show_default=True, help="Results folder.")
 @test_options
 @answers
-def demo(output: str, second_opinion: bool) -> Answer:
+def demo(output: str, changes: tuple[str, ...], second_opinion: bool) -> Answer:
     """The whole story on the packaged example: a plate at rest and running, from raw UFF files to the report."""
-    from operando.config import load_test
     from operando.pipeline import run
 
-    test = load_test(example_folder() / "test.toml")
-    if second_opinion:
-        test = test.with_analysis(second_opinion=True)
+    test = read_test(example_folder() / "test.toml", changes, second_opinion)
     click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
     out = Path(output)
     return run_answer(run(test, out, progress=Clock()), out, None)

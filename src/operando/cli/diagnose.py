@@ -8,13 +8,15 @@ from typing import Any
 import click
 
 from operando.cli.answer import Answer, answers, table
+from operando.cli.test_file import need_stage, output_option, read_test, results_folder, set_option
 
 
 @click.command("diagnose", epilog="Example: operando diagnose pump-results")
 @click.argument("source", metavar="DIR|TEST", type=click.Path())
-@click.option("-o", "--output", type=click.Path(file_okay=False), help="Results folder for a test file (default: results/NAME here).")
+@output_option
+@set_option
 @answers
-def diagnose(source: str, output: str | None) -> Answer:
+def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answer:
     """Where the idle model fails in operation, and what is missing.
 
     A results folder shows (or makes) its diagnosis; a test file is run up to this stage first.
@@ -23,15 +25,17 @@ def diagnose(source: str, output: str | None) -> Answer:
     from operando.store import load_results
 
     path = Path(source)
-    if path.is_file() and path.suffix == ".toml":
-        from operando.cli.run import default_output
+    if (path.is_file() and path.suffix == ".toml") or (
+        path.is_dir() and not (path / "model.h5").exists() and (path / "test.toml").exists()
+    ):
         from operando.cli.story import Clock
-        from operando.config import load_test
         from operando.pipeline import run
 
-        test = load_test(path)
-        out = default_output(test.name) if output is None else Path(output)
-        results = run(test, out, until="diagnose", progress=Clock())
+        test = read_test(path, changes)
+        need_stage(test, "diagnose")
+        results = run(test, results_folder(test.name, output), until="diagnose", progress=Clock())
+    elif changes or output is not None:
+        raise click.UsageError("--set and -o belong to a test file; the results folder given has its settings")
     else:
         results = load_results(source, only=("name", "diagnosis", "left_out"))
     if results.diagnosis is None:

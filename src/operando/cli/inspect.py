@@ -8,12 +8,14 @@ from typing import Any
 import click
 
 from operando.cli.answer import Answer, answers, table
+from operando.cli.test_file import read_test, set_option
 
 
 @click.command("inspect", epilog="Example: operando inspect idle/run1.uff operating/*.uff")
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
+@set_option
 @answers
-def inspect(files: tuple[str, ...]) -> Answer:
+def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
     """What is in files: sets, channels, DOFs, units, sampling; what is used, ignored, missing, and wrong.
 
     Of a test file (.toml) the files it names are looked at, with its units and channels.
@@ -25,10 +27,10 @@ def inspect(files: tuple[str, ...]) -> Answer:
     units: Any = None
     channels: Any = None
     if len(files) == 1 and files[0].endswith(".toml"):
-        from operando.config import load_test
-
-        test = load_test(files[0])
+        test = read_test(files[0], changes)
         paths, units, channels = list(test.files), test.units or None, test.channels or None
+    elif changes:
+        raise click.UsageError("--set belongs to a test file, and none is named")
     document: dict[str, Any] = inspect_files(paths, units=units, channels=channels)
     unread = [f for f in document["files"] if f["error"] is not None]
     if len(unread) == len(document["files"]):

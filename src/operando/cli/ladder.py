@@ -42,10 +42,8 @@ def present(folder: str) -> Results:
 
 def judging(results: Results) -> tuple[list[CheckRun], tuple[float, float] | None]:
     """Check runs without the bands that the test leaves out, and its band."""
-    from operando.pipeline.stages import without_bands
-
     band = results.settings.get("band")
-    runs = [replace(run, frf=without_bands(run.frf, left_out(results))) for run in results.check]
+    runs = [replace(run, frf=run.frf.without_bands(left_out(results))) for run in results.check]
     return runs, (float(band[0]), float(band[1])) if band else None
 
 
@@ -106,7 +104,7 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
         band=band,
         progress=lambda message: say("diagnose", message),
         records=check_records(folder, results) if looked_at_records else (),
-        idle_frf=results.idle_frf if looked_at_records else None,
+        idle_frf=results.idle_frf.without_bands(left_out(results)) if looked_at_records and results.idle_frf is not None else None,
         exclude_bands=left_out(results),
     )
     if not found.effects:

@@ -84,6 +84,12 @@ def ofrf(
         from operando.pipeline.outputs import ofrf_lines
 
         lines = ofrf_lines(results)
+    elif results.idle_frf is not None:
+        check_lines(lines, results.idle_frf, f"{folder}, --frequencies")
+    known = results.hybrid.modal if route == "hybrid" else results.idle
+    for option, dofs in (("--responses", wanted), ("--references", driven)):
+        if known is not None and dofs is not None:
+            check_dofs(dofs, known.dofs, f"{folder}, {option}")
     model: Any
     if level is not None:
         from operando.diagnose.at_level import LevelModel
@@ -178,6 +184,43 @@ def parse_lines(text: str) -> Any:
     if count > 10_000_000:
         raise click.BadParameter(f"{text!r} makes {count} lines", param_hint="--frequencies")
     return low + step * np.arange(count)
+
+
+def check_lines(lines: Any, measured: Frf, where: str) -> None:
+    """Lines asked for must lie within those of the idle FRFs: nothing beyond them was ever compared with a measurement.
+
+    Raises
+    ------
+    ConfigError
+        If one does not; the nearest range is named.
+    """
+    from operando.errors import ConfigError
+
+    low, high = float(measured.frequencies_hz[0]), float(measured.frequencies_hz[-1])
+    slack = 1e-6 * high
+    if lines[0] < low - slack or lines[-1] > high + slack:
+        out = lines[0] if lines[0] < low - slack else lines[-1]
+        step = float(lines[1] - lines[0]) if len(lines) > 1 else 1.0
+        a, b = max(low, float(lines[0])), min(high, float(lines[-1]))
+        hint = f"did you mean {a:.6g}:{b:.6g}:{step:.6g}?" if a <= b else f"frequencies are in Hz, within {low:.6g} and {high:.6g}"
+        raise ConfigError(f"{out:g} Hz is outside the lines of the idle FRFs, {low:.6g} to {high:.6g} Hz", where=where, hint=hint)
+
+
+def check_dofs(wanted: Any, known: Any, where: str) -> None:
+    """DOFs asked for must be measured.
+
+    Raises
+    ------
+    DofError
+        If one is not; the nearest is named.
+    """
+    from operando.dof import match_dofs
+    from operando.errors import DofError
+
+    try:
+        match_dofs(wanted, known)
+    except DofError as error:
+        raise DofError(error.message, where=where, hint=error.hint) from None
 
 
 def write_frf(frf: Frf, path: Path) -> None:

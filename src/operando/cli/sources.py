@@ -14,11 +14,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Source:
-    """A model with what it is in words, and the band it is meant for."""
+    """A model with what it is in words, the band it is meant for, and the bands its test leaves out."""
 
     model: Any
     what: str
     band_hz: tuple[float, float] | None = None
+    exclude_bands: tuple[tuple[float, float], ...] = ()
 
 
 def load_model(path: str) -> Source:
@@ -31,13 +32,18 @@ def load_model(path: str) -> Source:
     """
     results = _results(path)
     if results is not None:
+        from operando.pipeline.scale import no_scale
+
         band = results.settings.get("band") or (None if results.idle is None else results.idle.band_hz)
         band = None if band is None else (float(band[0]), float(band[1]))
+        without = tuple((float(low), float(high)) for low, high in results.settings.get("exclude_bands") or ())
         if results.hybrid is not None:
-            return Source(results.hybrid, "operational FRFs by the hybrid route", band)
+            return Source(results.hybrid, "operational FRFs by the hybrid route", band, without)
         if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
-            return Source(results.idle, "idle modes", band)
-        raise MissingError("holds no model of unit modal mass", where=path, hint="the idle modes need units ([units]) and a drive point")
+            return Source(results.idle, "idle modes", band, without)
+        cause = None if results.idle is None else no_scale(results.idle, results.findings)
+        text, hint = cause or ("there are no idle modes", "`operando run` the test to the stage ema or further")
+        raise MissingError(f"holds no model of unit modal mass: {text}", where=path, hint=hint)
     content = _read(path)
     if content.frfs:
         from operando.frf import merge_frfs

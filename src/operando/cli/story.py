@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +13,6 @@ from operando.errors import IdentificationError, OperandoError
 
 if TYPE_CHECKING:
     from operando.results import Results
-
-REQUIRED = ("inspect", "frf", "ema", "oma", "ofrf")
-"""Stages without which a test that has their data is not done."""
 
 MODEL_NAMES = {
     "ofrf": "operational FRF (hybrid)",
@@ -37,13 +33,6 @@ class Clock:
         click.echo(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}", err=True)
 
 
-def test_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of all commands that run a test."""
-    return click.option("--second-opinion", is_flag=True, help="Ask sdypy-EMA and pyOMA-2 too; the report shows where they differ.")(
-        function
-    )
-
-
 def run_answer(results: Results, out: Path, until: str | None) -> Answer:
     """Answer of a run: ``summary.json`` with the folder and the comparison, tables, and an error if a stage failed."""
     from operando.pipeline import summary
@@ -53,24 +42,22 @@ def run_answer(results: Results, out: Path, until: str | None) -> Answer:
 
 
 def failure(results: Results, out: Path) -> OperandoError | None:
-    """The first required stage that failed, as an error."""
-    for stage in REQUIRED:
-        reason = results.left_out.get(stage, "")
+    """The first stage that failed, as an error."""
+    for stage, reason in results.left_out.items():
         if reason.startswith("failed: "):
             for finding in results.findings:
                 if finding.kind == "stage_failed" and finding.message.startswith(f"stage {stage}: "):
                     hint = finding.action or f"what the other stages found stands in {out}"
                     return IdentificationError(finding.message, where=finding.file, hint=hint)
-            return IdentificationError(f"stage {stage} {reason}")
+            return IdentificationError(f"stage {stage}: {reason.removeprefix('failed: ')}")
     return None
 
 
 def run_text(results: Results, out: Path) -> str:
     """Short text: errors of the models, modes, findings, what was left out, where the files are."""
-    parts = []
-    answer = headline(results)
-    if answer:
-        parts.append(answer)
+    failed = failure(results, out)
+    parts = [f"{results.name}: {failed.message}" + (f" ({failed.hint})" if failed.hint else "")] if failed is not None else []
+    parts.append(headline(results))
     if results.comparison is not None:
         parts.append(comparison_table(results.comparison))
     if results.idle is not None:

@@ -3,12 +3,14 @@
 from operando.data.findings import Finding, group_findings
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
 from operando.data.geometry import Geometry, direction_of, node_motion
+from operando.data.levels import LEVEL_RATIO, one_level
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.provenance import Provenance, file_hash
 from operando.data.time import Channel, TimeRecord
 
 __all__ = [
+    "LEVEL_RATIO",
     "QUANTITIES",
     "Channel",
     "Finding",
@@ -24,5 +26,6 @@ __all__ = [
     "file_hash",
     "group_findings",
     "node_motion",
+    "one_level",
     "phase_collinearity",
 ]

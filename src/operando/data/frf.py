@@ -153,6 +153,17 @@ class Frf:
             coherence=None if self.coherence is None else self.coherence[:, :, s],
         )
 
+    def without_bands(self, bands: Sequence[tuple[float, float]]) -> Frf:
+        """The lines outside these bands [Hz], ends of a band included in it."""
+        keep = np.ones(len(self.axis), bool)
+        for low, high in bands:
+            keep[self.axis.band(low, high)] = False
+        if keep.all():
+            return self
+        part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
+        axis = FrequencyAxis(self.frequencies_hz[keep])
+        return replace(self, data=self.data[:, :, keep], axis=axis, variance=part(self.variance), coherence=part(self.coherence))
+
     def select(self, responses: object = None, references: object = None) -> Frf:
         """Some rows and columns; a DOF asked for in the other sense changes sign.
 

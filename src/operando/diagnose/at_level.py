@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from operando.data import Frf, ModalModel
+from operando.data import Frf, ModalModel, one_level
 from operando.diagnose.model import Model
 from operando.dof import parse_dofs
 from operando.effects import Effect
@@ -154,7 +154,7 @@ def level_picture(
     if all((d.node, d.axis) != (response.node, response.axis) for d in first.responses):
         response = reference
     top, least = max(levels), min(levels)
-    shown = [least, top, TWICE * top] if least < top / 1.4 else [top, TWICE * top]
+    shown = [least, top, TWICE * top] if not one_level(least, top) else [top, TWICE * top]
     curves = [
         {
             "force_n": float(level),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnose.levenberg import inverse, jacobian, solve, split, weights
+from operando.diagnose.levenberg import inverse, jacobian, solve, split, unobservable, weights
 from operando.diagnose.predict import IdleArrays, Prediction, by_poles, predict
 from operando.diagnose.refit import Fit, Learnt, mean_misfit, predicted
 from operando.diagnose.result import given_shapes, moves_of
@@ -318,7 +318,8 @@ class _Parameters:
         """The fit there, with the covariance of what was told and what was not."""
         idle, fit, k = self.problem.idle, self.fit, self.n_q
         here = self.arrays(x)
-        known = inverse(self._normal(self.slope(x)))
+        normal = self._normal(self.slope(x))
+        known = inverse(normal)
         moves = self.shape_slope(x)
         told = np.concatenate([self.poles, moves.transpose(1, 0, 2).reshape(-1, x.size - k)])
         own = told @ known[k:, k:] @ told.T + self.rest @ self.rest.T
@@ -335,4 +336,4 @@ class _Parameters:
         misfit = mean_misfit(self.lines, np.zeros(now.shape), now)
         # What is left is alike on all lines of a peak: it moves the sizes as it stands, not as its mean over many lines.
         excess = max(misfit, 1.0) ** 2
-        return replace(fit, learnt=Learnt(self.q(x), moved, (joint + joint.T) / 2, excess))
+        return replace(fit, learnt=Learnt(self.q(x), moved, (joint + joint.T) / 2, excess), untold=unobservable(normal))

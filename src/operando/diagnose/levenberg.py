@@ -146,9 +146,32 @@ def solve(matrix: Array, right: Array) -> Array:
         return np.asarray(np.linalg.pinv(matrix * scale[:, None] * scale, rcond=1e-12) @ (right * scale) * scale)
 
 
+SINGULAR = 1e-13
+"""Eigenvalue of a normal matrix of unit diagonal, over the largest, below which rounding (2e-16 times some hundred sums) makes it."""
+
+SHARE = 1e-6
+"""Part of a parameter's square in directions that nothing tells, above which it is not observable: its variance would be above
+``SHARE``/``SINGULAR``, ten million times what the lines leave of a parameter that they tell."""
+
+
 def inverse(normal: Array) -> Array:
-    """Inverse of a symmetric matrix, scaled to a unit diagonal; directions that nothing tells count as known."""
+    """Inverse of a symmetric matrix, scaled to a unit diagonal, over the directions that the data tell.
+
+    A prediction of the same data does not move along the others, so they add nothing to its variance. Of the parameters themselves those
+    that :func:`unobservable` names are not known at all.
+    """
     if not normal.size:
         return normal
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(np.linalg.pinv(normal * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale)
+    return np.asarray(np.linalg.pinv(normal * scale[:, None] * scale, rcond=SINGULAR, hermitian=True) * scale[:, None] * scale)
+
+
+def unobservable(normal: Array) -> NDArray[np.bool_]:
+    """Parameters with a part in directions that the data do not tell: their variance is infinite."""
+    if not normal.size:
+        return np.zeros(len(normal), bool)
+    diagonal = np.diag(normal)
+    scale = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
+    value, vector = np.linalg.eigh(normal * scale[:, None] * scale)
+    untold = value <= SINGULAR * max(float(value[-1]), 0.0)
+    return np.asarray((diagonal <= 0) | (np.sum(vector[:, untold] ** 2, axis=1) > SHARE))

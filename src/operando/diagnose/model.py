@@ -350,6 +350,7 @@ class Model:
             size = sum(len(e.definition.parameters) for e in self.effects)
             return np.asarray(self.covariance)[len(self.covariance) - size :, len(self.covariance) - size :]
         std = np.array([e.std.get(p.name, 0.0) for e in self.effects for p in e.definition.parameters])
+        std = np.where(np.isfinite(std), std, 0.0)  # what the lines do not tell moves no prediction of them
         return np.diag(std**2) if np.any(std > 0) else None
 
     def _cross(self, base: ModalModel) -> Array | None:

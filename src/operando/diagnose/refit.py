@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.levenberg import effect_dofs, inverse, jacobian, levenberg, solve, split, weights
+from operando.diagnose.levenberg import effect_dofs, inverse, jacobian, levenberg, solve, split, unobservable, weights
 from operando.diagnose.predict import IdleArrays, Prediction, Term, by_poles, predict
 from operando.diagnose.scan import scan_weights
 from operando.diagnose.sets import CheckLines
@@ -79,6 +79,8 @@ class Fit:
         Misfit of the last fit where it is above 1: what the numbers' variances are told larger by, the covariance not.
     learnt : Learnt, optional
         Sizes and idle model after the lines told what they could of all parameters (:func:`operando.diagnose.learn.learn`).
+    untold : bool array
+        Of [all q, z]: numbers that the lines do not tell, whose standard deviation is infinite; empty where all are told.
     """
 
     terms: tuple[Term, ...]
@@ -90,6 +92,7 @@ class Fit:
     cost: float = np.inf
     excess: float = 1.0
     learnt: Learnt | None = None
+    untold: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def sizes(self) -> tuple[Array, ...]:
@@ -98,13 +101,15 @@ class Fit:
 
     @property
     def std(self) -> tuple[Array, ...]:
-        """Standard deviation of each term's moving numbers (:attr:`sizes`) on the search scale."""
+        """Standard deviation of each term's moving numbers (:attr:`sizes`) on the search scale; infinite where nothing tells them."""
         count = sum(v.size for v in self.q)
         variance, excess = np.zeros(count), self.excess
         if self.learnt is not None:
             variance, excess = np.diag(self.learnt.joint)[-count:], self.learnt.excess
         elif self.covariance.size:
             variance = np.diag(self.covariance)[:count]
+        if self.untold.size:
+            variance = np.where(self.untold[:count], np.inf, variance)
         return split(np.sqrt(np.maximum(variance, 0) * excess), self.terms)
 
 
@@ -152,7 +157,7 @@ def refit(
         soft = np.sqrt(soft_weights(arrays, lines, own))
         x, normal, cost = levenberg(arrays, lines, soft, terms, x, none, prior.bare(), steps, 1e-3)
         if not prior.size:
-            return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, inverse(normal), cost)
+            return Fit(tuple(terms), split(x, terms), arrays.phi, prior, none, inverse(normal), cost, untold=unobservable(normal))
         most = min(2 * steps, 24)
         other = _from_compliances(arrays, lines, soft, terms, x, cost, prior, steps)
         begins = [np.r_[x, np.zeros(prior.size)], *([] if other is None else [other])]
@@ -163,7 +168,9 @@ def refit(
             if other is not None:
                 found.append(_along(arrays, lines, soft, terms, other, prior, most))
                 x, near, turn, normal, cost = min(found, key=lambda f: f[4])
-        so_far = Fit(tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], inverse(normal), cost)
+        so_far = Fit(
+            tuple(terms), split(x[:n_q], terms), near.moved(x[n_q:]), near, x[n_q:], inverse(normal), cost, untold=unobservable(normal)
+        )
         if cost > 2 * POOR * lines.data.size:
             # Something else is missing: the lines known best must not bend the shapes to make up for it.
             return so_far
@@ -180,7 +187,9 @@ def refit(
             break
         prior = prior.widened(wide)
         x, normal, cost = levenberg(arrays, lines, root_w, terms, x[:n_q], x[n_q:] / wide, prior, steps, 1e-3 if z is None else 1e-4)
-    return Fit(tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], inverse(normal), cost)
+    return Fit(
+        tuple(terms), split(x[:n_q], terms), prior.moved(x[n_q:]), prior, x[n_q:], inverse(normal), cost, untold=unobservable(normal)
+    )
 
 
 def _along(
@@ -379,13 +388,14 @@ def honest(idle: ModalModel, arrays: IdleArrays, lines: CheckLines, own: Array, 
     noise = np.where(w > 0, w**2 * np.where(np.isfinite(lines.variance), lines.variance, 0), 0).ravel()
     n_q = sum(v.size for v in fit.q)
     prior = np.diag(np.r_[np.zeros(n_q), np.ones(size - n_q)])
-    back = inverse(2 * np.real((flat * w.ravel()).conj() @ flat.T) + prior)
+    normal = 2 * np.real((flat * w.ravel()).conj() @ flat.T) + prior
+    back = inverse(normal)
     middle = 2 * lines.shared * np.real((flat * noise).conj() @ flat.T) + prior
     if idle.covariance is not None:
         from operando.diagnose.result import given_shapes
 
         middle += reach @ given_shapes(idle, fit) @ reach.T
-    return replace(fit, covariance=back @ middle @ back, excess=max(1.0, mean_misfit(lines, own, p.data)))
+    return replace(fit, covariance=back @ middle @ back, excess=max(1.0, mean_misfit(lines, own, p.data)), untold=unobservable(normal))
 
 
 def _by_shapes_of_pair(p: Prediction, lines: CheckLines, dofs: Array, n_modes: int, a: int, b: int) -> Array:

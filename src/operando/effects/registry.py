@@ -92,9 +92,8 @@ def kind_of(name: str) -> EffectKind:
     if name in _KINDS:
         return _KINDS[name]
     near = get_close_matches(name, _KINDS, 1, 0.5)
-    raise ConfigError(
-        f"unknown kind of effect {name!r}" + (f", did you mean {near[0]}?" if near else ""), hint="kinds: " + ", ".join(sorted(_KINDS))
-    )
+    hint = (f"did you mean {near[0]!r}? " if near else "") + "kinds: " + ", ".join(sorted(_KINDS))
+    raise ConfigError(f"unknown kind of effect {name!r}", hint=hint)
 
 
 for _room in (ground, coupling, absorber, rotor, whole, channels, nonlinear, friction):

@@ -22,7 +22,7 @@ from operando.ema.order import OrderLog
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
-from operando.ema.spectra import RunSpectra, whole_records
+from operando.ema.spectra import LEAST_LINES, RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
@@ -99,6 +99,7 @@ class _Job:
     frf: Frf
     dofs: tuple[Dof, ...]
     band: tuple[float, float]
+    exclude_bands: tuple[tuple[float, float], ...]
     records: tuple[TimeRecord, ...]
     answer: str
     progress: Callable[[str], None] | None
@@ -113,6 +114,7 @@ def fit_ema(
     frf: Frf,
     *,
     band: tuple[float, float] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
     max_order: int | None = None,
     records: Sequence[TimeRecord] | None = None,
     ema: str = "auto",
@@ -139,6 +141,8 @@ def fit_ema(
         Analysis band [Hz]; default: the lines of the FRF without those at the edges.
     max_order : int, optional
         Order of the linear fit shown in the stabilisation diagram.
+    exclude_bands : sequence of (float, float)
+        Lines inside these bands [Hz] are not used, of the FRFs nor of the records.
     records : sequence of TimeRecord, optional
         Raw runs behind the FRFs: forces and responses. Runs with a single hit are fitted through their FRFs.
     ema : {"auto", "linear", "polished"}
@@ -172,12 +176,17 @@ def fit_ema(
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with threadpool_limits(1, "blas"):
-        frf = frf.to_quantity("accelerance")
+        frf = frf.to_quantity("accelerance").without_bands(exclude_bands)
         records = whole_records(records)
-        job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), tuple(records or ()), ema, progress, _weights(frf))
+        excluded = tuple(exclude_bands)
+        job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), excluded, tuple(records or ()), ema, progress, _weights(frf))
         model = automatic
         if model is None or not isinstance(model.details, EmaDetails) or ema not in ("auto", model.details.answer):
             model = _identify(job, max_order)
+        if not model.n_modes:
+            low, high = job.band
+            hint = "widen the band, check the FRFs, or name modes by modes_hz"
+            raise IdentificationError(f"no mode is found between {low:g} and {high:g} Hz", hint=hint)
         if modes_hz or select_hz or reject_hz:
             model = modes_by_hand(model, modes_hz, select_hz, reject_hz, _exactly(job))
         if second_opinion:
@@ -199,6 +208,13 @@ def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, f
     low, high = float(band[0]), float(band[1])
     if not 0 <= low < high:
         raise DataError(f"band {low:g}-{high:g} Hz is empty", hint="give [low, high] in Hz")
+    count = int(np.sum((f > 0) & (f >= low) & (f <= high)))
+    if count < LEAST_LINES:
+        raise IdentificationError(
+            f"the band of {low:g} to {high:g} Hz holds {count} lines of the FRFs, which lie at {f[0]:g} to {f[-1]:g} Hz; "
+            f"at least {LEAST_LINES} are needed",
+            hint="choose another band",
+        )
     return low, high
 
 
@@ -222,7 +238,7 @@ def _identify(job: _Job, max_order: int | None) -> ModalModel:
     runs: list[RunSpectra] = []
     fit_band = ends
     if job.records:
-        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, job.records)
+        runs, fit_band = polish_runs(job.frf, job.dofs, job.band, job.records, job.exclude_bands)
     candidates = candidate_poles(f, np.nan_to_num(job.frf.data), job.weights, fit_band, window_rate=job.frf.exponential_window_rate)
     pairs = frf_pairs(job.frf, job.dofs, ends)
     start = _starting_poles(candidates, ends)

@@ -98,15 +98,19 @@ def polished_answer(
 
 
 def polish_runs(
-    frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float], records: Sequence[TimeRecord] | None
+    frf: Frf,
+    dofs: tuple[Dof, ...],
+    band: tuple[float, float],
+    records: Sequence[TimeRecord] | None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
 ) -> tuple[list[RunSpectra], tuple[float, float]]:
-    """Spectra to fit, on lines a little wider than the analysis band where the force excites."""
+    """Spectra to fit, on lines a little wider than the analysis band where the force excites, and outside the bands excluded."""
     f = frf.frequencies_hz
     if not records:
         fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
         return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
     fit_band = excited_fit_band(records, band, WIDER)
-    return [signed(record_spectra(record, dofs, fit_band)) for record in records], fit_band
+    return [signed(record_spectra(record, dofs, fit_band).without_bands(exclude_bands)) for record in records], fit_band
 
 
 def _turned(runs: Sequence[RunSpectra], hz: Real, zeta: Real) -> tuple[list[RunSpectra], list[tuple[int, int]]]:

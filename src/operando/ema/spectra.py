@@ -15,6 +15,9 @@ from operando.dof import Dof, match_dofs
 from operando.errors import DataError, IdentificationError
 from operando.frf import find_hits, is_impact, is_periodic, usable_channels, whole
 
+LEAST_LINES = 8
+"""Lines that a band must hold: one mode has four real unknowns a pair with its residual terms, eight lines give twice as many equations."""
+
 
 @dataclass(frozen=True)
 class RunSpectra:
@@ -77,9 +80,28 @@ class RunSpectra:
         )
 
     def band(self, low: float, high: float) -> RunSpectra:
-        """The same run on the lines within [low, high] Hz."""
-        part = self.lines((self.frequencies_hz >= low) & (self.frequencies_hz <= high))
+        """The same run on the lines within [low, high] Hz.
+
+        Raises
+        ------
+        IdentificationError
+            If there is no line.
+        """
+        inside = (self.frequencies_hz >= low) & (self.frequencies_hz <= high)
+        if not inside.any():
+            ends = f"{self.frequencies_hz[0]:g}-{self.frequencies_hz[-1]:g} Hz" if inside.size else "no line at all"
+            raise IdentificationError(
+                f"no line within {low:g}-{high:g} Hz; the spectra hold {ends}", where=self.name or None, hint="choose another band"
+            )
+        part = self.lines(inside)
         return replace(part, top_hz=float(part.frequencies_hz[-1]))
+
+    def without_bands(self, bands: Sequence[tuple[float, float]]) -> RunSpectra:
+        """The same run on the lines outside these bands [Hz]."""
+        keep = np.ones(self.frequencies_hz.size, bool)
+        for low, high in bands:
+            keep &= (self.frequencies_hz < low) | (self.frequencies_hz > high)
+        return self if keep.all() else self.lines(keep)
 
 
 def record_spectra(record: TimeRecord, dofs: Sequence[Dof], band: tuple[float, float]) -> RunSpectra:
@@ -217,7 +239,7 @@ def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> lis
     """
     part = frf.to_quantity("accelerance").band(*band)
     f = part.frequencies_hz
-    if f.size < 8:
+    if f.size < LEAST_LINES:
         raise IdentificationError(f"only {f.size} lines within {band[0]:g}-{band[1]:g} Hz", hint="widen [analysis] band")
     out = []
     for k, reference in enumerate(part.references):

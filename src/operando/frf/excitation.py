@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, TimeRecord
+from operando.data import Finding, TimeRecord, one_level
 from operando.errors import DataError
 from operando.frf.hits import is_impact
 from operando.frf.inputs import RunInput
@@ -129,7 +129,7 @@ def _over_realisations(found: Sequence[tuple[SteadyPeriods, PeriodicFrf, RunEsti
 def _alike(first: tuple[PeriodicFrf, RunEstimate], second: tuple[PeriodicFrf, RunEstimate]) -> bool:
     """Whether two runs have one reference, the same responses in the same order, level and lines."""
     (a, run), (b, other) = first, second
-    same = run.references == other.references and run.responses == other.responses and 1 / 1.2 < run.level / other.level < 1.2
+    same = run.references == other.references and run.responses == other.responses and one_level(run.level, other.level)
     return same and a.frequencies_hz.shape == b.frequencies_hz.shape and bool(np.allclose(a.frequencies_hz, b.frequencies_hz))
 
 
@@ -145,9 +145,9 @@ def _same_phases(first: SteadyPeriods, second: SteadyPeriods) -> bool:
 
 
 def _together(first: RunInput, periods: SteadyPeriods | None, run: RunInput, steady: SteadyPeriods) -> bool:
-    """Whether two runs have the same forces and responses in the same order, one period and one level (see ``pipeline.levels``)."""
+    """Whether two runs have the same forces and responses in the same order, one period and one level."""
     same = first.references == run.references and first.response_dofs == run.response_dofs
-    return periods is not None and same and periods.period == steady.period and 1 / 1.4 < run.level / first.level < 1.4
+    return periods is not None and same and periods.period == steady.period and one_level(run.level, first.level)
 
 
 def _run_estimate(runs: Sequence[RunInput], steadies: Sequence[SteadyPeriods], found: PeriodicFrf) -> RunEstimate:

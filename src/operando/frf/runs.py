@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, FrequencyAxis, Frf, Provenance
+from operando.data import Finding, FrequencyAxis, Frf, Provenance, one_level
 from operando.dof import Dof
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
@@ -388,7 +388,7 @@ def _apart_finding(
 ) -> Finding:
     """What the homogeneity test found: ``shifted_modes`` where each run that differs has sensors of its own, else ``nonlinear``."""
     run, ratio, relative = max(apart, key=lambda item: item[2])
-    same = abs(run.level / max(highest, 1e-300) - 1) < 0.2
+    same = one_level(run.level, highest)
     kept = [r for r, _, _ in apart if not any(r is one for one in left)]
     # Only the same sensors at two levels tell a level: where sensors moved, too, so did their mass.
     moving = not left

@@ -118,6 +118,8 @@ def from_sep005(
     DataError
         If a key is missing, or the channels differ in rate or length.
     """
+    if not isinstance(measurement, Mapping | Sequence) or isinstance(measurement, str | bytes):
+        raise DataError(f"{type(measurement).__name__} is no SEP005 measurement", hint="a dict, or a list of dicts, one a channel")
     items = [measurement] if isinstance(measurement, Mapping) else list(measurement)
     if not items:
         raise DataError("the SEP005 measurement holds no channel")
@@ -125,13 +127,11 @@ def from_sep005(
     for i, item in enumerate(items):
         if not isinstance(item, Mapping) or "data" not in item:
             raise DataError(f"channel {i} of the SEP005 measurement has no 'data'")
-        data = np.asarray(item["data"])
-        if data.ndim != 1:
-            raise DataError(f"channel {i} of the SEP005 measurement has {data.ndim} dimensions instead of 1")
+        data = _samples(item["data"], i, "data")
         rate, start = _rate(item, data.size, i)
         rows.append(data)
-        names.append(str(item.get("name", f"ch{i + 1}")))
-        texts.append(str(item.get("unit_str", "") or ""))
+        names.append(_text(item, "name", i) or f"ch{i + 1}")
+        texts.append(_text(item, "unit_str", i))
         rates.append(rate)
         starts.append(start)
     if len({r.size for r in rows}) > 1 or not np.allclose(rates, rates[0], rtol=1e-9, atol=0):
@@ -144,16 +144,51 @@ def from_sep005(
 
 def _rate(item: Mapping[str, Any], samples: int, i: int) -> tuple[float, float]:
     if item.get("time") is not None:
-        time = np.asarray(item["time"], float)
+        time = np.asarray(_samples(item["time"], i, "time"), float)
         if time.shape != (samples,) or samples < 2 or not np.all(np.diff(time) > 0):
             raise DataError(f"the time axis of channel {i} does not fit its data, or does not increase")
         step = restore_step_of_values(float(time[0]), float(time[-1]), samples)
         if float(np.max(np.abs(time - time[0] - step * np.arange(samples)))) > 0.01 * step:
             raise DataError(f"channel {i} is not evenly sampled")
-        return (float(item["fs"]) if item.get("fs") else tidy_rate(step)), float(time[0])
+        return (_number(item, "fs", i) if item.get("fs") is not None else tidy_rate(step)), float(time[0])
     if item.get("fs") is None:
         raise DataError(f"channel {i} of the SEP005 measurement has neither 'fs' nor 'time'")
-    return float(item["fs"]), float(item.get("start", 0.0) or 0.0)
+    return _number(item, "fs", i), 0.0 if item.get("start") is None else _number(item, "start", i, positive=False)
+
+
+def _samples(value: Any, i: int, key: str) -> np.ndarray:
+    """One-dimensional real numbers of a channel."""
+    expected = f"'{key}' of channel {i} of the SEP005 measurement"
+    try:
+        array = np.asarray(value)
+        array = array.astype(float) if array.dtype.kind == "O" else array
+    except (ValueError, TypeError, OverflowError) as error:
+        raise DataError(f"{expected} holds no numbers: {error}", hint="a one-dimensional array of real numbers") from None
+    if array.ndim != 1:
+        raise DataError(f"{expected} has {array.ndim} dimensions instead of 1")
+    if array.dtype.kind not in "fiu" or not array.size:
+        what = f"values of type {array.dtype}" if array.size else "no value"
+        raise DataError(f"{expected} holds {what}", hint="a one-dimensional array of real numbers")
+    return array
+
+
+def _number(item: Mapping[str, Any], key: str, i: int, positive: bool = True) -> float:
+    try:
+        value = float(item[key])
+    except (ValueError, TypeError, OverflowError):
+        value = float("nan")
+    if not np.isfinite(value) or (positive and value <= 0):
+        raise DataError(
+            f"'{key}' of channel {i} of the SEP005 measurement is {item[key]!r:.100}, expected a {'positive ' * positive}number"
+        )
+    return value
+
+
+def _text(item: Mapping[str, Any], key: str, i: int) -> str:
+    value = item.get(key)
+    if value is not None and not isinstance(value, str):
+        raise DataError(f"'{key}' of channel {i} of the SEP005 measurement is {value!r:.100}, expected a text")
+    return value or ""
 
 
 def to_sep005(record: TimeRecord) -> list[dict[str, Any]]:

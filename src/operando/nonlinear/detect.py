@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import fft as sfft
 
+from operando.data import one_level
 from operando.nonlinear.place import Weighted
 from operando.nonlinear.run import Complex, Modes, Real, Run
 
@@ -99,7 +100,7 @@ def distortion(case: Case) -> float | None:
     largest = []
     for runs in groups.values():
         low, high = (f(runs, key=lambda r: r.force_level) for f in (min, max))
-        if high.force_level < 1.5 * low.force_level or low.rows.size != high.rows.size:
+        if one_level(low.force_level, high.force_level) or low.rows.size != high.rows.size:
             continue
         (low_hz, quiet), (high_hz, loud) = unproportional(low, case.modes), unproportional(high, case.modes)
         if not low_hz.size or not high_hz.size:

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from operando.data import one_level
 from operando.effects import Effect
 from operando.nonlinear.laws import LawFit, Motion
 from operando.nonlinear.run import Real
-
-ONE_LEVEL = 1.4
-"""Forces within this factor count as one level."""
 
 
 def slopes(s: Real, x: Real, v: Real) -> tuple[float, float]:
@@ -72,7 +70,7 @@ def equivalents(law: LawFit, motions: Sequence[Motion], levels: Sequence[float])
 def linear_effects(effect: Effect, rows: Sequence[dict[str, Any]]) -> list[Effect]:
     """Spring and damper at the place of a level-dependent effect: the mean of its equivalents in the records of the lowest level."""
     lowest = min(r["force_n"] for r in rows)
-    same = [r for r in rows if r["force_n"] <= ONE_LEVEL * lowest]
+    same = [r for r in rows if one_level(r["force_n"], lowest)]
     return as_linear(effect, *(float(np.mean([r[name] for r in same])) for name in ("stiffness", "damping")))
 
 

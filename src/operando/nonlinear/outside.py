@@ -98,7 +98,8 @@ class Seen:
     amplitudes : tuple of (J,) arrays
         Of the free decays.
     misfit : float
-        Mean squared weighted error that no force at the place explains; 1 is noise.
+        Mean squared weighted error that no force at the place explains; 1 is noise. With one response and a free force nothing is left
+        (0): any place explains it.
     """
 
     b: Real
@@ -157,7 +158,7 @@ def look(
             break
         # A response whose path is doubtful hides what is wrong with it at first: the force of the others stands then.
         outside = _correct(weighted, raw, alongs, forces, [0 for _ in weighted] if turn == 0 else fixed, amplitudes, b, doubt, outside)
-    return Seen(b, outside, tuple(alongs), tuple(forces), tuple(amplitudes), remaining / count)
+    return Seen(b, outside, tuple(alongs), tuple(forces), tuple(amplitudes), remaining / max(count, 1))
 
 
 def doubted(weighted: Weighted, along: Along, std: Real, size: float, top_hz: float) -> Along:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import ModalModel, TimeRecord
+from operando.data import ModalModel, TimeRecord, one_level
 from operando.effects import kind_of
 from operando.errors import MissingError
 from operando.nonlinear.laws import LawFit, Motion
@@ -105,7 +105,7 @@ def make_case(
     for group in driven.values():
         top = max(r.force_level for r in group)
         for run in group:
-            (fitted if run.force_level > top / 1.5 else judged).append(run)
+            (fitted if one_level(run.force_level, top) else judged).append(run)
     if not judged and len(fitted) > 1:
         judged = [fitted.pop()]
     measured = sorted({int(i) for r in runs for i in r.rows})
@@ -236,7 +236,9 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
         return [replace(m, along=m.along.on(w, k)) for m, w, k in zip(whole[:n], weights, lines, strict=True)]
 
     judge = whole[n:] or part(stage.judge, stage.judge_lines)
-    return Spot(place, b, outside, rest / count, whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), judge)
+    return Spot(
+        place, b, outside, rest / max(count, 1), whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), judge
+    )
 
 
 def settled(spot: Spot, case: Case, law: LawFit) -> Spot:

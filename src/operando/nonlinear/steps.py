@@ -270,6 +270,9 @@ def weighed(case: Case, place: tuple[int, ...]) -> Case:
     spot = examine(stage, place)
     runs = []
     for run, m in zip([*case.fitted, *case.judged], spot.whole, strict=True):
+        if run.rows.size == 1:  # a free force explains all of one response: nothing is left that would tell its noise
+            runs.append(run)
+            continue
         rest = residual(m, m.force) * np.sqrt(run.variance)
         floor = NOISE_FLOOR**2 * np.mean(np.abs(run.responses[:, run.lines]) ** 2, axis=1, keepdims=True)
         q = run.rows.size

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from operando.config import Span, State, Test
 from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash, group_findings
-from operando.dof import Dof
-from operando.errors import ConfigError, DataError, MissingError, OperandoError
+from operando.errors import DataError, MissingError, OperandoError
+from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, check_names, names_of
 
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
-
-
-class UnfitTest(ConfigError):
-    """The test file says something that does not fit the data it names: the run ends."""
 
 
 class _Asked(dict[str, dict[str, Any]]):
@@ -34,26 +29,6 @@ class _Asked(dict[str, dict[str, Any]]):
         return super().__getitem__(key)
 
 
-@dataclass(frozen=True)
-class _Names:
-    """What a file calls its channels, all DOFs it measures, and where its forces act and its responses are."""
-
-    labels: frozenset[str]
-    dofs: frozenset[Dof]
-    forces: frozenset[Dof]
-    responses: frozenset[Dof]
-
-
-def _names_of(content: Any) -> _Names:
-    channels = [c for r in content.records for c in r.channels]
-    dofs = [d for h in content.frfs for d in (*h.responses, *h.references)]
-    labels = {text for c in channels for text in (c.name, c.label) if text} | {str(d) for d in dofs}
-    forces = {c.dof for c in channels if c.is_force and c.dof is not None} | {d for h in content.frfs for d in h.references}
-    responses = {d for r in content.records for i in r.response_indices if (d := r.channels[i].dof) is not None}
-    measured = {c.dof for c in channels if c.dof is not None} | set(dofs)
-    return _Names(frozenset(labels), frozenset(measured), frozenset(forces), frozenset(responses))
-
-
 class Inputs:
     """The files of one test, read when first asked for.
 
@@ -66,7 +41,7 @@ class Inputs:
         self._contents: dict[tuple[Path, Span | None], Any] = {}
         self._hashes: dict[Path, str] = {}
         self._channels = _Asked(test.channels)
-        self._names: dict[Path, _Names] = {}
+        self._names: dict[Path, Names] = {}
 
     def hashes(self, files: Sequence[Path]) -> list[tuple[str, str]]:
         """Name and content hash of files."""
@@ -83,7 +58,7 @@ class Inputs:
         Raises
         ------
         UnfitTest
-            If the span lies outside a record.
+            If the span lies outside a record, or the file can be read but for what the test file says of its units or channels.
         """
         if (file, span) in self._contents:
             return self._contents[file, span]
@@ -92,10 +67,12 @@ class Inputs:
         try:
             content = read(file, units=self._units(file), channels=self._channels or None)
         except OperandoError as error:
+            if (fault := blamed(self.test, file, self._units(file), error)) is not None:
+                raise fault from None
             self.findings[file] = [unreadable(self.label(file), error)]
             self._contents[file, span] = None
             return None
-        self._names[file] = _names_of(content)
+        self._names[file] = names_of(content)
         name = self.test.label(file, span)
         records = tuple(checked(_trimmed(replace(self._part(r, file, span), name=name))) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
@@ -114,7 +91,7 @@ class Inputs:
         try:
             return record.cut(span.start_s, span.stop_s)
         except DataError as error:
-            where = f"{self.test.path or 'test'} records {self.label(file)}"
+            where = f"{self.test.where(self._state_of(file), 'records')}: {self.label(file)}"
             raise UnfitTest(error.message, where=where, hint="start_s and stop_s count on the time axis of the file") from None
 
     def _units(self, file: Path) -> dict[str, Any] | None:
@@ -122,6 +99,13 @@ class Inputs:
         if file == self.test.geometry_file and self.test.geometry_units is not None:
             units["length"] = self.test.geometry_units
         return units or None
+
+    def readable(self, file: Path) -> bool:
+        """Whether a file asked for before could be read."""
+        return file in self._names
+
+    def _state_of(self, file: Path) -> str:
+        return next((name for name, state in self.test.states.items() if file in state.files), "geometry")
 
     def label(self, file: Path) -> str:
         """Name of a file in all outputs."""
@@ -250,9 +234,7 @@ class Inputs:
         return rows
 
     def check_names(self) -> None:
-        """Whether every name in [channels], and every DOF in [directions] and the references, is in the files.
-
-        Files that cannot be read may hold them.
+        """Whether every name and frequency in the test file is in the files (see :func:`operando.pipeline.names.check_names`).
 
         Raises
         ------
@@ -260,28 +242,13 @@ class Inputs:
             If one is not; the nearest is named.
         """
         for part in self.test.parts:
-            if part[0] not in self._names and self.content(*part) is None:
-                return
-        if any(file not in self._names for file in self.test.files):
-            return
-        where = f"{self.test.path or 'test'}"
-        for name in self._channels:
-            if name not in self._channels.found:
-                labels = {label for names in self._names.values() for label in names.labels}
-                raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, f"{where} [channels]")
-        known_dofs = {str(dof.unsigned) for names in self._names.values() for dof in names.dofs}
-        for label in self.test.directions:
-            if label not in known_dofs:
-                raise _unknown(f"[directions] {label!r} is a DOF of no file", label, known_dofs, f"{where} [directions]")
-        analysis = self.test.analysis
-        forces = {dof for file in self.test.idle.files for dof in self._names[file].forces}
-        moving = {dof for file in self.test.operating.files for dof in self._names[file].responses}
-        for key, wanted, known in (("references", analysis.references, forces), ("oma_references", analysis.oma_references, moving)):
-            axes = {(d.node, d.axis) for d in known}
-            for dof in map(Dof.parse, wanted or ()):
-                if axes and (dof.node, dof.axis) not in axes:
-                    what = "no force at rest acts" if key == "references" else "no operating record has a sensor"
-                    raise _unknown(f"{what} at {dof}", str(dof), {str(d) for d in known}, f"{where} [analysis] {key}")
+            if part[0] not in self._names:
+                self.content(*part)
+        check_names(self.test, self._names, self._channels.found)
+
+    def check_geometry(self, geometry: Geometry | None) -> list[Finding]:
+        """Findings about measured nodes without a position (see :func:`operando.pipeline.names.check_geometry`)."""
+        return check_geometry(self.test, geometry, self._names)
 
     def check_hits(self, inventory: Sequence[dict[str, Any]]) -> None:
         """Whether every hit that the test file rejects is there.
@@ -298,15 +265,18 @@ class Inputs:
             try:
                 rejected_numbers(list(counts), list(counts.values()), self.test.rejected_hits(state))
             except DataError as error:
-                raise UnfitTest(error.message, where=f"{self.test.path or 'test'} [analysis] hits_reject", hint=error.hint) from None
+                raise UnfitTest(error.message, where=self.test.where("analysis", "hits_reject"), hint=error.hint) from None
 
     def all_findings(self) -> list[Finding]:
         """Findings of all files read so far, in the order of the test, each once; with what is left out of each state."""
-        for state, force in ((self.test.idle, True), (self.test.operating, False), (self.test.check, True)):
+        from operando.quality import check_states
+
+        found = {}
+        for name, state in self.test.states.items():
             if state.records:
                 with suppress(OperandoError):  # the stage that needs the records says what is wrong
-                    self.records(state, force=force)
-        return group_findings(f for file in self.test.files for f in self.findings.get(file, ()))
+                    found[name] = self.records(state, force=name != "operating")
+        return group_findings([*(f for file in self.test.files for f in self.findings.get(file, ())), *check_states(found)])
 
     def _note(self, file: Path, finding: Finding) -> None:
         notes = self.findings.setdefault(file, [])
@@ -356,14 +326,6 @@ def inventory_row(content: Any) -> dict[str, Any]:
             "frf_lines": max(len(h.axis) for h in content.frfs),
         }
     return row
-
-
-def _unknown(message: str, name: str, known: Iterable[str], where: str) -> UnfitTest:
-    """The error for a name that is not in the data, with the nearest one that is."""
-    names = sorted(set(known))
-    near = difflib.get_close_matches(name, names, 1, 0.5)
-    hint = f"did you mean {near[0]!r}?" if near else "there are " + ", ".join(names[:12]) + (" …" if len(names) > 12 else "")
-    return UnfitTest(message, where=where, hint=hint)
 
 
 def list_hits(records: Sequence[TimeRecord]) -> list[dict[str, Any]]:

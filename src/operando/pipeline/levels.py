@@ -7,11 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from operando.data import Frf, TimeRecord
+from operando.data import Frf, TimeRecord, one_level
 from operando.results import CheckRun
-
-LEVEL_RATIO = 1.4
-"""Force levels of the same reference that lie within this factor count as one level."""
 
 
 def force_rms(record: TimeRecord) -> float:
@@ -34,7 +31,7 @@ def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
         ranked = sorted(runs, key=force_rms)
         rank = 0
         for previous, run in zip([None, *ranked], ranked, strict=False):
-            if previous is not None and force_rms(run) > LEVEL_RATIO * force_rms(previous):
+            if previous is not None and not one_level(force_rms(previous), force_rms(run)):
                 rank += 1
             while len(groups) <= rank:
                 groups.append([])

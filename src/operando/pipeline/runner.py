@@ -68,6 +68,12 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
         return _Run(test, out, progress or (lambda stage, message: None)).all(until)
 
 
+def lacking(test: Test, stage: str) -> str | None:
+    """Why a stage cannot be made of this test, None where it can: asked before a run whose purpose it is."""
+    reasons = [reason for step in STEPS if step.part_of == stage and (reason := step.lacks(test)) is not None]
+    return reasons[0] if reasons else None
+
+
 def used_settings(stage: str, results: Results) -> dict[str, Any]:
     """What a stage chose where the test file leaves it to the data."""
     if stage == "frf" and results.idle_frf is not None:
@@ -217,6 +223,7 @@ class _Run:
         used = used_settings(stage.name, self.results)
         if used:
             self.results.settings.setdefault("used", {})[stage.name] = used
+        self._gather_findings()  # later stages say by them why they lack something
 
     def _write(self, stage: Stage, name: str) -> None:
         try:
@@ -298,4 +305,4 @@ class _Run:
             self.cache.save("store", key, {})
 
 
-__all__ = ["FOLDER", "STAGES", "run"]
+__all__ = ["FOLDER", "STAGES", "lacking", "run"]

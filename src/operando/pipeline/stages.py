@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from operando.config import Analysis, State, Test
-from operando.data import Finding, FrequencyAxis, Frf, TimeRecord
+from operando.data import Finding, Frf, TimeRecord
 from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
+from operando.pipeline.names import FREQUENCIES
+from operando.pipeline.scale import no_scale
 from operando.results import CheckRun, Results
 
 
@@ -89,9 +89,14 @@ def inspect_files(work: Work) -> dict[str, Any]:
     work.inputs.check_names()
     work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
-    findings = work.inputs.all_findings()
-    if all(row["format"] is None for row in inventory):
-        raise MissingError("no file of the test can be read", hint=findings[0].message if findings else None)
+    findings = [*work.inputs.all_findings(), *work.inputs.check_geometry(geometry)]
+    for name, state in work.test.states.items():
+        if state and not any(work.inputs.readable(file) for file in state.files):
+            unread = work.inputs.findings[state.files[0]][0]
+            where = f"{work.test.where(name, 'records' if state.records else 'frfs')}: {', '.join(f.name for f in state.files[:4])}"
+            raise MissingError(
+                f"no file of [{name}] can be read: {unread.message.removeprefix('cannot be read: ')}", where=where, hint=unread.action
+            )
     if geometry is None:
         message = "no geometry in the files"
         findings.append(
@@ -159,11 +164,12 @@ def automatic_modes(work: Work) -> dict[str, Any]:
 
     analysis = work.analysis
     findings: list[Finding] = []
-    frf = without_bands(_needed(work.results.idle_frf, "idle FRFs"), analysis.exclude_bands)
+    frf = _needed(work.results.idle_frf, "idle FRFs")
     records = whole_records(work, work.test.idle, findings, lambda all_: runs_behind(frf, all_)) if work.test.idle.records else None
     found = fit_ema(
         frf,
         band=analysis.band,
+        exclude_bands=analysis.exclude_bands,
         records=records,
         max_order=analysis.max_order,
         ema=analysis.ema,
@@ -181,10 +187,11 @@ def idle_modes(work: Work) -> dict[str, Any]:
     automatic = _needed(work.results.automatic, "idle modes")
     if not (analysis.modes_hz or analysis.select_hz or analysis.reject_hz):
         return {"idle": automatic}
-    frf = without_bands(_needed(work.results.idle_frf, "idle FRFs"), analysis.exclude_bands)
+    frf = _needed(work.results.idle_frf, "idle FRFs")
     by_hand = fit_ema(
         frf,
         band=analysis.band,
+        exclude_bands=analysis.exclude_bands,
         modes_hz=analysis.modes_hz,
         select_hz=analysis.select_hz,
         reject_hz=analysis.reject_hz,
@@ -252,12 +259,13 @@ def hybrid(work: Work) -> dict[str, Any]:
 
     idle = _needed(work.results.idle, "idle modes")
     operating = _needed(work.results.operating, "operational modes")
-    if idle.scaling != "unit_modal_mass" or not idle.si:
-        raise Lacking(
-            "the idle modes are not scaled to unit modal mass, so there is no scale to carry over",
-            hint="give the units the files do not state in [units], for example acceleration and force",
-        )
-    return {"hybrid": scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)}
+    if (cause := no_scale(idle, work.results.findings)) is not None:
+        raise Lacking(f"the idle modes are not scaled to unit modal mass, so there is no scale to carry over: {cause[0]}", hint=cause[1])
+    from operando.quality import check_shapes
+
+    made = scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)
+    pairs = [(p.idle, p.operating) for p in made.pairing.pairs if p.idle is not None]
+    return {"hybrid": made, "findings": check_shapes(idle, operating.without_residuals(), pairs)}
 
 
 def check_runs(work: Work) -> dict[str, Any]:
@@ -310,7 +318,11 @@ def comparison(work: Work) -> dict[str, Any]:
     if not results.check:
         raise MissingError("no check FRF")
     band = analysis_band(work)
-    runs = [replace(run, frf=without_bands(run.frf, work.analysis.exclude_bands)) for run in results.check]
+    if results.idle_frf is not None:
+        from operando.quality import check_gains
+
+        findings += [f for run in results.check for f in check_gains(results.idle_frf, run.frf, run.name, band)]
+    runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     document = compare_all(models, runs, band_hz=band)
     return {"comparison": document | {"settings": results.settings}, "findings": findings}
 
@@ -322,9 +334,9 @@ def missing_physics(work: Work) -> dict[str, Any]:
 
     results = work.results
     idle = _needed(results.idle, "idle modes")
-    if idle.scaling != "unit_modal_mass" or not idle.si:
-        raise Lacking("the idle modes have no scale, so no effect has a size", hint="give the units the files do not state in [units]")
-    runs = [replace(run, frf=without_bands(run.frf, work.analysis.exclude_bands)) for run in results.check]
+    if (cause := no_scale(idle, work.results.findings)) is not None:
+        raise Lacking(f"the idle modes have no scale, so no effect has a size: {cause[0]}", hint=cause[1])
+    runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
         raise Lacking("there are neither check FRFs nor operational modes")
     findings: list[Finding] = []
@@ -339,7 +351,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
         band=analysis_band(work),
         progress=work.say,
         records=whole_records(work, work.test.check, findings) if runs and work.test.check.records else (),
-        idle_frf=results.idle_frf,
+        idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(work.analysis.exclude_bands),
         exclude_bands=work.analysis.exclude_bands,
     )
     document = found.to_dict()
@@ -357,18 +369,6 @@ def missing_physics(work: Work) -> dict[str, Any]:
     }
     # A place between sensors at which an effect was found is a node from here on.
     return made if model.geometry is None else made | {"geometry": model.geometry}
-
-
-def without_bands(frf: Frf, bands: Sequence[tuple[float, float]]) -> Frf:
-    """The FRFs without the lines inside the bands."""
-    keep = np.ones(len(frf.axis), bool)
-    for low, high in bands:
-        keep[frf.axis.band(low, high)] = False
-    if keep.all():
-        return frf
-    part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
-    axis = FrequencyAxis(frf.frequencies_hz[keep])
-    return replace(frf, data=frf.data[:, :, keep], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
 
 
 def _needed(value: Any, what: str) -> Any:
@@ -402,7 +402,7 @@ def no_evidence(test: Test) -> str | None:
     return no_idle(test) or (None if test.check or test.operating else "the test has neither [check] nor [operating] measurements")
 
 
-READING = ("data", "io", "quality", "frf/usable", "dof", "units", "pipeline/inputs", "pipeline/stages")
+READING = ("data", "io", "quality", "frf/usable", "dof", "units", "pipeline/inputs", "pipeline/names", "pipeline/stages")
 ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
 
 _EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands", "second_opinion")
@@ -416,7 +416,7 @@ STEPS: tuple[Stage, ...] = (
         "inspect",
         inspect_files,
         rooms=(*READING, "frf/hits"),
-        settings=("hits_reject", "references", "oma_references"),
+        settings=("hits_reject", "references", "oma_references", "band", "exclude_bands", "places", *FREQUENCIES),
         states=("idle", "operating", "check", "geometry"),
     ),
     Stage("frf", "frf", idle_frf, no_idle, rooms=(*READING, "frf"), settings=ESTIMATING, states=("idle",)),
@@ -441,7 +441,15 @@ STEPS: tuple[Stage, ...] = (
         ("band", "exclude_bands", "second_opinion", *_OMA_SETTINGS),
         ("operating",),
     ),
-    Stage("ofrf", "ofrf", hybrid, no_both, ("ema", "oma"), ("scaling", "synthesis", "pipeline/stages"), ("threshold", "scaling")),
+    Stage(
+        "ofrf",
+        "ofrf",
+        hybrid,
+        no_both,
+        ("ema", "oma"),
+        ("scaling", "synthesis", "quality", "pipeline/scale", "pipeline/stages"),
+        ("threshold", "scaling"),
+    ),
     Stage("check", "compare", check_runs, no_check, (), (*READING, "frf", "pipeline/levels"), ESTIMATING, ("check",), optional=True),
     Stage(
         "compare",
@@ -449,7 +457,7 @@ STEPS: tuple[Stage, ...] = (
         comparison,
         no_check,
         ("ema", "ofrf", "check"),
-        ("compare", "scaling", "pipeline/stages"),
+        ("compare", "scaling", "quality", "pipeline/stages"),
         ("band", "threshold", "exclude_bands"),
         optional=True,
     ),

@@ -1,13 +1,17 @@
 """Raw-data checks: findings with numbers, never silent deletion."""
 
+from operando.quality.between import check_gains, check_shapes, check_states
 from operando.quality.record import check_channels, check_forces, check_record, check_runs, dissipated_shares
 from operando.quality.samples import constant_runs, dropouts, not_finite, overload, pile_up, soft_clipping
 
 __all__ = [
     "check_channels",
     "check_forces",
+    "check_gains",
     "check_record",
     "check_runs",
+    "check_shapes",
+    "check_states",
     "constant_runs",
     "dissipated_shares",
     "dropouts",

@@ -31,6 +31,9 @@ from operando.scaling.uncertainty import covariance_of, scaled_covariance, shape
 KAPPA_LARGE = 100.0
 """κ from which sensors are said to be badly placed."""
 
+LARGEST = 1e50
+"""Size of a shape beyond which its fourth power, as MAC needs it, may leave the range of a double; no unit makes such a number."""
+
 
 def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float = 0.7, method: str = "auto") -> HybridModel:
     """Carry the scale of the idle modes over to the operational ones (Shen & Lu 2024).
@@ -62,8 +65,28 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
             "the idle modes are not scaled to unit modal mass, so there is no scale to carry over",
             hint="give the units of force and response ([units] or [channels]) and a drive point to the EMA",
         )
+    for name, model in (("idle", idle), ("operational", operating)):
+        _check_size(name, model)
     with threadpool_limits(1, "blas"):
         return _scale(idle, operating, threshold, method)
+
+
+def _check_size(name: str, model: ModalModel) -> None:
+    """Shapes whose squares and products are numbers.
+
+    Raises
+    ------
+    DataError
+        If one is not finite, zero throughout, or of a size that no measurement has.
+    """
+    size = np.max(np.abs(model.shapes), axis=0, initial=0.0)
+    wrong = np.flatnonzero(~(np.isfinite(size) & (size > 1 / LARGEST) & (size < LARGEST)))
+    if wrong.size:
+        raise DataError(
+            f"the {name} shape of the mode at {model.frequencies_hz[wrong[0]]:g} Hz has the size {size[wrong[0]]:.3g}; "
+            f"between {1 / LARGEST:g} and {LARGEST:g} is expected",
+            hint="check the units and sensitivities of the channels, or the numbers in the file",
+        )
 
 
 def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: str) -> HybridModel:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, ModalModel
+from operando.errors import IdentificationError
 
 WHOLE = 0.5
 """A combination of idle modes counts as a mode nobody found where more than this part of it is in no operational mode."""
@@ -82,7 +83,17 @@ def missing_modes(
         Band in which operational modes were looked for; None leaves all out.
     rising : bool
         Whether operation raised the frequencies.
+
+    Raises
+    ------
+    IdentificationError
+        If a participation is not finite.
     """
+    if not np.all(np.isfinite(participation)):
+        raise IdentificationError(
+            "the operational shapes have no finite part in the idle modes",
+            hint="check the units and sensitivities of the channels of both states",
+        )
     unit = participation / np.maximum(np.linalg.norm(participation, axis=0), 1e-300)
     left, size, _ = np.linalg.svd(unit, full_matrices=False)
     basis = left[held][:, size > DEPENDENT]
