@@ -12,7 +12,7 @@ from operando.errors import DofError, FormatError
 from operando.io.uff.increments import parse_float, restore_start, restore_step
 
 if TYPE_CHECKING:
-    from operando.io.uff.split import Buffer
+    from operando.io.uff.textform import Buffer
 
 FUNCTION_TYPES = {
     0: "general function", 1: "time response", 2: "auto spectrum", 3: "cross spectrum", 4: "frequency response function",

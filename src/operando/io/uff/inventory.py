@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from operando.data import Finding, Provenance
 from operando.io.content import SetInfo, Status
 from operando.io.quantities import ChannelSpecs, Units, UnitSystem
-from operando.io.uff.split import Buffer, RawSet
+from operando.io.uff.split import RawSet
+from operando.io.uff.textform import Buffer
 
 SET_NAMES = {
     15: "nodes", 18: "coordinate systems", 55: "data at nodes", 58: "function", 82: "trace lines", 151: "header", 164: "units",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import mmap
+import re
 from pathlib import Path
 from typing import IO
 
@@ -12,11 +14,12 @@ from operando.errors import FormatError, MissingError
 from operando.io.content import Content
 from operando.io.quantities import ChannelSpecs, Units
 from operando.io.uff.frfs import assemble_frfs
-from operando.io.uff.inventory import Inventory, title_of
+from operando.io.uff.inventory import SET_NAMES, Inventory, title_of
 from operando.io.uff.models import assemble_geometry, assemble_models
 from operando.io.uff.records import assemble_records, is_time_function
 from operando.io.uff.small import read_units, read_with_pyuff
-from operando.io.uff.split import RawSet, split_sets
+from operando.io.uff.split import RawSet, outside_sets, split_sets
+from operando.io.uff.textform import Buffer, in_one_form
 
 _FULL_HASH = 1 << 25
 
@@ -40,11 +43,15 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
         If there is no such file.
     """
     path = Path(path)
-    with open_file(path) as stream, map_file(stream, str(path)) as buffer:
+    with open_file(path) as stream, map_file(stream, str(path)) as mapped:
+        buffer, changed = _one_form(mapped, str(path))
         sets = split_sets(buffer, str(path))
         provenance = Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",))
         inventory = Inventory(str(path), buffer, sets, units or {}, channels or {}, provenance)
-        return _read(stream, inventory)
+        if changed:
+            inventory.note("format", f"{changed}: read all the same", severity="info")
+        _note_outside(inventory)
+        return _read(stream if buffer is mapped else io.BytesIO(buffer), inventory)
 
 
 def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
@@ -56,8 +63,36 @@ def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
         If the file is no UFF.
     """
     path = Path(path)
-    with open_file(path) as stream, map_file(stream, str(path)) as buffer:
+    with open_file(path) as stream, map_file(stream, str(path)) as mapped:
+        buffer, _ = _one_form(mapped, str(path))
         return [(raw, raw.raw(buffer)) for raw in split_sets(buffer, str(path))]
+
+
+def _one_form(mapped: mmap.mmap, where: str) -> tuple[Buffer, str]:
+    try:
+        return in_one_form(mapped)
+    except FormatError as error:
+        raise FormatError(error.message, where=where, hint=error.hint) from error
+
+
+_SET_WITHIN = re.compile(rb"(?:^|[\r\n])[ \t]{0,8}(\d{2,4})[ \t]*(?:[bB][ \t]|[\r\n])")
+
+
+def _note_outside(inventory: Inventory) -> None:
+    """One finding for each stretch of bytes outside the sets: a damaged separator hides a set."""
+    for start, stop in outside_sets(inventory.buffer, inventory.sets):
+        gap = bytes(inventory.buffer[start:stop])
+        lost = next((int(m[1]) for m in _SET_WITHIN.finditer(gap) if int(m[1]) in SET_NAMES), None)
+        after = sum(raw.start < start for raw in inventory.sets)
+        place = "before the first set" if after == 0 else f"after set {after - 1}"
+        message = f"{stop - start} bytes from byte {start} on ({place}) belong to no set"
+        if lost is None:
+            inventory.note("outside_sets", message, consequence="they are not used", action="look whether they are data")
+        else:
+            inventory.note(
+                "outside_sets", f"{message}; they look like a set of type {lost} ({SET_NAMES[lost]}) whose separator is damaged",
+                severity="error", consequence="its data are missing from every result", action="export the file again",
+            )  # fmt: skip
 
 
 def open_file(path: Path) -> IO[bytes]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from operando.errors import FormatError
 from operando.io.uff.header58 import Header58
-from operando.io.uff.split import Buffer, RawSet
+from operando.io.uff.split import RawSet
+from operando.io.uff.textform import Buffer
 
 _CHUNK = 1 << 23
 _GLUED = re.compile(rb"(?<=[0-9.])(?=[+-][0-9]*\.)")
