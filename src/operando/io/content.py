@@ -42,6 +42,29 @@ class SetInfo:
 
 
 @dataclass(frozen=True)
+class FileHeader:
+    """What a file says of itself (UFF 151), texts as they stand there.
+
+    Parameters
+    ----------
+    name, description : str
+        Of the model or test.
+    program, created, saved : str
+        Program that made the database, when it was made, when it was last saved.
+    writer, written : str
+        Program that wrote the file, and when.
+    """
+
+    name: str = ""
+    description: str = ""
+    program: str = ""
+    created: str = ""
+    saved: str = ""
+    writer: str = ""
+    written: str = ""
+
+
+@dataclass(frozen=True)
 class Content:
     """Everything found in one file.
 
@@ -59,6 +82,8 @@ class Content:
     sets : tuple of SetInfo
         Inventory: what was used, ignored, not understood.
     findings : tuple of Finding
+    header : FileHeader or None
+        What the file says of itself.
     """
 
     path: str
@@ -69,6 +94,7 @@ class Content:
     geometry: Geometry | None = None
     sets: tuple[SetInfo, ...] = ()
     findings: tuple[Finding, ...] = ()
+    header: FileHeader | None = None
 
     @property
     def objects(self) -> tuple[Any, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import FrequencyAxis, Frf
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import DataError, FormatError, UnitError
 from operando.io.quantities import Scale, code_quantity, find_spec, resolve, spec_dof, split_ratio
 from operando.io.uff.header58 import Header58
@@ -24,6 +24,8 @@ _NUMERATORS = {
     "displacement": "receptance", "angle": "receptance",
 }  # fmt: skip
 _FORCES = ("force", "moment")
+STANDARD_DEVIATION = "standard deviation of"
+"""Beginning of the first ID line of a set of function type 0 that holds the error of an FRF."""
 
 
 @dataclass
@@ -46,9 +48,10 @@ def assemble_frfs(functions: list[RawSet], inventory: Inventory) -> tuple[Frf, .
     groups: dict[tuple[Any, ...], list[_Function]] = {}
     for function in measured:
         groups.setdefault((function.axis_key, function.quantity, function.si), []).append(function)
-    coherences = _coherences(_of_type(functions, 6, 26), inventory)
-    frfs = tuple(frf for group in groups.values() if (frf := _frf(group, coherences, inventory)) is not None)
-    for raw, _, _, _, used in coherences:
+    coherences = _real_functions(_of_type(functions, 6, 26), inventory)
+    errors = _real_functions([raw for raw in _of_type(functions, 0) if _is_deviation(raw)], inventory)
+    frfs = tuple(frf for group in groups.values() if (frf := _frf(group, coherences, errors, inventory)) is not None)
+    for raw, _, _, _, used in (*coherences, *errors):
         if not used:
             inventory.ignore(raw, _title(raw), "no FRF of the same DOFs and frequency lines in the file")
     return frfs
@@ -56,6 +59,10 @@ def assemble_frfs(functions: list[RawSet], inventory: Inventory) -> tuple[Frf, .
 
 def _of_type(functions: list[RawSet], *types: int) -> list[RawSet]:
     return [raw for raw in functions if raw.header is not None and raw.header.function_type in types]
+
+
+def _is_deviation(raw: RawSet) -> bool:
+    return raw.header is not None and any(line.startswith(STANDARD_DEVIATION) for line in raw.header.ids)
 
 
 def _title(raw: RawSet) -> str:
@@ -162,12 +169,13 @@ def _lines(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[tuple[A
     return key, frequencies, values
 
 
-_Coherence = list[Any]
+_Beside = list[Any]
 """[raw, header, axis key, values, used]"""
 
 
-def _coherences(functions: list[RawSet], inventory: Inventory) -> list[_Coherence]:
-    out: list[_Coherence] = []
+def _real_functions(functions: list[RawSet], inventory: Inventory) -> list[_Beside]:
+    """Functions that belong to FRFs: coherences and standard deviations."""
+    out: list[_Beside] = []
     for raw in functions:
         assert raw.header is not None
         try:
@@ -179,9 +187,9 @@ def _coherences(functions: list[RawSet], inventory: Inventory) -> list[_Coherenc
     return out
 
 
-def _frf(group: list[_Function], coherences: list[_Coherence], inventory: Inventory) -> Frf | None:
-    responses: dict[tuple[int, str], Dof] = {}
-    references: dict[tuple[int, str], Dof] = {}
+def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside], inventory: Inventory) -> Frf | None:
+    responses: dict[tuple[Node, str], Dof] = {}
+    references: dict[tuple[Node, str], Dof] = {}
     for f in group:
         responses.setdefault((f.response.node, f.response.axis), f.response)
         references.setdefault((f.reference.node, f.reference.axis), f.reference)
@@ -203,21 +211,24 @@ def _frf(group: list[_Function], coherences: list[_Coherence], inventory: Invent
             data[i, j] = f.values * (f.factor * sign)
         filled[i, j] = f.raw.index
         inventory.use(f.raw, f.header.title, "SI" if f.si else "numbers kept: unit unknown")
-    coherence = _matched(coherences, group, rows, columns, data.shape, inventory)
+    coherence = _matched(coherences, group, rows, columns, data.shape, "coherence of the FRF", inventory)
+    deviation = _matched(errors, group, rows, columns, data.shape, "standard deviation of the FRF", inventory)
     averages = _averages(group)
+    variance = line_variance(data, coherence, averages) if deviation is None else (deviation * abs(group[0].factor)) ** 2
     return Frf(
         data, FrequencyAxis(group[0].frequencies), tuple(responses.values()), tuple(references.values()), group[0].quantity,
-        variance=line_variance(data, coherence, averages), coherence=coherence, averages=averages, si=group[0].si,
+        variance=variance, coherence=coherence, averages=averages, si=group[0].si,
         name=inventory.file, provenance=inventory.provenance,
     )  # fmt: skip
 
 
-def _matched(coherences: list[_Coherence], group: list[_Function], rows: dict[Any, int], columns: dict[Any, int], shape: tuple[int, ...],
-             inventory: Inventory) -> NDArray[np.float64] | None:  # fmt: skip
+def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int], columns: dict[Any, int], shape: tuple[int, ...],
+             title: str, inventory: Inventory) -> NDArray[np.float64] | None:  # fmt: skip
     out: NDArray[np.float64] | None = None
-    for entry in coherences:
+    codes = {0, *(f.header.ordinate.code for f in group)}  # a coherence has no quantity, a standard deviation that of its FRF
+    for entry in beside:
         raw, header, key, values, _ = entry
-        if key != group[0].axis_key or header.response is None:
+        if key != group[0].axis_key or header.response is None or header.ordinate.code not in codes:
             continue
         i = rows.get((header.response.node, header.response.axis))
         reference = header.reference
@@ -229,7 +240,7 @@ def _matched(coherences: list[_Coherence], group: list[_Function], rows: dict[An
             out = np.full(shape, np.nan)
         out[i, slice(None) if everywhere else j] = values
         entry[4] = True
-        inventory.use(raw, header.title, "coherence of the FRF")
+        inventory.use(raw, header.title, title)
     return out
 
 

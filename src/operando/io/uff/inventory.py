@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from operando.data import Finding, Provenance
+from operando.errors import FormatError
 from operando.io.content import SetInfo, Status
 from operando.io.quantities import ChannelSpecs, Units, UnitSystem
+from operando.io.uff.components import NodeNumbers
 from operando.io.uff.split import RawSet
 from operando.io.uff.textform import Buffer
 
@@ -15,6 +19,8 @@ SET_NAMES = {
     773: "material", 1858: "qualifiers of functions", 2400: "model header", 2411: "nodes", 2412: "elements", 2414: "analysis data",
     2420: "coordinate systems", 2429: "groups", 2435: "groups", 2467: "groups", 2477: "groups",
 }  # fmt: skip
+
+T = TypeVar("T")
 
 
 @dataclass
@@ -31,6 +37,7 @@ class Inventory:
     status: dict[int, tuple[Status, str, str]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     damaged: list[str] = field(default_factory=list)
+    node_numbers: NodeNumbers = field(default_factory=NodeNumbers)
 
     def use(self, raw: RawSet, title: str, note: str = "") -> None:
         """The set is used."""
@@ -49,6 +56,18 @@ class Inventory:
             kind, f"set {raw.index} ({title}) is not used: {reason}", raw, severity="error",
             consequence="its data are missing from every result", action="export the file again, or take the set from another format",
         )  # fmt: skip
+
+    def attempt(self, raw: RawSet, action: Callable[[], T]) -> T | None:
+        """The result of a reader, or None: then the set is kept as not understood, and a finding says why."""
+        try:
+            return action()
+        except FormatError as error:
+            self.status[raw.index] = ("not understood", title_of(raw), error.message)
+            self.note(
+                "unknown_set", f"set {raw.index} of type {raw.number} ({title_of(raw)}) is not understood: {error.message}", raw,
+                consequence="it is not used; a conversion to UFF passes it on as it is",
+            )  # fmt: skip
+            return None
 
     def note(self, kind: str, message: str, raw: RawSet | None = None, dof: str | None = None, severity: str = "warning",
              consequence: str = "", action: str = "") -> None:  # fmt: skip
