@@ -52,7 +52,7 @@ class FileHeader:
     program, created, saved : str
         Program that made the database, when it was made, when it was last saved.
     writer, written : str
-        Program that wrote the file, and when.
+        Program that wrote the file, and when. Dates may be in the form of ISO 8601; a writer brings them into that of its format.
     """
 
     name: str = ""

@@ -88,6 +88,14 @@ def parse_date(text: str) -> str:
     return when.isoformat()
 
 
+def in_uff(text: str) -> str:
+    """A date of ISO 8601 as UFF writes it; any other text as it is."""
+    try:
+        return print_date(text)
+    except ValueError:
+        return text
+
+
 def print_date(iso: str) -> str:
     """A date as UFF writes it, ``17-Nov-26 09:15:00``; empty where there is none."""
     if not iso:

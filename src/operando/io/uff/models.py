@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from operando.data import ModalModel
 from operando.dof import AXES, Dof
 from operando.errors import DataError, DofError
 from operando.io.uff.inventory import Inventory, title_of
+from operando.io.uff.lines import parse_date
 from operando.io.uff.shapes import NORMAL_MODE, ModeSet, read_analysis, read_mode
 from operando.io.uff.split import RawSet
 
@@ -122,11 +123,12 @@ def _model(group: list[tuple[RawSet, ModeSet]], inventory: Inventory) -> ModalMo
     measured = np.any(shapes != 0, axis=1)
     if not np.any(measured):
         measured[:] = True
+    date = inventory.provenance.measured or min((d for mode in modes for line in mode.ids if (d := parse_date(line))), default="")
     residual = np.array([any(line.startswith(RESIDUAL) for line in mode.ids) for mode in modes])
     model = ModalModel.from_terms(
         np.array([m.frequency_hz for m in modes]), np.array([m.damping_ratio for m in modes]), shapes[measured],
         tuple(d for d, keep in zip(dofs, measured, strict=True) if keep), _scaling(first), residual=residual,
-        si=_scaling(first) == "unit_modal_mass", provenance=inventory.provenance,
+        si=_scaling(first) == "unit_modal_mass", provenance=replace(inventory.provenance, measured=date),
     )  # fmt: skip
     check = Check.read(first.ids) if model.scaling == "unit_modal_mass" else None
     if check is not None and check.error_db(model) > CHECK_DB:

@@ -13,7 +13,7 @@ from operando.dof import AXES, Dof, Node
 from operando.errors import DataError
 from operando.io.content import FileHeader
 from operando.io.uff.components import NodeNumbers
-from operando.io.uff.lines import print_date
+from operando.io.uff.lines import in_uff, print_date
 from operando.io.uff.models import RESIDUAL, UNIT_MODAL_MASS, UNSCALED, Check
 
 MAX_TRACE_NODES = 250
@@ -54,7 +54,8 @@ def write_header(stream: IO[bytes], header: FileHeader, numbers: NodeNumbers) ->
         raise DataError(
             f"{len(numbers.components)} components have no place in the header of a UFF file", hint="write them to files of their own, or to HDF5"
         )
-    texts = (header.name, numbers.text or header.description, header.program, header.created, header.saved, header.writer, header.written)
+    created, saved, written = (in_uff(text) for text in (header.created, header.saved, header.written))
+    texts = (header.name, numbers.text or header.description, header.program, created, saved, header.writer, written)
     write_set(stream, 151, [field_of(text, 80) for text in texts])
 
 
@@ -81,12 +82,15 @@ def write_geometry(stream: IO[bytes], geometry: Geometry, numbers: NodeNumbers, 
         write_set(stream, 2412, lines)
 
 
+# Double precision is written with E and not D: every reader of Fortran numbers takes both, many others E only.
+
+
 def _write_systems(stream: IO[bytes], geometry: Geometry) -> None:
     lines: list[str | bytes] = [f"{1:10d}", field_of(geometry.name, 40)]
     for system in geometry.systems:
         lines.append(f"{system.number:10d}{system.kind:10d}{system.color:10d}")
         lines.append(field_of(system.name, 40))
-        lines += ["".join(f"{v:25.16E}" for v in row).replace("E", "D") for row in (*system.axes, system.origin)]
+        lines += ["".join(f"{v:25.16E}" for v in row) for row in (*system.axes, system.origin)]
     write_set(stream, 2420, lines)
 
 
@@ -98,7 +102,7 @@ def _write_nodes(stream: IO[bytes], geometry: Geometry, numbers: NodeNumbers, no
         if node_set == 15:
             lines.append(words + "".join(f"{v:13.5E}" for v in position))
         else:
-            lines += [words, "".join(f"{v:25.16E}" for v in position).replace("E", "D")]
+            lines += [words, "".join(f"{v:25.16E}" for v in position)]
     write_set(stream, node_set, lines)
 
 

@@ -209,7 +209,7 @@ def _write_function(stream: IO[bytes], f: _Function, binary: bool, single: bool 
     stream.write(b"    -1\n" + _header(f, binary, kind, numbers.nbytes, big_endian))
     if binary:
         stream.write(numbers.reshape(-1).view(np.uint8).data)
-        stream.write(b"\n    -1\n")
+        stream.write(b"    -1\n")  # no line end before it: other readers take one for data
     else:
         _write_numbers(stream, numbers.reshape(-1), _line_format(f.frequencies is None, complex_values))
         stream.write(b"    -1\n")
