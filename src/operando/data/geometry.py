@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -122,9 +122,45 @@ class Geometry:
         if len(set(self.nodes)) != len(self.nodes):
             raise DataError("a node number appears twice in the geometry")
         shown = self.appearance
-        for values, drawn, what in ((shown.line_names, self.lines, "line"), (shown.line_colors, self.lines, "line"), (shown.face_colors, self.faces, "face")):
+        for values, drawn, what in (
+            (shown.line_names, self.lines, "line"),
+            (shown.line_colors, self.lines, "line"),
+            (shown.face_colors, self.faces, "face"),
+        ):
             if values and len(values) != len(drawn):
                 raise DataError(f"{len(values)} names or colours for {len(drawn)} {what}s of the geometry")
+
+    def with_components(self, dofs: Iterable[Dof]) -> tuple[Geometry, tuple[int, ...]]:
+        """The geometry with its bare node numbers as nodes of the components that the DOFs name, as far as that is clear.
+
+        Parameters
+        ----------
+        dofs : iterable of Dof
+            All DOFs measured.
+
+        Returns
+        -------
+        Geometry
+            Itself where no DOF has a component, or its own nodes have them.
+        tuple of int
+            Numbers that more than one component has: they stay as they are.
+        """
+        owners: dict[int, set[str]] = {}
+        for component, number in {split_node(dof.node) for dof in dofs}:
+            owners.setdefault(number, set()).add(component)
+        if not any(any(names) for names in owners.values()) or any(isinstance(node, str) for node in self.nodes):
+            return self, ()
+        unclear = tuple(sorted(n for n in self.nodes if isinstance(n, int) and len(owners.get(n, ())) > 1))
+        label: dict[Node, Node] = {
+            n: node_label(min(owners[n]), n) for n in self.nodes if isinstance(n, int) and len(owners.get(n, ())) == 1
+        }
+        new = lambda nodes: tuple(label.get(n, n) for n in nodes)  # noqa: E731
+        shown = replace(self.appearance, node_colors={label.get(n, n): color for n, color in self.appearance.node_colors.items()})
+        named = replace(
+            self, nodes=new(self.nodes), lines=tuple(map(new, self.lines)), faces=tuple(map(new, self.faces)), appearance=shown,
+            node_systems={label.get(n, n): system for n, system in self.node_systems.items()},
+        )  # fmt: skip
+        return named, unclear
 
     def position(self, node: Node) -> NDArray[np.float64] | None:
         """Coordinates [m] of a node, or None."""

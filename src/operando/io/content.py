@@ -26,7 +26,7 @@ class SetInfo:
     note : str
         Reason where it was not used, and remarks.
     raw : bytes
-        The bytes of a set that was not understood or not used, for passing it on unchanged.
+        The bytes of a set that was not understood or not used, for passing it on unchanged; of a unit set (UFF 164) always.
     """
 
     index: int

@@ -213,8 +213,9 @@ def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside
         inventory.use(f.raw, f.header.title, "SI" if f.si else "numbers kept: unit unknown")
     coherence = _matched(coherences, group, rows, columns, data.shape, "coherence of the FRF", inventory)
     deviation = _matched(errors, group, rows, columns, data.shape, "standard deviation of the FRF", inventory)
-    averages = _averages(group)
-    variance = line_variance(data, coherence, averages) if deviation is None else (deviation * abs(group[0].factor)) ** 2
+    averages = _averages(group, inventory)
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = line_variance(data, coherence, averages) if deviation is None else (deviation * abs(group[0].factor)) ** 2
     return Frf(
         data, FrequencyAxis(group[0].frequencies), tuple(responses.values()), tuple(references.values()), group[0].quantity,
         variance=variance, coherence=coherence, averages=averages, si=group[0].si,
@@ -253,12 +254,15 @@ def line_variance(data: NDArray[Any], coherence: NDArray[np.float64] | None, ave
         return np.abs(data) ** 2 * (1 - gamma) / (gamma * averages)
 
 
-def _averages(group: list[_Function]) -> float | None:
-    """Number of averages where an ID line states it (``averages=25``, ``Averages: 25``)."""
+def _averages(group: list[_Function], inventory: Inventory) -> float | None:
+    """Number of averages where an ID line states it (``averages=25``, ``Averages: 25``); of different ones the smallest."""
     found = set()
     for f in group:
         for line in f.header.ids:
             match = re.search(r"\baverages?\s*[:=]\s*([0-9]+(?:\.[0-9]+)?)", line, re.IGNORECASE)
             if match is not None and float(match[1]) > 0:
                 found.add(float(match[1]))
+    if len(found) > 1:
+        stated = ", ".join(f"{n:g}" for n in sorted(found)[:8])
+        inventory.note("few_averages", f"the FRFs state different numbers of averages: {stated}", consequence="the smallest counts for all")
     return min(found) if found else None

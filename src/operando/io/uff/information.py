@@ -62,8 +62,8 @@ def read_units(raw: bytes) -> tuple[UnitSystem, str]:
     problem = ""
     if code in _FACTORS:
         expected = _FACTORS[code]
-        # Files print between 4 and 17 digits of these factors.
-        if abs(length / expected[0] - 1) > 1e-3 or abs(force / expected[1] - 1) > 1e-3:
+        # Files print between 6 and 17 digits of these factors.
+        if abs(length / expected[0] - 1) > 1e-5 or abs(force / expected[1] - 1) > 1e-5:
             problem = (
                 f"the factors {length:g} (length) and {force:g} (force) are not those of the stated unit code {code} "
                 f"({expected[0]:g} and {expected[1]:g})"

@@ -84,11 +84,11 @@ class Inventory:
         return self.systems[min(self.systems)] if self.systems else None
 
     def set_infos(self) -> tuple[SetInfo, ...]:
-        """Inventory of all sets; the bytes of those not used are kept."""
+        """Inventory of all sets; the bytes of those not used are kept, and of the unit sets, which say what the others mean."""
         out = []
         for raw in self.sets:
             status, title, note = self.status.get(raw.index, ("not understood", title_of(raw), "no reader for this type"))
-            kept = b"" if status == "used" else raw.raw(self.buffer)
+            kept = b"" if status == "used" and raw.number != 164 else raw.raw(self.buffer)
             out.append(SetInfo(raw.index, raw.number, title, status, note, kept))
         return tuple(out)
 

@@ -15,9 +15,9 @@ from operando.io.content import Content, FileHeader
 from operando.io.quantities import ChannelSpecs, Units
 from operando.io.uff.components import NodeNumbers, evidence_of_components, with_components
 from operando.io.uff.frfs import assemble_frfs
-from operando.io.uff.inventory import SET_NAMES, Inventory, title_of
 from operando.io.uff.geometry import assemble_geometry
 from operando.io.uff.information import read_header, read_qualifiers, read_units
+from operando.io.uff.inventory import SET_NAMES, Inventory, title_of
 from operando.io.uff.lines import parse_date
 from operando.io.uff.models import assemble_models
 from operando.io.uff.records import assemble_records, is_time_function

@@ -113,6 +113,8 @@ def _mode(
 ) -> ModeSet:  # fmt: skip
     is_complex = data_type in _COMPLEX_DATA
     nodes, values = _node_values(rows, per_node * (2 if is_complex else 1), name)
+    if not np.all(np.isfinite(values)):
+        raise FormatError(f"set {name} holds values that are no finite numbers")
     table: NDArray[Any] = values[:, 0::2] + 1j * values[:, 1::2] if is_complex else values
     if not (np.isfinite(frequency) and frequency >= 0 and np.isfinite(damping)):
         raise FormatError(f"set {name} states a frequency of {frequency} Hz and a damping ratio of {damping}")

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 from operando.errors import FormatError
 from operando.io.uff.header58 import Header58, parse_header58
-from operando.io.uff.textform import HEAD_BYTES, Buffer, in_one_form
+from operando.io.uff.textform import HEAD_BYTES, Buffer, utf16_of
 
 _OPENING = re.compile(rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))([ \t]{0,8})-1[ \t]*\r?\n[ \t\r\n]*\d{1,6}[ \t]*(?:[bB][ \t]|[\r\n]|\Z)")
 _NUMBER_LINE = re.compile(rb"[ \t]{0,8}(\d{1,6})[ \t]*([bB]?)(?![^ \t\r\n])")
 _REST_OF_LINE = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)")
 _BLANK = re.compile(rb"[\s\x00\x1a]*\Z")
-_NOTHING = re.compile(rb"(?:[\s\x00\x1a]|\xef\xbb\xbf|^[ \t]*-1[ \t]*$)*", re.MULTILINE)
+_NOTHING = re.compile(rb"(?:(?:\A|(?<=[\r\n]))[ \t]*-1[ \t]*(?=[\r\n]|\Z)|[\s\x00\x1a]|\xef\xbb\xbf)*")
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,10 @@ class RawSet:
 def find_first_set(buffer: Buffer) -> re.Match[bytes] | None:
     """The opening separator of the first set near the beginning, with its indentation as group 1, or None where there is no UFF set."""
     head = bytes(buffer[:HEAD_BYTES])
-    try:
-        head = bytes(in_one_form(head)[0])
-    except FormatError:  # the end of the head may cut a character in two, and lone carriage returns are refused at reading
-        head = head.replace(b"\x00", b"").replace(b"\r", b"\n")
-    return _OPENING.search(head)
+    codec = utf16_of(head)
+    if codec is not None:
+        head = head.decode(codec, "ignore").lstrip("\ufeff").encode()
+    return _OPENING.search(head if b"\n" in head else head.replace(b"\r", b"\n"))
 
 
 def outside_sets(buffer: Buffer, sets: list[RawSet]) -> list[tuple[int, int]]:
@@ -150,8 +149,10 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
         end = data + n_bytes
         after = closing.match(buffer, end)
         at_eof = not needs_separator and size - end < 4096 and _BLANK.match(buffer, end) is not None
-        if after is None and (not at_eof or _next_separator(buffer, max(data, end - 12), separator) >= 0):
+        if after is None and not at_eof:
             continue
+        if (after is None or n_bytes != header.stated_bytes) and 0 <= _next_separator(buffer, max(data, end - 12), separator) < end:
+            continue  # no count agrees with it, and the closing separator itself would be its last sample
         close = end if after is None else after.start(1)
         stop = size if after is None else after.end()
         found = replace(bare, payload=(data, end), end=max(close, end), stop=stop)
@@ -171,7 +172,9 @@ def _lost_payload(buffer: Buffer, bare: RawSet, header: Header58, data: int, sep
 
     The header may state far too much: the sets behind must not be swallowed.
     """
-    border = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)(?:[\s\x00\x1a]*\Z|(?:" + re.escape(separator) + rb"[ \t]*\r?\n)?[ \t]*\d{1,6}[ \t]*[bB\r\n])")
+    border = re.compile(
+        rb"[ \t]*(?:\r\n|\n|\r|\Z)(?:[\s\x00\x1a]*\Z|(?:" + re.escape(separator) + rb"[ \t]*\r?\n)?[ \t]*\d{1,6}[ \t]*[bB\r\n])"
+    )
     end = _next_separator(buffer, data, separator)
     while end >= 0 and border.match(buffer, end + len(separator)) is None:
         end = _next_separator(buffer, end + 1, separator)

@@ -12,6 +12,8 @@ from operando.errors import FormatError
 from operando.io.uff.lines import body_lines, floats_of, ints_of, said
 
 CARTESIAN, CYLINDRICAL = 0, 1
+MAX_LENGTH = 1e50
+"""Larger numbers are no lengths: their squares would leave the range of numbers."""
 
 
 def read_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
@@ -36,7 +38,7 @@ def read_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
             numbers = [*floats_of(lines[i + 2]), *floats_of(lines[i + 3])]
         except ValueError as error:
             raise FormatError(f"set 18 cannot be read at line {i}: {error}") from error
-        if len(numbers) != 9 or not np.all(np.isfinite(numbers)):
+        if len(numbers) != 9 or not np.all(np.abs(numbers) < MAX_LENGTH):
             raise FormatError(f"system {number} of set 18 has {len(numbers)} numbers instead of 9")
         origin, on_x, on_xz = np.reshape(np.asarray(numbers, float), (3, 3))
         axes = _axes(origin, on_x, on_xz, number)
@@ -62,7 +64,7 @@ def read_part_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
             table = np.asarray([floats_of(line) for line in lines[i + 2 : i + 6]], float)
         except ValueError as error:
             raise FormatError(f"system {number} of set 2420 cannot be read: {error}") from error
-        if table.shape != (4, 3) or not np.all(np.isfinite(table)):
+        if table.shape != (4, 3) or not np.all(np.abs(table) < MAX_LENGTH):
             raise FormatError(f"system {number} of set 2420 has no four rows of three numbers")
         if not np.allclose(table[:3] @ table[:3].T, np.eye(3), atol=1e-4):
             raise FormatError(f"the axes of system {number} of set 2420 are not at right angles or not of length 1")
