@@ -79,6 +79,14 @@ def test_blanks_of_the_separator_are_no_sample(tmp_path, kind, tail, last, state
     assert f"declares 10 points ({10 * size} bytes)" in finding.message
 
 
+def test_zeros_count_as_filling_only_in_the_last_line(tmp_path):
+    numbers = [1.0, 2.0, 3.0, 4.0, 5.0, 0.0, 0.0, 0.0]
+    assert load(tmp_path, ascii58(numbers, points=5)).records[0].n_samples == 5
+    for points in (4, 6):
+        with pytest.raises(FormatError, match=f"declares {points} points"):
+            load(tmp_path, ascii58([*numbers[:points], *[0.0] * (3 if points == 4 else 4)], points=points))
+
+
 def test_a_function_that_declares_more_than_its_text_takes_no_memory(tmp_path):
     with pytest.raises(FormatError, match=r"declares 9999999999 points .*characters"):
         load(tmp_path, ascii58([1.0] * 4).replace(b"         4         4", b"         49999999999"))

@@ -84,6 +84,8 @@ class Content:
     findings : tuple of Finding
     header : FileHeader or None
         What the file says of itself.
+    unkept : tuple of str
+        What the file says and none of the objects holds, in words: a conversion names it.
     """
 
     path: str
@@ -95,6 +97,7 @@ class Content:
     sets: tuple[SetInfo, ...] = ()
     findings: tuple[Finding, ...] = ()
     header: FileHeader | None = None
+    unkept: tuple[str, ...] = ()
 
     @property
     def objects(self) -> tuple[Any, ...]:

@@ -99,6 +99,7 @@ def _states_si(units: SetInfo) -> bool:
 def _lost_of_file(content: Content, kind: str) -> list[str]:
     """What of a file belongs to none of its objects and is not kept, in words."""
     out = [f.message for f in content.findings if f.kind in ("elements_left_out", "missing_node", "outside_sets")]
+    out += content.unkept
     if content.format != "uff":
         return out
     used = {s.number for s in content.sets if s.status == "used"}
@@ -108,12 +109,8 @@ def _lost_of_file(content: Content, kind: str) -> list[str]:
         out.append("description in the header (set 151): its line states the numbers of the components")
     if 164 in used and any(s.number == 164 and not _states_si(s) for s in content.sets):
         out.append("units of the file (set 164): the numbers are in SI now")
-    if used & {55, 2414}:
-        out.append("modal masses and ID lines of the modes as the file states them")
     if 2414 in used and kind == "uff":
         out.append("sets 2414 as such: their modes are sets 55 now")
-    if content.frfs:
-        out.append("ID lines of the functions, but for date and averages")
     return out
 
 

@@ -37,6 +37,7 @@ class Inventory:
     status: dict[int, tuple[Status, str, str]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     damaged: list[str] = field(default_factory=list)
+    unkept: list[str] = field(default_factory=list)
     node_numbers: NodeNumbers = field(default_factory=NodeNumbers)
 
     def use(self, raw: RawSet, title: str, note: str = "") -> None:

@@ -12,6 +12,9 @@ _D_EXPONENT = re.compile(r"(?<=[0-9.])[Dd](?=[+-]?[0-9])")
 _GLUED = re.compile(r"(?<=[0-9.])(?=[+-][0-9]*\.)")
 _DATE = re.compile(r"\b(\d{1,2})-([A-Za-z]{3})-(\d{4}|\d{2})\s+(\d{1,2}):(\d{2})(?::(\d{2}))?")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+OWN_LINES = ("H = response/force, e^(+i w t)", "sqrt(E|dH|^2) of each complex line", "operando time record")
+"""Beginnings of the second ID line of the functions that operando writes: FRFs and coherences, standard deviations, records."""
+
 _CENTURY = 70
 """Two digits of a year from here on are of the last century: the format is of 1970 and later."""
 

@@ -98,6 +98,10 @@ def assemble_models(sets: list[RawSet], inventory: Inventory) -> tuple[ModalMode
                 inventory.refuse(raw, title_of(raw), error.message)
             continue
         for raw, mode in group:
+            if mode.extra.get("modal_mass") and _scaling(mode) == "unscaled":
+                inventory.unkept.append("modal masses of modes that are not of unit modal mass")
+            if any(mode.ids) and not mode.ids[0].startswith("operando "):
+                inventory.unkept.append("ID lines of the modes")
             text = f"{'real' if mode.kind == NORMAL_MODE else 'complex'} mode {mode.mode}: {mode.frequency_hz:.6g} Hz"
             inventory.use(raw, text, _scaling(mode).replace("_", " "))
     return tuple(models)

@@ -18,7 +18,7 @@ from operando.io.uff.frfs import assemble_frfs
 from operando.io.uff.geometry import assemble_geometry
 from operando.io.uff.information import read_header, read_qualifiers, read_units
 from operando.io.uff.inventory import SET_NAMES, Inventory, title_of
-from operando.io.uff.lines import parse_date
+from operando.io.uff.lines import OWN_LINES, parse_date
 from operando.io.uff.models import assemble_models
 from operando.io.uff.records import assemble_records, is_time_function
 from operando.io.uff.split import RawSet, outside_sets, split_sets
@@ -151,7 +151,18 @@ def _read(stream: IO[bytes], inventory: Inventory) -> Content:
         raise FormatError("nothing in the file can be used: " + inventory.damaged[0] + more, where=inventory.file)
     return Content(
         inventory.file, "uff", records, frfs, models, geometry, inventory.set_infos(), tuple(_condensed(inventory)), header,
+        tuple(dict.fromkeys([*_unkept_lines(functions), *inventory.unkept])),
     )  # fmt: skip
+
+
+def _unkept_lines(functions: list[RawSet]) -> list[str]:
+    """Whether functions have ID lines that say more than name and date; those that operando wrote do not."""
+    for raw in functions:
+        assert raw.header is not None
+        ids = raw.header.ids
+        if not ids[1].startswith(OWN_LINES) and any(line and not parse_date(line) for line in ids[1:]):
+            return ["ID lines of the functions but name, date and averages"]
+    return []
 
 
 def _read_information(inventory: Inventory) -> FileHeader | None:

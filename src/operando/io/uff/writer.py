@@ -19,7 +19,7 @@ from operando.io.uff.components import NodeNumbers
 from operando.io.uff.frfs import STANDARD_DEVIATION
 from operando.io.uff.header58 import Axis
 from operando.io.uff.increments import restore_start, restore_step, tidy_rate
-from operando.io.uff.lines import print_date
+from operando.io.uff.lines import OWN_LINES, print_date
 from operando.io.uff.text_sets import field_of, number13, write_geometry, write_header, write_modes, write_units
 from operando.units import UFF_QUANTITIES
 
@@ -145,7 +145,7 @@ def _record_functions(record: TimeRecord) -> Iterable[_Function]:
         ordinate = _axis(channel.quantity, channel.unit)
         yield _Function(
             1, channel.dof, None, channel.name, _TIME, ordinate, Axis(), record.start_s, 1 / record.sampling_hz, None, row,
-            (channel.name, f"operando time record {channel.label}", print_date(record.provenance.measured), "", ""),
+            (channel.name, f"{OWN_LINES[2]} {channel.label}", print_date(record.provenance.measured), "", ""),
         )  # fmt: skip
 
 
@@ -163,14 +163,14 @@ def _frf_functions(frf: Frf) -> Iterable[_Function]:
             below = ("moment", "N m") if reference.axis.startswith("R") else ("force", "N")
             ordinate = _axis(quantity, unit if frf.si else "")
             denominator = _axis(below[0], below[1] if frf.si else "")
-            ids = (f"{frf.quantity} {response}/{reference}", "H = response/force, e^(+i w t)", date, "", averages)
+            ids = (f"{frf.quantity} {response}/{reference}", OWN_LINES[0], date, "", averages)
             yield _Function(4, response, reference, "", _FREQUENCY, ordinate, denominator, start, step, frequencies, frf.data[i, j], ids)
             if frf.coherence is not None and not np.all(np.isnan(frf.coherence[i, j])):
                 ids = (f"coherence {response}/{reference}", *ids[1:])
                 values = frf.coherence[i, j]
                 yield _Function(6, response, reference, "", _FREQUENCY, Axis(), Axis(), start, step, frequencies, values, ids)
             if frf.variance is not None and not np.all(np.isnan(frf.variance[i, j])):
-                ids = (f"{STANDARD_DEVIATION} {frf.quantity} {response}/{reference}", "sqrt(E|dH|^2) of each complex line", *ids[2:])
+                ids = (f"{STANDARD_DEVIATION} {frf.quantity} {response}/{reference}", OWN_LINES[1], *ids[2:])
                 values = np.sqrt(frf.variance[i, j])
                 yield _Function(0, response, reference, "", _FREQUENCY, ordinate, denominator, start, step, frequencies, values, ids)
 
