@@ -52,9 +52,27 @@ def assemble_frfs(functions: list[RawSet], inventory: Inventory) -> tuple[Frf, .
     errors = _real_functions([raw for raw in _of_type(functions, 0) if _is_deviation(raw)], inventory)
     frfs = tuple(frf for group in groups.values() if (frf := _frf(group, coherences, errors, inventory)) is not None)
     for raw, _, _, _, used in (*coherences, *errors):
-        if not used:
-            inventory.ignore(raw, _title(raw), "no FRF of the same DOFs and frequency lines in the file")
+        if not used and raw.index not in inventory.status:
+            _leave(raw, "no FRF of the same DOFs and frequency lines in the file", inventory)
+    _note_unequal(list(groups), inventory)
     return frfs
+
+
+def _leave(raw: RawSet, reason: str, inventory: Inventory) -> None:
+    """Leave a function out that would be expected to be used, with a finding."""
+    inventory.ignore(raw, _title(raw), reason)
+    inventory.note("unused_function", f"set {raw.index} ({_title(raw)}) is not used: {reason}", raw, severity="info")
+
+
+def _note_unequal(keys: list[tuple[Any, ...]], inventory: Inventory) -> None:
+    """A finding where the FRFs of one quantity lie on different lines."""
+    for quantity in dict.fromkeys(key[1] for key in keys):
+        count = len({key[0] for key in keys if key[1] == quantity})
+        if count > 1:
+            inventory.note(
+                "unequal_lines", f"the FRFs ({quantity}) of the file lie on {count} different sets of frequency lines",
+                consequence=f"they became {count} objects", action="export all functions with the same lines",
+            )  # fmt: skip
 
 
 def _of_type(functions: list[RawSet], *types: int) -> list[RawSet]:
@@ -133,7 +151,7 @@ def _scales(raw: RawSet, header: Header58, spec: Any, reference_spec: Any, inven
             action='say it in [channels]: quantity = "acceleration", unit = "m/s2"',
         )  # fmt: skip
     elif quantity is None or denominator.quantity not in _FORCES:
-        inventory.ignore(raw, header.title, f"{numerator.quantity} over {denominator.quantity} is no response over force")
+        _leave(raw, f"{numerator.quantity} over {denominator.quantity} is no response over force", inventory)
         return None
     elif not (numerator.known and denominator.known):
         lacking = [s.quantity for s in (numerator, denominator) if not s.known]
@@ -239,7 +257,12 @@ def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int]
             continue
         if out is None:
             out = np.full(shape, np.nan)
-        out[i, slice(None) if everywhere else j] = values
+        columns_here = slice(None) if everywhere else j
+        if not np.all(np.isnan(out[i, columns_here])):
+            inventory.note("duplicate_set", f"the {title} at {header.title} is there more than once: the first is used", raw)
+            inventory.ignore(raw, header.title, "the same pair of DOFs as an earlier set, which is used")
+            continue
+        out[i, columns_here] = values
         entry[4] = True
         inventory.use(raw, header.title, title)
     return out

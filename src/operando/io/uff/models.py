@@ -20,6 +20,8 @@ from operando.io.uff.split import RawSet
 UNIT_MODAL_MASS = "scaling: unit modal mass, kg^-0.5"
 UNSCALED = "scaling: unscaled"
 RESIDUAL = "residual mode"
+ODD_AMONG = 3
+"""Among so many modes a direction with values in one alone is noted: of two modes, one may well be zero along a direction."""
 CHECK_DB = 0.05
 """Largest error of the stated FRF value: six digits of shapes leave below 0.001 dB, and a term that matters changes it by more."""
 
@@ -127,6 +129,13 @@ def _model(group: list[tuple[RawSet, ModeSet]], inventory: Inventory) -> ModalMo
     measured = np.any(shapes != 0, axis=1)
     if not np.any(measured):
         measured[:] = True
+    odd = np.count_nonzero(shapes, axis=1) == 1
+    if len(modes) >= ODD_AMONG and np.any(odd):
+        names = ", ".join(str(d) for d, is_odd in zip(dofs, odd, strict=True) if is_odd)
+        inventory.note(
+            "odd_direction", f"one mode alone has values at {names[:80]}: these DOFs count as measured, with zeros in the other modes", group[0][0],
+            action="look whether the file is damaged there",
+        )  # fmt: skip
     date = inventory.provenance.measured or min((d for mode in modes for line in mode.ids if (d := parse_date(line))), default="")
     residual = np.array([any(line.startswith(RESIDUAL) for line in mode.ids) for mode in modes])
     model = ModalModel.from_terms(

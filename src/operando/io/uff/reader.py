@@ -138,6 +138,9 @@ def quick_hash(path: Path) -> str:
 def _read(stream: IO[bytes], inventory: Inventory) -> Content:
     header = _read_information(inventory)
     _read_components(header, inventory)
+    for raw in inventory.sets:
+        for note in raw.notes if not raw.problem else ():
+            inventory.note("format", f"set {raw.index}: {note}", raw, severity="info")
     functions = _functions(inventory)
     records = assemble_records(stream, [raw for raw in functions if raw.header and is_time_function(raw.header)], inventory)
     frfs = assemble_frfs(functions, inventory)
@@ -233,8 +236,6 @@ def _functions(inventory: Inventory) -> list[RawSet]:
             inventory.refuse(raw, title_of(raw), raw.problem or "the header cannot be read")
         else:
             good.append(raw)
-            for note in raw.notes:
-                inventory.note("format", f"set {raw.index}: {note}", raw, severity="info")
     return good
 
 

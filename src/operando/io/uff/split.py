@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
 
 from operando.errors import FormatError
@@ -10,6 +11,7 @@ from operando.io.uff.header58 import Header58, parse_header58
 from operando.io.uff.textform import HEAD_BYTES, Buffer, utf16_of
 
 _OPENING = re.compile(rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))([ \t]{0,8})-1[ \t]*\r?\n[ \t\r\n]*\d{1,6}[ \t]*(?:[bB][ \t]|[\r\n]|\Z)")
+_SEPARATOR_LINE = re.compile(rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))([ \t]{0,8})-1[ \t]*(?=[\r\n]|\Z)")
 _NUMBER_LINE = re.compile(rb"[ \t]{0,8}(\d{1,6})[ \t]*([bB]?)(?![^ \t\r\n])")
 _REST_OF_LINE = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)")
 _BLANK = re.compile(rb"[\s\x00\x1a]*\Z")
@@ -66,6 +68,13 @@ def find_first_set(buffer: Buffer) -> re.Match[bytes] | None:
     return _OPENING.search(head if b"\n" in head else head.replace(b"\r", b"\n"))
 
 
+def _separator_of(buffer: Buffer, first: bytes) -> bytes:
+    """Indentation of the separators: the most frequent one near both ends of the file; the first separator itself may be damaged."""
+    ends = bytes(buffer[:HEAD_BYTES]), bytes(buffer[max(HEAD_BYTES, len(buffer) - HEAD_BYTES) :])
+    found = Counter([first, *(indentation for end in ends for indentation in _SEPARATOR_LINE.findall(end))])
+    return found.most_common(1)[0][0]
+
+
 def outside_sets(buffer: Buffer, sets: list[RawSet]) -> list[tuple[int, int]]:
     """Stretches of bytes that belong to no set (start, stop); blanks and separators between the sets do not count."""
     edges = [0, *(edge for raw in sets for edge in (raw.start, raw.stop)), len(buffer)]
@@ -92,8 +101,8 @@ def split_sets(buffer: Buffer, where: str = "") -> list[RawSet]:
     first = find_first_set(buffer)
     if first is None:
         raise FormatError("no UFF set found", where=where, hint="a set starts with a line '    -1' and a line with its number")
-    separator = first[1] + b"-1"
-    position = first.start(1)
+    separator = _separator_of(buffer, first[1]) + b"-1"
+    position = first.start(1) if separator == first[1] + b"-1" else 0
     sets: list[RawSet] = []
     while True:
         start = _next_separator(buffer, position, separator)
