@@ -222,3 +222,63 @@ def test_geometry_with_a_node_of_a_colour_that_is_no_number(tmp_path):
     content = read(tmp_path / "g.uff")
     assert content.geometry is None
     assert "not whole" in content.findings[0].message
+
+
+# --- what a damaged function leaves behind --------------------------------------------------------------------------------------
+
+
+def frf58(response, reference, points=4, **kw):
+    axis = {"abscissa": (18, "Frequency", "Hz"), "step": 0.5}
+    return ascii58([1.0, 2.0] * points, kind=6, points=points, function=4, response=response, reference=reference,
+                   denominator=(13, "Force", "N"), **(axis | kw))  # fmt: skip
+
+
+def coherence58(response, reference, value=0.9):
+    return ascii58([value] * 4, function=6, abscissa=(18, "Frequency", "Hz"), quantity=0, unit="NONE", step=0.5, response=response,
+                   reference=reference)  # fmt: skip
+
+
+def test_a_damaged_first_separator_does_not_hide_the_others(tmp_path):
+    sets = [ascii58([float(i)] * 4, response=(i, 3)) for i in (1, 2, 3)]
+    content = load(tmp_path, sets[0].replace(b"    -1\n", b"   -1\n", 1), *sets[1:])
+    assert content.records[0].data[:, 0].tolist() == [2.0, 3.0]
+    assert kinds(content) == ["outside_sets"]
+
+
+def test_a_file_without_its_end_is_told(tmp_path):
+    content = load(
+        tmp_path,
+        ascii58([1.0] * 4),
+        text_set(15, "1 0 0 7 1.0 2.0 3.0")[: -len("    -1\n")],
+    )
+    assert content.geometry.nodes == (1,)
+    assert "format" in kinds(content)
+
+
+def test_a_coherence_without_its_frf_is_told(tmp_path):
+    sets = [frf58((i, 3), (j, 3)) for i, j in ((1, 1), (2, 1), (1, 2))]
+    content = load(tmp_path, *sets, coherence58((1, 3), (1, 3)), coherence58((2, 3), (2, 3)), coherence58((1, 3), (1, 3), 0.5))
+    assert [(f.kind, f.set) for f in content.findings] == [("duplicate_set", 5), ("unused_function", 4)]
+    assert np.nanmax(content.frfs[0].coherence) == 0.9
+    assert np.isnan(content.frfs[0].coherence).all(axis=2).tolist() == [[False, True], [True, True]]
+
+
+def test_frfs_on_different_lines_are_told(tmp_path):
+    content = load(tmp_path, frf58((1, 3), (1, 3)), frf58((2, 3), (1, 3), points=5), frf58((3, 3), (1, 3), step=0.25))
+    assert kinds(content) == ["unequal_lines"]
+    assert "3 different sets" in content.findings[0].message
+
+
+def test_different_numbers_of_averages_are_told(tmp_path):
+    content = load(tmp_path, *(frf58((i, 3), (1, 3), ids=("NONE",) * 4 + (f"averages={n}",)) for i, n in ((1, 8), (2, 80))))
+    assert kinds(content) == ["few_averages"]
+    assert content.frfs[0].averages == 8.0
+
+
+def test_a_direction_of_one_mode_alone_is_told(tmp_path):
+    shapes = np.zeros((3, 3))
+    shapes[0], shapes[2, 1] = 1.0, 0.5
+    model = ModalModel(np.array([10.0, 20.0, 30.0]), np.full(3, 0.01), shapes, ("1+X", "1+Y", "1+Z"), "unscaled")
+    write_uff(tmp_path / "m.uff", model)
+    (finding,) = read(tmp_path / "m.uff").findings
+    assert (finding.kind, "1+Z" in finding.message) == ("odd_direction", True)

@@ -229,8 +229,8 @@ def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside
             data[i, j] = f.values * (f.factor * sign)
         filled[i, j] = f.raw.index
         inventory.use(f.raw, f.header.title, "SI" if f.si else "numbers kept: unit unknown")
-    coherence = _matched(coherences, group, rows, columns, data.shape, "coherence of the FRF", inventory)
-    deviation = _matched(errors, group, rows, columns, data.shape, "standard deviation of the FRF", inventory)
+    coherence = _matched(coherences, group, rows, columns, data, "coherence of the FRF", inventory)
+    deviation = _matched(errors, group, rows, columns, data, "standard deviation of the FRF", inventory)
     averages = _averages(group, inventory)
     with np.errstate(over="ignore", invalid="ignore"):
         variance = line_variance(data, coherence, averages) if deviation is None else (deviation * abs(group[0].factor)) ** 2
@@ -241,7 +241,7 @@ def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside
     )  # fmt: skip
 
 
-def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int], columns: dict[Any, int], shape: tuple[int, ...],
+def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int], columns: dict[Any, int], data: NDArray[Any],
              title: str, inventory: Inventory) -> NDArray[np.float64] | None:  # fmt: skip
     out: NDArray[np.float64] | None = None
     codes = {0, *(f.header.ordinate.code for f in group)}  # a coherence has no quantity, a standard deviation that of its FRF
@@ -253,10 +253,10 @@ def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int]
         reference = header.reference
         j = None if reference is None else columns.get((reference.node, reference.axis))
         everywhere = header.function_type == 26 or (reference is None and len(columns) == 1)
-        if i is None or (j is None and not everywhere):
+        if i is None or (j is None and not everywhere) or np.all(np.isnan(data[i, slice(None) if everywhere else j])):
             continue
         if out is None:
-            out = np.full(shape, np.nan)
+            out = np.full(data.shape, np.nan)
         columns_here = slice(None) if everywhere else j
         if not np.all(np.isnan(out[i, columns_here])):
             inventory.note("duplicate_set", f"the {title} at {header.title} is there more than once: the first is used", raw)

@@ -133,8 +133,8 @@ def _model(group: list[tuple[RawSet, ModeSet]], inventory: Inventory) -> ModalMo
     if len(modes) >= ODD_AMONG and np.any(odd):
         names = ", ".join(str(d) for d, is_odd in zip(dofs, odd, strict=True) if is_odd)
         inventory.note(
-            "odd_direction", f"one mode alone has values at {names[:80]}: these DOFs count as measured, with zeros in the other modes", group[0][0],
-            action="look whether the file is damaged there",
+            "odd_direction", f"one mode alone has values at {names[:80]}", group[0][0],
+            consequence="these DOFs count as measured, with zeros in the other modes", action="look whether the file is damaged there",
         )  # fmt: skip
     date = inventory.provenance.measured or min((d for mode in modes for line in mode.ids if (d := parse_date(line))), default="")
     residual = np.array([any(line.startswith(RESIDUAL) for line in mode.ids) for mode in modes])
