@@ -629,7 +629,7 @@ def test_a_small_set_that_cannot_be_read_is_kept(tmp_path):
 
 def test_a_set_55_cut_off_within_a_node_says_so():
     from operando.errors import FormatError
-    from operando.io.uff.small import _node_values
+    from operando.io.uff.shapes import _node_values
 
     with pytest.raises(FormatError, match="ends after 2 of the 3 values of node 12"):
         _node_values(["        11", " 1.0 2.0 3.0", "        12", " 1.0 2.0"], 3)

@@ -1,33 +1,70 @@
-"""Degrees of freedom: node, direction and sign, as ``12+Z``."""
+"""Degrees of freedom: node, direction and sign, as ``12+Z``; the node of a component is ``FRAM:12``, its DOF ``FRAM:12+Z``."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import total_ordering
 
 from operando.errors import DofError
 
 AXES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 """Axis names in the order of the UFF direction codes 0 to 6."""
 
-_PATTERN = re.compile(r"^\s*(\d+)\s*(?:([+-])?\s*(R?[XYZ]))?\s*$", re.IGNORECASE)
-_NAMED = re.compile(r"^\s*(\d+)([+-])([a-z][a-z0-9_]{0,15})\s*$")
+Node = int | str
+"""A node: its number, or ``COMPONENT:NUMBER`` where nodes are numbered anew in each component (``FRAM:1`` and ``MOTR:1``)."""
+
+MAX_NUMBER_DIGITS = 18
+"""Longest node number that is read: it fits 64 bits, and no format of measured data has longer ones."""
+
+_NODE = rf"(?:([^\s:,@=;/\"'\x00-\x1f\x7f][^:,@=;/\"'\x00-\x1f\x7f]{{0,31}}):)?0*([0-9]{{1,{MAX_NUMBER_DIGITS}}})"
+_PATTERN = re.compile(rf"^\s*{_NODE}:?\s*(?:([+-])?\s*(R?[XYZ]))?\s*$", re.IGNORECASE)
+_NAMED = re.compile(rf"^\s*{_NODE}:?([+-])([a-z][a-z0-9_]{{0,15}})\s*$")
 _NAME = re.compile(r"^[a-z][a-z0-9_]{0,15}$")
+_NODE_ALONE = re.compile(rf"^{_NODE}$")
 
 
-LARGEST_NODE = 10**18 - 1
-"""Node numbers fit the 64-bit integers of arrays and files."""
+def split_node(node: Node) -> tuple[str, int]:
+    """Component (empty where there is none) and number of a node.
+
+    Raises
+    ------
+    DofError
+        If a text is no node label.
+    """
+    if not isinstance(node, str):
+        return "", int(node)
+    match = _NODE_ALONE.match(node)
+    if match is None:
+        raise DofError(f"{node[:60]!r} is no node label", hint="write a number, or component and number as in FRAM:12")
+    return (match[1] or "").rstrip(), int(match[2])
 
 
-@dataclass(frozen=True, slots=True, order=True)
+def node_label(component: str, number: int) -> Node:
+    """Node of a component (``FRAM:12``), or the number itself without one.
+
+    Raises
+    ------
+    DofError
+        If the text cannot name a component.
+    """
+    if not component:
+        return number
+    label = f"{component.strip()}:{number}"
+    split_node(label)
+    return label
+
+
+@total_ordering
+@dataclass(frozen=True, slots=True)
 class Dof:
     """One degree of freedom.
 
     Parameters
     ----------
-    node : int
-        Node number, not negative.
+    node : int or str
+        Node number, not negative; or component and number, ``FRAM:12``.
     axis : str
         "X", "Y", "Z", "RX", "RY" or "RZ"; empty for a scalar; or the name of a direction that is no axis, in lower case ("a", "beam1"),
         whose unit vector stands in [directions] of the test file (``Geometry.directions``).
@@ -40,14 +77,16 @@ class Dof:
         If a field is out of range.
     """
 
-    node: int
+    node: Node
     axis: str = ""
     sign: int = 1
 
     def __post_init__(self) -> None:
-        if not 0 <= self.node <= LARGEST_NODE:
-            text = f"node number {self.node} is negative" if self.node < 0 else "the node number has more than 18 digits"
-            raise DofError(text, hint="node numbers start at 0 and have up to 18 digits")
+        component, number = split_node(self.node)
+        object.__setattr__(self, "node", node_label(component, number))
+        if not 0 <= number < 10**MAX_NUMBER_DIGITS:
+            text = f"node number {self.node} is negative" if number < 0 else f"the node number has more than {MAX_NUMBER_DIGITS} digits"
+            raise DofError(text, hint=f"node numbers start at 0 and have up to {MAX_NUMBER_DIGITS} digits")
         if self.axis not in AXES and not (_NAME.match(self.axis) and self.axis.upper() not in AXES):
             hint = "use X, Y, Z, RX, RY, RZ, nothing for a scalar, or the name of a direction in lower case"
             raise DofError(f"unknown axis {self.axis!r}", hint=hint)
@@ -56,7 +95,8 @@ class Dof:
 
     @classmethod
     def parse(cls, text: str | Dof) -> Dof:
-        """Read ``12+Z``, ``12Z`` (positive), ``7-X``, ``101+RY``, a scalar ``12``, or a named direction with its sign, ``5+a``.
+        """Read ``12+Z``, ``12Z`` (positive), ``7-X``, ``101+RY``, a scalar ``12``, a named direction with its sign, ``5+a``, or the DOF of
+        a component, ``FRAM:12+Z`` (also ``FRAM:12:+Z``).
 
         Raises
         ------
@@ -67,29 +107,46 @@ class Dof:
             return text
         match = _PATTERN.match(str(text))
         named = _NAMED.match(str(text)) if match is None else None
-        digits = (match or named or ["", ""])[1].lstrip("0") or "0"
-        if len(digits) > 18:  # checked here: Python refuses to make a number of some thousand digits
-            hint = "node numbers start at 0 and have up to 18 digits"
-            raise DofError(f"the node number of {str(text)[:20]!r}… has {len(digits)} digits", hint=hint)
         if named is not None:
-            return cls(int(digits), named[3], -1 if named[2] == "-" else 1)
-        if match is None:
-            raise DofError(f"{text!r:.80} is no DOF label", hint="write node, sign, axis, as in 12+Z, 7-X, 101+RY, or 12")
-        _, sign, axis = match.groups()
-        return cls(int(digits), (axis or "").upper(), -1 if sign == "-" else 1)
+            component, number, sign, axis = named.groups()
+        elif match is not None:
+            component, number, sign, axis = match.groups()
+            axis = (axis or "").upper()
+        elif re.match(rf"\s*0*[0-9]{{{MAX_NUMBER_DIGITS + 1}}}", str(text)):
+            hint = f"node numbers start at 0 and have up to {MAX_NUMBER_DIGITS} digits"
+            raise DofError(f"the node number of {str(text)[:20]!r}… has more than {MAX_NUMBER_DIGITS} digits", hint=hint)
+        else:
+            shown = str(text) if len(str(text)) <= 60 else f"{str(text)[:60]}…"
+            raise DofError(f"{shown!r} is no DOF label", hint="write node, sign, axis, as in 12+Z, 7-X, 101+RY, 12, or FRAM:12+Z")
+        return cls(node_label((component or "").rstrip(), int(number)), axis, -1 if sign == "-" else 1)
 
     @classmethod
-    def from_uff(cls, node: int, code: int) -> Dof:
-        """DOF from a UFF node number and direction code (−6 … 6, 0 is a scalar).
+    def from_uff(cls, node: int, code: int, component: str = "") -> Dof:
+        """DOF from a UFF node number and direction code (−6 … 6, 0 is a scalar), and the component whose node it is.
 
         Raises
         ------
         DofError
-            If the code is outside −6 … 6.
+            If the code is outside −6 … 6, or the text cannot name a component.
         """
         if not -6 <= code <= 6:
             raise DofError(f"UFF direction code {code} is outside -6 ... 6")
-        return cls(int(node), AXES[abs(code)], -1 if code < 0 else 1)
+        return cls(node_label(component, int(node)), AXES[abs(code)], -1 if code < 0 else 1)
+
+    @property
+    def component(self) -> str:
+        """Component of the node; empty where nodes have none."""
+        return split_node(self.node)[0]
+
+    @property
+    def number(self) -> int:
+        """Number of the node, within its component where it has one."""
+        return split_node(self.node)[1]
+
+    def __lt__(self, other: object) -> bool:
+        if not isinstance(other, Dof):
+            return NotImplemented
+        return (*split_node(self.node), self.axis, self.sign) < (*split_node(other.node), other.axis, other.sign)
 
     @property
     def named(self) -> bool:

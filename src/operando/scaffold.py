@@ -230,7 +230,7 @@ def _dof_of_force(record: Any, channels: Sequence[Any], force: Any) -> tuple[str
     from operando.dof import Dof
     from operando.frf import estimate_frf, power_signs
 
-    nodes = [c.dof.node for c in channels if c.dof is not None]
+    nodes = [c.dof.number for c in channels if c.dof is not None]
     own = Dof(max(nodes, default=0) + 1, "Z")
     rows = [i for i, c in enumerate(channels) if c.dof is not None or c is force or c.name == force.name]
     labelled = tuple(replace(c, dof=own) if c.name == force.name else c for c in channels)

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from operando.compare.measures import Lines, band_edges, error_db, misfit, model_share, noise_floor_db, relative_error
 from operando.compare.peaks import by_mode, fit_peaks
 from operando.data import Frf
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import DataError
 from operando.results import CheckRun
 
@@ -188,7 +188,7 @@ def _lines(frf: Frf, index: NDArray[Any], f: NDArray[np.float64]) -> Frf:
     )
 
 
-def _available(model: FrfModel | Frf) -> tuple[set[tuple[int, str]] | None, set[tuple[int, str]] | None]:
+def _available(model: FrfModel | Frf) -> tuple[set[tuple[Node, str]] | None, set[tuple[Node, str]] | None]:
     if isinstance(model, Frf):
         return {(d.node, d.axis) for d in model.responses}, {(d.node, d.axis) for d in model.references}
     holder = getattr(model, "modal", model)

@@ -2,7 +2,7 @@
 
 from operando.data.findings import Finding, group_findings
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
-from operando.data.geometry import Geometry, direction_of, node_motion
+from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
@@ -12,7 +12,9 @@ from operando.data.time import Channel, TimeRecord
 __all__ = [
     "LEVEL_RATIO",
     "QUANTITIES",
+    "Appearance",
     "Channel",
+    "CoordinateSystem",
     "Finding",
     "FrequencyAxis",
     "Frf",

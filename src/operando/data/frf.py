@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from operando.data.arrays import frozen
 from operando.data.findings import Finding
 from operando.data.provenance import Provenance
-from operando.dof import Dof, match_dofs, parse_dofs
+from operando.dof import Dof, Node, match_dofs, parse_dofs
 from operando.errors import DataError
 
 QUANTITIES = ("receptance", "mobility", "accelerance")
@@ -131,7 +131,7 @@ class Frf:
         if self.quantity not in QUANTITIES:
             raise DataError(f"quantity {self.quantity!r} is none of {', '.join(QUANTITIES)}")
         for label, dofs in (("response", self.responses), ("reference", self.references)):
-            seen: set[tuple[int, str]] = set()
+            seen: set[tuple[Node, str]] = set()
             for d in dofs:
                 if (d.node, d.axis) in seen:
                     raise DataError(f"{label} DOF {d} appears twice (in either sense)")

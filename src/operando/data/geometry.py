@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,65 @@ from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
 from operando.data.provenance import Provenance
-from operando.dof import Dof
+from operando.dof import Dof, Node, node_label, split_node
 from operando.errors import DataError
+
+
+@dataclass(frozen=True)
+class CoordinateSystem:
+    """A local coordinate system, as a geometry file defines it.
+
+    Parameters
+    ----------
+    number : int
+        As nodes refer to it; 0 is the global system and needs no definition.
+    kind : {0, 1, 2}
+        Cartesian, cylindrical, spherical.
+    origin : (3,) array
+        In global Cartesian coordinates [m].
+    axes : (3, 3) array
+        Its x, y, z axes as rows of unit vectors in global Cartesian coordinates.
+    name : str
+    color : int
+    """
+
+    number: int
+    kind: int
+    origin: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    name: str = ""
+    color: int = 1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "origin", frozen(self.origin, float, 1, "origin"))
+        object.__setattr__(self, "axes", frozen(self.axes, float, 2, "axes"))
+        if self.origin.shape != (3,) or self.axes.shape != (3, 3):
+            raise DataError(f"coordinate system {self.number}: origin {self.origin.shape} and axes {self.axes.shape}, not (3,) and (3, 3)")
+
+    @property
+    def has_global_axes(self) -> bool:
+        """Whether its directions are the global ones (to the six digits of the older formats)."""
+        return self.kind == 0 and bool(np.allclose(self.axes, np.eye(3), atol=2e-5))
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Names and colours (numbers of the UFF palette) of what a geometry draws, as its file gives them.
+
+    Parameters
+    ----------
+    node_colors : dict
+        Node → colour.
+    line_names, line_colors : tuple
+        One a line of the geometry, or empty.
+    face_colors : tuple
+        One a face of the geometry, or empty.
+    """
+
+    node_colors: dict[Node, int] = field(default_factory=dict)
+    line_names: tuple[str, ...] = ()
+    line_colors: tuple[int, ...] = ()
+    face_colors: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -21,14 +78,14 @@ class Geometry:
 
     Parameters
     ----------
-    nodes : tuple of int
-        Node numbers, each once.
+    nodes : tuple of int or str
+        Nodes, each once: numbers, or ``FRAM:12`` where they are numbered within components.
     coordinates : (n_nodes, 3) array
         x, y, z [m].
     lines : tuple of tuple of int
-        Polylines through node numbers.
+        Polylines through nodes.
     faces : tuple of tuple of int
-        Triangles and quadrilaterals of node numbers.
+        Triangles and quadrilaterals of nodes.
     name : str
         What it is, as the file says.
     unit_known : bool
@@ -37,26 +94,75 @@ class Geometry:
         Where it came from.
     directions : dict
         DOF in its positive sense ("5+a", "7+X") → unit vector, for those that are no axes of the coordinates.
+    systems : tuple of CoordinateSystem
+        Local coordinate systems of the file; the coordinates here are global all the same.
+    node_systems : dict
+        Node → number of the system its directions are given in, for those whose directions are not global.
+    appearance : Appearance
+        Names and colours.
     """
 
-    nodes: tuple[int, ...]
+    nodes: tuple[Node, ...]
     coordinates: NDArray[np.float64]
-    lines: tuple[tuple[int, ...], ...] = ()
-    faces: tuple[tuple[int, ...], ...] = ()
+    lines: tuple[tuple[Node, ...], ...] = ()
+    faces: tuple[tuple[Node, ...], ...] = ()
     name: str = ""
     unit_known: bool = True
     provenance: Provenance = field(default_factory=Provenance)
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    systems: tuple[CoordinateSystem, ...] = ()
+    node_systems: dict[Node, int] = field(default_factory=dict)
+    appearance: Appearance = field(default_factory=Appearance)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", tuple(int(n) for n in self.nodes))
+        object.__setattr__(self, "nodes", tuple(node_label(*split_node(n)) for n in self.nodes))
         object.__setattr__(self, "coordinates", frozen(self.coordinates, float, 2, "coordinates"))
         if self.coordinates.shape != (len(self.nodes), 3):
             raise DataError(f"{len(self.nodes)} nodes but coordinates of shape {self.coordinates.shape}")
         if len(set(self.nodes)) != len(self.nodes):
             raise DataError("a node number appears twice in the geometry")
+        shown = self.appearance
+        for values, drawn, what in (
+            (shown.line_names, self.lines, "line"),
+            (shown.line_colors, self.lines, "line"),
+            (shown.face_colors, self.faces, "face"),
+        ):
+            if values and len(values) != len(drawn):
+                raise DataError(f"{len(values)} names or colours for {len(drawn)} {what}s of the geometry")
 
-    def position(self, node: int) -> NDArray[np.float64] | None:
+    def with_components(self, dofs: Iterable[Dof]) -> tuple[Geometry, tuple[int, ...]]:
+        """The geometry with its bare node numbers as nodes of the components that the DOFs name, as far as that is clear.
+
+        Parameters
+        ----------
+        dofs : iterable of Dof
+            All DOFs measured.
+
+        Returns
+        -------
+        Geometry
+            Itself where no DOF has a component, or its own nodes have them.
+        tuple of int
+            Numbers that more than one component has: they stay as they are.
+        """
+        owners: dict[int, set[str]] = {}
+        for component, number in {split_node(dof.node) for dof in dofs}:
+            owners.setdefault(number, set()).add(component)
+        if not any(any(names) for names in owners.values()) or any(isinstance(node, str) for node in self.nodes):
+            return self, ()
+        unclear = tuple(sorted(n for n in self.nodes if isinstance(n, int) and len(owners.get(n, ())) > 1))
+        label: dict[Node, Node] = {
+            n: node_label(min(owners[n]), n) for n in self.nodes if isinstance(n, int) and len(owners.get(n, ())) == 1
+        }
+        new = lambda nodes: tuple(label.get(n, n) for n in nodes)  # noqa: E731
+        shown = replace(self.appearance, node_colors={label.get(n, n): color for n, color in self.appearance.node_colors.items()})
+        named = replace(
+            self, nodes=new(self.nodes), lines=tuple(map(new, self.lines)), faces=tuple(map(new, self.faces)), appearance=shown,
+            node_systems={label.get(n, n): system for n, system in self.node_systems.items()},
+        )  # fmt: skip
+        return named, unclear
+
+    def position(self, node: Node) -> NDArray[np.float64] | None:
         """Coordinates [m] of a node, or None."""
         try:
             return self.coordinates[self.nodes.index(node)]
@@ -77,7 +183,7 @@ def direction_of(dof: Dof, directions: Mapping[str, Sequence[float]]) -> NDArray
     return None if vector is None else dof.sign * np.asarray(vector, float)
 
 
-def node_motion(dofs: Sequence[Dof], values: NDArray[Any], directions: Mapping[str, Sequence[float]]) -> dict[int, NDArray[Any]]:
+def node_motion(dofs: Sequence[Dof], values: NDArray[Any], directions: Mapping[str, Sequence[float]]) -> dict[Node, NDArray[Any]]:
     """Motion (3, n_modes) of each measured node, from its values along the measured directions.
 
     Each measured value is the projection of the node's motion on its direction: three independent directions give the motion, fewer the
@@ -90,7 +196,7 @@ def node_motion(dofs: Sequence[Dof], values: NDArray[Any], directions: Mapping[s
     directions : mapping
         As ``Geometry.directions``.
     """
-    rows: dict[int, list[tuple[NDArray[np.float64], int]]] = {}
+    rows: dict[Node, list[tuple[NDArray[np.float64], int]]] = {}
     for i, dof in enumerate(dofs):
         vector = direction_of(dof, directions)
         if vector is not None:

@@ -19,7 +19,7 @@ from operando.diagnose.predict import Term
 from operando.diagnose.problem import Problem, Tried, choose, step
 from operando.diagnose.search import Search
 from operando.diagnose.sets import SELECT
-from operando.dof import Dof
+from operando.dof import Dof, split_node
 from operando.effects import catalogue, spline_weights
 
 Array = NDArray[Any]
@@ -109,7 +109,7 @@ def _on_line(points: Array, a: int, b: int) -> list[int]:
 
 def with_middles(idle: ModalModel, geometry: Geometry, places: list[Middle]) -> tuple[ModalModel, Geometry]:
     """The idle model and its geometry with these places as further DOFs."""
-    node = max((*geometry.nodes, *(d.node for d in idle.dofs)))
+    node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))
     dofs = tuple(Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places))
     weights = np.array([p.weights for p in places])
     shapes = np.asarray(idle.terms.shapes)

@@ -14,6 +14,7 @@ from operando.diagnose.at_level import level_picture, levels_of
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
 from operando.diagnose.model import Model
 from operando.diagnose.verdict import GOOD
+from operando.dof import Node
 from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
 from operando.nonlinear import AppliedToRecords, NonlinearDiagnosis, apply_to_records, diagnose_records, linear_effects, measured_distortion
@@ -147,7 +148,7 @@ def levels_disagree(check: Sequence[CheckRun]) -> bool:
     return any(f.kind == "nonlinear" for run in check for f in run.frf.findings)
 
 
-def unexplained(frf: Frf) -> dict[tuple[int, str], float]:
+def unexplained(frf: Frf) -> dict[tuple[Node, str], float]:
     """Share of each response's power that is not proportional to the forces, in the median over lines."""
     if frf.variance is None:
         return {}

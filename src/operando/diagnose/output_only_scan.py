@@ -13,7 +13,7 @@ from operando.data import ModalModel
 from operando.diagnose.output_only_fit import Fit, Prior, counts, fit, jacobian, mean_square
 from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, solve
 from operando.diagnose.output_only_residuals import Target, compress, compress_slope, residuals, whiteners
-from operando.dof import parse_dofs
+from operando.dof import Node, parse_dofs
 from operando.effects import Effect, kind_of
 from operando.errors import ConfigError
 
@@ -62,7 +62,7 @@ def candidate_effects(idle: ModalModel, kinds: object = None, places: object = N
             out.append(Effect(kind))
         elif definition.places == 1:
             # A mass acts on all directions of its node: one DOF stands for them.
-            seen: set[int] = set()
+            seen: set[Node] = set()
             for dof in dofs:
                 if definition.coordinates == "node":
                     if dof.node in seen:

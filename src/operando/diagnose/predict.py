@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalModel
 from operando.diagnose.sets import CheckLines
-from operando.dof import Dof, match_dofs
+from operando.dof import Dof, Node, match_dofs
 from operando.effects import Effect, EffectKind, place_weights
 from operando.synthesis import modal_kernel
 
@@ -115,9 +115,9 @@ class Term:
         )
 
     @property
-    def key(self) -> tuple[str, tuple[tuple[int, str], ...]]:
+    def key(self) -> tuple[str, tuple[tuple[Node, str], ...]]:
         """Kind and unsigned place, to tell terms apart."""
-        return self.kind.kind, tuple(sorted((d.node, d.axis) for d in self.dofs)) or ((0, str(self.position)),)
+        return self.kind.kind, tuple((d.node, d.axis) for d in sorted(d.unsigned for d in self.dofs)) or ((0, str(self.position)),)
 
     def bounds(self) -> tuple[Array, Array]:
         """Bounds of the moving numbers on the search scale."""

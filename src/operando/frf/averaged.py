@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from operando.data import Finding
+from operando.dof import Node
 from operando.errors import DataError
 from operando.frf.estimators import estimate, inverse_force_matrix
 from operando.frf.impact import ImpactBlocks, impact_spectra
@@ -167,7 +168,7 @@ def few_averages(estimates: Sequence[RunEstimate]) -> list[Finding]:
 
 def _least_averages(runs: Sequence[RunEstimate]) -> float:
     """Averages of the response that runs of the same references have least of: sensors may have roved between the runs."""
-    total: dict[tuple[int, str], float] = {}
+    total: dict[tuple[Node, str], float] = {}
     for run in runs:
         for d in run.responses:
             total[d.node, d.axis] = total.get((d.node, d.axis), 0.0) + run.averages

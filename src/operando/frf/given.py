@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, Provenance
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import DataError
 from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of
 from operando.frf.shift import frequency_shifts, in_words
@@ -40,8 +40,8 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
     if len(frfs) == 1:
         return first
     same = [_on_lines_of(first, h) for h in frfs]
-    responses: dict[tuple[int, str], Dof] = {}
-    references: dict[tuple[int, str], Dof] = {}
+    responses: dict[tuple[Node, str], Dof] = {}
+    references: dict[tuple[Node, str], Dof] = {}
     for h in same:
         for d in h.responses:
             responses.setdefault((d.node, d.axis), d)
@@ -107,10 +107,10 @@ _Part = tuple[Array, Array | None, Array | None, Frf]
 
 def _by_pair(
     frfs: Sequence[Frf],
-    rows: list[tuple[int, str]],
-    columns: list[tuple[int, str]],
-    responses: dict[tuple[int, str], Dof],
-    references: dict[tuple[int, str], Dof],
+    rows: list[tuple[Node, str]],
+    columns: list[tuple[Node, str]],
+    responses: dict[tuple[Node, str], Dof],
+    references: dict[tuple[Node, str], Dof],
 ) -> dict[_Pair, list[_Part]]:
     """What the files hold of each pair, in the sense of the DOFs of the matrix."""
     out: dict[_Pair, list[_Part]] = {}

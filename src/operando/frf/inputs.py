@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, TimeRecord
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import DataError
 
 QUANTITY = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
@@ -114,7 +114,7 @@ def run_input(record: TimeRecord) -> RunInput:
 def _unique(record: TimeRecord, rows: Sequence[int], what: str, findings: list[Finding]) -> list[int]:
     """Rows with a DOF that no earlier row has, and a signal; a finding for each of the others."""
     where = record.name or None
-    seen: set[tuple[int, str]] = set()
+    seen: set[tuple[Node, str]] = set()
     out = []
     for i in rows:
         channel = record.channels[i]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, FrequencyAxis, Frf, Provenance, one_level
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
 
@@ -137,7 +137,7 @@ def inhomogeneity(first: RunEstimate, second: RunEstimate) -> tuple[float, float
 
 def union(runs: Sequence[RunEstimate]) -> tuple[Dof, ...]:
     """Responses of all runs, each DOF once (in the sense of the run that has it first), in order."""
-    out: dict[tuple[int, str], Dof] = {}
+    out: dict[tuple[Node, str], Dof] = {}
     for run in runs:
         for d in run.responses:
             out.setdefault((d.node, d.axis), d)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, TimeRecord
+from operando.dof import Node
 
 FLAT_SHARE = 1e-4
 """A channel says nothing where its standard deviation is below this part of the median of its quantity (−80 dB: converter noise)."""
@@ -83,7 +84,7 @@ def usable_channels(records: Sequence[TimeRecord]) -> tuple[list[TimeRecord], li
         return list(records), []
     findings: list[Finding] = []
     kept = _runs_with_forces(records, faults, findings)
-    bad: dict[tuple[int, str], list[tuple[int, ChannelFault]]] = {}
+    bad: dict[tuple[Node, str], list[tuple[int, ChannelFault]]] = {}
     for k in kept:
         motion = set(records[k].response_indices)
         for fault in faults[k]:
@@ -110,7 +111,7 @@ def usable_channels(records: Sequence[TimeRecord]) -> tuple[list[TimeRecord], li
     return (out, findings) if out else (list(records), [])
 
 
-def _rows_at(record: TimeRecord, key: tuple[int, str]) -> list[int]:
+def _rows_at(record: TimeRecord, key: tuple[Node, str]) -> list[int]:
     """Rows of the responses at a DOF, in either sense."""
     return [i for i in record.response_indices if (d := record.channels[i].dof) is not None and (d.node, d.axis) == key]
 

@@ -1,6 +1,6 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
-from operando.io.content import Content, SetInfo
+from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
 from operando.io.detect import detect_format, read
@@ -12,6 +12,7 @@ from operando.io.uff import read_uff, read_uff_sets, write_uff
 
 __all__ = [
     "Content",
+    "FileHeader",
     "SetInfo",
     "convert",
     "detect_format",

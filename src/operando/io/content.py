@@ -26,7 +26,7 @@ class SetInfo:
     note : str
         Reason where it was not used, and remarks.
     raw : bytes
-        The bytes of a set that was not understood or not used, for passing it on unchanged.
+        The bytes of a set that was not understood or not used, for passing it on unchanged; of a unit set (UFF 164) always.
     """
 
     index: int
@@ -39,6 +39,29 @@ class SetInfo:
     def to_dict(self) -> dict[str, Any]:
         """JSON object."""
         return {"index": self.index, "type": self.number, "title": self.title, "status": self.status, "note": self.note}
+
+
+@dataclass(frozen=True)
+class FileHeader:
+    """What a file says of itself (UFF 151), texts as they stand there.
+
+    Parameters
+    ----------
+    name, description : str
+        Of the model or test.
+    program, created, saved : str
+        Program that made the database, when it was made, when it was last saved.
+    writer, written : str
+        Program that wrote the file, and when. Dates may be in the form of ISO 8601; a writer brings them into that of its format.
+    """
+
+    name: str = ""
+    description: str = ""
+    program: str = ""
+    created: str = ""
+    saved: str = ""
+    writer: str = ""
+    written: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,6 +82,10 @@ class Content:
     sets : tuple of SetInfo
         Inventory: what was used, ignored, not understood.
     findings : tuple of Finding
+    header : FileHeader or None
+        What the file says of itself.
+    unkept : tuple of str
+        What the file says and none of the objects holds, in words: a conversion names it.
     """
 
     path: str
@@ -69,6 +96,8 @@ class Content:
     geometry: Geometry | None = None
     sets: tuple[SetInfo, ...] = ()
     findings: tuple[Finding, ...] = ()
+    header: FileHeader | None = None
+    unkept: tuple[str, ...] = ()
 
     @property
     def objects(self) -> tuple[Any, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.errors import FormatError
+from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.detect import read
 from operando.io.quantities import ChannelSpecs, Units
 
@@ -51,16 +53,17 @@ def convert(
     if kind is None:
         raise FormatError(f"{target.suffix or 'no suffix'!r} tells no format", where=str(target), hint="use .uff, .unv, .h5, .mat or .csv")
     content = read(source, units=units, channels=channels)
-    passed = [s for s in content.sets if s.raw] if kind == "uff" and content.format == "uff" else []
+    passed = [s for s in content.sets if s.raw and s.status != "used"] if kind == "uff" and content.format == "uff" else []
     kept = [obj for obj in content.objects if _fits(obj, kind)]
     if kind == "csv":
         kept = kept[:1]
     if not kept and not passed:
         held = ", ".join(type(o).__name__ for o in content.objects) or "no object"
         raise FormatError(f"nothing to write: the file holds {held}, which {kind} cannot take", where=str(source))
-    _write(kind, target, kept, [s.raw for s in passed], binary)
+    _write(kind, target, kept, _raw_sets(content, passed), binary, content.header)
     lost = [f"{_describe(obj)}: {kind} cannot hold it" for obj in content.objects if not any(obj is k for k in kept)]
     lost += [text for obj in kept for text in losses(obj, kind, binary)]
+    lost += _lost_of_file(content, kind)
     if kind != "uff" or content.format != "uff":
         lost += [f"set {s.index} ({s.title}): {s.note or s.status}" for s in content.sets if s.status != "used"][:50]
     return {
@@ -75,17 +78,60 @@ def convert(
     }
 
 
+def _raw_sets(content: Content, passed: list[SetInfo]) -> list[bytes]:
+    """Sets passed on as they are, each behind the units of its file where those are not SI: the objects before them are."""
+    units = [s for s in content.sets if s.number == 164 and s.status == "used"]
+    out: list[bytes] = []
+    last = None
+    for info in passed:
+        own = next((u for u in reversed(units) if u.index < info.index), units[0] if units else None)
+        if own is not None and own is not last and not _states_si(own):
+            out.append(own.raw)
+            last = own
+        out.append(info.raw)
+    return out
+
+
+def _states_si(units: SetInfo) -> bool:
+    return "length 1/1 m, force 1/1 N" in units.note
+
+
+def _lost_of_file(content: Content, kind: str) -> list[str]:
+    """What of a file belongs to none of its objects and is not kept, in words."""
+    out = [f.message for f in content.findings if f.kind in ("elements_left_out", "missing_node", "outside_sets")]
+    out += content.unkept
+    if content.format != "uff":
+        return out
+    used = {s.number for s in content.sets if s.status == "used"}
+    if kind != "uff" and content.header is not None and (content.header.name or content.header.program):
+        out.append("header of the file (set 151)")
+    if kind == "uff" and content.header is not None and content.header.description and _has_components(content):
+        out.append("description in the header (set 151): its line states the numbers of the components")
+    if 164 in used and any(s.number == 164 and not _states_si(s) for s in content.sets):
+        out.append("units of the file (set 164): the numbers are in SI now")
+    if 2414 in used and kind == "uff":
+        out.append("sets 2414 as such: their modes are sets 55 now")
+    return out
+
+
+def _has_components(content: Content) -> bool:
+    nodes = [] if content.geometry is None else list(content.geometry.nodes)
+    nodes += [dof.node for model in content.models for dof in model.dofs]
+    return any(isinstance(node, str) for node in nodes)
+
+
 def _fits(obj: Any, kind: str) -> bool:
     if kind == "csv":
         return isinstance(obj, TimeRecord)
     return isinstance(obj, TimeRecord | Frf) if kind == "matlab" else True
 
 
-def _write(kind: str, target: Path, kept: list[Any], raws: list[bytes], binary: bool) -> None:
+def _write(kind: str, target: Path, kept: list[Any], raws: list[bytes], binary: bool, header: FileHeader | None) -> None:
     if kind == "uff":
         from operando.io.uff.writer import write_uff
 
-        write_uff(target, *kept, binary=binary, passthrough=raws)
+        own = None if header is None else replace(header, writer="operando", written="")
+        write_uff(target, *kept, binary=binary, header=own, passthrough=raws)
     elif kind == "hdf5":
         from operando.io.hdf5 import write_hdf5
 
@@ -136,7 +182,7 @@ def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: boo
         if kind != "uff" and any(c.dof is not None and c.name for c in obj.channels):
             out.append("channel names: the DOF is the name")
     elif isinstance(obj, Frf):
-        if obj.variance is not None and (kind != "uff" or obj.coherence is None or obj.averages is None):
+        if obj.variance is not None and kind != "uff":
             out.append("variance of the FRF lines")
         if kind != "uff" and obj.coherence is not None:
             out.append("coherence")
@@ -152,8 +198,6 @@ def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: boo
             out.append("the sense of DOFs: shapes are along the positive axes now")
         if not np.all(obj.in_band):
             out.append("which modes lie in the band")
-    else:
-        out.append("coordinates keep 6 digits")
     if kind == "uff" and not binary and isinstance(obj, TimeRecord | Frf):
         out.append("values keep 13 digits in ASCII")
     return out

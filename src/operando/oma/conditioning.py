@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from operando.data import Finding, Provenance, TimeRecord
-from operando.dof import Dof, parse_dofs
+from operando.dof import Dof, Node, parse_dofs
 from operando.errors import DataError, DofError, IdentificationError
 
 DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -61,7 +61,7 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
     first = runs[0]
     findings: list[Finding] = []
     rows: list[int] = []
-    seen: dict[tuple[int, str], int] = {}
+    seen: dict[tuple[Node, str], int] = {}
     for i in first.response_indices:
         dof = first.channels[i].dof
         assert dof is not None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from operando.data import ModalModel
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.oma.matching import Cluster
 from operando.oma.uncertainty import student_widening, unit_changes
 
@@ -41,7 +41,7 @@ class Mean:
 
 def union_of_dofs(models: Sequence[ModalModel]) -> tuple[Dof, ...]:
     """DOFs of all models, each once, in the sense of the first one that has it."""
-    found: dict[tuple[int, str], Dof] = {}
+    found: dict[tuple[Node, str], Dof] = {}
     for model in models:
         for d in model.dofs:
             found.setdefault((d.node, d.axis), d)

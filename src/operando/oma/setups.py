@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, ModalModel, Provenance, TimeRecord
-from operando.dof import Dof, match_dofs, parse_dofs
+from operando.dof import Dof, Node, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.oma.decay import DecayDiagram
 from operando.oma.details import JointCheck, OmaDetails, SetUp
@@ -52,7 +52,7 @@ def group_setups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
     """
     if not records:
         raise DataError("no operating record given")
-    groups: dict[frozenset[tuple[int, str]], list[TimeRecord]] = {}
+    groups: dict[frozenset[tuple[Node, str]], list[TimeRecord]] = {}
     for r in records:
         sensors = frozenset((d.node, d.axis) for i in r.response_indices if (d := r.channels[i].dof) is not None)
         groups.setdefault(sensors, []).append(r)
@@ -117,7 +117,7 @@ def _name(group: Sequence[TimeRecord]) -> str:
 
 def _sensors(group: Sequence[TimeRecord]) -> tuple[Dof, ...]:
     first = group[0]
-    found: dict[tuple[int, str], Dof] = {}
+    found: dict[tuple[Node, str], Dof] = {}
     for i in first.response_indices:
         d = first.channels[i].dof
         if d is not None:
@@ -125,7 +125,7 @@ def _sensors(group: Sequence[TimeRecord]) -> tuple[Dof, ...]:
     return tuple(found.values())
 
 
-def _keys(m: _Member) -> set[tuple[int, str]]:
+def _keys(m: _Member) -> set[tuple[Node, str]]:
     return {(d.node, d.axis) for d in m.sensors}
 
 

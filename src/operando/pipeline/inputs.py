@@ -188,9 +188,18 @@ class Inputs:
         return merge_frfs(frfs)
 
     def geometry(self) -> Geometry | None:
-        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known, directions of
-        DOFs that are no axes as declared."""
+        """Geometry of the geometry file, else the first one found in any file; coordinates in m where the unit is known, nodes with the
+        components that the DOFs name, directions of DOFs that are no axes as declared."""
         found = self._geometry()
+        if found is not None:
+            found, unclear = found.with_components(dof for names in self._names.values() for dof in names.dofs)
+            if unclear:
+                file = self.test.geometry_file or self.test.files[0]
+                numbers = ", ".join(str(n) for n in unclear[:8])
+                self._note(file, Finding(
+                    "unclear_component", f"nodes {numbers} of the geometry may belong to more than one component", file=self.label(file),
+                    consequence="the DOFs there are not drawn", action="number the nodes of all components differently",
+                ))  # fmt: skip
         return found if found is None or not self.test.directions else replace(found, directions=self.test.directions)
 
     def _geometry(self) -> Geometry | None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from operando.data import Frf, TimeRecord, one_level
+from operando.dof import Node
 from operando.results import CheckRun
 
 
@@ -22,7 +23,7 @@ def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
     Runs of the same references are ranked by their force; a step of more than ``LEVEL_RATIO`` starts a new level. The groups
     of all references are joined by rank, so that the lowest level holds every reference.
     """
-    by_reference: dict[frozenset[tuple[int, str]], list[TimeRecord]] = {}
+    by_reference: dict[frozenset[tuple[Node, str]], list[TimeRecord]] = {}
     for record in records:
         dofs = (record.channels[i].dof for i in record.force_indices)
         by_reference.setdefault(frozenset((d.node, d.axis) for d in dofs if d is not None), []).append(record)

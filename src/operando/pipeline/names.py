@@ -11,7 +11,7 @@ import numpy as np
 
 from operando.config import Test
 from operando.data import Finding, Geometry
-from operando.dof import Dof
+from operando.dof import Dof, Node, split_node
 from operando.ema.spectra import LEAST_LINES
 from operando.errors import ConfigError, OperandoError
 from operando.values import nearest
@@ -234,7 +234,7 @@ def check_geometry(test: Test, geometry: Geometry | None, names: Mapping[Path, N
     if not lacking:
         return []
     if len(lacking) == len(nodes) and test.geometry_file is not None:
-        has = ", ".join(str(n) for n in sorted(there)[:12]) + (" …" if len(there) > 12 else "")
+        has = ", ".join(str(n) for n in sorted(there, key=split_node)[:12]) + (" …" if len(there) > 12 else "")
         text = f"{test.label(test.geometry_file)} holds none of the measured nodes ({_shown(nodes)})"
         raise UnfitTest(
             text, where=test.where("geometry", "file"), hint=f"its nodes are {has}; node numbers of sensors and geometry must agree"
@@ -250,7 +250,7 @@ def check_geometry(test: Test, geometry: Geometry | None, names: Mapping[Path, N
     ]
 
 
-def _shown(nodes: Sequence[int]) -> str:
+def _shown(nodes: Sequence[Node]) -> str:
     return ", ".join(str(n) for n in nodes[:12]) + (" …" if len(nodes) > 12 else "")
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from operando.compare.comparison import lowest_level
 from operando.data import Finding, Frf, ModalModel
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import OperandoError
 from operando.report.svg import thin
 from operando.report.text import number
@@ -244,7 +244,7 @@ def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str,
         ``pair`` (two DOFs), ``relative`` (rms difference over rms size), ``ratio`` (mean |difference|² over its variance; None
         without variances).
     """
-    index: dict[tuple[int, str], tuple[int, int]] = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
+    index: dict[tuple[Node, str], tuple[int, int]] = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
     rows: list[dict[str, Any]] = []
     part = frf if band is None else frf.band(*band)
     for a, first in enumerate(frf.references):

@@ -1,4 +1,4 @@
-"""Universal File Format: own reader and writer of 58 and 58b, the small sets with pyuff."""
+"""Universal File Format: reader and writer of 58 and 58b and of the small sets that modal tests use."""
 
 from operando.io.uff.reader import read_uff, read_uff_sets
 from operando.io.uff.split import RawSet, split_sets

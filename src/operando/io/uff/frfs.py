@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import FrequencyAxis, Frf
-from operando.dof import Dof
+from operando.dof import Dof, Node
 from operando.errors import DataError, FormatError, UnitError
 from operando.io.quantities import Scale, code_quantity, find_spec, resolve, spec_dof, split_ratio
 from operando.io.uff.header58 import Header58
@@ -24,6 +24,8 @@ _NUMERATORS = {
     "displacement": "receptance", "angle": "receptance",
 }  # fmt: skip
 _FORCES = ("force", "moment")
+STANDARD_DEVIATION = "standard deviation of"
+"""Beginning of the first ID line of a set of function type 0 that holds the error of an FRF."""
 
 
 @dataclass
@@ -46,16 +48,39 @@ def assemble_frfs(functions: list[RawSet], inventory: Inventory) -> tuple[Frf, .
     groups: dict[tuple[Any, ...], list[_Function]] = {}
     for function in measured:
         groups.setdefault((function.axis_key, function.quantity, function.si), []).append(function)
-    coherences = _coherences(_of_type(functions, 6, 26), inventory)
-    frfs = tuple(frf for group in groups.values() if (frf := _frf(group, coherences, inventory)) is not None)
-    for raw, _, _, _, used in coherences:
-        if not used:
-            inventory.ignore(raw, _title(raw), "no FRF of the same DOFs and frequency lines in the file")
+    coherences = _real_functions(_of_type(functions, 6, 26), inventory)
+    errors = _real_functions([raw for raw in _of_type(functions, 0) if _is_deviation(raw)], inventory)
+    frfs = tuple(frf for group in groups.values() if (frf := _frf(group, coherences, errors, inventory)) is not None)
+    for raw, _, _, _, used in (*coherences, *errors):
+        if not used and raw.index not in inventory.status:
+            _leave(raw, "no FRF of the same DOFs and frequency lines in the file", inventory)
+    _note_unequal(list(groups), inventory)
     return frfs
+
+
+def _leave(raw: RawSet, reason: str, inventory: Inventory) -> None:
+    """Leave a function out that would be expected to be used, with a finding."""
+    inventory.ignore(raw, _title(raw), reason)
+    inventory.note("unused_function", f"set {raw.index} ({_title(raw)}) is not used: {reason}", raw, severity="info")
+
+
+def _note_unequal(keys: list[tuple[Any, ...]], inventory: Inventory) -> None:
+    """A finding where the FRFs of one quantity lie on different lines."""
+    for quantity in dict.fromkeys(key[1] for key in keys):
+        count = len({key[0] for key in keys if key[1] == quantity})
+        if count > 1:
+            inventory.note(
+                "unequal_lines", f"the FRFs ({quantity}) of the file lie on {count} different sets of frequency lines",
+                consequence=f"they became {count} objects", action="export all functions with the same lines",
+            )  # fmt: skip
 
 
 def _of_type(functions: list[RawSet], *types: int) -> list[RawSet]:
     return [raw for raw in functions if raw.header is not None and raw.header.function_type in types]
+
+
+def _is_deviation(raw: RawSet) -> bool:
+    return raw.header is not None and any(line.startswith(STANDARD_DEVIATION) for line in raw.header.ids)
 
 
 def _title(raw: RawSet) -> str:
@@ -126,7 +151,7 @@ def _scales(raw: RawSet, header: Header58, spec: Any, reference_spec: Any, inven
             action='say it in [channels]: quantity = "acceleration", unit = "m/s2"',
         )  # fmt: skip
     elif quantity is None or denominator.quantity not in _FORCES:
-        inventory.ignore(raw, header.title, f"{numerator.quantity} over {denominator.quantity} is no response over force")
+        _leave(raw, f"{numerator.quantity} over {denominator.quantity} is no response over force", inventory)
         return None
     elif not (numerator.known and denominator.known):
         lacking = [s.quantity for s in (numerator, denominator) if not s.known]
@@ -162,12 +187,13 @@ def _lines(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[tuple[A
     return key, frequencies, values
 
 
-_Coherence = list[Any]
+_Beside = list[Any]
 """[raw, header, axis key, values, used]"""
 
 
-def _coherences(functions: list[RawSet], inventory: Inventory) -> list[_Coherence]:
-    out: list[_Coherence] = []
+def _real_functions(functions: list[RawSet], inventory: Inventory) -> list[_Beside]:
+    """Functions that belong to FRFs: coherences and standard deviations."""
+    out: list[_Beside] = []
     for raw in functions:
         assert raw.header is not None
         try:
@@ -179,9 +205,9 @@ def _coherences(functions: list[RawSet], inventory: Inventory) -> list[_Coherenc
     return out
 
 
-def _frf(group: list[_Function], coherences: list[_Coherence], inventory: Inventory) -> Frf | None:
-    responses: dict[tuple[int, str], Dof] = {}
-    references: dict[tuple[int, str], Dof] = {}
+def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside], inventory: Inventory) -> Frf | None:
+    responses: dict[tuple[Node, str], Dof] = {}
+    references: dict[tuple[Node, str], Dof] = {}
     for f in group:
         responses.setdefault((f.response.node, f.response.axis), f.response)
         references.setdefault((f.reference.node, f.reference.axis), f.reference)
@@ -203,33 +229,42 @@ def _frf(group: list[_Function], coherences: list[_Coherence], inventory: Invent
             data[i, j] = f.values * (f.factor * sign)
         filled[i, j] = f.raw.index
         inventory.use(f.raw, f.header.title, "SI" if f.si else "numbers kept: unit unknown")
-    coherence = _matched(coherences, group, rows, columns, data.shape, inventory)
-    averages = _averages(group)
+    coherence = _matched(coherences, group, rows, columns, data, "coherence of the FRF", inventory)
+    deviation = _matched(errors, group, rows, columns, data, "standard deviation of the FRF", inventory)
+    averages = _averages(group, inventory)
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = line_variance(data, coherence, averages) if deviation is None else (deviation * abs(group[0].factor)) ** 2
     return Frf(
         data, FrequencyAxis(group[0].frequencies), tuple(responses.values()), tuple(references.values()), group[0].quantity,
-        variance=line_variance(data, coherence, averages), coherence=coherence, averages=averages, si=group[0].si,
+        variance=variance, coherence=coherence, averages=averages, si=group[0].si,
         name=inventory.file, provenance=inventory.provenance,
     )  # fmt: skip
 
 
-def _matched(coherences: list[_Coherence], group: list[_Function], rows: dict[Any, int], columns: dict[Any, int], shape: tuple[int, ...],
-             inventory: Inventory) -> NDArray[np.float64] | None:  # fmt: skip
+def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int], columns: dict[Any, int], data: NDArray[Any],
+             title: str, inventory: Inventory) -> NDArray[np.float64] | None:  # fmt: skip
     out: NDArray[np.float64] | None = None
-    for entry in coherences:
+    codes = {0, *(f.header.ordinate.code for f in group)}  # a coherence has no quantity, a standard deviation that of its FRF
+    for entry in beside:
         raw, header, key, values, _ = entry
-        if key != group[0].axis_key or header.response is None:
+        if key != group[0].axis_key or header.response is None or header.ordinate.code not in codes:
             continue
         i = rows.get((header.response.node, header.response.axis))
         reference = header.reference
         j = None if reference is None else columns.get((reference.node, reference.axis))
         everywhere = header.function_type == 26 or (reference is None and len(columns) == 1)
-        if i is None or (j is None and not everywhere):
+        if i is None or (j is None and not everywhere) or np.all(np.isnan(data[i, slice(None) if everywhere else j])):
             continue
         if out is None:
-            out = np.full(shape, np.nan)
-        out[i, slice(None) if everywhere else j] = values
+            out = np.full(data.shape, np.nan)
+        columns_here = slice(None) if everywhere else j
+        if not np.all(np.isnan(out[i, columns_here])):
+            inventory.note("duplicate_set", f"the {title} at {header.title} is there more than once: the first is used", raw)
+            inventory.ignore(raw, header.title, "the same pair of DOFs as an earlier set, which is used")
+            continue
+        out[i, columns_here] = values
         entry[4] = True
-        inventory.use(raw, header.title, "coherence of the FRF")
+        inventory.use(raw, header.title, title)
     return out
 
 
@@ -242,12 +277,15 @@ def line_variance(data: NDArray[Any], coherence: NDArray[np.float64] | None, ave
         return np.abs(data) ** 2 * (1 - gamma) / (gamma * averages)
 
 
-def _averages(group: list[_Function]) -> float | None:
-    """Number of averages where an ID line states it (``averages=25``, ``Averages: 25``)."""
+def _averages(group: list[_Function], inventory: Inventory) -> float | None:
+    """Number of averages where an ID line states it (``averages=25``, ``Averages: 25``); of different ones the smallest."""
     found = set()
     for f in group:
         for line in f.header.ids:
             match = re.search(r"\baverages?\s*[:=]\s*([0-9]+(?:\.[0-9]+)?)", line, re.IGNORECASE)
             if match is not None and float(match[1]) > 0:
                 found.add(float(match[1]))
+    if len(found) > 1:
+        stated = ", ".join(f"{n:g}" for n in sorted(found)[:8])
+        inventory.note("few_averages", f"the FRFs state different numbers of averages: {stated}", consequence="the smallest counts for all")
     return min(found) if found else None

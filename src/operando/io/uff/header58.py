@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from operando.dof import Dof
 from operando.errors import DofError, FormatError
 from operando.io.uff.increments import parse_float, restore_start, restore_step
+from operando.io.uff.lines import decode, said
 
 if TYPE_CHECKING:
-    from operando.io.uff.split import Buffer
+    from operando.io.uff.textform import Buffer
 
 FUNCTION_TYPES = {
     0: "general function", 1: "time response", 2: "auto spectrum", 3: "cross spectrum", 4: "frequency response function",
@@ -117,15 +118,6 @@ class Header58:
         return first or self.response_name
 
 
-def decode(raw: bytes) -> str:
-    """Text of a header field: UTF-8 where it is, else Latin-1; blanks and line ends taken off."""
-    try:
-        text = raw.decode("utf-8")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    return text.strip(" \t\r\n\x00\x1a")
-
-
 def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
     """Header whose first line (``58`` or ``58b``) starts at ``at``, and the offset of the data.
 
@@ -140,7 +132,7 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
     binary, big_endian, float_format, stated = _first_line(lines[0])
     kind, points, even, step_text, start_text, z_text = _record7(lines[7])
     function_type, response, reference, response_name, reference_name = _record6(lines[6])
-    ids = tuple(_blank(decode(line[:4096])) for line in lines[1:6])
+    ids = tuple(said(decode(line[:4096])) for line in lines[1:6])
     try:
         axes = [_axis(line) for line in lines[8:12]]
         spectral = function_type != 1 and axes[0].code != 17
@@ -235,8 +227,8 @@ def _record6(line: bytes) -> tuple[int, Dof | None, Dof | None, str, str]:
         kind_number,
         _dof(node, code),
         _dof(reference_node, reference_code),
-        _blank(decode(names[0])),
-        _blank(decode(names[1])),
+        said(decode(names[0])),
+        said(decode(names[1])),
     )
 
 
@@ -265,11 +257,7 @@ def _axis(line: bytes) -> Axis:
         label, unit = (rest[0] if rest else b""), (rest[1] if len(rest) > 1 else b"")
     if len(exponents) != 3:
         return Axis()
-    return Axis(code, (exponents[0], exponents[1], exponents[2]), _blank(decode(label)), _blank(decode(unit)))
-
-
-def _blank(text: str) -> str:
-    return "" if text.upper() == "NONE" else text
+    return Axis(code, (exponents[0], exponents[1], exponents[2]), said(decode(label)), said(decode(unit)))
 
 
 def _exact(ids: tuple[str, ...], name: str) -> float | None:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import mmap
+import re
 from pathlib import Path
 from typing import IO
 
 from operando.data import Provenance, file_hash
 from operando.errors import FormatError, MissingError
-from operando.io.content import Content
+from operando.io.content import Content, FileHeader
 from operando.io.quantities import ChannelSpecs, Units
+from operando.io.uff.components import NodeNumbers, evidence_of_components, with_components
 from operando.io.uff.frfs import assemble_frfs
-from operando.io.uff.inventory import Inventory, title_of
-from operando.io.uff.models import assemble_geometry, assemble_models
+from operando.io.uff.geometry import assemble_geometry
+from operando.io.uff.information import read_header, read_qualifiers, read_units
+from operando.io.uff.inventory import SET_NAMES, Inventory, title_of
+from operando.io.uff.lines import OWN_LINES, parse_date
+from operando.io.uff.models import assemble_models
 from operando.io.uff.records import assemble_records, is_time_function
-from operando.io.uff.small import read_units, read_with_pyuff
-from operando.io.uff.split import RawSet, split_sets
+from operando.io.uff.split import RawSet, outside_sets, split_sets
+from operando.io.uff.textform import Buffer, in_one_form
 
 _FULL_HASH = 1 << 25
 
@@ -40,11 +46,15 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
         If there is no such file.
     """
     path = Path(path)
-    with open_file(path) as stream, map_file(stream, str(path)) as buffer:
+    with open_file(path) as stream, map_file(stream, str(path)) as mapped:
+        buffer, changed = _one_form(mapped, str(path))
         sets = split_sets(buffer, str(path))
-        provenance = Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",))
+        provenance = Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",), _measured(sets))
         inventory = Inventory(str(path), buffer, sets, units or {}, channels or {}, provenance)
-        return _read(stream, inventory)
+        if changed:
+            inventory.note("format", f"{changed}: read all the same", severity="info")
+        _note_outside(inventory)
+        return _read(stream if buffer is mapped else io.BytesIO(buffer), inventory)
 
 
 def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
@@ -56,8 +66,42 @@ def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
         If the file is no UFF.
     """
     path = Path(path)
-    with open_file(path) as stream, map_file(stream, str(path)) as buffer:
+    with open_file(path) as stream, map_file(stream, str(path)) as mapped:
+        buffer, _ = _one_form(mapped, str(path))
         return [(raw, raw.raw(buffer)) for raw in split_sets(buffer, str(path))]
+
+
+def _one_form(mapped: mmap.mmap, where: str) -> tuple[Buffer, str]:
+    try:
+        return in_one_form(mapped)
+    except FormatError as error:
+        raise FormatError(error.message, where=where, hint=error.hint) from error
+
+
+def _measured(sets: list[RawSet]) -> str:
+    """When the functions were measured: the earliest date of their ID lines (the third, by the standard)."""
+    dates = (parse_date(line) for raw in sets if raw.header is not None for line in raw.header.ids[2:3] + raw.header.ids)
+    return min((date for date in dates if date), default="")
+
+
+_SET_WITHIN = re.compile(rb"(?:^|[\r\n])[ \t]{0,8}(\d{2,4})[ \t]*(?:[bB][ \t]|[\r\n])")
+
+
+def _note_outside(inventory: Inventory) -> None:
+    """One finding for each stretch of bytes outside the sets: a damaged separator hides a set."""
+    for start, stop in outside_sets(inventory.buffer, inventory.sets):
+        gap = bytes(inventory.buffer[start:stop])
+        lost = next((int(m[1]) for m in _SET_WITHIN.finditer(gap) if int(m[1]) in SET_NAMES), None)
+        after = sum(raw.start < start for raw in inventory.sets)
+        place = "before the first set" if after == 0 else f"after set {after - 1}"
+        message = f"{stop - start} bytes from byte {start} on ({place}) belong to no set"
+        if lost is None:
+            inventory.note("outside_sets", message, consequence="they are not used", action="look whether they are data")
+        else:
+            inventory.note(
+                "outside_sets", f"{message}; they look like a set of type {lost} ({SET_NAMES[lost]}) whose separator is damaged",
+                severity="error", consequence="its data are missing from every result", action="export the file again",
+            )  # fmt: skip
 
 
 def open_file(path: Path) -> IO[bytes]:
@@ -92,12 +136,16 @@ def quick_hash(path: Path) -> str:
 
 
 def _read(stream: IO[bytes], inventory: Inventory) -> Content:
-    _read_unit_sets(inventory)
+    header = _read_information(inventory)
+    _read_components(header, inventory)
+    for raw in inventory.sets:
+        for note in raw.notes if not raw.problem else ():
+            inventory.note("format", f"set {raw.index}: {note}", raw, severity="info")
     functions = _functions(inventory)
     records = assemble_records(stream, [raw for raw in functions if raw.header and is_time_function(raw.header)], inventory)
     frfs = assemble_frfs(functions, inventory)
     _ignore_other_functions(functions, inventory)
-    models = assemble_models([raw for raw in inventory.sets if raw.number == 55 and not raw.problem], inventory)
+    models = assemble_models([raw for raw in inventory.sets if raw.number in (55, 2414) and not raw.problem], inventory)
     geometry = assemble_geometry([raw for raw in inventory.sets if not raw.problem], inventory)
     _name_unknown(inventory)
     statuses = [status for status, _, _ in inventory.status.values()]
@@ -105,24 +153,78 @@ def _read(stream: IO[bytes], inventory: Inventory) -> Content:
         more = "" if len(inventory.damaged) == 1 else f" (and {len(inventory.damaged) - 1} more sets)"
         raise FormatError("nothing in the file can be used: " + inventory.damaged[0] + more, where=inventory.file)
     return Content(
-        inventory.file, "uff", records, frfs, models, geometry, inventory.set_infos(), tuple(_condensed(inventory)),
+        inventory.file, "uff", records, frfs, models, geometry, inventory.set_infos(), tuple(_condensed(inventory)), header,
+        tuple(dict.fromkeys([*_unkept_lines(functions), *inventory.unkept])),
     )  # fmt: skip
 
 
-def _read_unit_sets(inventory: Inventory) -> None:
+def _unkept_lines(functions: list[RawSet]) -> list[str]:
+    """Whether functions have ID lines that say more than name and date; those that operando wrote do not."""
+    for raw in functions:
+        assert raw.header is not None
+        ids = raw.header.ids
+        if not ids[1].startswith(OWN_LINES) and any(line and not parse_date(line) for line in ids[1:]):
+            return ["ID lines of the functions but name, date and averages"]
+    return []
+
+
+def _read_information(inventory: Inventory) -> FileHeader | None:
+    """Units, header and qualifiers: what other sets are understood by."""
+    header = None
     for raw in inventory.sets:
         if raw.number == 164:
             try:
-                inventory.systems[raw.index] = system = read_units(raw.raw(inventory.buffer))
-                inventory.use(raw, "units", f"{system.description or 'no name'}: length 1/{system.length:g} m, force 1/{system.force:g} N")
+                system, problem = read_units(raw.raw(inventory.buffer))
             except FormatError as error:
                 inventory.refuse(raw, "units", error.message)
+                continue
+            inventory.systems[raw.index] = system
+            inventory.use(raw, "units", f"{system.description or 'no name'}: length 1/{system.length:g} m, force 1/{system.force:g} N")
+            if problem:
+                inventory.note("unit_conflict", f"set {raw.index}: {problem}: the factors are used", raw, action="look which is meant")
         elif raw.number == 151:
-            try:
-                d = read_with_pyuff(151, raw.raw(inventory.buffer))
-                inventory.use(raw, "header", str(d.get("program") or d.get("db_app") or "").strip())
-            except FormatError as error:
-                inventory.status[raw.index] = ("not understood", "header", error.message)
+            own = read_header(raw.raw(inventory.buffer))
+            if header is None:
+                inventory.use(raw, "header", own.program or own.writer)
+            else:
+                inventory.ignore(raw, "header", "a further header; the first one counts")
+            header = header or own
+        elif raw.number == 1858:
+            _read_qualifiers(raw, inventory)
+    return header
+
+
+def _read_components(header: FileHeader | None, inventory: Inventory) -> None:
+    """Take entity names as components of the nodes where the file says that they are."""
+    inventory.node_numbers = NodeNumbers.stated("" if header is None else header.description)
+    functions = [raw.header for raw in inventory.sets if raw.header is not None and not raw.problem]
+    reason = evidence_of_components(functions, header)
+    if not reason:
+        return
+    inventory.sets = [with_components(raw) for raw in inventory.sets]
+    dofs = [d for raw in inventory.sets if raw.header is not None for d in (raw.header.response, raw.header.reference) if d is not None]
+    names = sorted({d.component for d in dofs if d.component})
+    if names:
+        first = min(d for d in dofs if d.component)
+        inventory.note(
+            "components", f"the names {', '.join(names[:8])}{' …' if len(names) > 8 else ''} are components of the structure: {reason}",
+            severity="info", consequence=f"DOFs are written with them, as {first}",
+            action="if they are names of sensors, give the DOFs in [channels] of the test file",
+        )  # fmt: skip
+
+
+def _read_qualifiers(raw: RawSet, inventory: Inventory) -> None:
+    found = inventory.attempt(raw, lambda: read_qualifiers(raw.raw(inventory.buffer)))
+    if found is None:
+        return
+    window = f"{found.window} window" if found.window else "no window stated"
+    inventory.ignore(raw, f"qualifiers of a function: {window}", "read for what it says of the window; a conversion to UFF passes it on")
+    if found.exponential:
+        inventory.note(
+            "exponential_window", f"set {raw.index} says that a function was measured under an exponential window "
+            f"(factor {found.exponential_factor:g})", raw, consequence="it raises the damping of every mode, and is not taken off",
+            action="estimate the FRFs from the records, or take the window's part off the damping ratios",
+        )  # fmt: skip
 
 
 def _functions(inventory: Inventory) -> list[RawSet]:
@@ -134,8 +236,6 @@ def _functions(inventory: Inventory) -> list[RawSet]:
             inventory.refuse(raw, title_of(raw), raw.problem or "the header cannot be read")
         else:
             good.append(raw)
-            for note in raw.notes:
-                inventory.note("format", f"set {raw.index}: {note}", raw, severity="info")
     return good
 
 

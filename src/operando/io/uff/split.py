@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import mmap
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
 
 from operando.errors import FormatError
 from operando.io.uff.header58 import Header58, parse_header58
-
-Buffer = bytes | mmap.mmap
-"""What can be searched, matched and sliced: a mapped file, or bytes."""
+from operando.io.uff.textform import HEAD_BYTES, Buffer, utf16_of
 
 _OPENING = re.compile(rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))([ \t]{0,8})-1[ \t]*\r?\n[ \t\r\n]*\d{1,6}[ \t]*(?:[bB][ \t]|[\r\n]|\Z)")
+_SEPARATOR_LINE = re.compile(rb"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))([ \t]{0,8})-1[ \t]*(?=[\r\n]|\Z)")
 _NUMBER_LINE = re.compile(rb"[ \t]{0,8}(\d{1,6})[ \t]*([bB]?)(?![^ \t\r\n])")
 _REST_OF_LINE = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)")
-_AFTER_PAYLOAD = re.compile(rb"[ \t\r\n]{0,8}-1[ \t]*(?:\r\n|\n|\r|\Z)")
 _BLANK = re.compile(rb"[\s\x00\x1a]*\Z")
+_NOTHING = re.compile(rb"(?:(?:\A|(?<=[\r\n]))[ \t]*-1[ \t]*(?=[\r\n]|\Z)|[\s\x00\x1a]|\xef\xbb\xbf)*")
 
 
 @dataclass(frozen=True)
@@ -60,13 +59,39 @@ class RawSet:
         return bytes(buffer[self.start : self.stop])
 
 
-def find_first_set(buffer: Buffer, within: int = 1 << 16) -> re.Match[bytes] | None:
-    """The opening separator of the first set, with its indentation as group 1, or None where there is no UFF set."""
-    return _OPENING.search(buffer[: min(within, len(buffer))])
+def find_first_set(buffer: Buffer) -> re.Match[bytes] | None:
+    """The opening separator of the first set near the beginning, with its indentation as group 1, or None where there is no UFF set."""
+    head = bytes(buffer[:HEAD_BYTES])
+    codec = utf16_of(head)
+    if codec is not None:
+        head = head.decode(codec, "ignore").lstrip("\ufeff").encode()
+    return _OPENING.search(head if b"\n" in head else head.replace(b"\r", b"\n"))
+
+
+def _separator_of(buffer: Buffer, first: bytes) -> bytes:
+    """Indentation of the separators: the most frequent one near both ends of the file; the first separator itself may be damaged."""
+    ends = bytes(buffer[:HEAD_BYTES]), bytes(buffer[max(HEAD_BYTES, len(buffer) - HEAD_BYTES) :])
+    found = Counter([first, *(indentation for end in ends for indentation in _SEPARATOR_LINE.findall(end))])
+    return found.most_common(1)[0][0]
+
+
+def outside_sets(buffer: Buffer, sets: list[RawSet]) -> list[tuple[int, int]]:
+    """Stretches of bytes that belong to no set (start, stop); blanks and separators between the sets do not count."""
+    edges = [0, *(edge for raw in sets for edge in (raw.start, raw.stop)), len(buffer)]
+    out = []
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop <= start:  # the closing separator of one set opens the next
+            continue
+        gap = bytes(buffer[start:stop])
+        first = _NOTHING.match(gap)
+        assert first is not None  # it matches nothing as well
+        if first.end() < len(gap):
+            out.append((start + first.end(), start + len(gap.rstrip(b" \t\r\n\x00\x1a"))))
+    return out
 
 
 def split_sets(buffer: Buffer, where: str = "") -> list[RawSet]:
-    """All sets of a file in their order.
+    """All sets of a file in their order; ``buffer`` in one form (:func:`operando.io.uff.textform.in_one_form`).
 
     Raises
     ------
@@ -76,8 +101,8 @@ def split_sets(buffer: Buffer, where: str = "") -> list[RawSet]:
     first = find_first_set(buffer)
     if first is None:
         raise FormatError("no UFF set found", where=where, hint="a set starts with a line '    -1' and a line with its number")
-    separator = first[1] + b"-1"
-    position = first.start(1)
+    separator = _separator_of(buffer, first[1]) + b"-1"
+    position = first.start(1) if separator == first[1] + b"-1" else 0
     sets: list[RawSet] = []
     while True:
         start = _next_separator(buffer, position, separator)
@@ -115,7 +140,10 @@ def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet
     bare = replace(bare, header=header)
     if not header.binary:
         closed = _closed(buffer, bare, data, separator, "")
-        return replace(closed, payload=(data, closed.end))
+        numbers, characters = header.points * header.numbers_per_point, closed.end - data
+        # A number takes a character at least: checked before memory is taken for what the header declares.
+        problem = f"the header declares {header.points} points ({numbers} numbers), the set holds {characters} characters"
+        return replace(closed, payload=(data, closed.end), problem=problem if numbers > characters else "")
     return _binary_set(buffer, bare, header, data, separator)
 
 
@@ -123,14 +151,18 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
     """Find the end of a binary payload from the number of points, or from the stated number of bytes."""
     size = len(buffer)
     lengths = [n for n in dict.fromkeys((header.expected_bytes, header.stated_bytes)) if 0 < n <= size - data]
+    # The whole separator, its blanks included: with a part of it, four of its blanks could pass for one more sample.
+    closing = re.compile(rb"[\r\n]{0,4}(" + re.escape(separator) + rb")[ \t]*(?:\r\n|\n|\r|\Z)")
     # A closing separator decides; only without one may the payload end with the file.
     for n_bytes, needs_separator in [(n, True) for n in lengths] + [(n, False) for n in lengths]:
         end = data + n_bytes
-        after = _AFTER_PAYLOAD.match(buffer, end)
+        after = closing.match(buffer, end)
         at_eof = not needs_separator and size - end < 4096 and _BLANK.match(buffer, end) is not None
         if after is None and not at_eof:
             continue
-        close = end if after is None else after.end() - len(after[0].lstrip(b" \t\r\n"))
+        if (after is None or n_bytes != header.stated_bytes) and 0 <= _next_separator(buffer, max(data, end - 12), separator) < end:
+            continue  # no count agrees with it, and the closing separator itself would be its last sample
+        close = end if after is None else after.start(1)
         stop = size if after is None else after.end()
         found = replace(bare, payload=(data, end), end=max(close, end), stop=stop)
         if n_bytes != header.expected_bytes:
@@ -145,11 +177,16 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
 
 
 def _lost_payload(buffer: Buffer, bare: RawSet, header: Header58, data: int, separator: bytes) -> RawSet:
-    """No separator follows the payload where it should: take what lies up to the next separator that opens or closes a set."""
-    at = max(data, min(data + header.expected_bytes - 4, len(buffer)))
-    end = _next_separator(buffer, at, separator)
-    if end < 0:
-        end = _next_separator(buffer, data, separator)
+    """No separator follows the payload where it should: take what lies up to the next separator that opens or closes a set.
+
+    The header may state far too much: the sets behind must not be swallowed.
+    """
+    border = re.compile(
+        rb"[ \t]*(?:\r\n|\n|\r|\Z)(?:[\s\x00\x1a]*\Z|(?:" + re.escape(separator) + rb"[ \t]*\r?\n)?[ \t]*\d{1,6}[ \t]*[bB\r\n])"
+    )
+    end = _next_separator(buffer, data, separator)
+    while end >= 0 and border.match(buffer, end + len(separator)) is None:
+        end = _next_separator(buffer, end + 1, separator)
     stop = len(buffer) if end < 0 else _line_end(buffer, end)
     end = len(buffer) if end < 0 else end
     found = replace(bare, payload=(data, end), end=end, stop=stop)
@@ -161,7 +198,8 @@ def _lost_payload(buffer: Buffer, bare: RawSet, header: Header58, data: int, sep
 
 
 def _short(header: Header58, n_bytes: int) -> str:
-    return f"the header declares {header.points} points ({header.expected_bytes} bytes), the set holds {n_bytes} bytes"
+    stated = f" and states {header.stated_bytes} bytes" if header.stated_bytes != header.expected_bytes else ""
+    return f"the header declares {header.points} points ({header.expected_bytes} bytes){stated}, the set holds {n_bytes} bytes"
 
 
 def _closed(buffer: Buffer, bare: RawSet, after: int, separator: bytes, problem: str) -> RawSet:

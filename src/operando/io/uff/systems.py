@@ -1,41 +1,25 @@
-"""Local coordinate systems of UFF 18, in which the nodes of a set 15 may be given."""
+"""Local coordinate systems of UFF 18 and 2420, in which the nodes of a set 15 may be given."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import CoordinateSystem
 from operando.errors import FormatError
-from operando.io.uff.small import body_lines, floats_of
+from operando.io.uff.lines import body_lines, floats_of, ints_of, said
 
 CARTESIAN, CYLINDRICAL = 0, 1
+MAX_LENGTH = 1e50
+"""Larger numbers are no lengths: their squares would leave the range of numbers."""
 
 
-@dataclass(frozen=True)
-class System:
-    """A coordinate system: kind (0 Cartesian, 1 cylindrical, 2 spherical), origin, and axes as rows, in global Cartesian coordinates."""
+def read_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
+    """Systems of a set 18, each with the number of the system it is given in.
 
-    kind: int
-    reference: int
-    origin: NDArray[np.float64]
-    axes: NDArray[np.float64]
-
-    @property
-    def is_global(self) -> bool:
-        """Whether it is the global Cartesian system itself (to the six digits of the format)."""
-        return self.kind == CARTESIAN and not np.any(np.abs(self.origin) > 1e-9) and self.has_global_axes
-
-    @property
-    def has_global_axes(self) -> bool:
-        """Whether its directions are the global ones."""
-        return self.kind == CARTESIAN and bool(np.allclose(self.axes, np.eye(3), atol=2e-5))
-
-
-def read_systems(raw: bytes) -> dict[int, System]:
-    """Systems of a set 18 by number: each from its origin, a point on its x axis, and a point in its xz plane.
+    Each stands there by its origin, a point on its x axis, and a point in its xz plane.
 
     Raises
     ------
@@ -43,19 +27,48 @@ def read_systems(raw: bytes) -> dict[int, System]:
         If the set cannot be read.
     """
     lines = body_lines(raw)
-    systems: dict[int, System] = {}
+    systems = []
     if not lines or len(lines) % 4:
         raise FormatError(f"set 18 has {len(lines)} lines, not four a system")
     for i in range(0, len(lines), 4):
+        words = ints_of(lines[i], min(4, max(3, len(lines[i].split()))), "record 1 of set 18")
+        number, kind, reference = words[:3]
+        color = words[3] if len(words) > 3 else 1
         try:
-            number, kind, reference = (int(t) for t in lines[i].split()[:3])
             numbers = [*floats_of(lines[i + 2]), *floats_of(lines[i + 3])]
         except ValueError as error:
             raise FormatError(f"set 18 cannot be read at line {i}: {error}") from error
-        if len(numbers) != 9 or not np.all(np.isfinite(numbers)):
+        if len(numbers) != 9 or not np.all(np.abs(numbers) < MAX_LENGTH):
             raise FormatError(f"system {number} of set 18 has {len(numbers)} numbers instead of 9")
         origin, on_x, on_xz = np.reshape(np.asarray(numbers, float), (3, 3))
-        systems[number] = System(kind, reference, origin, _axes(origin, on_x, on_xz, number))
+        axes = _axes(origin, on_x, on_xz, number)
+        systems.append((CoordinateSystem(number, kind, origin, axes, said(lines[i + 1]), color), reference))
+    return systems
+
+
+def read_part_systems(raw: bytes) -> list[tuple[CoordinateSystem, int]]:
+    """Systems of a set 2420: three rows with the axes and one with the origin, in global coordinates.
+
+    Raises
+    ------
+    FormatError
+        If the set cannot be read, or the axes are not at right angles.
+    """
+    lines = body_lines(raw)
+    if len(lines) < 2 or (len(lines) - 2) % 6:
+        raise FormatError(f"set 2420 has {len(lines)} lines, not two and six a system")
+    systems = []
+    for i in range(2, len(lines), 6):
+        number, kind, color = ints_of(lines[i], 3, "record 3 of set 2420")
+        try:
+            table = np.asarray([floats_of(line) for line in lines[i + 2 : i + 6]], float)
+        except ValueError as error:
+            raise FormatError(f"system {number} of set 2420 cannot be read: {error}") from error
+        if table.shape != (4, 3) or not np.all(np.abs(table) < MAX_LENGTH):
+            raise FormatError(f"system {number} of set 2420 has no four rows of three numbers")
+        if not np.allclose(table[:3] @ table[:3].T, np.eye(3), atol=1e-4):
+            raise FormatError(f"the axes of system {number} of set 2420 are not at right angles or not of length 1")
+        systems.append((CoordinateSystem(number, kind, table[3], table[:3], said(lines[i + 1]), color), 0))
     return systems
 
 
@@ -70,7 +83,7 @@ def _axes(origin: NDArray[np.float64], on_x: NDArray[np.float64], on_xz: NDArray
 
 
 def to_global(
-    coordinates: NDArray[np.float64], numbers: Sequence[int], systems: Mapping[int, System]
+    coordinates: NDArray[np.float64], numbers: Sequence[int], systems: Mapping[int, CoordinateSystem]
 ) -> tuple[NDArray[np.float64], list[int]]:
     """Coordinates in the global Cartesian system.
 
@@ -80,20 +93,21 @@ def to_global(
         Each in its own system; angles of cylindrical ones in degrees.
     numbers : (n,) ints
         System of each node, 0 is global.
-    systems : mapping of number to System
+    systems : mapping of number to CoordinateSystem
+        Those that are defined in the global system.
 
     Returns
     -------
     coordinates : (n, 3) array
     left : list of int
-        Numbers of systems that could not be applied (not in the file, spherical, or relative to another one): taken as global.
+        Numbers of systems that could not be applied (not known, or spherical): taken as global.
     """
     out = np.array(coordinates, float)
     owner = np.asarray(numbers)
     left = []
     for number in np.unique(owner[owner != 0]).tolist():
         system = systems.get(number)
-        if system is None or system.kind not in (CARTESIAN, CYLINDRICAL) or system.reference != 0:
+        if system is None or system.kind not in (CARTESIAN, CYLINDRICAL):
             left.append(number)
             continue
         rows = owner == number

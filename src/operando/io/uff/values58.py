@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from operando.errors import FormatError
 from operando.io.uff.header58 import Header58
-from operando.io.uff.split import Buffer, RawSet
+from operando.io.uff.split import RawSet
+from operando.io.uff.textform import Buffer
 
 _CHUNK = 1 << 23
 _GLUED = re.compile(rb"(?<=[0-9.])(?=[+-][0-9]*\.)")
@@ -109,7 +110,7 @@ def _read_text(buffer: Buffer, payload: tuple[int, int], header: Header58) -> ND
             stop = buffer.rfind(b"\n", start, start + _CHUNK) + 1 or end
         values = _parse_text(bytes(buffer[start:stop]), header)
         if count + values.size > expected:
-            values = _surplus(values, count, expected, header)
+            values = _surplus(values, count, expected, header, len(bytes(buffer[start : start + 400]).split(b"\n", 1)[0].split()))
         out[count : count + values.size] = values
         count += values.size
         start = stop
@@ -118,10 +119,12 @@ def _read_text(buffer: Buffer, payload: tuple[int, int], header: Header58) -> ND
     return out
 
 
-def _surplus(values: NDArray[np.float64], count: int, expected: int, header: Header58) -> NDArray[np.float64]:
+def _surplus(values: NDArray[np.float64], count: int, expected: int, header: Header58, a_line: int) -> NDArray[np.float64]:
     rest = values[max(expected - count, 0) :]
-    # Some programs fill the last line of a set with zeros.
-    if rest.size < 6 and not np.any(rest):
+    by_standard = 6 if not header.is_double else (4 if header.even else header.numbers_per_point)
+    # Some programs fill the last line of a set with zeros: just as many as it has room for.
+    room = {n - expected % n for n in (a_line, by_standard) if n > 1 and expected % n}
+    if rest.size in room and not np.any(rest):
         return values[: expected - count]
     raise FormatError(f"the header declares {header.points} points ({expected} numbers), the set holds at least {count + values.size}")
 
