@@ -226,7 +226,7 @@ def check_geometry(test: Test, geometry: Geometry | None, names: Mapping[Path, N
     UnfitTest
         If the geometry file named holds none of the measured nodes.
     """
-    nodes = sorted({dof.node for n in names.values() for dof in n.dofs})
+    nodes = sorted({dof.node for n in names.values() for dof in n.dofs}, key=split_node)
     if geometry is None or not nodes:
         return []
     there = {int(n) for n in geometry.nodes}

@@ -27,6 +27,13 @@ def evidence_of_components(headers: Sequence[Header58], file_header: FileHeader 
     ends = [(h.ids, name, dof) for h in headers for name, dof in ((h.response_name, h.response), (h.reference_name, h.reference))]
     if any(name and dof is not None and _spelled(ids, name, dof) for ids, name, dof in ends):
         return "the ID lines write DOFs with them"
+    # a component has several nodes and directions; the name of a channel stands for one
+    held: dict[str, set[Dof]] = {}
+    for _, name, dof in ends:
+        if name and dof is not None:
+            held.setdefault(name, set()).add(dof.unsigned)
+    if all(len(dofs) == 1 for dofs in held.values()):
+        return ""
     names: dict[tuple[object, ...], set[tuple[str, str]]] = {}
     for h in headers:
         if h.response is not None:
