@@ -24,6 +24,9 @@ _TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$",
 _RATE_NAMES = re.compile(r"^(fs|sampling(_?hz|_?rate|_?frequency)?|sample_?rate|rate)$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]\s*$")
 
+LONGEST_NAME = 1000
+"""Most characters of a column name; UFF and TDMS names stay below 256, and a name is shown in every table."""
+
 
 def read_csv(
     path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None, sampling_hz: float | None = None
@@ -161,6 +164,13 @@ def _table(text: str, where: str) -> tuple[list[str], list[str], list[str], NDAr
         numbers = numbers[:, : len(names)]
     if numbers.shape[1] != len(names):
         raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where)
+    longest = max(names, key=len)
+    if len(longest) > LONGEST_NAME:
+        raise FormatError(
+            f"a column name of {len(longest)} characters: {longest[:20]}…",
+            where=where,
+            hint=f"a name has at most {LONGEST_NAME} characters; is the header line damaged?",
+        )
     filled = [i for i, name in enumerate(names) if name or np.any(np.isfinite(numbers[:, i]))]
     split = [_split_name(names[i]) for i in filled]
     return comments, [s[0] for s in split], [s[1] for s in split], np.ascontiguousarray(numbers[:, filled].T)

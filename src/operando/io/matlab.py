@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from operando.data import QUANTITIES, Finding, FrequencyAxis, Frf, Provenance, TimeRecord
 from operando.dof import Dof
-from operando.errors import ConfigError, DataError, DofError, FormatError, UnitError
+from operando.errors import ConfigError, DataError, DofError, FormatError, OperandoError, UnitError
 from operando.io.atomic import replacing
 from operando.io.content import Content, SetInfo
 from operando.io.csv import stated_rate
 from operando.io.mat5 import read_mat5
 from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof
+from operando.io.safe import opened_hdf5
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.io.uff.reader import open_file, quick_hash
 
 _RATE = re.compile(r"^(fs|f_s|freq|sampling_?(hz|freq\w*|rate)|sample_?rate|srate|sf|rate|fsamp)$", re.IGNORECASE)
 _STEP = re.compile(r"^(dt|delta_?t|ts|time_?step|inc|increment)$", re.IGNORECASE)
@@ -56,11 +58,9 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
     FormatError
         If the file is damaged, or no data with a time or frequency axis are found.
     """
-    from operando.io.uff.reader import quick_hash
-
     path = Path(path)
     where = str(path)
-    variables = [v for v in _variables(path) if v.value is not None]
+    variables = [v for v in read_variables(path) if v.value is not None]
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
     arrays = [v for v in variables if isinstance(v.value, np.ndarray)]
     names, texts = _texts(variables, _NAMES), _texts(variables, _UNITS)
@@ -128,21 +128,20 @@ def write_matlab(path: str | Path, *objects: TimeRecord | Frf) -> None:
         savemat(stream, variables, do_compression=False, oned_as="column")  # type: ignore[arg-type]
 
 
-def _variables(path: Path) -> list[_Variable]:
-    with open(path, "rb") as stream:
+def read_variables(path: Path) -> list[_Variable]:
+    """Arrays and lists of texts of a file, each with its path (``structure.field``), of any version from 5 on."""
+    with open_file(path) as stream:
         version73 = stream.read(19).startswith(b"MATLAB 7.3")
     try:
         if version73:
-            import h5py
-
-            with h5py.File(path, "r") as file:
+            with opened_hdf5(path) as file:
                 return list(_walk_hdf5(file, "", file))
-        loaded = read_mat5(path.read_bytes())
-    except FormatError as error:
-        raise FormatError(error.message, where=str(path)) from error
-    except Exception as error:  # h5py raises errors of many kinds on damaged files
+        loaded = read_mat5(path)
+    except OperandoError:
+        raise
+    except Exception as error:  # h5py and SciPy raise errors of many kinds on damaged files
         raise FormatError(f"the MATLAB file cannot be read: {error}", where=str(path)) from error
-    return [v for name, value in loaded.items() if not name.startswith("__") for v in _walk(value, name)]
+    return [v for name, value in loaded.items() for v in _walk(value, name)]
 
 
 def _walk(value: Any, path: str) -> Iterator[_Variable]:
@@ -153,6 +152,7 @@ def _walk(value: Any, path: str) -> Iterator[_Variable]:
         yield _Variable(path, [value])
     elif (isinstance(value, np.ndarray) and value.dtype.kind in "OU") or isinstance(value, list):
         items = value if isinstance(value, list) else np.ravel(value).tolist()
+        items = ["" if isinstance(item, np.ndarray) and item.dtype.kind == "U" and not item.size else item for item in items]
         if items and all(isinstance(item, str) for item in items):
             yield _Variable(path, [str(item) for item in items])
         else:
@@ -177,17 +177,23 @@ def _walk_hdf5(group: Any, path: str, file: Any) -> Iterator[_Variable]:
         elif isinstance(item, h5py.Dataset):
             kind = item.attrs.get("MATLAB_class", b"")
             if kind == b"char":
-                yield _Variable(here, ["".join(chr(c) for c in np.ravel(item[()]) if c)])
+                yield _Variable(here, [_characters(item)])
             elif kind == b"cell":
                 cells = [file[ref] for ref in np.ravel(item[()]) if isinstance(ref, h5py.Reference)]
                 chars = [c for c in cells if c.attrs.get("MATLAB_class", b"") == b"char"]
                 if len(chars) == len(cells):
-                    yield _Variable(here, ["".join(chr(c) for c in np.ravel(cell[()]) if c) for cell in chars])
+                    yield _Variable(here, [_characters(cell) for cell in chars])
             elif item.dtype.names == ("real", "imag"):
                 raw = item[()]
                 yield _Variable(here, (raw["real"] + 1j * raw["imag"]).T)
             elif item.dtype.kind in "biuf":
                 yield _Variable(here, np.asarray(item[()]).T)
+
+
+def _characters(item: Any) -> str:
+    """Text of a dataset of UTF-16 code units; an empty text is stored as its size, two whole numbers of 64 bits."""
+    units = np.ravel(item[()])
+    return units[units != 0].astype("<u2").tobytes().decode("utf-16-le", "replace") if units.dtype == np.uint16 else ""
 
 
 def _texts(variables: list[_Variable], pattern: re.Pattern[str]) -> dict[str, list[str]]:

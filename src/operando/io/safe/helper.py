@@ -1,0 +1,79 @@
+"""The process that tries files: requests on stdin, answers on stdout, one JSON document a line (see ``guard``)."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from operando.errors import OperandoError
+from operando.io.safe.limits import memory_allowed
+
+
+def main() -> None:
+    """Answer requests until stdin ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
+    import h5py  # noqa: F401  (loaded before the first file, so that its time and memory count for no file)
+
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what a library prints is no answer
+    print(json.dumps({"ready": True}), file=answers, flush=True)
+    for line in sys.stdin:
+        print(json.dumps(_answer(json.loads(line))), file=answers, flush=True)
+
+
+def _answer(request: dict[str, Any]) -> dict[str, Any]:
+    path = Path(request["path"])
+    alarm = getattr(signal, "setitimer", None)
+    if alarm is not None:
+        alarm(signal.ITIMER_REAL, float(request["limit_s"]))  # no handler: the process ends, also in the middle of C code
+    try:
+        _try(path, str(request["kind"]))
+        return {"message": "", "hint": None}
+    except OperandoError as error:
+        return {"message": error.message, "hint": error.hint}
+    except MemoryError:
+        allowed = memory_allowed(path.stat().st_size)
+        return {"message": f"reading takes more than {allowed / 1e6:.0f} MB of memory", "hint": "the file is damaged: export it again"}
+    except Exception as error:  # the libraries raise errors of many kinds on damaged files
+        name = "HDF5" if request["kind"] == "hdf5" else "a MATLAB file"
+        return {"message": f"cannot be read as {name}: {error or type(error).__name__}", "hint": "the file is damaged: export it again"}
+    finally:
+        if alarm is not None:
+            alarm(signal.ITIMER_REAL, 0.0)
+
+
+def _try(path: Path, kind: str) -> None:
+    # imported before the memory is limited
+    if kind == "matlab":
+        import scipy.io  # noqa: F401
+
+        from operando.io.mat5 import try_mat5 as try_file
+    else:
+        from operando.io.safe.hdf5_file import try_hdf5 as try_file
+    with _memory_limited(path.stat().st_size):
+        try_file(path)
+
+
+@contextlib.contextmanager
+def _memory_limited(size: int) -> Any:
+    """Hold the address space to what a file of a size may take beyond what the process has now (Linux; elsewhere no limit)."""
+    try:
+        import resource
+
+        with open("/proc/self/statm", encoding="ascii") as stream:
+            now = int(stream.read().split()[0]) * resource.getpagesize()
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    wanted = now + memory_allowed(size)
+    resource.setrlimit(resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
