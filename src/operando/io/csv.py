@@ -24,6 +24,7 @@ _TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$",
 _RATE_NAMES = re.compile(r"^(fs|sampling(_?hz|_?rate|_?frequency)?|sample_?rate|rate)$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]\s*$")
 
+_BLOCK = 1 << 20
 LONGEST_NAME = 1000
 """Most characters of a column name; UFF and TDMS names stay below 256, and a name is shown in every table."""
 
@@ -211,7 +212,22 @@ def _is_number(text: str) -> bool:
 
 
 def _numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDArray[np.float64]:
-    """(n_rows, n_columns) numbers; empty cells are NaN."""
+    """(n_rows, n_columns) numbers; empty cells are NaN. Read block by block: cleaned copies of a text take several times its size."""
+    parts: list[NDArray[np.float64]] = []
+    start = 0
+    while start < len(text):
+        stop = text.find("\n", start + _BLOCK) + 1 or len(text)
+        part = _block_numbers(text[start:stop], delimiter, decimal, where)
+        if part.size:
+            parts.append(part)
+        start = stop
+    widths = sorted({part.shape[1] for part in parts})
+    if len(widths) != 1:
+        raise FormatError(f"rows of {' and '.join(str(w) for w in widths) or 'no'} columns", where=where, hint="remove damaged rows")
+    return np.concatenate(parts)
+
+
+def _block_numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDArray[np.float64]:
     clean = text.replace("\r", "")
     if decimal == ",":
         clean = clean.replace(",", ".")
@@ -220,6 +236,8 @@ def _numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDAr
         clean = re.sub(rf"(?<={mark})[ \t]*(?={mark}|\n|\Z)" if delimiter != "\t" else rf"(?<={mark})(?={mark}|\n|\Z)", "nan", clean)
         clean = re.sub(rf"(?m)^[ ]*(?={mark})", "nan", clean)
     clean = clean.replace('"', "")
+    if not clean.strip():
+        return np.empty((0, 0))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")

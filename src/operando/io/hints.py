@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from functools import cache
 from typing import Any, Literal, Union
 
 import numpy as np
@@ -14,18 +13,17 @@ import numpy as np
 from operando.errors import FormatError
 
 
-def _declared(made: Any) -> Mapping[str, Any]:
-    kind: Hashable = type(made)
-    return _field_types(kind)
+_DECLARED: dict[Any, Mapping[str, Any]] = {}
 
 
-@cache
-def _field_types(kind: Any) -> Mapping[str, Any]:
+def _declared(kind: Any) -> Mapping[str, Any]:
     """Declared type of each field of a class; none where a name of the declaration is not there when the program runs."""
-    try:
-        return typing.get_type_hints(kind)
-    except NameError:
-        return {}
+    if kind not in _DECLARED:
+        try:
+            _DECLARED[kind] = typing.get_type_hints(kind)
+        except NameError:
+            _DECLARED[kind] = {}
+    return _DECLARED[kind]
 
 
 def check_fields(made: Any, where: str) -> None:
@@ -42,7 +40,7 @@ def check_fields(made: Any, where: str) -> None:
     FormatError
         If a field is of another type.
     """
-    declared = _declared(made)
+    declared = _declared(type(made))
     for field in fields(made):
         value = getattr(made, field.name)
         if not is_of(value, declared.get(field.name, Any)):

@@ -19,8 +19,8 @@ from typing import Any
 
 from operando.errors import FormatError, MissingError
 
-TIME_LIMIT_S = 5.0
-"""Time to try a small file [s]. Files of some kB take milliseconds; five seconds leave room for a machine under load, and end well
+TIME_LIMIT_S = 3.0
+"""Time to try a small file [s]. Files of some kB take milliseconds; three seconds leave room for a machine under load, and end well
 below the ten seconds after which a command counts as hanging."""
 SLOWEST_BYTES_PER_S = 20e6
 """Reading rate that is still waited for: a network drive of 200 Mbit/s."""
