@@ -62,10 +62,10 @@ class LazyGroup(click.Group):
 
                 hint = error.ctx.get_usage() if error.ctx is not None else None
                 print_json({"schema": "operando/error/1", "error": error.format_message(), "where": "command line", "hint": hint})
-            error.show()
+            _show(error)
             sys.exit(2)
         except click.ClickException as error:
-            error.show()
+            _show(error)
             sys.exit(error.exit_code)
         except (click.Abort, KeyboardInterrupt):
             click.echo("interrupted", err=True)
@@ -74,6 +74,14 @@ class LazyGroup(click.Group):
             sys.stdout = None
             sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _show(error: click.ClickException) -> None:
+    """What click says of wrong usage; words of the command line may come from file names and are shown, not sent to the terminal."""
+    from operando.printable import printable
+
+    error.message = printable(error.message, lines=True)
+    error.show()
 
 
 @click.command(

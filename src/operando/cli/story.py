@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from operando.cli.answer import Answer, table
+from operando.cli.answer import Answer, say, table
 from operando.errors import IdentificationError, OperandoError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Clock:
         self.start = time.perf_counter()
 
     def __call__(self, stage: str, message: str) -> None:
-        click.echo(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}", err=True)
+        say(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}")
 
 
 def test_options(function: Callable[..., Any]) -> Callable[..., Any]:

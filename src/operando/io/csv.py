@@ -18,6 +18,7 @@ from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.printable import printable
 from operando.units import parse_unit
 
 _TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$", re.IGNORECASE)
@@ -103,7 +104,7 @@ def write_csv(path: str | Path, record: TimeRecord) -> None:
     """
     heads = ["time [s]"]
     for i, channel in enumerate(record.channels):
-        name = (channel.label or f"ch{i + 1}").replace(",", " ").replace("[", "(").replace("]", ")")
+        name = cell_text(channel.label or f"ch{i + 1}")
         heads.append(f"{name} [{channel.unit}]" if channel.unit else name)
     digits = 9 if record.data.dtype == np.float32 else 17
     with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
@@ -115,6 +116,16 @@ def write_csv(path: str | Path, record: TimeRecord) -> None:
         for start in range(0, record.n_samples, block):
             rows = np.column_stack([time[start : start + block], record.data[:, start : start + block].T])
             stream.write((line * len(rows)) % tuple(rows.ravel().tolist()))
+
+
+def cell_text(name: str) -> str:
+    """A name as the head of a column: no mark that divides cells or stands around a unit, nothing that acts, and no formula.
+
+    Spreadsheets take a cell that starts with ``=``, ``+``, ``-`` or ``@`` for a formula; an apostrophe before it says text. Reading
+    takes the apostrophe off again.
+    """
+    clean = printable(name).replace(",", " ").replace(";", " ").replace("[", "(").replace("]", ")")
+    return f"'{clean}" if clean.lstrip()[:1] in ("=", "+", "-", "@", "|", "%") else clean
 
 
 def _decoded(raw: bytes, where: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 import operando
 from operando.errors import OperandoError
-from operando.jsonable import jsonable
+from operando.jsonable import json_text, jsonable
 
 FOLDER = ".stages"
 
@@ -33,7 +33,7 @@ def whole(path: Path) -> Iterator[Path]:
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """A JSON file, null where there is no value."""
     with whole(path) as beside:
-        beside.write_text(json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        beside.write_text(json_text(document) + "\n", encoding="utf-8")
 
 
 @cache
