@@ -290,8 +290,9 @@ def test_conversion_says_what_is_lost(tmp_path):
     assert any("sense of DOFs" in text for text in lost)
     out = convert(tmp_path / "a.uff", tmp_path / "a.csv")
     assert any("modal model" in text for text in out["lost"])
+    write_hdf5(tmp_path / "m.h5", {"model": model})
     with pytest.raises(FormatError, match="nothing to write"):
-        convert(tmp_path / "a.h5", tmp_path / "b.csv")
+        convert(tmp_path / "m.h5", tmp_path / "b.csv")
     with pytest.raises(FormatError, match="tells no format"):
         convert(tmp_path / "a.uff", tmp_path / "b.xyz")
 

@@ -18,7 +18,9 @@ from operando.report.svg import drawn, new_figure
 from operando.results import CheckRun, Results
 from test_printable import NASTY, acts
 
-LIVE = NASTY + "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script></title></svg>' onload='document.title=1"
+LIVE = (
+    NASTY + "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script></title></svg>' onload='document.title=1"
+)
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -26,8 +28,8 @@ def nasty_results():
     frf = Frf(np.ones((2, 1, 30)) + 0j, np.arange(30.0), ("1Z", "2Z"), ("1Z",), coherence=np.ones((2, 1, 30)), averages=4, name=LIVE,
               provenance=Provenance(((LIVE, LIVE),), (LIVE,)))  # fmt: skip
     finding = Finding(LIVE, LIVE, "error", LIVE, 1, LIVE, consequence=LIVE, action=LIVE)
-    row = {"file": LIVE, "path": LIVE, "used_for": LIVE, "role": LIVE, "format": LIVE, "sets": {LIVE: 3}, "channels": [LIVE], "units": [LIVE],
-           "error": LIVE, "ignored": [{"set": 1, "type": 5, "title": LIVE, "reason": LIVE}], LIVE: LIVE}  # fmt: skip
+    row = {"file": LIVE, "path": LIVE, "used_for": LIVE, "role": LIVE, "format": LIVE, "sets": {LIVE: 3}, "channels": [LIVE],
+           "units": [LIVE], "error": LIVE, "ignored": [{"set": 1, "type": 5, "title": LIVE, "reason": LIVE}], LIVE: LIVE}  # fmt: skip
     return Results(
         name=LIVE, settings={"units": {LIVE: LIVE}, "channels": {LIVE: {"reason": LIVE}}, LIVE: LIVE}, findings=[finding, finding],
         inventory=[row, row | {"error": None}], idle_frf=frf, check=[CheckRun(LIVE, LIVE, frf)],

@@ -35,6 +35,7 @@ def test_folders_name_the_states(folder):
         "geometry.uff": "geometry",
         "idle/run1.uff": "idle records",
         "idle/run2.uff": "idle records",
+        "notes.md": "ignored",
         "operating/run1.uff": "operating records",
     }
     assert all(t.sure for t in made.taken)

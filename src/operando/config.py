@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from operando.dof import Dof
 from operando.errors import ConfigError, DofError, UnitError
+from operando.io.columns import check_columns
 from operando.states import Span as Span
 from operando.states import State as State
 from operando.states import check_keys, find_files, is_number, record_named, state_of
@@ -297,12 +298,14 @@ def _unit(text: Any, quantity: str | None, where: str) -> str:
 
 
 def _units(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    check_keys(table, (*SI_UNIT, "length", "sampling_hz"), where)
+    check_keys(table, (*SI_UNIT, "length", "sampling_hz", "columns"), where)
     out: dict[str, Any] = {}
     for quantity, text in table.items():
         here = f"{where} {quantity}"
         if quantity == "sampling_hz":
             out[quantity] = _positive(text, here)
+        elif quantity == "columns":
+            out[quantity] = list(check_columns(text, here))
         else:
             out[quantity] = _unit(text, "displacement" if quantity == "length" else quantity, here)
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from typing import Any
 
@@ -80,8 +81,9 @@ def _show(error: click.ClickException) -> None:
     """What click says of wrong usage; words of the command line may come from file names and are shown, not sent to the terminal."""
     from operando.printable import printable
 
-    error.message = printable(error.message, lines=True)
-    error.show()
+    text = io.StringIO()
+    error.show(text)
+    click.echo(printable(text.getvalue(), lines=True), err=True, nl=False)
 
 
 @click.command(

@@ -1,5 +1,6 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
+from operando.io.columns import NoHeader
 from operando.io.content import Content, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
@@ -15,6 +16,7 @@ from operando.io.uff import read_uff, read_uff_sets, write_uff
 __all__ = [
     "UNREADABLE",
     "Content",
+    "NoHeader",
     "SetInfo",
     "check_fields",
     "convert",

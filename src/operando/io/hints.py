@@ -12,7 +12,6 @@ import numpy as np
 
 from operando.errors import FormatError
 
-
 _DECLARED: dict[Any, Mapping[str, Any]] = {}
 
 

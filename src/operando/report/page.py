@@ -19,8 +19,7 @@ _SCRIPT = "addEventListener('beforeprint',function(){document.querySelectorAll('
 _SCRIPT_HASH = base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode()
 # The page loads nothing and runs the one script above; its style and the sizes of its drawings stand in the page.
 _POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; "
-    f"script-src 'sha256-{_SCRIPT_HASH}'; img-src data:; base-uri 'none'; form-action 'none'"
+    f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_SCRIPT_HASH}'; img-src data:; base-uri 'none'; form-action 'none'"
 )
 
 

@@ -1,6 +1,7 @@
 """Trying a file in a process of its own, with limits of time and memory, before it is read here.
 
-HDF5 and SciPy's MATLAB reader are written in C: a damaged file can make them loop for ever or end the process. The helper process
+HDF5 and SciPy's MATLAB reader are written in C: a damaged file can make them loop for ever or end the process; npTDMS takes the
+lengths that a file states. The helper process
 reads the whole file and throws the numbers away; only a file that passes is read here. One helper serves all files of a process.
 """
 
@@ -43,7 +44,7 @@ def trust(path: str | Path, kind: str) -> None:
     Parameters
     ----------
     path : path
-    kind : {"hdf5", "matlab"}
+    kind : {"hdf5", "matlab", "tdms"}
         Library that reads it.
     """
     path = Path(path).resolve()
@@ -57,7 +58,7 @@ def try_apart(path: str | Path, kind: str) -> None:
     Parameters
     ----------
     path : path
-    kind : {"hdf5", "matlab"}
+    kind : {"hdf5", "matlab", "tdms"}
 
     Raises
     ------
@@ -81,9 +82,8 @@ def try_apart(path: str | Path, kind: str) -> None:
             raise FormatError(str(reply["message"]), where=str(path), hint=reply["hint"])
         _trusted[str(path.resolve()), kind] = stamp
         return
-    library = "HDF5" if kind == "hdf5" else "MATLAB"
     raise FormatError(
-        f"the file makes the {library} library fail: no end within {limit:.0f} s, or the reading process died",
+        f"the file makes the reader of {kind.upper()} files fail: no end within {limit:.0f} s, or the reading process died",
         where=str(path),
         hint="the file is damaged: export it again",
     )

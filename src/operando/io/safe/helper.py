@@ -7,11 +7,14 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from operando.errors import OperandoError
 from operando.io.safe.limits import memory_allowed
+
+NAMES = {"hdf5": "HDF5", "matlab": "a MATLAB file", "tdms": "TDMS"}
 
 
 def main() -> None:
@@ -40,19 +43,27 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
         allowed = memory_allowed(path.stat().st_size)
         return {"message": f"reading takes more than {allowed / 1e6:.0f} MB of memory", "hint": "the file is damaged: export it again"}
     except Exception as error:  # the libraries raise errors of many kinds on damaged files
-        name = "HDF5" if request["kind"] == "hdf5" else "a MATLAB file"
-        return {"message": f"cannot be read as {name}: {error or type(error).__name__}", "hint": "the file is damaged: export it again"}
+        return {
+            "message": f"cannot be read as {NAMES[request['kind']]}: {error or type(error).__name__}",
+            "hint": "the file is damaged: export it again",
+        }
     finally:
         if alarm is not None:
             alarm(signal.ITIMER_REAL, 0.0)
 
 
 def _try(path: Path, kind: str) -> None:
+    try_file: Callable[[Path], Any]
     # imported before the memory is limited
     if kind == "matlab":
         import scipy.io  # noqa: F401
 
         from operando.io.mat5 import try_mat5 as try_file
+    elif kind == "tdms":
+        from operando.io.tdms import load_library
+        from operando.io.tdms import load_tdms as try_file
+
+        load_library(str(path))
     else:
         from operando.io.safe.hdf5_file import try_hdf5 as try_file
     with _memory_limited(path.stat().st_size):

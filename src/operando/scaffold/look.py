@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from operando.errors import ConfigError, MissingError, OperandoError
+from operando.scaffold.band import excited_band, proposed_band
+from operando.scaffold.labels import Seen, labelled
+from operando.scaffold.text import can_be_named, file_text
 
 IDLE_WORDS = ("idle", "rest", "still", "standstill", "stopped", "parked", "off", "ema", "static", "cold")
 CHECK_WORDS = ("check", "verification", "verify", "validation", "judge", "proof")
 OPERATING_WORDS = ("operating", "operation", "operational", "running", "oma", "ambient", "on", "load", "loaded")
-MOTION = ("acceleration", "velocity", "displacement")
-DRIVE_POINT = 0.01
-"""Share of the lines at which power flows out of the structure, beyond three standard deviations: no more at the response that is guessed
-to sit at the force, twice as much at all others. At a true drive point it is 0 but for noise (0.1 % of lines) and phase errors; F-16
-ground vibration test: 0 % at the shaker, 9 and 3 % on the wing."""
+SILENT = 0.01
+"""Share of the largest rms of a force channel in the folder below which it is silent (a hammer lying beside the running machine): a force
+40 dB below that of another run cannot be what judges a model; converters and IEPE sensors are quieter by another 40 dB."""
 SKIPPED_SUFFIXES = (
     ".toml", ".md", ".json", ".html", ".pdf", ".png", ".jpg", ".jpeg", ".svg", ".py", ".ipynb", ".zip", ".gz", ".doc", ".docx",
     ".xls", ".xlsx", ".log", ".yaml", ".yml", ".m", ".exe", ".part",
@@ -72,27 +72,17 @@ class Scaffold:
         return {"taken": [t.to_dict() for t in self.taken], "notes": list(self.notes), "text": self.text}
 
 
-@dataclass
-class _Seen:
-    """What the files lack, gathered while reading; ``labels`` are guesses, channel name → what [channels] would say of it."""
-
-    unitless: dict[str, set[str]] = field(default_factory=dict)
-    unlabelled: dict[str, str] = field(default_factory=dict)
-    rates: set[float] = field(default_factory=set)
-    labels: dict[str, dict[str, Any]] = field(default_factory=dict)
-    guesses: list[str] = field(default_factory=list)
-
-
 def scaffold(folder: str | Path, target: str | Path | None = None) -> Scaffold:
     """Look at the files in a folder and propose a test file.
 
-    Records with a force channel and responses are taken as idle, or as check where folder or file names say so; records with
-    responses only as operating; FRFs as idle FRFs; coordinates as geometry.
+    Records with a force and responses are taken as idle, or as check where folder or file names say so; records with responses only, or
+    whose force channels are silent, as operating; FRFs as idle FRFs; coordinates as geometry. Every file is listed, with the reason where
+    it is not used.
 
     Parameters
     ----------
     folder : path
-        Searched with its subfolders; hidden ones and results folders are passed over.
+        Searched with its subfolders; hidden ones and results folders are listed and passed over.
     target : path, optional
         Where the test file will lie (paths inside are relative to it); default ``folder/test.toml``.
 
@@ -105,35 +95,72 @@ def scaffold(folder: str | Path, target: str | Path | None = None) -> Scaffold:
     if not folder.is_dir():
         raise MissingError("there is no such folder", where=str(folder))
     base = Path(target).parent if target is not None else folder
-    seen = _Seen()
-    taken = tuple(_take(file, folder, seen) for file in _candidates(folder))
+    seen = Seen()
+    drafts = [_look(file, folder, reason, seen) for file, reason in _listed(folder)]
+    taken = tuple(_of_one_kind(draft if isinstance(draft, Taken) else _decide(draft, folder, seen), seen) for draft in drafts)
     if not any(t.role.split()[-1] in ("records", "frfs") for t in taken):
+        tried = [t for t in taken if not t.sure] or taken
         raise MissingError(
             "no measurement was found",
             where=str(folder),
-            hint="; ".join(f"{t.file.name}: {t.reason}" for t in taken[:4])
-            or "it holds no file of a known format (UFF, MATLAB, CSV, HDF5)",
+            hint="; ".join(f"{t.file.name}: {t.reason}" for t in tried[:4])
+            or "it holds no file of a known format (UFF, MATLAB, CSV, HDF5, LVM, TDMS, NumPy, WAV)",
         )
     notes = _notes(taken, seen)
-    return Scaffold(_text(folder, base, taken, seen, notes), taken, tuple(notes))
+    band = proposed_band(taken, seen)
+    return Scaffold(file_text(folder, base, taken, seen, notes, band), taken, tuple(notes))
 
 
-def _candidates(folder: Path) -> list[Path]:
-    found = []
+def _of_one_kind(taken: Taken, seen: Seen) -> Taken:
+    """A table without a header line only if its columns are those of most: a test file holds one answer."""
+    most = max(seen.columns, key=lambda c: len(seen.columns[c]), default=())
+    for columns, names in seen.columns.items():
+        if columns != most and taken.file in names:
+            reason = f"a table without a header line, columns perhaps {', '.join(columns)}, those of others {', '.join(most)}"
+            return Taken(taken.file, "ignored", f"{reason}: give it a header line", sure=False)
+    return taken
+
+
+def _listed(folder: Path) -> list[tuple[Path, str]]:
+    """Every file below a folder with the reason why it is not looked at (empty: it is); a hidden or results folder stands as one."""
+    found: list[tuple[Path, str]] = []
     for root, folders, files in os.walk(folder):
-        if "summary.json" in files:  # a results folder
+        place = Path(root)
+        if "summary.json" in files and place != folder:
+            found.append((place, "a results folder"))
             folders.clear()
             continue
+        found += [(place / f, "a hidden folder") for f in folders if f.startswith(".")]
         folders[:] = sorted(f for f in folders if not f.startswith("."))
-        found += [Path(root) / f for f in files if not f.startswith(".") and Path(f).suffix.lower() not in SKIPPED_SUFFIXES]
-    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s.lower() for s in re.split(r"(\d+)", p.as_posix())])
+        found += [(place / f, _passed_over(place / f)) for f in files]
+    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s.lower() for s in re.split(r"(\d+)", p[0].as_posix())])
 
 
-def _take(file: Path, folder: Path, seen: _Seen) -> Taken:
-    from operando.io import read
+def _passed_over(file: Path) -> str:
+    suffix = file.suffix.lower()
+    if file.name.startswith("."):
+        return "a hidden file"
+    if suffix == ".toml":
+        return "a test file or settings, no measurement"
+    if not can_be_named(file):
+        return "its name is no Unicode and cannot stand in a test file: rename it"
+    return f"not looked at: {suffix} files hold no measurement" if suffix in SKIPPED_SUFFIXES else ""
 
+
+def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
+    """What a file holds; what it is taken for is decided when all are known."""
+    from operando.io import NoHeader, read
+
+    if reason:
+        return Taken(file, "ignored", reason)
     try:
-        content = read(file)
+        try:
+            content = read(file)
+        except NoHeader as error:
+            if not error.guess:
+                raise
+            content = read(file, units={"columns": error.guess})
+            seen.columns.setdefault(error.guess, []).append(file)
     except OperandoError as error:
         return Taken(file, "ignored", f"cannot be read: {error.message}", sure=False)
     if not (content.records or content.frfs):
@@ -143,20 +170,34 @@ def _take(file: Path, folder: Path, seen: _Seen) -> Taken:
             return Taken(file, "ignored", "holds modes, not a measurement")
         return Taken(file, "ignored", "holds nothing a test can use", sure=False)
     if content.frfs and not content.records:
-        state, reason, sure = _state(file, folder, "idle")
+        state, words, sure = _state(file, folder, "idle")
         state = "check" if state == "operating" else state
         pairs = sum(len(h.responses) * len(h.references) for h in content.frfs)
         if not all(h.si for h in content.frfs):
             seen.unitless.setdefault("acceleration", set()).add(file.name)
             seen.unitless.setdefault("force", set()).add(file.name)
-        return Taken(file, f"{state} frfs", f"{pairs} FRFs; {reason}", sure)
-    return _take_record(file, folder, content, seen)
+        lines = [h.frequencies_hz for h in content.frfs]
+        seen.bands[str(file)] = (min(float(f[0]) for f in lines), max(float(f[-1]) for f in lines))
+        return Taken(file, f"{state} frfs", f"{pairs} FRFs; {words}", sure)
+    return _look_at_record(file, content, seen)
 
 
-def _take_record(file: Path, folder: Path, content: Any, seen: _Seen) -> Taken:
+@dataclass(frozen=True)
+class _Draft:
+    """A file of records before it is decided what it is taken for; ``forces``: rms of each force channel."""
+
+    file: Path
+    what: str
+    forces: dict[str, float]
+    responses: int
+
+
+def _look_at_record(file: Path, content: Any, seen: Seen) -> _Draft:
+    import numpy as np
+
     record = max(content.records, key=lambda r: r.data.size)
     seen.rates.add(record.sampling_hz)
-    record = _labelled(record, seen)
+    record = labelled(record, seen)
     for channel in record.channels:
         if channel.name in seen.labels and "exclude" in seen.labels[channel.name]:
             continue
@@ -164,91 +205,36 @@ def _take_record(file: Path, folder: Path, content: Any, seen: _Seen) -> Taken:
             seen.unlabelled.setdefault(channel.name or f"channel {len(seen.unlabelled) + 1}", file.name)
         elif channel.unit == "":
             seen.unitless.setdefault(channel.quantity, set()).add(file.name)
-    forces, responses = len(record.force_indices), len(record.response_indices)
-    what = f"{forces} force and {responses} response channels, {record.duration_s:.4g} s at {record.sampling_hz:.6g} Hz"
-    if responses == 0:
+    forces = {record.channels[i].label: float(np.sqrt(np.nanmean(np.square(record.data[i], dtype=float)))) for i in record.force_indices}
+    for label, rms in forces.items():
+        seen.loudest[label] = max(rms, seen.loudest.get(label, 0.0))
+    if forces and record.response_indices:
+        band = excited_band(record)
+        if band is not None:
+            seen.bands[str(file)] = band
+    what = (
+        f"{len(forces)} force and {len(record.response_indices)} response channels, "
+        f"{record.duration_s:.4g} s at {record.sampling_hz:.6g} Hz"
+    )
+    return _Draft(file, what, forces, len(record.response_indices))
+
+
+def _decide(draft: _Draft, folder: Path, seen: Seen) -> Taken:
+    """What a file of records is taken for: by the forces in it, then by the names of file and folders."""
+    file, what = draft.file, draft.what
+    if draft.responses == 0:
         return Taken(file, "operating records", f"{what}: channels are not labelled; a guess", sure=False)
-    if forces == 0:
+    driving = [label for label, rms in draft.forces.items() if rms > SILENT * seen.loudest[label]]
+    if not driving:
         state, reason, _ = _state(file, folder, "operating")
+        silent = "its force channels are silent" if draft.forces else "no force"
         if state == "operating":
-            return Taken(file, "operating records", f"{what}; no force: {reason}")
-        return Taken(file, "operating records", f"{what}; no force, though its name says {state}", sure=False)
+            return Taken(file, "operating records", f"{what}; {silent}: {reason}")
+        return Taken(file, "operating records", f"{what}; {silent}, though its name says {state}", sure=False)
     state, reason, sure = _state(file, folder, "idle")
     if state == "operating":
         return Taken(file, "check records", f"{what}; in operation and with force: it can judge the model", sure=False)
     return Taken(file, f"{state} records", f"{what}; {reason}", sure)
-
-
-def _labelled(record: Any, seen: _Seen) -> Any:
-    """The record with guessed DOFs where no channel has one but names or units tell quantities; the guesses go into ``seen``."""
-    from dataclasses import replace
-
-    from operando.dof import Dof
-
-    motion = [c for c in record.channels if c.quantity in MOTION]
-    if not motion or any(c.dof is not None for c in record.channels) or any(not c.name for c in record.channels):
-        return record
-    fresh = any(c.name not in seen.labels for c in record.channels)
-    for channel in motion:
-        taken = {label["dof"] for label in seen.labels.values() if "dof" in label and label["quantity"] in MOTION}
-        if channel.name not in seen.labels:
-            seen.labels[channel.name] = {"dof": _dof_of_name(channel.name, taken), "quantity": channel.quantity}
-    channels = [replace(c, dof=Dof.parse(seen.labels[c.name]["dof"])) if c in motion else c for c in record.channels]
-    forces = [c for c in record.channels if c.is_force]
-    for force in forces:
-        if force.name not in seen.labels:
-            dof, why = _dof_of_force(record, channels, force)
-            seen.labels[force.name] = {"dof": dof, "quantity": force.quantity}
-            seen.guesses.append(f"{force.name} taken as the force at {dof}: {why}")
-    for channel in record.channels:
-        if channel not in motion and channel not in forces and channel.quantity != "unknown":
-            seen.labels[channel.name] = {"exclude": True, "reason": f"{channel.quantity} is neither a force nor a motion"}
-    if fresh:
-        seen.guesses.append(
-            f"DOFs guessed from the order and the names of the channels ({', '.join(c.name for c in motion[:4])}"
-            f"{' …' if len(motion) > 4 else ''}); +Z stands for a direction the file does not say: correct them in [channels]"
-        )
-    named = {name: Dof.parse(label["dof"]) for name, label in seen.labels.items() if "dof" in label}
-    return replace(record, channels=tuple(replace(c, dof=named.get(c.name)) for c in record.channels))
-
-
-def _dof_of_name(name: str, taken: set[str]) -> str:
-    """A DOF no other channel has: the number in a channel name and a direction at its end, else the next free node along +Z."""
-    match = re.search(r"(\d+)\D*$", name)
-    axis = re.search(r"(?:\d|[_\s:.\-])([+-]?)([xyz])$", name, re.IGNORECASE)
-    direction = f"{axis[1] or '+'}{axis[2].upper()}" if axis else "+Z"
-    node = int(match[1]) if match else 1
-    while f"{node}{direction}" in taken:
-        node += 1
-    return f"{node}{direction}"
-
-
-def _dof_of_force(record: Any, channels: Sequence[Any], force: Any) -> tuple[str, str]:
-    """Where a force without a label acts: at the one response into which it puts power at every line, else at a node of its own."""
-    from dataclasses import replace
-
-    from operando.dof import Dof
-    from operando.frf import estimate_frf, power_signs
-
-    nodes = [c.dof.node for c in channels if c.dof is not None]
-    own = Dof(max(nodes, default=0) + 1, "Z")
-    rows = [i for i, c in enumerate(channels) if c.dof is not None or c is force or c.name == force.name]
-    labelled = tuple(replace(c, dof=own) if c.name == force.name else c for c in channels)
-    try:
-        frf = estimate_frf(replace(record, channels=labelled, findings=()).select(rows))
-    except OperandoError as error:
-        return str(own), f"a node of its own, for its FRFs cannot be estimated ({error.message})"
-    signs = {str(d): power_signs(frf, i, 0) for i, d in enumerate(frf.responses)}
-    drive = [d for d, (inward, outward) in signs.items() if outward <= DRIVE_POINT and inward > 10 * DRIVE_POINT]
-    others = [outward for d, (_, outward) in signs.items() if d not in drive]
-    if len(drive) == 1 and min(others, default=1.0) > 2 * DRIVE_POINT:
-        inward, outward = signs[drive[0]]
-        second = f"; at the others it flows out at {100 * min(others):.0f} % or more" if others else ""
-        return drive[0], (
-            f"as at a drive point, power flows into the structure there at {100 * inward:.0f} % of the lines and out at "
-            f"{100 * outward:.0f} %{second}"
-        )
-    return str(own), "a node of its own: the measurement does not tell one response as its drive point (label them alike if you know it)"
 
 
 def _state(file: Path, folder: Path, default: str) -> tuple[str, str, bool]:
@@ -262,8 +248,9 @@ def _state(file: Path, folder: Path, default: str) -> tuple[str, str, bool]:
     return default, f"no name says otherwise, taken as {default}", default == "operating"
 
 
-def _notes(taken: Sequence[Taken], seen: _Seen) -> list[str]:
+def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
     notes = [f"guessed: {guess}" for guess in seen.guesses]
+    notes += [f"guessed: columns of {names[0].name} are {', '.join(columns)}" for columns, names in seen.columns.items()]
     notes += [f"unsure: {t.file.name} taken as {t.role}: {t.reason}" for t in taken if not t.sure]
     for quantity, files in sorted(seen.unitless.items()):
         notes.append(
