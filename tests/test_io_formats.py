@@ -71,12 +71,15 @@ def test_lvm_says_what_it_leaves_out_and_refuses_what_is_cut(tmp_path):
     assert [r.start_s for r in content.records] == [0.0, 5.0]  # a gap in time: two records
     assert content.sets[2].status == "ignored"
     assert "frequency" in content.sets[2].note
+    path.write_text(head + lvm_block(data, 0.0, 0.01).replace(f"{data[0, 3]:.6f}", "overrange"))
+    assert [f.kind for f in read(path).findings] == ["nan"]
     for text, match in (
         (head + lvm_block(data, 0.0, 0.01, samples=25), "states 25 samples and has 20 rows"),
         (head.replace("***End_of_Header***", ""), "has no end"),
         (head + lvm_block(data, 0, 0.01).replace("Channels\t2", "Channels\t99999999"), "no number of channels"),
         (head + lvm_block(data, 0, 0.01).replace("X_Value", "Y"), "should name the columns"),
         (head + lvm_block(data, 0.0, 0.5, "Frequency"), "no time history"),
+        (head + lvm_block(data, 0.0, 0.01).rstrip() + "\t1.0\t2.0\n", "line 42: 5 cells"),
     ):
         path.write_text(text)
         with pytest.raises(FormatError, match=match):
@@ -110,6 +113,17 @@ def test_tdms(tmp_path):
     path.write_bytes(raw[:28] + b"\xff" * 40 + raw[68:])
     with pytest.raises(FormatError):
         read(path)
+
+
+def test_tdms_that_is_cut_off_is_said(tmp_path, capfd):
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS is not installed (the extra tdms)")
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
+        writer.write_segment([nptdms.ChannelObject("run", "1+Z", np.ones(100), properties={"wf_increment": 0.01, "unit_string": "g"})])
+    (tmp_path / "a.tdms").write_bytes((tmp_path / "a.tdms").read_bytes()[:-40])
+    content = read(tmp_path / "a.tdms")
+    assert content.records[0].n_samples == 95
+    assert {f.kind for f in content.findings} == {"damaged"}
+    assert not capfd.readouterr().err  # said as a finding, not by the library on the terminal
 
 
 def test_tdms_without_the_library_says_how_to_get_it(tmp_path, monkeypatch):

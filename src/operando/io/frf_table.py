@@ -157,7 +157,9 @@ def _scaled_frf(data: NDArray[np.complex128], frequencies: NDArray[np.float64], 
     if quantity is None:
         hint = "expected acceleration, velocity or displacement over force"
         raise FormatError(f"{text!r} is no unit of an FRF", where=str(path), hint=hint)
-    return make_frf(data * (above / below), frequencies, path.name, source, names, responses, references, quantity, True, coherence)
+    with np.errstate(over="ignore", invalid="ignore"):  # pairs that were not measured are NaN
+        data = data * (above / below)
+    return make_frf(data, frequencies, path.name, source, names, responses, references, quantity, True, coherence)
 
 
 def _source(path: Path, units: Units | None, channels: ChannelSpecs | None) -> Source:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Provenance, TimeRecord
+from operando.data import Finding, Provenance, TimeRecord
 from operando.errors import FormatError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
@@ -74,6 +74,10 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:4]) or "no block"
         raise FormatError(f"no time history ({seen})", where=where, hint="export samples over time")
     findings = tuple(f for record in records for f in record.findings)
+    gaps = sum(int(np.count_nonzero(~np.isfinite(record.data))) for record in records)
+    if gaps:
+        lost = f"{gaps} cells hold no number"
+        findings = (*findings, Finding("nan", lost, "warning", where, consequence="they are NaN in the record"))
     return Content(where, "lvm", tuple(records), sets=tuple(infos), findings=findings)
 
 
@@ -110,6 +114,11 @@ def _parse(text: str, where: str) -> tuple[str, str, list[_Block]]:
                     raise FormatError(f"line {number} should name the columns", where=where, hint="expected X_Value and channel names")
                 block.names = _names(cells, len(block.header["Channels"]) and int(block.header["Channels"][0]), axes, where)
             elif cells[0] != "X_Value":
+                most = len(block.names) * (2 if axes == "multi" else 1) + 2  # with the time, and a comment
+                if len(cells) > most and any(cells[most:]):
+                    raise FormatError(
+                        f"line {number}: {len(cells)} cells, expected {most} at most", where=where, hint="remove damaged rows"
+                    )
                 block.rows.append(cells)
     return decimal, axes, blocks
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import math
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -69,9 +69,11 @@ def read_npz(path: str | Path, *, units: Units | None = None, channels: ChannelS
 def _array(stream: IO[bytes], size: int, where: str) -> Any:
     """Array of an ``.npy`` stream of a size; what it declares is compared with that before memory is taken."""
     try:
-        major, _ = np.lib.format.read_magic(stream)
-        reader = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
-        shape, _, dtype = reader(stream)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a header that NumPy has to repair is damaged
+            major, _ = np.lib.format.read_magic(stream)
+            reader = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+            shape, _, dtype = reader(stream)
         if dtype.hasobject:
             raise FormatError("holds pickled objects, which are not read: a file could bring code with it", where=where)
         declared = math.prod(shape) * dtype.itemsize
@@ -80,7 +82,9 @@ def _array(stream: IO[bytes], size: int, where: str) -> Any:
             raise FormatError(f"declares {declared} bytes of numbers and holds {there}", where=where, hint="the file is damaged")
         stream.seek(0)
         return np.lib.format.read_array(stream, allow_pickle=False)
-    except (ValueError, TypeError, EOFError, OverflowError, SyntaxError, io.UnsupportedOperation) as error:
+    except FormatError:
+        raise
+    except Exception as error:  # NumPy's parser of headers raises errors of many kinds
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FormatError(f"the array cannot be read: {reason}", where=where, hint="the file is damaged: save it again") from error
 

@@ -72,7 +72,8 @@ def make_record(
             scale = resolve(quantity, "", units, spec)
         if not scale.known:
             findings.append(_missing_unit(name, scale.quantity, source, i))
-        rows.append(array[i] * scale.factor if scale.factor != 1.0 else array[i])
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file; the raw-data checks tell what is not finite
+            rows.append(array[i] * scale.factor if scale.factor != 1.0 else array[i])
         labels.append(Channel(dof, scale.quantity, scale.unit, name, scale.source_unit, i))
     if not rows:
         raise DataError("no channel is left", where=source or None, hint="[channels] excludes them all")

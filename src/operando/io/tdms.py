@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from operando.data import Frf, Provenance, TimeRecord
+from operando.data import Finding, Frf, Provenance, TimeRecord
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
@@ -16,9 +19,6 @@ from operando.io.sep005 import make_record
 from operando.io.uff.increments import tidy_rate
 from operando.io.uff.reader import quick_hash
 from operando.io.variables import Source, make_frf
-
-if TYPE_CHECKING:
-    from operando.data import Finding
 
 _UNIT_KEYS = ("unit_string", "NI_UnitDescription", "Unit")
 
@@ -43,9 +43,15 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
     source = Source(where, [], units, channels, provenance)
     series: dict[tuple[float, float, int], list[tuple[str, str, Any, int]]] = {}
     frfs: list[Frf] = []
-    findings: list[Finding] = []
+    listed, said = _load(path)
+    findings = [
+        Finding(
+            "damaged", f"the TDMS library says: {text}", "warning", where, consequence="samples may be missing", action="export it again"
+        )
+        for text in dict.fromkeys(said)
+    ]
     infos: list[SetInfo] = []
-    for i, (name, unit, increment, offset, values, kind) in enumerate(load_tdms(path)):
+    for i, (name, unit, increment, offset, values, kind) in enumerate(listed):
         note = ""
         rate = stated_rate(units, []) or (tidy_rate(increment) if increment else None)
         if values.dtype.kind not in "biufc" or values.size < 2:
@@ -100,9 +106,14 @@ def load_tdms(path: Path) -> list[tuple[str, str, float, float, Any, str]]:
     FormatError
         If the channels would take memory out of proportion to the file.
     """
+    return _load(path)[0]
+
+
+def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], list[str]]:
+    """The channels of :func:`load_tdms`, and what the library says of damage."""
     nptdms = load_library(str(path))
     found = []
-    with nptdms.TdmsFile.open(str(path)) as file:
+    with _heard() as said, nptdms.TdmsFile.open(str(path)) as file:
         listed = [channel for group in file.groups() for channel in group.channels()]
         needed = sum(len(channel) * (channel.dtype.itemsize if channel.dtype is not None else 8) for channel in listed)
         check_growth(needed, path.stat().st_size, str(path), "what the channels declare")
@@ -113,7 +124,27 @@ def load_tdms(path: Path) -> list[tuple[str, str, float, float, Any, str]]:
             unit = next((str(given[key]) for key in _UNIT_KEYS if given.get(key)), "")
             step, offset = _number(given.get("wf_increment")), _number(given.get("wf_start_offset"))
             found.append((name, unit, step if step > 0 else 0.0, offset, np.asarray(channel[:]), str(given.get("wf_xname", ""))))
-    return found
+    return found, said
+
+
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """What npTDMS logs of damage (data cut off, names that are no Unicode) in a list; it would go to the terminal."""
+    said: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(record.getMessage())
+
+    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("nptdms")]
+    before = [(logger.handlers, logger.propagate) for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.handlers, logger.propagate = [Listener()], False
+        yield said
+    finally:
+        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
 
 
 def _number(value: Any) -> float:
