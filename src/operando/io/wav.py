@@ -32,9 +32,9 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
     path = Path(path)
     where = str(path)
     with open_file(path) as stream:
-        raw = stream.read()
+        raw = memoryview(stream.read())
     chunks = _chunks(raw, where)
-    head = chunks.get(b"fmt ", b"")
+    head = bytes(chunks.get(b"fmt ", b""))
     if len(head) < 16 or b"data" not in chunks:
         raise FormatError("no format or no data in the WAV file", where=where, hint="the file is damaged: export it again")
     coding, count, rate, _, frame, bits = struct.unpack_from("<HHIIHH", head)
@@ -48,12 +48,11 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
             f"coding {coding}, {count} channels of {bits} bits at {rate} Hz, {len(body)} bytes of data: not understood", where=where,
             hint="export PCM or float WAV",
         )  # fmt: skip
-    data = _samples(body, coding, bits).reshape(-1, count).T
+    data = _samples(body, coding, bits, count)
+    del raw, body, chunks
     names = [f"ch{i + 1}" for i in range(count)]
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
-    record = make_record(
-        np.ascontiguousarray(data), float(rate), names, [""] * count, units=units, channels=channels, source=where, provenance=provenance
-    )
+    record = make_record(data, float(rate), names, [""] * count, units=units, channels=channels, source=where, provenance=provenance)
     scale = "as stored" if coding == _FLOAT else "a fraction of full scale"
     note = Finding(
         "missing_unit", f"a WAV file knows no units: the numbers are {scale}", "info", where,
@@ -64,9 +63,9 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
     return Content(where, "wav", (record,), sets=sets, findings=(note, *record.findings))
 
 
-def _chunks(raw: bytes, where: str) -> dict[bytes, bytes]:
+def _chunks(raw: memoryview, where: str) -> dict[bytes, memoryview]:
     """Chunks of the file by name, the first of each; a chunk longer than the file is an error."""
-    found: dict[bytes, bytes] = {}
+    found: dict[bytes, memoryview] = {}
     at = 12
     while at + 8 <= len(raw):
         name, size = struct.unpack_from("<4sI", raw, at)
@@ -80,16 +79,21 @@ def _chunks(raw: bytes, where: str) -> dict[bytes, bytes]:
     return found
 
 
-def _samples(body: bytes, coding: int, bits: int) -> NDArray[np.floating]:
-    """Samples; float32 holds what 24-bit converters give exactly."""
+def _samples(body: memoryview, coding: int, bits: int, count: int) -> NDArray[np.floating]:
+    """(n_channels, n_samples) samples; float32 holds what 24-bit converters give exactly."""
     if coding == _FLOAT:
-        return np.frombuffer(body, f"<f{bits // 8}")
-    if bits == 8:
-        return (np.frombuffer(body, np.uint8).astype(np.float32) - 128) / np.float32(128)
+        return np.ascontiguousarray(np.frombuffer(body, f"<f{bits // 8}").reshape(-1, count).T)
+    data = np.empty((count, len(body) // (count * bits // 8)), np.float64 if bits == 32 else np.float32)
     if bits == 24:
-        parts = np.frombuffer(body, np.uint8).reshape(-1, 3)
-        wide = np.zeros((len(parts), 4), np.uint8)
-        wide[:, 1:] = parts
-        return wide.view("<i4")[:, 0].astype(np.float32) / np.float32(2.0**31)
-    whole = np.frombuffer(body, np.dtype(f"<i{bits // 8}"))
-    return (whole.astype(np.float32) if bits == 16 else whole.astype(np.float64)) / 2.0 ** (bits - 1)
+        parts = np.frombuffer(body, np.uint8).reshape(-1, count, 3)
+        for channel, row in enumerate(data):
+            wide = np.zeros((len(row), 4), np.uint8)
+            wide[:, 1:] = parts[:, channel]
+            row[:] = wide.view("<i4")[:, 0]
+        data /= 2.0**31
+        return data
+    data[:] = np.frombuffer(body, np.uint8 if bits == 8 else np.dtype(f"<i{bits // 8}")).reshape(-1, count).T
+    if bits == 8:
+        data -= 128
+    data /= 2.0 ** (bits - 1)
+    return data
