@@ -73,6 +73,8 @@ def test_lvm_says_what_it_leaves_out_and_refuses_what_is_cut(tmp_path):
     assert "frequency" in content.sets[2].note
     path.write_text(head + lvm_block(data, 0.0, 0.01).replace(f"{data[0, 3]:.6f}", "overrange"))
     assert [f.kind for f in read(path).findings] == ["nan"]
+    path.write_text((head + lvm_block(data, 0.0, 0.01, samples=10)).replace("Multi_Headings\tYes", "Multi_Headings\tNo"))
+    assert read(path).records[0].n_samples == 20
     for text, match in (
         (head + lvm_block(data, 0.0, 0.01, samples=25), "states 25 samples and has 20 rows"),
         (head.replace("***End_of_Header***", ""), "has no end"),

@@ -98,7 +98,7 @@ def write_log(text: str) -> Path:
     """Keep a text in a new log file and return its path."""
     handle, name = tempfile.mkstemp(prefix="operando-", suffix=".log", text=True)
     with os.fdopen(handle, "w", encoding="utf-8") as stream:
-        stream.write(time.strftime("%Y-%m-%d %H:%M:%S\n") + " ".join(sys.argv) + "\n" + text)
+        stream.write(printable(time.strftime("%Y-%m-%d %H:%M:%S\n") + " ".join(sys.argv) + "\n" + text, lines=True))
     return Path(name)
 
 

@@ -24,11 +24,11 @@ _END = "***End_of_Header***"
 
 @dataclass
 class _Block:
-    """One block of samples: its header by key, names of the columns, rows of texts."""
+    """One block of samples: its header by key, names of the columns, lines with their numbers (cells as texts would take too much)."""
 
     header: dict[str, list[str]]
     names: list[str] = field(default_factory=list)
-    rows: list[list[str]] = field(default_factory=list)
+    rows: list[tuple[int, str]] = field(default_factory=list)
     line: int = 0
 
 
@@ -44,7 +44,7 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
     where = str(path)
     with open_file(path) as stream:
         text = stream.read().decode("latin-1")
-    decimal, axes, blocks = _parse(text, where)
+    separator, decimal, axes, blocks = _parse(text, where)
     del text
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
     infos: list[SetInfo] = []
@@ -56,7 +56,7 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
             infos.append(SetInfo(i, 0, title, "ignored", "no samples" if not block.rows else f"its axis is {', '.join(sorted(kinds))}"))
             continue
         step, start = _number(block.header.get("Delta_X", [""])[0], decimal), _number(block.header.get("X0", ["0"])[0], decimal)
-        values, time = _values(block, axes, decimal, where)
+        values, time = _values(block, separator, axes, decimal, where)
         if not step > 0 and time is not None and len(time) > 1:
             step, start = float(time[-1] - time[0]) / (len(time) - 1), float(time[0])
         if not (np.isfinite(step) and step > 0):
@@ -81,8 +81,8 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
     return Content(where, "lvm", tuple(records), sets=tuple(infos), findings=findings)
 
 
-def _parse(text: str, where: str) -> tuple[str, str, list[_Block]]:
-    """Decimal mark, what X columns there are (no, one, multi), blocks."""
+def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block]]:
+    """Separator, decimal mark, what X columns there are (no, one, multi), blocks."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     separator = "," if any(re.match(r"Separator,Comma", line) for line in lines[:30]) else "\t"
     head: dict[str, list[str]] = {}
@@ -100,7 +100,7 @@ def _parse(text: str, where: str) -> tuple[str, str, list[_Block]]:
     for number, line in enumerate(lines[at + 1 :], start=at + 2):
         cells = [c.strip() for c in line.split(separator)]
         if cells[0] == "Channels":
-            header = {}
+            header = {"Multi_Headings": head.get("Multi_Headings", [])}
         if header is not None:
             if line.startswith(_END):
                 blocks.append(_Block(header, line=number))
@@ -114,13 +114,8 @@ def _parse(text: str, where: str) -> tuple[str, str, list[_Block]]:
                     raise FormatError(f"line {number} should name the columns", where=where, hint="expected X_Value and channel names")
                 block.names = _names(cells, len(block.header["Channels"]) and int(block.header["Channels"][0]), axes, where)
             elif cells[0] != "X_Value":
-                most = len(block.names) * (2 if axes == "multi" else 1) + 2  # with the time, and a comment
-                if len(cells) > most and any(cells[most:]):
-                    raise FormatError(
-                        f"line {number}: {len(cells)} cells, expected {most} at most", where=where, hint="remove damaged rows"
-                    )
-                block.rows.append(cells)
-    return decimal, axes, blocks
+                block.rows.append((number, line))
+    return separator, decimal, axes, blocks
 
 
 def _count(header: dict[str, list[str]], cells: list[str], where: str, number: int) -> int:
@@ -138,13 +133,24 @@ def _names(cells: list[str], count: int, axes: str, where: str) -> list[str]:
     return [name or f"ch{i + 1}" for i, name in enumerate(names[:count])]
 
 
-def _values(block: _Block, axes: str, decimal: str, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def _values(block: _Block, separator: str, axes: str, decimal: str, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """(n_channels, n_samples) numbers and the time column if there is one; cells left empty are NaN."""
     count = len(block.names)
     columns = [0, *range(1, 2 * count, 2)] if axes == "multi" else list(range(count + 1))
-    table = np.array([[_number(row[c], decimal) if c < len(row) else np.nan for c in columns] for row in block.rows])
+    most = count * (2 if axes == "multi" else 1) + 2  # with the time, and a comment
+    table = np.full((len(block.rows), len(columns)), np.nan)
+    for i, (number, line) in enumerate(block.rows):
+        cells = line.split(separator)
+        if len(cells) > most and any(cell.strip() for cell in cells[most:]):
+            reason = f"line {number}: {len(cells)} cells, expected {most} at most"
+            raise FormatError(reason, where=where, hint="remove damaged rows")
+        for k, c in enumerate(columns):
+            if c < len(cells):
+                table[i, k] = _number(cells[c], decimal)
     stated = [int(_number(s, decimal)) for s in block.header.get("Samples", []) if np.isfinite(_number(s, decimal))]
-    if stated and max(stated) != len(table):
+    # with one heading for all blocks, those after the first follow without a word
+    one_heading = block.header["Multi_Headings"][:1] == ["No"] and stated and len(table) % max(1, max(stated)) == 0
+    if stated and max(stated) != len(table) and not one_heading:
         raise FormatError(
             f"the block from line {block.line} states {max(stated)} samples and has {len(table)} rows", where=where,
             hint="the file is cut off or damaged: export it again",
