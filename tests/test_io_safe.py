@@ -57,6 +57,19 @@ def test_files_that_did_harm_are_refused_in_time_and_memory(path):
     assert float(megabytes) < 5 * path.stat().st_size / 1e6 + 200
 
 
+@pytest.mark.skipif(not HARMFUL, reason="the folder of harmful files beside the project is missing")
+def test_a_results_file_that_hangs_the_library_is_refused_by_commands(tmp_path):
+    from click.testing import CliRunner
+
+    from operando.cli import main
+
+    (tmp_path / "model.h5").write_bytes((FAULTS / "h6af48a6ad8.h5").read_bytes())
+    done = CliRunner().invoke(main, ["report", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "no end within" in done.stderr
+    assert "fault of the program" not in done.stderr
+
+
 def mat73(path, fill):
     with h5py.File(path, "w", userblock_size=512) as file:
         fill(file)

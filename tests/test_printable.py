@@ -103,3 +103,34 @@ def test_csv_cells_are_no_formulas(tmp_path):
     labelled = TimeRecord(np.ones((1, 3)), 10.0, (Channel(Dof(12, "Z"), "force", "N"),))
     write_csv(tmp_path / "b.csv", labelled)
     assert (tmp_path / "b.csv").read_text().splitlines()[1] == "time [s],12+Z [N]"
+
+
+@pytest.mark.slow
+def test_a_whole_run_on_nasty_names(tmp_path):
+    """Names of test, files and channels through all stages: terminal, summary, comparison, diagnosis, report, UFF texts."""
+    from dataclasses import replace
+
+    import measurements
+    from operando.io import write_hdf5
+
+    place = tmp_path / "nasty"
+    measurements.write_test(place, check=True)
+    for file in sorted(place.rglob("*.uff")):
+        records = read(file).records
+        if not records:
+            continue
+        file.unlink()
+        named = [replace(r, channels=tuple(replace(c, name=f"{NASTY}{i}") for i, c in enumerate(r.channels)), name=NASTY) for r in records]
+        write_hdf5(file.with_name(f"{file.stem}\x1b[31m\u202e<script>.h5"), {f"record{i}": r for i, r in enumerate(named)})
+    text = (place / "test.toml").read_text().replace("*.uff", "*.h5").replace("chain", r"\u001b[31m\u202e<script>alert(1)</script>")
+    (place / "test.toml").write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "operando", "run", str(place / "test.toml"), "-o", str(tmp_path / "out")], capture_output=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert not acts((done.stdout + done.stderr).decode())
+    texts = [p for p in (tmp_path / "out").iterdir() if p.suffix in (".json", ".html")]
+    assert len(texts) >= 4
+    for path in texts:
+        assert not acts(path.read_text(encoding="utf-8")), path.name
+    assert (tmp_path / "out/report.html").read_text(encoding="utf-8").count("<script") == 1
