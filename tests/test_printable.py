@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 import sys
 import unicodedata
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
 from operando.cli import main
