@@ -14,9 +14,6 @@ _PATTERN = re.compile(r"^\s*(\d+)\s*(?:([+-])?\s*(R?[XYZ]))?\s*$", re.IGNORECASE
 _NAMED = re.compile(r"^\s*(\d+)([+-])([a-z][a-z0-9_]{0,15})\s*$")
 _NAME = re.compile(r"^[a-z][a-z0-9_]{0,15}$")
 
-MAX_DIGITS = 18
-"""Most digits of a node number: what a whole number of 64 bits holds (HDF5, NumPy); UFF has ten."""
-
 
 @dataclass(frozen=True, slots=True, order=True)
 class Dof:
@@ -64,13 +61,11 @@ class Dof:
             return text
         match = _PATTERN.match(str(text))
         named = _NAMED.match(str(text)) if match is None else None
-        if named is not None and len(named[1]) <= MAX_DIGITS:
+        if named is not None:
             return cls(int(named[1]), named[3], -1 if named[2] == "-" else 1)
         if match is None:
             raise DofError(f"{text!r} is no DOF label", hint="write node, sign, axis, as in 12+Z, 7-X, 101+RY, or 12")
         node, sign, axis = match.groups()
-        if len(node) > MAX_DIGITS:
-            raise DofError(f"a node number of {len(node)} digits", hint=f"node numbers have at most {MAX_DIGITS} digits")
         return cls(int(node), (axis or "").upper(), -1 if sign == "-" else 1)
 
     @classmethod

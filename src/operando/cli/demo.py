@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from operando.cli.answer import Answer, answers, say
+from operando.cli.answer import Answer, answers
 from operando.cli.story import Clock, run_answer, test_options
 
 
@@ -22,7 +22,7 @@ def demo(output: str, second_opinion: bool) -> Answer:
     test = load_test(example_folder() / "test.toml")
     if second_opinion:
         test = test.with_analysis(second_opinion=True)
-    say(f"Example test: {test.path} ({len(test.files)} files)")
+    click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
     out = Path(output)
     return run_answer(run(test, out, progress=Clock()), out, None)
 

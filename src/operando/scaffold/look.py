@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from operando.errors import ConfigError, MissingError, OperandoError
+from operando.io.atomic import replacing
 from operando.scaffold.band import excited_band, proposed_band
 from operando.scaffold.labels import Seen, labelled
 from operando.scaffold.text import can_be_named, file_text
@@ -287,9 +288,5 @@ def write_test(made: Scaffold, path: str | Path, *, overwrite: bool = False) -> 
     if path.exists() and not overwrite:
         raise ConfigError("exists already", where=str(path), hint="choose another name with -o, or --force to write over it")
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(made.text, encoding="utf-8")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path, "w", encoding="utf-8") as stream:
+        stream.write(made.text)

@@ -28,14 +28,14 @@ SLOWEST_BYTES_PER_S = 20e6
 START_LIMIT_S = 60.0
 """Time for the helper to start [s]: it loads NumPy and h5py, a second at most from a local disk."""
 
-_Stamp = tuple[int, int, int]
-_trusted: dict[tuple[str, str], _Stamp] = {}
+_Stamp = tuple[int, int, int, int]
+_trusted: set[tuple[str, _Stamp]] = set()  # a file keeps its stamp when it is renamed
 _lock = threading.Lock()
 
 
 def _stamp(path: Path) -> _Stamp:
     state = path.stat()
-    return state.st_size, state.st_mtime_ns, state.st_ino
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns
 
 
 def trust(path: str | Path, kind: str) -> None:
@@ -47,9 +47,8 @@ def trust(path: str | Path, kind: str) -> None:
     kind : {"hdf5", "matlab", "tdms"}
         Library that reads it.
     """
-    path = Path(path).resolve()
     with contextlib.suppress(OSError):
-        _trusted[str(path), kind] = _stamp(path)
+        _trusted.add((kind, _stamp(Path(path))))
 
 
 def try_apart(path: str | Path, kind: str) -> None:
@@ -72,15 +71,15 @@ def try_apart(path: str | Path, kind: str) -> None:
         stamp = _stamp(path)
     except OSError as error:
         raise MissingError("no such file" if isinstance(error, FileNotFoundError) else str(error.strerror), where=str(path)) from error
-    if _trusted.get((str(path.resolve()), kind)) == stamp:
+    if (kind, stamp) in _trusted:
         return
-    limit = TIME_LIMIT_S + stamp[0] / SLOWEST_BYTES_PER_S
+    limit = TIME_LIMIT_S + path.stat().st_size / SLOWEST_BYTES_PER_S
     with _lock:
         reply = _helper().ask({"kind": kind, "path": str(path.resolve()), "limit_s": limit}, limit)
     if reply is not None:
         if reply["message"]:
             raise FormatError(str(reply["message"]), where=str(path), hint=reply["hint"])
-        _trusted[str(path.resolve()), kind] = stamp
+        _trusted.add((kind, stamp))
         return
     raise FormatError(
         f"the file makes the reader of {kind.upper()} files fail: no end within {limit:.0f} s, or the reading process died",
