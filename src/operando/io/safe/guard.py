@@ -102,10 +102,12 @@ class _Helper:
         self.owner = os.getpid()
         self.lines: queue.Queue[str] = queue.Queue()
         # -P: a folder of measurements is no place to import from
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-c", code, root], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-            encoding="utf-8", env=os.environ | one_thread,
-        )  # fmt: skip
+        command = [sys.executable, "-P", "-W", "ignore", "-c", code, root]
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        try:
+            self.process = subprocess.Popen(command, **pipes, text=True, encoding="utf-8", env=os.environ | one_thread)
+        except OSError as error:
+            raise MissingError(f"the helper process that tries files cannot be started: {error.strerror}", where=sys.executable) from error
         threading.Thread(target=self._listen, daemon=True).start()
         if self._hear(START_LIMIT_S) is None:
             self.end()
