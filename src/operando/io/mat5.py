@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import warnings
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,8 +33,14 @@ def read_mat5(path: str | Path) -> dict[str, Any]:
     return _load(Path(path))
 
 
-def try_mat5(path: Path) -> None:
+def try_mat5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
     """Check the sizes of all variables, then read them once.
+
+    Parameters
+    ----------
+    path : Path
+    alive : callable
+        Called after every variable: the trial goes on.
 
     Raises
     ------
@@ -58,6 +65,7 @@ def try_mat5(path: Path) -> None:
             else:
                 total += length
                 stream.seek(length, 1)
+            alive()
     _load(path)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -98,19 +98,20 @@ def load_library(where: str) -> Any:
     return nptdms
 
 
-def load_tdms(path: Path) -> list[tuple[str, str, float, float, Any, str]]:
-    """Name, unit, increment (0: none), offset, values and name of the axis of each channel.
+def try_tdms(path: Path, alive: Callable[[], None] = lambda: None) -> None:
+    """Read all channels once (see :func:`operando.io.safe.try_apart`)."""
+    alive()
+    _load(path)
+
+
+def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], list[str]]:
+    """Name, unit, increment (0: none), offset, values and name of the axis of each channel; what the library says of damage.
 
     Raises
     ------
     FormatError
         If the channels would take memory out of proportion to the file.
     """
-    return _load(path)[0]
-
-
-def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], list[str]]:
-    """The channels of :func:`load_tdms`, and what the library says of damage."""
     nptdms = load_library(str(path))
     found = []
     with _heard() as said, nptdms.TdmsFile.open(str(path)) as file:

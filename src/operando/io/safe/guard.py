@@ -20,9 +20,11 @@ from typing import Any
 
 from operando.errors import FormatError, MissingError
 
-TIME_LIMIT_S = 3.0
-"""Time to try a small file [s]. Files of some kB take milliseconds; three seconds leave room for a machine under load, and end well
-below the ten seconds after which a command counts as hanging."""
+TIME_LIMIT_S = 2.0
+"""Computing time without a sign of life [s]: the next object of the file. Objects take half a millisecond."""
+WAITING = 3.5
+"""Waiting time over computing time: other processes want the machine, too. With it a small file that hangs is given up after seven
+seconds, below the ten after which a command counts as hanging."""
 SLOWEST_BYTES_PER_S = 20e6
 """Reading rate that is still waited for: a network drive of 200 Mbit/s."""
 START_LIMIT_S = 60.0
@@ -75,16 +77,15 @@ def try_apart(path: str | Path, kind: str) -> None:
         return
     limit = TIME_LIMIT_S + path.stat().st_size / SLOWEST_BYTES_PER_S
     with _lock:
-        reply = _helper().ask({"kind": kind, "path": str(path.resolve()), "limit_s": limit}, limit)
+        reply = _helper().ask({"kind": kind, "path": str(path.resolve()), "limit_s": limit}, WAITING * limit)
     if reply is not None:
         if reply["message"]:
             raise FormatError(str(reply["message"]), where=str(path), hint=reply["hint"])
         _trusted.add((kind, stamp))
         return
+    reason = f"no progress within {limit:.0f} s of computing, or the reading process died"
     raise FormatError(
-        f"the file makes the reader of {kind.upper()} files fail: no end within {limit:.0f} s, or the reading process died",
-        where=str(path),
-        hint="the file is damaged: export it again",
+        f"the file makes the reader of {kind.upper()} files fail: {reason}", where=str(path), hint="the file is damaged: export it again"
     )
 
 
@@ -128,13 +129,15 @@ class _Helper:
         return json.loads(line) if line else None
 
     def ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any] | None:
-        """Answer to a request, None (and the end of the helper) if none comes in time."""
+        """Answer to a request, None (and the end of the helper) if no sign of life comes in time."""
         assert self.process.stdin is not None
         reply = None
         try:
             self.process.stdin.write(json.dumps(request) + "\n")
             self.process.stdin.flush()
-            reply = self._hear(limit_s + 1.0)  # the helper's own alarm comes first
+            reply = self._hear(limit_s)
+            while reply is not None and "alive" in reply:
+                reply = self._hear(limit_s)
         except OSError:
             pass
         finally:

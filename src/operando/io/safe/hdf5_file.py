@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,8 +37,14 @@ def opened_hdf5(path: str | Path) -> Iterator[h5py.File]:
         yield file
 
 
-def try_hdf5(path: Path) -> None:
+def try_hdf5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
     """Check every link and the size of every dataset, then read everything once.
+
+    Parameters
+    ----------
+    path : Path
+    alive : callable
+        Called at every object: the trial goes on, however many there are.
 
     Raises
     ------
@@ -49,13 +55,14 @@ def try_hdf5(path: Path) -> None:
 
     with h5py.File(path, "r") as file:
         datasets: list[h5py.Dataset] = []
-        _collect(file, path, datasets, {_address(file)})
+        _collect(file, path, datasets, {_address(file)}, alive)
         needed = 0
         for dataset in datasets:
             needed += _declared(dataset, path)
             check_growth(needed, path.stat().st_size, str(path), f"what dataset {dataset.name!r} and those before it declare")
         for dataset in datasets:
-            _read(dataset, path)
+            alive()
+            _read(dataset, path, alive)
 
 
 def _address(item: h5py.Group | h5py.Dataset) -> int:
@@ -64,26 +71,34 @@ def _address(item: h5py.Group | h5py.Dataset) -> int:
     return int(h5py.h5o.get_info(item.id).addr)
 
 
-def _collect(group: h5py.Group, path: Path, datasets: list[h5py.Dataset], seen: set[int]) -> None:
+def _collect(group: h5py.Group, path: Path, datasets: list[h5py.Dataset], seen: set[int], alive: Callable[[], None]) -> None:
     """All datasets below a group; every object is reached by one hard link."""
     import h5py
 
-    dict(group.attrs)
+    _read_attributes(group)
     waiting = [group]
     while waiting:
         place = waiting.pop()
         for name in place:
-            if not isinstance(place.get(name, getlink=True), h5py.HardLink):
+            alive()
+            if place.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
                 raise FormatError(f"{name!r} in {place.name!r} is a link to another place or file", where=str(path), hint=_FOREIGN)
             item = place[name]
             if _address(item) in seen:
                 raise FormatError(f"{name!r} in {place.name!r} is linked a second time", where=str(path), hint="the file is damaged")
             seen.add(_address(item))
-            dict(item.attrs)
+            _read_attributes(item)
             if isinstance(item, h5py.Group):
                 waiting.append(item)
             elif isinstance(item, h5py.Dataset):
                 datasets.append(item)
+
+
+def _read_attributes(item: h5py.Group | h5py.Dataset) -> None:
+    import h5py
+
+    if h5py.h5a.get_num_attrs(item.id):
+        dict(item.attrs)
 
 
 def _declared(dataset: h5py.Dataset, path: Path) -> int:
@@ -109,16 +124,17 @@ def _declared(dataset: h5py.Dataset, path: Path) -> int:
     return max(declared, math.prod(dataset.chunks) * width if dataset.chunks else 0)
 
 
-def _read(dataset: h5py.Dataset, path: Path) -> None:
+def _read(dataset: h5py.Dataset, path: Path, alive: Callable[[], None]) -> None:
     """Read the values part by part and throw them away; texts of any length are counted."""
     if dataset.shape is None:  # holds no value
         return
-    if dataset.ndim == 0 or not dataset.size:
+    if dataset.ndim == 0 or not dataset.size or (dataset.dtype.kind != "O" and not dataset.chunks and dataset.nbytes <= _BLOCK):
         dataset[()]
         return
     texts = 0
     size = path.stat().st_size
     for part in dataset.iter_chunks() if dataset.chunks else _rows(dataset):
+        alive()
         block = dataset[part]
         if dataset.dtype.kind == "O":
             texts += sum(len(item) for item in block.ravel().tolist() if isinstance(item, bytes | str))

@@ -7,13 +7,16 @@ import json
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from operando.errors import OperandoError
 from operando.io.safe.limits import memory_allowed
 
+SIGN_EVERY_S = 0.25
+"""Time between signs of life [s]."""
 NAMES = {"hdf5": "HDF5", "matlab": "a MATLAB file", "tdms": "TDMS"}
 
 
@@ -26,16 +29,38 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints is no answer
     print(json.dumps({"ready": True}), file=answers, flush=True)
     for line in sys.stdin:
-        print(json.dumps(_answer(json.loads(line))), file=answers, flush=True)
+        print(json.dumps(_answer(json.loads(line), answers)), file=answers, flush=True)
 
 
-def _answer(request: dict[str, Any]) -> dict[str, Any]:
+class _Watch:
+    """Ends the process when it computes for too long without a sign of life; tells the asking process at every sign."""
+
+    def __init__(self, limit_s: float, answers: IO[str]) -> None:
+        self.limit_s, self.answers, self.told = limit_s, answers, time.monotonic()
+        self._set(limit_s)
+
+    def alive(self) -> None:
+        """The trial goes on."""
+        if time.monotonic() - self.told > SIGN_EVERY_S:
+            self.told = time.monotonic()
+            self._set(self.limit_s)
+            print(json.dumps({"alive": True}), file=self.answers, flush=True)
+
+    def end(self) -> None:
+        """The trial is over."""
+        self._set(0.0)
+
+    def _set(self, seconds: float) -> None:
+        # Time of computing, so that a machine under load refuses no file. No handler: the process ends also in the middle of C code.
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
+def _answer(request: dict[str, Any], answers: IO[str]) -> dict[str, Any]:
     path = Path(request["path"])
-    alarm = getattr(signal, "setitimer", None)
-    if alarm is not None:
-        alarm(signal.ITIMER_REAL, float(request["limit_s"]))  # no handler: the process ends, also in the middle of C code
+    watch = _Watch(float(request["limit_s"]), answers)
     try:
-        _try(path, str(request["kind"]))
+        _try(path, str(request["kind"]), watch.alive)
         return {"message": "", "hint": None}
     except OperandoError as error:
         return {"message": error.message, "hint": error.hint}
@@ -48,12 +73,11 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
             "hint": "the file is damaged: export it again",
         }
     finally:
-        if alarm is not None:
-            alarm(signal.ITIMER_REAL, 0.0)
+        watch.end()
 
 
-def _try(path: Path, kind: str) -> None:
-    try_file: Callable[[Path], Any]
+def _try(path: Path, kind: str, alive: Callable[[], None]) -> None:
+    try_file: Callable[[Path, Callable[[], None]], None]
     # imported before the memory is limited
     if kind == "matlab":
         import scipy.io  # noqa: F401
@@ -61,13 +85,13 @@ def _try(path: Path, kind: str) -> None:
         from operando.io.mat5 import try_mat5 as try_file
     elif kind == "tdms":
         from operando.io.tdms import load_library
-        from operando.io.tdms import load_tdms as try_file
+        from operando.io.tdms import try_tdms as try_file
 
         load_library(str(path))
     else:
         from operando.io.safe.hdf5_file import try_hdf5 as try_file
     with _memory_limited(path.stat().st_size):
-        try_file(path)
+        try_file(path, alive)
 
 
 @contextlib.contextmanager
