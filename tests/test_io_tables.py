@@ -160,28 +160,24 @@ def test_matlab_structures(tmp_path):
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_matlab_reader_against_scipy(tmp_path, compressed):
-    from scipy.io import loadmat, savemat
+def test_matlab_variables_are_found_in_structures_and_cells(tmp_path, compressed):
+    from scipy.io import savemat
 
-    from operando.io.mat5 import read_mat5
+    from operando.io.matlab import read_variables
 
     rng = np.random.default_rng(0)
     variables = {
-        "a": rng.normal(size=(3, 4, 2)), "b": rng.normal(size=(2, 2)) + 1j, "c": np.arange(5, dtype=np.int16), "d": np.float32(2.5),
-        "e": 3.0, "s": {"x": np.eye(2), "y": {"z": "text ü", "w": np.array(["one", "three"], dtype=object)}}, "t": "abc",
-        "u": np.zeros((0, 3)), "list": np.array([{"k": 1.0}, {"k": 2.0}]), "bool": np.array([True, False]),
-        "single": np.ones(3, np.complex64),
+        "a": rng.normal(size=(3, 4, 2)), "b": rng.normal(size=(2, 2)) + 1j, "d": np.float32(2.5),
+        "s": {"x": np.eye(2), "y": {"z": "text ü", "w": np.array(["one", "three"], dtype=object)}}, "t": "abc",
+        "list": np.array([{"k": 1.0}, {"k": 2.0}]), "single": np.ones(3, np.complex64),
     }  # fmt: skip
     savemat(tmp_path / "a.mat", variables, do_compression=compressed)
-    theirs = loadmat(tmp_path / "a.mat")
-    ours = read_mat5((tmp_path / "a.mat").read_bytes())
-    assert ours.keys() == {k for k in theirs if not k.startswith("__")}
-    for name in ("a", "b", "c", "d", "e", "u", "bool", "single"):
-        np.testing.assert_array_equal(ours[name], theirs[name])
-    assert {n: ours[n].dtype for n in "abcde"} == {n: theirs[n].dtype for n in "abcde"}
-    np.testing.assert_array_equal(ours["s"]["x"], np.eye(2))
-    assert ours["s"]["y"] == {"z": "text ü", "w": ["one", "three"]}
-    assert (ours["t"], ours["list"][1]["k"].item()) == ("abc", 2.0)
+    found = {v.path: v.value for v in read_variables(tmp_path / "a.mat")}
+    assert found.keys() == {"a", "b", "d", "s.x", "s.y.z", "s.y.w", "t", "list0.k", "list1.k", "single"}
+    np.testing.assert_array_equal(found["a"], variables["a"])
+    np.testing.assert_array_equal(found["b"], variables["b"])
+    assert found["single"].dtype == np.complex64
+    assert (found["s.y.z"], found["s.y.w"], found["t"], found["list1.k"].item()) == (["text ü"], ["one", "three"], ["abc"], 2.0)
 
 
 def test_matlab_7_3(tmp_path):
@@ -295,8 +291,9 @@ def test_conversion_says_what_is_lost(tmp_path):
     assert any("sense of DOFs" in text for text in lost)
     out = convert(tmp_path / "a.uff", tmp_path / "a.csv")
     assert any("modal model" in text for text in out["lost"])
+    write_hdf5(tmp_path / "m.h5", {"model": model})
     with pytest.raises(FormatError, match="nothing to write"):
-        convert(tmp_path / "a.h5", tmp_path / "b.csv")
+        convert(tmp_path / "m.h5", tmp_path / "b.csv")
     with pytest.raises(FormatError, match="tells no format"):
         convert(tmp_path / "a.uff", tmp_path / "b.xyz")
 

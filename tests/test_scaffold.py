@@ -35,6 +35,7 @@ def test_folders_name_the_states(folder):
         "geometry.uff": "geometry",
         "idle/run1.uff": "idle records",
         "idle/run2.uff": "idle records",
+        "notes.md": "ignored",
         "operating/run1.uff": "operating records",
     }
     assert all(t.sure for t in made.taken)
@@ -101,3 +102,96 @@ def test_command(folder):
     done = CliRunner().invoke(main, ["init", str(folder), "--force"])
     assert done.exit_code == 0
     assert "idle/run1.uff" in done.stdout
+
+
+def test_every_file_is_listed_with_its_reason(folder):
+    (folder / "notes.md").write_text("x")
+    (folder / ".hidden").write_text("x")
+    (folder / "old").mkdir()
+    (folder / "old/summary.json").write_text("{}")
+    (folder / "old/idle_frf.uff").write_text("x")
+    (folder / "test.toml").write_text("")
+    made = scaffold(folder)
+    reasons = {t.file.relative_to(folder).as_posix(): t.reason for t in made.taken if t.role == "ignored"}
+    assert reasons == {
+        ".hidden": "a hidden file",
+        "notes.md": "not looked at: .md files hold no measurement",
+        "old": "a results folder",
+        "test.toml": "a test file or settings, no measurement",
+    }
+
+
+def test_a_silent_force_channel_is_no_force(folder, tmp_path):
+    """A hammer that lies beside the running machine is recorded, too."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from operando.io import read, write_uff
+
+    record = read(folder / "idle/run1.uff").records[0]
+    (row,) = record.force_indices
+    flat = tmp_path / "flat"
+    flat.mkdir()
+    quiet = np.array(record.data)
+    quiet[row] *= 1e-3
+    write_uff(flat / "a.uff", record)
+    write_uff(flat / "b.uff", replace(record, data=quiet))
+    made = scaffold(flat)
+    assert roles(made, flat) == {"a.uff": "idle records", "b.uff": "operating records"}
+    assert "silent" in made.taken[1].reason
+
+
+def test_a_band_is_proposed_from_the_forces(tmp_path):
+    """A force with power between 20 and 60 Hz only."""
+    import numpy as np
+    from scipy.signal import butter, sosfilt
+
+    from operando.data import Channel, TimeRecord
+    from operando.dof import Dof
+    from operando.io import write_uff
+
+    force = sosfilt(butter(8, (20, 60), "bandpass", fs=512, output="sos"), np.random.default_rng(0).normal(size=1 << 14))
+    channels = (Channel(Dof(1, "Z"), "force", "N"), Channel(Dof(1, "Z"), "acceleration", "m/s2"))
+    write_uff(tmp_path / "idle.uff", TimeRecord(np.stack([force, np.roll(force, 1)]), 512.0, channels))
+    made = scaffold(tmp_path)
+    low, high = json.loads(next(line for line in made.text.splitlines() if line.startswith("# band")).split("=")[1].split("#")[0])
+    assert 12 < low < 21  # where the force has lost 17 dB, a fiftieth of its power
+    assert 59 < high < 75
+    write_test(made, tmp_path / "test.toml")
+    assert load_test(tmp_path).analysis.band is None  # a proposal, not a setting
+
+
+def test_columns_of_bare_tables_are_proposed(tmp_path):
+    import numpy as np
+
+    f = np.arange(1, 100) * 0.5
+    h = 1 / (40**2 - f**2 + 2j * f)
+    for i in range(2):
+        np.savetxt(tmp_path / f"h{i}.txt", np.column_stack([f, 20 * np.log10(np.abs(h)), np.degrees(np.angle(h))]))
+    np.savetxt(tmp_path / "other.txt", np.column_stack([f, np.abs(h), np.angle(h)]))
+    made = scaffold(tmp_path)
+    assert roles(made, tmp_path) == {"h0.txt": "idle frfs", "h1.txt": "idle frfs", "other.txt": "ignored"}
+    assert 'columns = ["Hz", "dB", "deg"]' in made.text
+    write_test(made, tmp_path / "test.toml")
+    assert load_test(tmp_path).units["columns"] == ["Hz", "dB", "deg"]
+    assert any("guessed: columns" in note for note in made.notes)
+
+
+def test_names_cannot_write_into_the_test_file(tmp_path):
+    """Line ends, quotes and escapes in names stay names."""
+    import tomllib
+
+    from operando.scaffold.text import can_be_named, quoted
+
+    for name in ('a"b', "a\\b", "a\n[analysis]\nband = [1, 2]", "a\x1b\x7f\u202e\U000e0001", "µ é ''' #"):
+        assert tomllib.loads(f"{quoted(name)} = {quoted(name)}") == {name: name}
+    assert not can_be_named(tmp_path / "a\udcff.uff")
+    place = tmp_path / "evil\n[analysis]\nband = [1, 2]\n#"
+    place.mkdir()
+    rows = "\n".join(f"{i / 100},{i % 3},{i % 5}" for i in range(50))
+    (place / "run\n[x]\ny=1.csv").write_text(f"time [s],1+Z [g],F [N]\n{rows}\n")
+    made = scaffold(place)
+    table = tomllib.loads(made.text)
+    assert "x" not in table
+    assert "band" not in table["analysis"]

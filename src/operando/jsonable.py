@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -9,6 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from operando.dof import Dof
+from operando.printable import json_escaped
+
+
+def json_text(document: Any) -> str:
+    r"""JSON document of operando's objects, readable; what acts on a terminal (control characters, direction marks) as ``\u…``.
+
+    Parameters
+    ----------
+    document : object
+        See :func:`jsonable`.
+    """
+    return json_escaped(json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False))
 
 
 def jsonable(value: Any) -> Any:

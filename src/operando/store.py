@@ -49,9 +49,7 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
     FormatError
         If it is no results file of operando, or damaged.
     """
-    import h5py
-
-    from operando.io import read_object
+    from operando.io import UNREADABLE, check_fields, opened_hdf5, read_object
 
     path = Path(path)
     if path.is_dir():
@@ -60,12 +58,14 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
         raise MissingError("there is no model.h5", where=str(path.parent), hint="make one with `operando run test.toml -o DIR`")
     wanted = _NAMES if only is None else ("name", *only)
     try:
-        with h5py.File(path, "r") as file:
+        with opened_hdf5(path) as file:
             if "name" not in file:
                 raise FormatError("an HDF5 file, but no results of operando", where=str(path), hint="expected model.h5 of a results folder")
             values: dict[str, Any] = {name: read_object(file[name]) for name in _NAMES if name in wanted and name in file}
+        results = Results(**values)
     except OperandoError:
         raise
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+    except UNREADABLE as error:
         raise FormatError(f"cannot be read: {error}", where=str(path), hint="rebuild it with `operando run`") from error
-    return Results(**values)
+    check_fields(results, str(path))
+    return results

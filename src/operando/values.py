@@ -11,6 +11,7 @@ from typing import Any
 from operando.dof import Dof
 from operando.entries import Entry
 from operando.errors import ConfigError, DofError, UnitError
+from operando.io.columns import check_columns
 from operando.units import SI_UNIT, parse_unit
 
 ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
@@ -84,12 +85,14 @@ def unit(text: Any, quantity: str | None, where: Entry) -> str:
 
 def units(table: Mapping[str, Any], where: Entry) -> dict[str, Any]:
     """The section [units]."""
-    check_keys(table, (*SI_UNIT, "length", "sampling_hz"), where)
+    check_keys(table, (*SI_UNIT, "length", "sampling_hz", "columns"), where)
     out: dict[str, Any] = {}
     for quantity, text in table.items():
         here = where.at(quantity)
         if quantity == "sampling_hz":
             out[quantity] = _positive(text, here)
+        elif quantity == "columns":
+            out[quantity] = list(check_columns(text, str(here)))
         else:
             out[quantity] = unit(text, "displacement" if quantity == "length" else quantity, here)
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from typing import Any
 
@@ -81,10 +82,10 @@ class LazyGroup(click.Group):
                 usage = error.ctx.get_usage() if error.ctx is not None else None
                 hint = error.hint if isinstance(error, UnknownCommand) else usage
                 print_json({"schema": "operando/error/1", "error": error.format_message(), "where": "command line", "hint": hint})
-            error.show()
+            _show(error)
             sys.exit(2)
         except click.ClickException as error:
-            error.show()
+            _show(error)
             sys.exit(error.exit_code)
         except (click.Abort, KeyboardInterrupt):
             click.echo("interrupted", err=True)
@@ -93,6 +94,15 @@ class LazyGroup(click.Group):
             sys.stdout = None
             sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _show(error: click.ClickException) -> None:
+    """What click says of wrong usage; words of the command line may come from file names and are shown, not sent to the terminal."""
+    from operando.printable import printable
+
+    text = io.StringIO()
+    error.show(text)
+    click.echo(printable(text.getvalue(), lines=True), err=True, nl=False)
 
 
 @click.command(

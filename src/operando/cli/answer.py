@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 import os
 import sys
 import tempfile
@@ -19,7 +18,8 @@ from typing import Any
 import click
 
 from operando.errors import OperandoError
-from operando.jsonable import jsonable
+from operando.jsonable import json_text
+from operando.printable import printable
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Answer:
 
 def print_json(document: dict[str, Any]) -> None:
     """One JSON document on stdout."""
-    sys.stdout.write(json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.write(json_text(document) + "\n")
     sys.stdout.flush()
 
 
@@ -69,9 +69,9 @@ def answers(function: Callable[..., Answer]) -> Callable[..., int]:
             failed = None if answer.failure is None else answer.failure.to_dict() | {"partial": answer.document}
             print_json(answer.document if failed is None else failed)
         elif answer.text:
-            click.echo(answer.text)
+            say(answer.text, err=False)
         if answer.failure is not None:
-            click.echo(f"operando: {answer.failure}", err=True)
+            say(f"operando: {answer.failure}")
             return 1
         return 0
 
@@ -81,7 +81,7 @@ def answers(function: Callable[..., Answer]) -> Callable[..., int]:
 def _fail(error: OperandoError, as_json: bool, code: int = 1) -> int:
     if as_json:
         print_json(error.to_dict())
-    click.echo(f"operando: {error}", err=True)
+    say(f"operando: {error}")
     return code
 
 
@@ -98,21 +98,24 @@ def write_log(text: str) -> Path:
     """Keep a text in a new log file and return its path."""
     handle, name = tempfile.mkstemp(prefix="operando-", suffix=".log", text=True)
     with os.fdopen(handle, "w", encoding="utf-8") as stream:
-        stream.write(time.strftime("%Y-%m-%d %H:%M:%S\n") + " ".join(sys.argv) + "\n" + text)
+        stream.write(printable(time.strftime("%Y-%m-%d %H:%M:%S\n") + " ".join(sys.argv) + "\n" + text, lines=True))
     return Path(name)
 
 
 def _short_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
-    return f"warning: {message}\n"
+    return f"warning: {printable(message)}\n"
+
+
+def say(text: str, err: bool = True) -> None:
+    """Text on stderr or stdout; what a file put into it cannot act on the terminal."""
+    click.echo(printable(text, lines=True), err=err)
 
 
 def table(rows: Iterable[Sequence[object]], head: Sequence[str]) -> str:
     """A plain text table; numbers to the right."""
-    body = [[cell if isinstance(cell, str) else _cell(cell) for cell in row] for row in rows]
-    right = [all(not isinstance(c, str) for c in column) for column in zip(*body, strict=True)] if body else [False] * len(head)
+    body = [[printable(cell if isinstance(cell, str) else _cell(cell)) for cell in row] for row in rows]
     widths = [max(len(h), *(len(r[i]) for r in body)) if body else len(h) for i, h in enumerate(head)]
     numeric = [_looks_numeric([r[i] for r in body]) for i in range(len(head))]
-    del right
     lines = [list(head), *body]
     return "\n".join("  ".join(c.rjust(w) if n else c.ljust(w) for c, w, n in zip(r, widths, numeric, strict=True)).rstrip() for r in lines)
 

@@ -6,9 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from operando.cli.answer import Answer, table
+from operando.cli.answer import Answer, say, table
 from operando.errors import IdentificationError, OperandoError
 
 if TYPE_CHECKING:
@@ -30,7 +28,7 @@ class Clock:
         self.start = time.perf_counter()
 
     def __call__(self, stage: str, message: str) -> None:
-        click.echo(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}", err=True)
+        say(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}")
 
 
 def run_answer(results: Results, out: Path, until: str | None) -> Answer:

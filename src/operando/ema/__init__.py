@@ -7,6 +7,7 @@ from operando.ema.lsfd import lsfd
 from operando.ema.plscf import OrderPoles, plscf
 from operando.ema.rigid_body import RigidBodyMass, rigid_body_mass
 from operando.ema.second_opinion import second_opinion
+from operando.ema.spectra import excited_limits
 from operando.indicators import mac, mean_phase_deviation, phase_collinearity
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "RigidBodyMass",
     "candidate_poles",
     "cmif",
+    "excited_limits",
     "fit_ema",
     "lsfd",
     "mac",

@@ -1,25 +1,32 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
+from operando.io.columns import NoHeader
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
 from operando.io.detect import detect_format, read
-from operando.io.hdf5 import read_hdf5, read_object, write_hdf5, write_object
+from operando.io.hdf5 import UNREADABLE, read_hdf5, read_object, write_hdf5, write_object
+from operando.io.hints import check_fields
 from operando.io.inspect import inspect_content, inspect_files
 from operando.io.matlab import read_matlab, write_matlab
+from operando.io.safe import opened_hdf5
 from operando.io.sep005 import from_sep005, make_record, to_sep005
 from operando.io.uff import read_uff, read_uff_sets, write_uff
 
 __all__ = [
+    "UNREADABLE",
     "Content",
     "FileHeader",
+    "NoHeader",
     "SetInfo",
+    "check_fields",
     "convert",
     "detect_format",
     "from_sep005",
     "inspect_content",
     "inspect_files",
     "make_record",
+    "opened_hdf5",
     "read",
     "read_csv",
     "read_hdf5",

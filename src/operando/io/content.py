@@ -72,7 +72,7 @@ class Content:
     ----------
     path : str
     format : str
-        ``uff``, ``hdf5``, ``matlab``, ``csv`` or ``sep005``.
+        ``uff``, ``hdf5``, ``matlab``, ``csv``, ``lvm``, ``tdms``, ``npy``, ``npz``, ``wav`` or ``sep005``.
     records : tuple of TimeRecord
         One for each sampling rate and length in the file (normally one: one file is one run).
     frfs : tuple of Frf

@@ -13,6 +13,7 @@ from operando.errors import FormatError
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.detect import read
 from operando.io.quantities import ChannelSpecs, Units
+from operando.printable import printable
 
 _SUFFIXES = {
     ".uff": "uff", ".unv": "uff", ".uf": "uff", ".bunv": "uff", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab",
@@ -122,7 +123,7 @@ def _has_components(content: Content) -> bool:
 
 def _fits(obj: Any, kind: str) -> bool:
     if kind == "csv":
-        return isinstance(obj, TimeRecord)
+        return isinstance(obj, TimeRecord | Frf)
     return isinstance(obj, TimeRecord | Frf) if kind == "matlab" else True
 
 
@@ -148,8 +149,9 @@ def _write(kind: str, target: Path, kept: list[Any], raws: list[bytes], binary: 
         write_matlab(target, *kept)
     else:
         from operando.io.csv import write_csv
+        from operando.io.frf_table import write_frf_csv
 
-        write_csv(target, kept[0])
+        write_frf_csv(target, kept[0]) if isinstance(kept[0], Frf) else write_csv(target, kept[0])
 
 
 def _describe(obj: Any) -> str:
@@ -181,12 +183,14 @@ def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: boo
             out.append("source units: the numbers are in SI now")
         if kind != "uff" and any(c.dof is not None and c.name for c in obj.channels):
             out.append("channel names: the DOF is the name")
+        if kind == "csv" and any(printable(c.label) != c.label for c in obj.channels):
+            out.append("control characters of channel names: they are shown escaped")
     elif isinstance(obj, Frf):
         if obj.variance is not None and kind != "uff":
             out.append("variance of the FRF lines")
-        if kind != "uff" and obj.coherence is not None:
+        if kind == "matlab" and obj.coherence is not None:
             out.append("coherence")
-        if kind != "uff" and obj.averages is not None:
+        if kind == "matlab" and obj.averages is not None:
             out.append("number of averages")
         if obj.exponential_window_rate:
             out.append(f"decay rate of the exponential window, {obj.exponential_window_rate:g} 1/s")

@@ -6,29 +6,39 @@ import io
 import re
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Provenance, TimeRecord
-from operando.errors import DataError, FormatError, UnitError
+from operando.errors import FormatError, UnitError
 from operando.io.atomic import replacing
+from operando.io.columns import TIME, NoHeader, check_columns, propose_columns
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units
+from operando.io.frf_table import BARE, is_frf_table, read_bare_frf, read_frf_table
+from operando.io.quantities import ChannelSpecs, Units, stated_rate
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.printable import printable
 from operando.units import parse_unit
 
 _TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$", re.IGNORECASE)
 _RATE_NAMES = re.compile(r"^(fs|sampling(_?hz|_?rate|_?frequency)?|sample_?rate|rate)$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]\s*$")
 
+_BLOCK = 1 << 20
+LONGEST_NAME = 1000
+"""Most characters of a column name; UFF and TDMS names stay below 256, and a name is shown in every table."""
+
 
 def read_csv(
     path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None, sampling_hz: float | None = None
 ) -> Content:
-    """Read a table with a header line of ``name [unit]``, one column a channel.
+    """Read a table with a header line of ``name [unit]``, one column a channel, or a frequency column and FRFs (``frf_table``).
+
+    A table without a header line is read where ``units["columns"]`` says what its columns are: ``["Hz", "dB", "deg"]``,
+    ``["Hz", "magnitude", "deg"]``, ``["Hz", "real", "imag"]``, ``["Hz", "dB"]``, or ``["s", "g", "N"]``: time, then the unit of
+    each channel.
 
     The rate comes from a time column (``t``, ``time``, …), a column or comment ``fs``, ``sampling_hz`` or ``units["sampling_hz"]``.
 
@@ -43,8 +53,12 @@ def read_csv(
     where = str(path)
     with open_file(path) as stream:
         text = _decoded(stream.read(), where)
-    comments, names, texts, table = _table(text, where)
+    comments, names, texts, table = _table(text, where, units)
     del text
+    if is_frf_table(names):
+        return read_frf_table(names, texts, table, comments, path, units, channels)
+    if names[:1] == [BARE]:
+        return read_bare_frf(table, texts, path, units, channels)
     infos: list[SetInfo] = []
     rate = sampling_hz or stated_rate(units, comments)
     keep: list[int] = []
@@ -99,7 +113,7 @@ def write_csv(path: str | Path, record: TimeRecord) -> None:
     """
     heads = ["time [s]"]
     for i, channel in enumerate(record.channels):
-        name = (channel.label or f"ch{i + 1}").replace(",", " ").replace("[", "(").replace("]", ")")
+        name = cell_text(channel.label or f"ch{i + 1}")
         heads.append(f"{name} [{channel.unit}]" if channel.unit else name)
     digits = 9 if record.data.dtype == np.float32 else 17
     with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
@@ -113,6 +127,16 @@ def write_csv(path: str | Path, record: TimeRecord) -> None:
             stream.write((line * len(rows)) % tuple(rows.ravel().tolist()))
 
 
+def cell_text(name: str) -> str:
+    """A name as the head of a column: no mark that divides cells or stands around a unit, nothing that acts, and no formula.
+
+    Spreadsheets take a cell that starts with ``=``, ``+``, ``-`` or ``@`` for a formula; an apostrophe before it says text. Reading
+    takes the apostrophe off again.
+    """
+    clean = printable(name).replace(",", " ").replace(";", " ").replace("[", "(").replace("]", ")")
+    return f"'{clean}" if clean.lstrip()[:1] in ("=", "+", "-", "@", "|", "%") else clean
+
+
 def _decoded(raw: bytes, where: str) -> str:
     for encoding in ("utf-16",) if raw.startswith((b"\xff\xfe", b"\xfe\xff")) else ("utf-8-sig", "latin-1"):
         try:
@@ -122,7 +146,7 @@ def _decoded(raw: bytes, where: str) -> str:
     raise FormatError("the text cannot be decoded", where=where)
 
 
-def _table(text: str, where: str) -> tuple[list[str], list[str], list[str], NDArray[np.float64]]:
+def _table(text: str, where: str, units: Units | None) -> tuple[list[str], list[str], list[str], NDArray[np.float64]]:
     """Comments, column names, unit texts, (n_columns, n_rows) numbers."""
     lines = text.split("\n", 60)
     comments: list[str] = []
@@ -146,11 +170,7 @@ def _table(text: str, where: str) -> tuple[list[str], list[str], list[str], NDAr
     delimiter, decimal = _delimiter(head, rows)
     names = [part.strip().strip("\"'").strip() for part in (head.split(delimiter) if delimiter else head.split())]
     if all(_is_number(part.replace(",", ".")) for part in names if part):
-        raise FormatError(
-            "the table has no header line",
-            where=where,
-            hint="the first line names the columns: name [unit], for example time [s],12+Z [m/s2]",
-        )
+        return comments, *_without_header(_numbers(text[position - length :], delimiter, decimal, where).T, where, units)
     numbers = _numbers(rest, delimiter, decimal, where)
     if numbers.shape[1] < len(names) and not any(names[numbers.shape[1] :]):
         names = names[: numbers.shape[1]]
@@ -161,9 +181,29 @@ def _table(text: str, where: str) -> tuple[list[str], list[str], list[str], NDAr
         numbers = numbers[:, : len(names)]
     if numbers.shape[1] != len(names):
         raise FormatError(f"{numbers.shape[1]} columns of numbers but {len(names)} names", where=where)
+    longest = max(names, key=len)
+    if len(longest) > LONGEST_NAME:
+        raise FormatError(
+            f"a column name of {len(longest)} characters: {longest[:20]}…",
+            where=where,
+            hint=f"a name has at most {LONGEST_NAME} characters; is the header line damaged?",
+        )
     filled = [i for i, name in enumerate(names) if name or np.any(np.isfinite(numbers[:, i]))]
     split = [_split_name(names[i]) for i in filled]
     return comments, [s[0] for s in split], [s[1] for s in split], np.ascontiguousarray(numbers[:, filled].T)
+
+
+def _without_header(table: NDArray[np.float64], where: str, units: Units | None) -> tuple[list[str], list[str], NDArray[np.float64]]:
+    """Names, units and numbers of a table whose columns the test file states."""
+    stated = (units or {}).get("columns")
+    if not stated:
+        raise NoHeader(where, propose_columns(table))
+    columns = check_columns(stated, "[units] columns")
+    if len(columns) != len(table):
+        raise FormatError(f"{len(table)} columns of numbers, but [units] columns names {len(columns)}", where=where)
+    if columns[0] in TIME:
+        return ["time", *(f"ch{i}" for i in range(1, len(columns)))], list(columns), np.ascontiguousarray(table)
+    return [BARE, *columns[1:]], list(columns), table
 
 
 def _split_name(head: str) -> tuple[str, str]:
@@ -201,7 +241,22 @@ def _is_number(text: str) -> bool:
 
 
 def _numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDArray[np.float64]:
-    """(n_rows, n_columns) numbers; empty cells are NaN."""
+    """(n_rows, n_columns) numbers; empty cells are NaN. Read block by block: cleaned copies of a text take several times its size."""
+    parts: list[NDArray[np.float64]] = []
+    start = 0
+    while start < len(text):
+        stop = text.find("\n", start + _BLOCK) + 1 or len(text)
+        part = _block_numbers(text[start:stop], delimiter, decimal, where)
+        if part.size:
+            parts.append(part)
+        start = stop
+    widths = sorted({part.shape[1] for part in parts})
+    if len(widths) != 1:
+        raise FormatError(f"rows of {' and '.join(str(w) for w in widths) or 'no'} columns", where=where, hint="remove damaged rows")
+    return np.concatenate(parts)
+
+
+def _block_numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDArray[np.float64]:
     clean = text.replace("\r", "")
     if decimal == ",":
         clean = clean.replace(",", ".")
@@ -210,39 +265,14 @@ def _numbers(text: str, delimiter: str | None, decimal: str, where: str) -> NDAr
         clean = re.sub(rf"(?<={mark})[ \t]*(?={mark}|\n|\Z)" if delimiter != "\t" else rf"(?<={mark})(?={mark}|\n|\Z)", "nan", clean)
         clean = re.sub(rf"(?m)^[ ]*(?={mark})", "nan", clean)
     clean = clean.replace('"', "")
+    if not clean.strip():
+        return np.empty((0, 0))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             return np.loadtxt(io.StringIO(clean), delimiter=delimiter, ndmin=2, comments="#")
     except (ValueError, UserWarning) as error:
         raise FormatError(f"the table cannot be read: {str(error).splitlines()[0]}", where=where) from error
-
-
-def stated_rate(units: Units | None, comments: list[str]) -> float | None:
-    """Sampling rate [Hz] of ``units["sampling_hz"]`` or of a comment line, None if neither states one.
-
-    Raises
-    ------
-    DataError
-        If it is no positive number.
-    """
-    given: Any = None
-    for key in ("sampling_hz", "sampling"):
-        given = given or (units or {}).get(key)
-    if given is not None:
-        words = str(given).split()
-        try:
-            value = float(words[0]) * (parse_unit(words[1], "frequency")[1] if len(words) > 1 else 1.0)
-        except (ValueError, IndexError, UnitError) as error:
-            raise DataError(f"sampling rate {given!r} is no number of Hz", where="[units] sampling_hz") from error
-        if not (np.isfinite(value) and value > 0):
-            raise DataError(f"sampling rate {given!r} is not positive", where="[units] sampling_hz")
-        return value
-    for comment in comments:
-        match = re.search(r"(?:fs|sampling\w*|sample[ _]?rate)\s*(?:\[Hz\])?\s*[:=]\s*([0-9.eE+]+)", comment, re.IGNORECASE)
-        if match is not None and _is_number(match[1]) and float(match[1]) > 0:
-            return float(match[1])
-    return None
 
 
 def _rate_of_time(time: NDArray[np.float64], unit: str, where: str) -> tuple[float, float]:

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
 
-FORMATS = ("uff", "hdf5", "matlab", "csv")
+READERS = {
+    "uff": ("operando.io.uff.reader", "read_uff"),
+    "matlab": ("operando.io.matlab", "read_matlab"),
+    "csv": ("operando.io.csv", "read_csv"),
+    "lvm": ("operando.io.lvm", "read_lvm"),
+    "tdms": ("operando.io.tdms", "read_tdms"),
+    "npy": ("operando.io.numpy_files", "read_npy"),
+    "npz": ("operando.io.numpy_files", "read_npz"),
+    "wav": ("operando.io.wav", "read_wav"),
+}
+"""Format → module and function that reads it; modules are imported when a file asks for them."""
+_MARKS = {
+    b"\x89HDF\r\n\x1a\n": "hdf5", b"MATLAB 7.3 MAT-file": "matlab", b"MATLAB 5.0 MAT-file": "matlab", b"LabVIEW Measurement": "lvm",
+    b"TDSm": "tdms", b"\x93NUMPY": "npy",
+}  # fmt: skip
 _HEAD = 1 << 16
 
 
 def detect_format(path: str | Path) -> str:
-    """Format of a file from its first bytes: ``uff``, ``hdf5``, ``matlab`` or ``csv``.
+    """Format of a file from its first bytes: ``uff``, ``hdf5``, ``matlab``, ``csv``, ``lvm``, ``tdms``, ``npy``, ``npz`` or ``wav``.
 
     Raises
     ------
@@ -32,21 +47,23 @@ def detect_format(path: str | Path) -> str:
         head = stream.read(_HEAD)
     if not head.strip():
         raise FormatError("the file is empty", where=str(path))
-    if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        return "hdf5"
-    if head.startswith(b"MATLAB 7.3 MAT-file") or head.startswith(b"MATLAB 5.0 MAT-file"):
-        return "matlab"
+    for mark, kind in _MARKS.items():
+        if head.startswith(mark):
+            return kind
+    if head.startswith(b"RIFF") and head[8:12] == b"WAVE":
+        return "wav"
     if find_first_set(head) is not None:
         return "uff"
     if head.startswith(b"PK\x03\x04"):
-        raise FormatError(
-            "a zip archive (npz, xlsx, …)",
-            where=str(path),
-            hint="export CSV, or load it yourself and make a TimeRecord or Frf of the arrays",
-        )
+        length = int.from_bytes(head[26:28], "little")
+        if head[30 : 30 + length].endswith(b".npy"):
+            return "npz"
+        raise FormatError("a zip archive (xlsx, …)", where=str(path), hint="export CSV, or unpack it")
     if _looks_like_text(head):
         return "csv"
-    raise FormatError("the format is not known", where=str(path), hint="UFF, HDF5 of operando, MATLAB .mat or CSV can be read")
+    raise FormatError(
+        "the format is not known", where=str(path), hint="UFF, HDF5 of operando, MATLAB, CSV, LVM, TDMS, NumPy and WAV files can be read"
+    )
 
 
 def _looks_like_text(head: bytes) -> bool:
@@ -69,7 +86,8 @@ def read(
     path : path
     units : mapping, optional
         Quantity → unit text where the file is silent (``{"acceleration": "g", "force": "lbf", "length": "mm"}``); ``sampling_hz`` gives
-        a sampling rate to a table without a time column.
+        a sampling rate to a table without a time column, and ``columns`` says what the columns of a table without a header line are
+        (see :func:`operando.io.csv.read_csv`).
     channels : mapping, optional
         Channel name or DOF label → dict of ``dof, quantity, unit, sensitivity, exclude, reason``. It overrides the file. Data are divided
         by ``sensitivity`` (numbers of the file per unit). A DOF label means the sensor of motion; ``12+Z:force`` the force there.
@@ -90,19 +108,11 @@ def read(
         If ``units`` or ``channels`` hold something that is not known.
     """
     kind = detect_format(path)
-    if kind == "uff":
-        from operando.io.uff.reader import read_uff
-
-        return read_uff(path, units=units, channels=channels)
-    if kind == "matlab":
-        from operando.io.matlab import read_matlab
-
-        return read_matlab(path, units=units, channels=channels)
-    if kind == "csv":
-        from operando.io.csv import read_csv
-
-        return read_csv(path, units=units, channels=channels)
-    return _read_own_hdf5(path)
+    if kind not in READERS:
+        return _read_own_hdf5(path)
+    module, name = READERS[kind]
+    content: Content = getattr(importlib.import_module(module), name)(path, units=units, channels=channels)
+    return content
 
 
 def _read_own_hdf5(path: str | Path) -> Content:

@@ -19,12 +19,16 @@ import numpy as np
 from operando.dof import Dof
 from operando.errors import DataError, FormatError, OperandoError
 from operando.io.atomic import replacing
+from operando.io.hints import check_fields
+from operando.io.safe import opened_hdf5, trust
 
 if TYPE_CHECKING:
     import h5py
 
 SCHEMA = "operando/hdf5/1"
 TREE = "__tree__"
+UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError)
+"""What h5py and the description of an object raise where a file is damaged."""
 
 
 def write_object(group: h5py.Group, obj: Any) -> None:
@@ -62,9 +66,9 @@ def read_object(group: h5py.Group) -> Any:
     try:
         text = group[TREE][()]
         tree = json.loads(text.decode("utf-8") if isinstance(text, bytes) else text)
-    except (ValueError, OSError, AttributeError, RuntimeError) as error:
+    except UNREADABLE as error:
         raise FormatError(f"the description of {group.name!r} is damaged: {error}", where=_where(group)) from error
-    return _decode(tree, group)
+    return _decode(tree, _Stored(group))
 
 
 def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
@@ -82,6 +86,7 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
         file.attrs["schema"] = SCHEMA
         for name, obj in objects.items():
             write_object(file.create_group(name), obj)
+    trust(path, "hdf5")
 
 
 def read_hdf5(path: str | Path) -> dict[str, Any]:
@@ -95,11 +100,11 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
     import h5py
 
     try:
-        with h5py.File(path, "r") as file:
+        with opened_hdf5(path) as file:
             found = {str(name): read_object(item) for name, item in file.items() if isinstance(item, h5py.Group) and TREE in item}
     except OperandoError:
         raise
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+    except UNREADABLE as error:
         raise FormatError(f"cannot be read as HDF5: {error}", where=str(path)) from error
     if not found:
         raise FormatError("an HDF5 file, but without objects of operando", where=str(path), hint="expected groups written by operando")
@@ -175,23 +180,52 @@ def _join(path: str, name: str) -> str:
     return f"{path}/{clean}" if path else clean
 
 
-def _decode(tree: Any, group: h5py.Group) -> Any:
+class _Stored:
+    """The group an object is read from; each of its arrays is taken once."""
+
+    def __init__(self, group: h5py.Group) -> None:
+        self.group = group
+        self._taken: set[str] = set()
+
+    def array(self, name: str) -> np.ndarray:
+        """Values of a dataset below the group.
+
+        Raises
+        ------
+        FormatError
+            If there is no such dataset, or it was taken before: a short text could name one array many times and fill the memory.
+        """
+        import h5py
+
+        item = self.group.get(name) if isinstance(name, str) and not name.startswith("/") else None
+        if not isinstance(item, h5py.Dataset) or name in self._taken:
+            reason = "named twice" if name in self._taken else "not there"
+            raise FormatError(f"the array {name!r} of the description is {reason}", where=self.where)
+        self._taken.add(name)
+        return np.asarray(item.asstr()[()] if item.dtype.kind == "O" else item[()])
+
+    @property
+    def where(self) -> str:
+        return _where(self.group)
+
+
+def _decode(tree: Any, stored: _Stored) -> Any:
     if isinstance(tree, list):
-        return [_decode(item, group) for item in tree]
+        return [_decode(item, stored) for item in tree]
     if not isinstance(tree, dict):
         return tree
     if "__class__" in tree:
-        return _decode_class(tree, group)
+        return _decode_class(tree, stored)
     if "__array__" in tree:
-        return _read_array(group, tree["__array__"])
+        return stored.array(tree["__array__"])
     if "__dofs__" in tree:
-        return tuple(Dof.parse(str(text)) for text in _read_array(group, tree["__dofs__"]))
+        return tuple(Dof.parse(str(text)) for text in stored.array(tree["__dofs__"]))
     if "__list__" in tree:
-        return list(_decode(tree["__list__"], group))
+        return list(_decode(tree["__list__"], stored))
     if "__tuple__" in tree:
-        return tuple(_decode(item, group) for item in tree["__tuple__"])
+        return tuple(_decode(item, stored) for item in tree["__tuple__"])
     if "__floats__" in tree:
-        numbers = _decode(tree["__floats__"], group).tolist()
+        numbers = _decode(tree["__floats__"], stored).tolist()
         return tuple(numbers) if tree.get("tuple") else numbers
     if "__float__" in tree:
         return float(tree["__float__"])
@@ -200,35 +234,39 @@ def _decode(tree: Any, group: h5py.Group) -> Any:
     if "__dof__" in tree:
         return Dof.parse(tree["__dof__"])
     if "__dict__" in tree:
-        return {_decode(k, group): _decode(v, group) for k, v in tree["__dict__"]}
-    return {k: _decode(v, group) for k, v in tree.items()}
+        return {_decode(k, stored): _decode(v, stored) for k, v in tree["__dict__"]}
+    return {k: _decode(v, stored) for k, v in tree.items()}
 
 
-def _read_array(group: h5py.Group, name: str) -> np.ndarray:
-    item = group[name]
-    if item.dtype.kind == "O":
-        return np.asarray(item.asstr()[()])
-    return np.asarray(item[()])
+def _class_named(text: str) -> Any:
+    """The dataclass of operando with this name, or None. A file can name no other code, and none that runs when it is imported."""
+    module_name, _, qualname = text.partition(":")
+    parts = module_name.split(".")
+    if parts[0] != "operando" or any(part.startswith("_") or part == "cli" for part in parts):
+        return None
+    try:
+        kind: Any = importlib.import_module(module_name)
+        for part in qualname.split("."):
+            kind = getattr(kind, part)
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return kind if isinstance(kind, type) and is_dataclass(kind) else None
 
 
-def _decode_class(tree: dict[str, Any], group: h5py.Group) -> Any:
-    # Only dataclasses of operando itself are made: a file can name no other code.
-    module_name, _, qualname = str(tree["__class__"]).partition(":")
-    kind: Any = None
-    if module_name.split(".")[0] == "operando":
-        try:
-            kind = importlib.import_module(module_name)
-            for part in qualname.split("."):
-                kind = getattr(kind, part)
-        except (ImportError, AttributeError):
-            kind = None
-    if not (isinstance(kind, type) and is_dataclass(kind)):
-        raise FormatError(f"{tree['__class__']!r} is no class of this version of operando", where=_where(group))
+def _decode_class(tree: dict[str, Any], stored: _Stored) -> Any:
+    kind = _class_named(str(tree["__class__"]))
+    if kind is None or not isinstance(tree.get("fields"), dict):
+        raise FormatError(f"{tree['__class__']!r} is no class of this version of operando", where=stored.where)
     # A class whose fields changed makes itself from those of older files.
     make: Any = getattr(kind, "from_stored", None)
     known = {f.name for f in fields(kind) if f.init}
-    values = {name: _decode(item, group) for name, item in tree["fields"].items() if make is not None or name in known}
+    values = {name: _decode(item, stored) for name, item in tree["fields"].items() if make is not None or name in known}
     try:
-        return kind(**values) if make is None else make(values)
-    except TypeError as error:
-        raise FormatError(f"cannot make {qualname} from what the file holds: {error}", where=_where(group)) from error
+        made = kind(**values) if make is None else make(values)
+    except OperandoError as error:
+        raise FormatError(f"cannot make {kind.__name__} from what the file holds: {error}", where=stored.where) from error
+    except Exception as error:  # values of a wrong type fail anywhere in a constructor
+        reason = f"{type(error).__name__}: {error}"
+        raise FormatError(f"cannot make {kind.__name__} from what the file holds: {reason}", where=stored.where) from error
+    check_fields(made, stored.where)
+    return made

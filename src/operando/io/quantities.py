@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from operando.dof import Dof
-from operando.errors import ConfigError, DofError, UnitError
+from operando.errors import ConfigError, DataError, DofError, UnitError
 from operando.units import SI_UNIT, UFF_QUANTITIES, parse_unit
 
 Units = Mapping[str, Any]
@@ -224,3 +225,37 @@ def spec_dof(spec: Mapping[str, Any], dof: Dof | None) -> Dof | None:
         return Dof.parse(str(spec["dof"]))
     except DofError as error:
         raise ConfigError(error.message, where="[channels]", hint=error.hint) from error
+
+
+def stated_rate(units: Units | None, comments: Sequence[str]) -> float | None:
+    """Sampling rate [Hz] of ``units["sampling_hz"]`` or of a comment line, None if neither states one.
+
+    Raises
+    ------
+    DataError
+        If it is no positive number.
+    """
+    given: Any = None
+    for key in ("sampling_hz", "sampling"):
+        given = given or (units or {}).get(key)
+    if given is not None:
+        words = str(given).split()
+        try:
+            value = float(words[0]) * (parse_unit(words[1], "frequency")[1] if len(words) > 1 else 1.0)
+        except (ValueError, IndexError, UnitError) as error:
+            raise DataError(f"sampling rate {given!r} is no number of Hz", where="[units] sampling_hz") from error
+        if not (isfinite(value) and value > 0):
+            raise DataError(f"sampling rate {given!r} is not positive", where="[units] sampling_hz")
+        return value
+    for comment in comments:
+        match = re.search(r"(?:fs|sampling\w*|sample[ _]?rate)\s*(?:\[Hz\])?\s*[:=]\s*([0-9.eE+]+)", comment, re.IGNORECASE)
+        if match is not None and _positive(match[1]):
+            return float(match[1])
+    return None
+
+
+def _positive(text: str) -> bool:
+    try:
+        return float(text) > 0
+    except ValueError:
+        return False

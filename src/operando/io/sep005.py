@@ -55,6 +55,7 @@ def make_record(
     if array.ndim != 2 or array.shape[0] != len(names) or len(names) != len(unit_texts):
         raise DataError(f"data of shape {array.shape} for {len(names)} names and {len(unit_texts)} units", hint="(n_channels, n_samples)")
     rows, labels, findings = [], [], []
+    scaled = False
     for i, (name, text) in enumerate(zip(names, unit_texts, strict=True)):
         dof = _dof_of(name)
         quantity = quantity_from_words(name)
@@ -72,11 +73,14 @@ def make_record(
             scale = resolve(quantity, "", units, spec)
         if not scale.known:
             findings.append(_missing_unit(name, scale.quantity, source, i))
-        rows.append(array[i] * scale.factor if scale.factor != 1.0 else array[i])
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file; the raw-data checks tell what is not finite
+            rows.append(array[i] * scale.factor if scale.factor != 1.0 else array[i])
+        scaled |= scale.factor != 1.0
         labels.append(Channel(dof, scale.quantity, scale.unit, name, scale.source_unit, i))
     if not rows:
         raise DataError("no channel is left", where=source or None, hint="[channels] excludes them all")
-    return TimeRecord(np.stack(rows), sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
+    data = np.stack(rows) if scaled or len(rows) < len(array) else array
+    return TimeRecord(data, sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
 
 
 def _dof_of(name: str) -> Dof | None:

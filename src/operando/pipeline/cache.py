@@ -13,7 +13,7 @@ from typing import Any
 
 import operando
 from operando.errors import OperandoError
-from operando.jsonable import jsonable
+from operando.jsonable import json_text, jsonable
 
 FOLDER = ".stages"
 
@@ -33,7 +33,7 @@ def whole(path: Path) -> Iterator[Path]:
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """A JSON file, null where there is no value."""
     with whole(path) as beside:
-        beside.write_text(json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        beside.write_text(json_text(document) + "\n", encoding="utf-8")
 
 
 @cache
@@ -61,19 +61,17 @@ class StageCache:
 
     def load(self, stage: str, key: str) -> dict[str, Any] | None:
         """The result of a stage if it was made under this key, else None."""
-        import h5py
-
-        from operando.io import read_object
+        from operando.io import UNREADABLE, opened_hdf5, read_object
 
         path = self.folder / f"{stage}.h5"
         if not path.is_file():
             return None
         try:
-            with h5py.File(path, "r") as file:
+            with opened_hdf5(path) as file:
                 if read_object(file["key"]) != key:
                     return None
                 result = read_object(file["result"])
-        except (OperandoError, OSError, KeyError, RuntimeError, ValueError, TypeError):
+        except (OperandoError, *UNREADABLE):
             return None  # damaged or of another version: made again
         return result if isinstance(result, dict) else None
 

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
 import tempfile
 from importlib.resources import files
 from pathlib import Path
 
+from operando.printable import without_active
 from operando.report.sections import build
 from operando.report.text import band_text, esc
 from operando.results import Results
 
 # folded tables print too
 _SCRIPT = "addEventListener('beforeprint',function(){document.querySelectorAll('details').forEach(function(d){d.open=true})});"
+_SCRIPT_HASH = base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode()
+# The page loads nothing and runs the one script above; its style and the sizes of its drawings stand in the page.
+_POLICY = (
+    f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_SCRIPT_HASH}'; img-src data:; base-uri 'none'; form-action 'none'"
+)
 
 
 def render_report(results: Results) -> str:
@@ -31,8 +39,9 @@ def render_report(results: Results) -> str:
     )
     made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     title = results.name or "unnamed test"
-    return (
+    page = (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{esc(title)}: operating FRFs</title><style>{style}</style></head><body>"
         f'<div class="frame"><nav aria-label="Contents"><h2>Contents</h2><ol>{contents}</ol></nav><main>'
@@ -42,6 +51,8 @@ def render_report(results: Results) -> str:
         "e<sup>+iωt</sup>; H = response/force; levels in dB are 20·log<sub>10</sub>.</footer></main></div>"
         f"<script>{_SCRIPT}</script></body></html>\n"
     )
+    # what reached a drawing, too, is only shown
+    return without_active(page)
 
 
 def write_report(results: Results, path: str | Path) -> None:

@@ -8,12 +8,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 from typing import Any
 
+from operando.printable import printable
+
 DASH = "–"
 
 
 def esc(value: object) -> str:
-    """Text safe inside HTML elements and attributes."""
-    return html.escape(str(value), quote=True)
+    """Text safe inside HTML elements and attributes; control characters and direction marks are shown, overlong words cut."""
+    return html.escape(printable(value), quote=True)
 
 
 def finite(value: Any) -> bool:

@@ -1,0 +1,118 @@
+"""Tables without a header line: what their columns are is stated in the test file, and proposed from the numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding
+from operando.errors import ConfigError, FormatError, UnitError
+from operando.units import parse_unit
+
+FREQUENCY, TIME = ("Hz", "rad/s"), ("s", "ms")
+LEVELS = ("dB", "magnitude", "real")
+ANGLES = ("deg", "rad", "imag")
+
+
+class NoHeader(FormatError):
+    """A table without a header line; ``guess`` says what its columns may be, as for :func:`check_columns` (empty: no guess)."""
+
+    def __init__(self, where: str, guess: Sequence[str]) -> None:
+        hint = 'say in the test file what the columns are: [units] columns = ["Hz", "dB", "deg"] or ["s", "g", "N"]'
+        proposal = f"; by the numbers perhaps {json.dumps(list(guess))}" if guess else ""
+        super().__init__("the table has no header line", where=where, hint=hint + proposal)
+        self.guess = tuple(guess)
+
+
+def check_columns(columns: Any, where: str) -> tuple[str, ...]:
+    """``[units] columns`` of a test file, checked.
+
+    Parameters
+    ----------
+    columns : list of str
+        ``["Hz", "dB", "deg"]``: a frequency (Hz or rad/s), a level (dB, magnitude, or real) and the phase (deg or rad) or imag; or
+        ``["s", "g", "N"]``: a time (s or ms) and the unit of each channel, empty where it is not known.
+    where : str
+
+    Raises
+    ------
+    ConfigError
+        If it is none of these.
+    """
+    expected = 'write ["Hz", "dB", "deg"], ["Hz", "magnitude", "deg"], ["Hz", "real", "imag"], or ["s", "g", "N"] for time histories'
+    if not isinstance(columns, list | tuple) or len(columns) < 2 or not all(isinstance(c, str) for c in columns):
+        raise ConfigError(f"{columns!r} says nothing of columns", where=where, hint=expected)
+    if columns[0] in TIME:
+        for text in columns[1:]:
+            try:
+                parse_unit(text) if text else None
+            except UnitError as error:
+                raise ConfigError(error.message, where=where, hint=error.hint) from error
+        return tuple(columns)
+    pair = tuple(columns[1:3])
+    good = columns[0] in FREQUENCY and len(columns) <= 3 and columns[1] in LEVELS
+    good = good and (len(columns) == 2 or (columns[1] == "real") == (pair[1] == "imag")) and (len(columns) == 2 or columns[2] in ANGLES)
+    if not good or (columns[1] == "real" and len(columns) == 2):
+        raise ConfigError(f"{list(columns)!r} says nothing of columns", where=where, hint=expected)
+    return tuple(columns)
+
+
+def propose_columns(table: NDArray[Any]) -> tuple[str, ...]:
+    """A guess of what the columns are, from the numbers alone.
+
+    Parameters
+    ----------
+    table : (n_columns, n_rows) array
+
+    Returns
+    -------
+    tuple of str
+        As for :func:`check_columns`; empty where the numbers tell nothing.
+    """
+    if table.shape[0] < 2 or table.shape[1] < 3 or not np.all(np.diff(table[0]) > 0):
+        return ()
+    # a record starts at 0 and is sampled faster than 100 Hz; lines closer than 0.01 Hz would need a record of more than 100 s
+    step = float(np.median(np.diff(table[0])))
+    if table.shape[0] > 3 or (step < 0.01 and table[0][0] == 0):
+        return ("s", *("",) * (table.shape[0] - 1))
+    if table.shape[0] == 2:
+        return ("Hz", "magnitude") if np.all(table[1] >= 0) else ("s", "")
+    level, angle = table[1], table[2]
+    widest = float(np.max(np.abs(angle)))
+    if np.all(level >= 0):
+        return ("Hz", "magnitude", "rad" if widest <= 2 * np.pi + 1e-6 else "deg")
+    # real and imaginary parts are of one size and change sign; levels in dB and degrees do neither
+    alike = 0.2 < np.std(level) / max(float(np.std(angle)), 1e-300) < 5
+    changes = 0.02 < np.mean(level > 0) < 0.98 and abs(float(np.mean(level))) < 2 * float(np.std(level))
+    return ("Hz", "real", "imag") if alike and changes and widest < 30 else ("Hz", "dB", "deg" if widest > 2 * np.pi + 1e-6 else "rad")
+
+
+def complex_lines(table: NDArray[Any], columns: Sequence[str], where: str) -> tuple[NDArray[Any], NDArray[Any], list[Finding]]:
+    """Frequencies [Hz], complex values, and what is wrong with them.
+
+    Raises
+    ------
+    FormatError
+        If the table has another number of columns than stated, or the frequencies do not increase.
+    """
+    if table.shape[0] != len(columns):
+        raise FormatError(
+            f"{table.shape[0]} columns of numbers, but [units] columns names {len(columns)}", where=where, hint=f"columns = {list(columns)}"
+        )
+    frequencies = table[0] / (2 * np.pi) if columns[0] == "rad/s" else table[0]
+    if not np.all(np.isfinite(frequencies)) or not np.all(np.diff(frequencies) > 0) or frequencies[0] < 0:
+        raise FormatError("the first column is no frequency: it does not increase from row to row", where=where)
+    if columns[1] == "real":
+        return frequencies, table[1] + 1j * table[2], []
+    size = 10.0 ** (table[1] / 20) if columns[1] == "dB" else table[1]
+    if len(columns) == 2:
+        note = Finding(
+            "missing_phase", "magnitudes without phase: the phase is taken as 0", "error", where,
+            consequence="levels can be compared; modes and scaling made from it are wrong", action="export the phase, too",
+        )  # fmt: skip
+        return frequencies, size.astype(complex), [note]
+    return frequencies, size * np.exp(1j * (np.deg2rad(table[2]) if columns[2] == "deg" else table[2])), []

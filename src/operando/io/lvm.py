@@ -1,0 +1,178 @@
+"""LabVIEW measurement files, ``.lvm``: text with a header for the file and one for each block of samples."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding, Provenance, TimeRecord
+from operando.errors import FormatError
+from operando.io.content import Content, SetInfo
+from operando.io.quantities import ChannelSpecs, Units
+from operando.io.sep005 import make_record
+from operando.io.uff.increments import tidy_rate
+from operando.io.uff.reader import open_file, quick_hash
+
+MARK = b"LabVIEW Measurement"
+_END = "***End_of_Header***"
+
+
+@dataclass
+class _Block:
+    """One block of samples: its header by key, names of the columns, lines with their numbers (cells as texts would take too much)."""
+
+    header: dict[str, list[str]]
+    names: list[str] = field(default_factory=list)
+    rows: list[tuple[int, str]] = field(default_factory=list)
+    line: int = 0
+
+
+def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
+    """Read a LabVIEW measurement file; blocks of the same channels that follow one another in time become one record.
+
+    Raises
+    ------
+    FormatError
+        If the header is damaged, a row does not fit, or no block is a time history.
+    """
+    path = Path(path)
+    where = str(path)
+    with open_file(path) as stream:
+        text = stream.read().decode("latin-1")
+    separator, decimal, axes, blocks = _parse(text, where)
+    del text
+    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    infos: list[SetInfo] = []
+    found: list[tuple[float, float, list[str], list[str], NDArray[np.float64]]] = []
+    for i, block in enumerate(blocks):
+        title = f"block from line {block.line}: {len(block.names)} channels, {len(block.rows)} samples"
+        kinds = {d.lower() for d in block.header.get("X_Dimension", []) if d}
+        if not block.rows or kinds - {"time"}:
+            infos.append(SetInfo(i, 0, title, "ignored", "no samples" if not block.rows else f"its axis is {', '.join(sorted(kinds))}"))
+            continue
+        step, start = _number(block.header.get("Delta_X", [""])[0], decimal), _number(block.header.get("X0", ["0"])[0], decimal)
+        values, time = _values(block, separator, axes, decimal, where)
+        if not step > 0 and time is not None and len(time) > 1:
+            step, start = float(time[-1] - time[0]) / (len(time) - 1), float(time[0])
+        if not (np.isfinite(step) and step > 0):
+            infos.append(SetInfo(i, 0, title, "ignored", "no step of time"))
+            continue
+        stated = block.header.get("Y_Unit_Label", [])
+        texts = stated if len(stated) == len(block.names) else [""] * len(block.names)
+        infos.append(SetInfo(i, 0, title))
+        _append(found, (step, start if np.isfinite(start) else 0.0, block.names, texts, values))
+    records: list[TimeRecord] = []
+    common: dict[str, Any] = {"units": units, "channels": channels, "source": where, "provenance": provenance}
+    for step, start, names, texts, values in found:
+        records.append(make_record(values, tidy_rate(step), names, texts, start_s=start, **common))
+    if not records:
+        seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:4]) or "no block"
+        raise FormatError(f"no time history ({seen})", where=where, hint="export samples over time")
+    findings = tuple(f for record in records for f in record.findings)
+    gaps = sum(int(np.count_nonzero(~np.isfinite(record.data))) for record in records)
+    if gaps:
+        lost = f"{gaps} cells hold no number"
+        findings = (*findings, Finding("nan", lost, "warning", where, consequence="they are NaN in the record"))
+    return Content(where, "lvm", tuple(records), sets=tuple(infos), findings=findings)
+
+
+def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block]]:
+    """Separator, decimal mark, what X columns there are (no, one, multi), blocks."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    separator = "," if any(re.match(r"Separator,Comma", line) for line in lines[:30]) else "\t"
+    head: dict[str, list[str]] = {}
+    at = 0
+    while at < len(lines) and not lines[at].startswith(_END):
+        key, *rest = lines[at].split(separator)
+        head[key.strip()] = [r.strip() for r in rest]
+        at += 1
+    if at == len(lines):
+        raise FormatError("the header of the LabVIEW file has no end", where=where, hint=f"expected a line {_END}")
+    decimal = (head.get("Decimal_Separator") or ["."])[0] or "."
+    axes = (head.get("X_Columns") or ["No"])[0].lower()
+    blocks: list[_Block] = []
+    header: dict[str, list[str]] | None = None
+    for number, line in enumerate(lines[at + 1 :], start=at + 2):
+        cells = [c.strip() for c in line.split(separator)]
+        if cells[0] == "Channels":
+            header = {"Multi_Headings": head.get("Multi_Headings", [])}
+        if header is not None:
+            if line.startswith(_END):
+                blocks.append(_Block(header, line=number))
+                header = None
+            else:
+                header[cells[0]] = cells[1 : 1 + _count(header, cells, where, number)]
+        elif blocks and any(cells):
+            block = blocks[-1]
+            if not block.names:
+                if cells[0] != "X_Value":
+                    raise FormatError(f"line {number} should name the columns", where=where, hint="expected X_Value and channel names")
+                block.names = _names(cells, len(block.header["Channels"]) and int(block.header["Channels"][0]), axes, where)
+            elif cells[0] != "X_Value":
+                block.rows.append((number, line))
+    return separator, decimal, axes, blocks
+
+
+def _count(header: dict[str, list[str]], cells: list[str], where: str, number: int) -> int:
+    """Number of channels of the block whose header is read."""
+    text = (header.get("Channels") or cells[1:2] or ["0"])[0]
+    if not re.fullmatch(r"\d{1,6}", text) or int(text) < 1:
+        raise FormatError(f"line {number}: {text!r} is no number of channels", where=where)
+    return int(text)
+
+
+def _names(cells: list[str], count: int, axes: str, where: str) -> list[str]:
+    names = cells[1::2] if axes == "multi" else cells[1:]
+    if len(names) < count:
+        raise FormatError(f"{count} channels but {len(names)} names", where=where)
+    return [name or f"ch{i + 1}" for i, name in enumerate(names[:count])]
+
+
+def _values(block: _Block, separator: str, axes: str, decimal: str, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """(n_channels, n_samples) numbers and the time column if there is one; cells left empty are NaN."""
+    count = len(block.names)
+    columns = [0, *range(1, 2 * count, 2)] if axes == "multi" else list(range(count + 1))
+    most = count * (2 if axes == "multi" else 1) + 2  # with the time, and a comment
+    table = np.full((len(block.rows), len(columns)), np.nan)
+    for i, (number, line) in enumerate(block.rows):
+        cells = line.split(separator)
+        if len(cells) > most and any(cell.strip() for cell in cells[most:]):
+            reason = f"line {number}: {len(cells)} cells, expected {most} at most"
+            raise FormatError(reason, where=where, hint="remove damaged rows")
+        for k, c in enumerate(columns):
+            if c < len(cells):
+                table[i, k] = _number(cells[c], decimal)
+    stated = [int(_number(s, decimal)) for s in block.header.get("Samples", []) if np.isfinite(_number(s, decimal))]
+    # with one heading for all blocks, those after the first follow without a word
+    one_heading = block.header["Multi_Headings"][:1] == ["No"] and stated and len(table) % max(1, max(stated)) == 0
+    if stated and max(stated) != len(table) and not one_heading:
+        raise FormatError(
+            f"the block from line {block.line} states {max(stated)} samples and has {len(table)} rows", where=where,
+            hint="the file is cut off or damaged: export it again",
+        )  # fmt: skip
+    return np.ascontiguousarray(table[:, 1:].T), table[:, 0] if axes != "no" and np.all(np.isfinite(table[:, 0])) else None
+
+
+def _number(text: str, decimal: str) -> float:
+    try:
+        return float(text.replace(decimal, "."))
+    except ValueError:
+        return np.nan
+
+
+def _append(found: list[tuple[float, float, list[str], list[str], NDArray[np.float64]]],
+            block: tuple[float, float, list[str], list[str], NDArray[np.float64]]) -> None:  # fmt: skip
+    """Join a block to the one before where it goes on in time with the same channels."""
+    step, start, names, texts, values = block
+    if found:
+        before = found[-1]
+        goes_on = abs(before[1] + before[0] * before[4].shape[1] - start) < 0.5 * step
+        if before[0] == step and before[2] == names and before[3] == texts and goes_on:
+            found[-1] = (*before[:4], np.concatenate([before[4], values], axis=1))
+            return
+    found.append(block)

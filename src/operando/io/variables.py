@@ -1,0 +1,396 @@
+"""Arrays with names (MATLAB, NumPy): which are time histories, which FRFs, and what the names beside them say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import QUANTITIES, Finding, FrequencyAxis, Frf, Provenance, TimeRecord
+from operando.dof import Dof
+from operando.errors import ConfigError, DataError, DofError, FormatError, UnitError
+from operando.io.content import Content, SetInfo
+from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof, stated_rate
+from operando.io.sep005 import make_record
+from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.io.uff.reader import quick_hash
+
+_RATE = re.compile(r"^(fs|f_s|freq|sampling_?(hz|freq\w*|rate)|sample_?rate|srate|sf|rate|fsamp)$", re.IGNORECASE)
+_STEP = re.compile(r"^(dt|delta_?t|ts|time_?step|inc|increment)$", re.IGNORECASE)
+_TIME = re.compile(r"^(t|time|tt|time_?axis|x_?time)$", re.IGNORECASE)
+_FREQUENCY = re.compile(r"^(f|freq|freqs|frequency|frequencies|freq_?axis|hz|f_?axis)$", re.IGNORECASE)
+_NAMES = re.compile(r"^(channels?|channel_?names?|names?|labels?)$", re.IGNORECASE)
+_UNITS = re.compile(r"^(units?|unit_?str|channel_?units?)$", re.IGNORECASE)
+_COHERENCE = re.compile(r"^C\d+_\d+$")
+_SPECTRUM = re.compile(r"^(G|P|psd|asd|auto|spec|coh)", re.IGNORECASE)
+_SMALLEST = 8
+RESPONSES = {"accelerance": "acceleration", "mobility": "velocity", "receptance": "displacement"}
+"""FRF → quantity of its response."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One array or list of texts with its path (``structure.field``).
+
+    Parameters
+    ----------
+    path : str
+    value : array or list of str
+    """
+
+    path: str
+    value: Any
+
+    @property
+    def name(self) -> str:
+        return self.path.rsplit(".", 1)[-1]
+
+    @property
+    def home(self) -> str:
+        """Path of the structure it stands in."""
+        return self.path.rpartition(".")[0]
+
+
+@dataclass
+class Source:
+    """A file with what all its variables say together, and what the user adds."""
+
+    where: str
+    variables: list[Variable]
+    units: Units | None
+    channels: ChannelSpecs | None
+    provenance: Provenance
+
+    def __post_init__(self) -> None:
+        self.arrays = [v for v in self.variables if isinstance(v.value, np.ndarray)]
+        self.names = texts_named(self.variables, _NAMES)
+        self.unit_texts = texts_named(self.variables, _UNITS)
+        self.rate = stated_rate(self.units, [])
+
+
+def content_of(variables: list[Variable], path: Path, kind: str, units: Units | None, channels: ChannelSpecs | None) -> Content:
+    """Records and FRFs among named arrays.
+
+    A real matrix is a record, its long side time, with a rate from ``fs``, ``dt`` or a time vector; vectors of one length with the same
+    time vector or rate beside them are the channels of one record; a matrix of two columns whose first increases evenly is a time
+    history [time value] or, if complex, an FRF [frequency value]. Other complex arrays are FRFs with a frequency vector beside them.
+
+    Raises
+    ------
+    FormatError
+        If no data with a time or frequency axis are found.
+    """
+    source = Source(str(path), variables, units, channels, Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",)))
+    records: list[TimeRecord] = []
+    frfs: list[Frf] = []
+    findings: list[Finding] = []
+    notes: dict[str, str] = {}
+    groups = Groups(source)
+    for variable in source.arrays:
+        value = np.squeeze(variable.value)
+        try:
+            if not _is_data(value, variable):
+                used = _is_axis(value, variable)
+                notes[variable.path] = "" if used else "neither data nor an axis of data"
+                continue
+            notes[variable.path] = groups.take(value, variable)
+            if notes[variable.path] != "alone":
+                continue
+            if np.iscomplexobj(value):
+                frf, found = _frf(value, variable, source)
+                frfs.append(frf)
+                findings += found
+            else:
+                records.append(_table_record(value, variable, source))
+            notes[variable.path] = ""
+        except (FormatError, DataError) as error:
+            notes[variable.path] = error.message
+    for group, found in groups.frfs():
+        frfs.append(group)
+        findings += found
+    records += groups.records()
+    findings += [f for record in records for f in record.findings]
+    infos = tuple(
+        SetInfo(i, 0, f"{v.path} ({'×'.join(str(n) for n in v.value.shape)})", "ignored" if notes[v.path] else "used", notes[v.path])
+        for i, v in enumerate(source.arrays)
+    )
+    if not records and not frfs:
+        seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:6]) or "no arrays"
+        raise FormatError(
+            f"no data with a time or frequency axis found ({seen})", where=str(path),
+            hint="give [units] sampling_hz, or save fs or a time vector beside the data",
+        )  # fmt: skip
+    return Content(str(path), kind, tuple(records), tuple(frfs), sets=infos, findings=tuple(findings))
+
+
+class Groups:
+    """Vectors that share an axis: the channels of one record, the responses of one FRF."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self._vectors: dict[tuple[Any, ...], list[tuple[str, NDArray[Any]]]] = {}
+        self._lines: dict[bytes, list[tuple[str, NDArray[Any]]]] = {}
+        self._coherence: dict[str, NDArray[Any]] = {}
+
+    def take(self, value: NDArray[Any], variable: Variable) -> str:
+        """Take a vector or a pair of axis and values; ``alone`` if it is neither, else why it is not used (empty: it is)."""
+        source = self.source
+        if value.ndim == 1 and not np.iscomplexobj(value):
+            sampling = _sampling(variable, source.arrays, value.size, source.rate)
+            if sampling is None:
+                return "no sampling rate or time vector beside it"
+            self._vectors.setdefault((variable.home, *sampling, value.size), []).append((variable.name, value))
+            return ""
+        stated = not np.iscomplexobj(value) and _sampling(variable, source.arrays, max(value.shape), source.rate) is not None
+        table = value.T if value.ndim == 2 and value.shape[1] == 2 else value
+        if stated or value.ndim != 2 or table.shape[0] != 2 or not _is_even_axis(table[0]):
+            return "alone"
+        axis = np.real(table[0]).astype(float)
+        if np.iscomplexobj(value):
+            self._lines.setdefault(axis.tobytes(), []).append((variable.name, table[1]))
+        elif _COHERENCE.match(variable.name):
+            self._coherence[variable.name[1:]] = table[1]
+        elif _SPECTRUM.match(variable.name):
+            return "a spectrum without phase"
+        else:
+            sampling = _rate_of_axis(axis, variable.path)
+            self._vectors.setdefault(("pairs", *sampling, axis.size), []).append((variable.name, table[1]))
+        return ""
+
+    def records(self) -> list[TimeRecord]:
+        """One record for each axis."""
+        out = []
+        for (home, rate, start, _), rows in self._vectors.items():
+            names = [name for name, _ in rows]
+            stated = self.source.unit_texts.get(home, self.source.unit_texts.get("", []))
+            labels = self.source.names.get(home, self.source.names.get("", []))
+            units = stated if len(stated) == len(rows) else [""] * len(rows)
+            title = ", ".join(names[:4]) + (" …" if len(names) > 4 else "")
+            labels = labels if len(labels) == len(rows) else names
+            out.append(_record(np.stack([row for _, row in rows]), labels, units, (rate, start), title, self.source))
+        return out
+
+    def frfs(self) -> list[tuple[Frf, list[Finding]]]:
+        """One set of FRFs for each axis, with the coherence whose name differs in the first letter only (H1_2, C1_2)."""
+        out = []
+        for axis, rows in self._lines.items():
+            names = [name for name, _ in rows]
+            lines = np.frombuffer(axis)
+            coherence = [self._coherence.get(name[1:]) for name in names]
+            known = [c for c in coherence if c is not None and c.size == lines.size]
+            stack = np.stack(known)[:, None] if len(known) == len(rows) else None
+            table = np.stack([row for _, row in rows])[:, None]
+            out.append(make_frf(table, lines, ", ".join(names[:4]), self.source, names, coherence=stack))
+        return out
+
+
+def _is_even_axis(values: NDArray[Any]) -> bool:
+    """Whether numbers increase in even steps, to a hundredth of a step: what a clock or a frequency line does and no measurement."""
+    if np.iscomplexobj(values) and np.any(values.imag != 0):
+        return False
+    axis = np.real(values).astype(float)
+    if axis.size < _SMALLEST or not np.all(np.isfinite(axis)):
+        return False
+    step = (axis[-1] - axis[0]) / (axis.size - 1)
+    return step > 0 and bool(np.max(np.abs(np.diff(axis) - step)) < 0.01 * step)
+
+
+def _rate_of_axis(time: NDArray[np.float64], name: str) -> tuple[float, float]:
+    """Rate [Hz] and start [s] of a time vector."""
+    if not np.all(np.diff(time) > 0):
+        raise FormatError(f"the time vector {name} does not increase")
+    step = restore_step_of_values(float(time[0]), float(time[-1]), time.size)
+    if float(np.max(np.abs(time - time[0] - step * np.arange(time.size)))) > 0.5 * step:
+        raise FormatError(f"the time vector {name} is not even")
+    return tidy_rate(step), float(time[0])
+
+
+def texts_named(variables: list[Variable], pattern: re.Pattern[str]) -> dict[str, list[str]]:
+    """Lists of texts whose name matches, by the structure they stand in."""
+    return {v.home: v.value for v in variables if isinstance(v.value, list) and pattern.match(v.name)}
+
+
+def _beside(variable: Variable, arrays: list[Variable], pattern: re.Pattern[str], test: Any) -> Variable | None:
+    """An axis for some data: in the same structure first, then at the top."""
+    for place in dict.fromkeys((variable.home, "")):
+        for other in arrays:
+            if other.home == place and pattern.match(other.name) and other is not variable and test(np.ravel(other.value)):
+                return other
+    return None
+
+
+def _sampling(variable: Variable, arrays: list[Variable], samples: int, rate: float | None) -> tuple[float, float] | None:
+    """Rate and start of data with so many samples."""
+    if rate:
+        return rate, 0.0
+    positive = lambda v: v.size == 1 and np.isrealobj(v) and float(v[0]) > 0  # noqa: E731
+    start = _beside(variable, arrays, re.compile(r"^(start|t0|start_s)$"), lambda v: v.size == 1)
+    start_s = 0.0 if start is None else float(np.ravel(start.value)[0])
+    found = _beside(variable, arrays, _RATE, positive)
+    if found is not None:
+        return float(np.ravel(found.value)[0]), start_s
+    found = _beside(variable, arrays, _STEP, positive)
+    if found is not None:
+        return tidy_rate(float(np.ravel(found.value)[0])), start_s
+    found = _beside(variable, arrays, _TIME, lambda v: v.size == samples and samples > 1)
+    if found is not None:
+        return _rate_of_axis(np.ravel(found.value).astype(float), found.path)
+    return None
+
+
+def _is_axis(value: NDArray[Any], variable: Variable) -> bool:
+    return value.ndim <= 1 and any(p.match(variable.name) for p in (_RATE, _STEP, _TIME, _FREQUENCY, re.compile("^(start|t0|start_s)$")))
+
+
+def _is_data(value: NDArray[Any], variable: Variable) -> bool:
+    if value.ndim == 0 or value.ndim > 3 or max(value.shape) < _SMALLEST or value.dtype.kind not in "fciu":
+        return False
+    if value.ndim == 1 and not np.iscomplexobj(value) and any(p.match(variable.name) for p in (_TIME, _FREQUENCY, _RATE)):
+        return False
+    return np.iscomplexobj(value) or value.ndim <= 2
+
+
+def _record(value: NDArray[Any], labels: Sequence[str], unit_texts: Sequence[str], sampling: tuple[float, float], name: str,
+            source: Source) -> TimeRecord:  # fmt: skip
+    """Record of (n_channels, n_samples) numbers; float32 holds the samples of 16-bit converters exactly."""
+    small = value.dtype == np.float32 or (value.dtype.kind in "iu" and value.dtype.itemsize <= 2)
+    data = np.ascontiguousarray(value, np.float32 if small else np.float64)
+    record = make_record(data, sampling[0], labels, unit_texts, start_s=sampling[1], units=source.units, channels=source.channels,
+                         source=source.where, provenance=source.provenance)  # fmt: skip
+    return replace(record, name=f"{source.where}:{name}")
+
+
+def _table_record(value: NDArray[Any], variable: Variable, source: Source) -> TimeRecord:
+    """Record of one matrix, its long side the time."""
+    table = value.T if value.shape[0] >= value.shape[1] else value
+    sampling = _sampling(variable, source.arrays, table.shape[1], source.rate)
+    if sampling is None:
+        raise FormatError("no sampling rate or time vector beside it")
+    found = source.names.get(variable.home, source.names.get("", []))
+    labels = found if len(found) == len(table) else [variable.name if len(table) == 1 else f"ch{i + 1}" for i in range(len(table))]
+    stated = source.unit_texts.get(variable.home, source.unit_texts.get("", []))
+    return _record(table, labels, stated if len(stated) == len(table) else [""] * len(table), sampling, variable.path, source)
+
+
+def _frf(value: NDArray[Any], variable: Variable, source: Source) -> tuple[Frf, list[Finding]]:
+    side = int(np.argmax(value.shape))
+    frequencies = _frequencies(variable, source.arrays, value.shape[side], source.rate)
+    table = np.moveaxis(value, side, -1)
+    table = table[:, None] if table.ndim == 2 else table.reshape((1,) * (3 - table.ndim) + table.shape)
+    responses = _stated_dofs(variable, source.variables, "responses", table.shape[0])
+    references = _stated_dofs(variable, source.variables, "references", table.shape[1])
+    stated = texts_named(source.variables, re.compile("^quantity$")).get(variable.home, [""])[0]
+    si = stated in QUANTITIES and _flag(variable, source.arrays, "si")
+    names = [""] * len(table) if len(table) > 1 else [variable.name]
+    return make_frf(table, frequencies, variable.path, source, names, responses, references, stated, si)
+
+
+def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source: Source, names: Sequence[str],
+             responses: tuple[Dof, ...] | None = None, references: tuple[Dof, ...] | None = None, stated: str = "", si: bool = False,
+             coherence: NDArray[Any] | None = None) -> tuple[Frf, list[Finding]]:  # fmt: skip
+    """FRFs of an array (responses, references, lines), and what is not known of them.
+
+    Parameters
+    ----------
+    table, frequencies : arrays
+    title : str
+        Name in findings.
+    source : Source
+    names : sequence of str
+        Name of each response in the file, empty where it has none.
+    responses, references : tuples of Dof, optional
+        DOFs where the file names them.
+    stated : str
+        Quantity, where the file names it.
+    si : bool
+        Whether the numbers are in SI already.
+    coherence : array, optional
+    """
+    findings: list[Finding] = []
+    channels = source.channels
+    known = None if responses is None else list(responses)
+    specs = [find_spec(channels, names[i], known[i] if known else None, False, i) for i in range(table.shape[0])]
+    keep = [i for i, spec in enumerate(specs) if not spec.get("exclude")]
+    if not keep:
+        raise DataError("no response is left", where=source.where, hint="[channels] excludes them all")
+    force = find_spec(channels, "force", None, True)
+    unlabelled = known is None and any(not specs[i].get("dof") for i in keep)
+    if unlabelled or (references is None and not force.get("dof")):
+        findings.append(_missing_dof(title, source.where))
+    dofs = tuple(spec_dof(specs[i], known[i] if known else Dof(i + 1)) or Dof(i + 1) for i in keep)
+    if references is None:
+        given = spec_dof(force, None)
+        references = (given or Dof(0),) if table.shape[1] == 1 else tuple(Dof(1001 + j) for j in range(table.shape[1]))
+    if si:
+        data, quantity = table[keep], stated
+    else:
+        kind = RESPONSES.get(stated, "acceleration")
+        data, quantity, si = _scaled(table[keep], [specs[i] for i in keep], kind, source.units, channels)
+    if not si:
+        findings.append(_missing_unit(title, quantity, source.where))
+    frf = Frf(data, FrequencyAxis(frequencies), dofs, references, quantity, coherence=None if coherence is None else coherence[keep], si=si,
+              name=f"{source.where}:{title}", provenance=source.provenance)  # fmt: skip
+    return frf, findings
+
+
+def _stated_dofs(variable: Variable, variables: list[Variable], name: str, count: int) -> tuple[Dof, ...] | None:
+    """DOFs named by a list of labels beside the data."""
+    labels = texts_named(variables, re.compile(f"^{name}$")).get(variable.home, [])
+    if len(labels) != count:
+        return None
+    try:
+        return tuple(Dof.parse(label) for label in labels)
+    except DofError:
+        return None
+
+
+def _flag(variable: Variable, arrays: list[Variable], name: str) -> bool:
+    found = _beside(variable, arrays, re.compile(f"^{name}$"), lambda v: v.size == 1)
+    return found is not None and bool(np.ravel(found.value)[0])
+
+
+def _scaled(table: NDArray[Any], specs: list[Any], quantity: str, units: Units | None,
+            channels: ChannelSpecs | None) -> tuple[NDArray[Any], str, bool]:  # fmt: skip
+    """FRFs in SI where response and force units are known; numbers kept where not."""
+    scales = [resolve(quantity, "", units, spec) for spec in specs]
+    force = resolve("force", "", units, find_spec(channels, "force", None, True))
+    kinds = {s.quantity for s in scales}
+    if len(kinds) != 1 or next(iter(kinds)) not in RESPONSES.values():
+        raise ConfigError(f"one FRF array cannot hold {', '.join(sorted(kinds)) or 'nothing'}", where="[channels]")
+    name = {v: k for k, v in RESPONSES.items()}[kinds.pop()]
+    if not (force.known and all(s.known for s in scales)):
+        return np.asarray(table, complex), name, False
+    return table * (np.array([s.factor for s in scales]) / force.factor)[:, None, None], name, True
+
+
+def _missing_dof(path: str, where: str) -> Finding:
+    return Finding(
+        "missing_dof", f"{path}: the file names no DOFs; responses are 1, 2, …, references 0 (or 1001, 1002, …)", "warning", where,
+        consequence="shapes cannot be drawn, drive points are not known", action='give them in [channels]: "ch1" = {dof = "12+Z"}',
+    )  # fmt: skip
+
+
+def _missing_unit(path: str, quantity: str, where: str) -> Finding:
+    return Finding(
+        "missing_unit", f"{path}: the file states no units; taken as {quantity}", "warning", where,
+        consequence="frequencies and damping can be found, the scaling to unit modal mass cannot",
+        action='give them in the test file: [units] acceleration = "…", force = "…"',
+    )  # fmt: skip
+
+
+def _frequencies(variable: Variable, arrays: list[Variable], lines: int, rate: float | None) -> NDArray[np.float64]:
+    vector = _beside(variable, arrays, _FREQUENCY, lambda v: v.size == lines)
+    if vector is not None:
+        return np.ravel(vector.value).astype(float)
+    try:
+        sampling = _sampling(variable, arrays, lines, rate)
+    except (FormatError, UnitError):
+        sampling = None
+    if sampling is None:
+        raise FormatError("no frequency vector and no sampling rate beside it")
+    return np.asarray(sampling[0] / (2 * (lines - 1)) * np.arange(lines), np.float64)

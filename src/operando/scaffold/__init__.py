@@ -1,0 +1,5 @@
+"""A first test file from the files in a folder (``operando init``)."""
+
+from operando.scaffold.look import Scaffold, Taken, scaffold, write_test
+
+__all__ = ["Scaffold", "Taken", "scaffold", "write_test"]

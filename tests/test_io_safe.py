@@ -1,0 +1,284 @@
+"""Files that would do harm: sizes, links and hanging libraries are caught before the file is read."""
+
+from __future__ import annotations
+
+import io
+import os
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zlib
+
+import numpy as np
+import pytest
+
+from io_files import SHARED
+from operando.data import Channel, TimeRecord
+from operando.dof import Dof
+from operando.errors import FormatError, MissingError
+from operando.io import read, read_hdf5, write_hdf5
+from operando.io.hints import is_of
+from operando.io.safe import DEFLATE_RATIO, FREE_BYTES, GROWTH, guard, memory_allowed
+
+h5py = pytest.importorskip("h5py")
+FAULTS = SHARED / "faults"
+HARMFUL = sorted(p for p in FAULTS.glob("*") if p.suffix in (".h5", ".mat", ".csv")) if FAULTS.is_dir() else []
+
+MEASURED = """
+import resource, sys, time
+import h5py, numpy, scipy.io, operando.io
+from operando.errors import FormatError, DofError
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+before, start = peak(), time.perf_counter()
+try:
+    operando.io.read(sys.argv[1])
+except FormatError as error:
+    assert error.where and error.hint, error
+    print("refused", time.perf_counter() - start, (peak() - before) / 1024)
+"""
+
+
+def record():
+    channels = (Channel(Dof(1, "Z"), "force", "N"), Channel(Dof(2, "Z"), "acceleration", "m/s2"))
+    return TimeRecord(np.arange(20.0).reshape(2, 10), 100.0, channels)
+
+
+@pytest.mark.skipif(not HARMFUL, reason="the folder of harmful files beside the project is missing")
+@pytest.mark.parametrize("path", HARMFUL, ids=lambda p: p.name)
+def test_files_that_did_harm_are_refused_in_time_and_memory(path):
+    done = subprocess.run([sys.executable, "-c", MEASURED, str(path)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    word, seconds, megabytes = done.stdout.split()
+    assert word == "refused"
+    assert float(seconds) < 10
+    assert float(megabytes) < 5 * path.stat().st_size / 1e6 + 200
+
+
+@pytest.mark.skipif(not HARMFUL, reason="the folder of harmful files beside the project is missing")
+def test_a_results_file_that_hangs_the_library_is_refused_by_commands(tmp_path):
+    from click.testing import CliRunner
+
+    from operando.cli import main
+
+    (tmp_path / "model.h5").write_bytes((FAULTS / "h6af48a6ad8.h5").read_bytes())
+    done = CliRunner().invoke(main, ["report", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "no progress within" in done.stderr
+    assert "fault of the program" not in done.stderr
+
+
+def mat73(path, fill):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        fill(file)
+    with open(path, "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+def test_hdf5_that_reaches_out_is_refused(tmp_path):
+    secret = tmp_path / "secret.txt"
+    secret.write_bytes(b"0123456789abcdef" * 8)
+    other = tmp_path / "other.h5"
+    with h5py.File(other, "w") as file:
+        file["x"] = np.arange(50.0)
+    layout = h5py.VirtualLayout((50,), "f8")
+    layout[:] = h5py.VirtualSource(str(other), "x", (50,))
+    cases = {
+        "another file": lambda f: f.create_dataset("x", (128,), "u1", external=[(str(secret), 0, 128)]),
+        "in another file": lambda f: f.create_virtual_dataset("x", layout),
+        "a link to another place": lambda f: f.__setitem__("x", h5py.ExternalLink(str(other), "x")),
+        "link to another": lambda f: (f.__setitem__("y", np.ones(3)), f.__setitem__("x", h5py.SoftLink("/y"))),
+        "linked a second time": lambda f: (f.create_group("g"), f["g"].__setitem__("again", f["g"])),
+    }
+    for i, (match, fill) in enumerate(cases.items()):
+        path = mat73(tmp_path / f"{i}.mat", lambda file, fill=fill: (fill(file), file.__setitem__("fs", 10.0)))
+        with pytest.raises(FormatError, match=match):
+            read(path)
+
+
+def test_hdf5_sizes_are_checked_before_memory_is_taken(tmp_path):
+    unwritten = mat73(tmp_path / "a.mat", lambda f: f.create_dataset("x", (3, 300_000_000), "f4", chunks=(1, 1_000_000)))
+    with pytest.raises(FormatError, match="cannot hold them"):
+        read(unwritten)
+    # zeros compress by more than any measurement: within the limit of deflate, beyond that of memory
+    big = (FREE_BYTES + (1 << 20)) // 8
+    packed = mat73(
+        tmp_path / "b.mat",
+        lambda f: f.create_dataset("x", (1, big), "f8", chunks=(1, 1 << 20), compression="gzip", data=np.zeros((1, big))),
+    )
+    assert big * 8 > GROWTH * packed.stat().st_size + FREE_BYTES
+    with pytest.raises(FormatError, match=r"would take .* MB of memory"):
+        read(packed)
+    # what is compressed as measurements are is read
+    noise = np.random.default_rng(0).integers(-2000, 2000, (2, 200_000)) / 1024.0
+    good = mat73(
+        tmp_path / "c.mat", lambda f: (f.create_dataset("x", data=noise, compression="gzip", shuffle=True), f.__setitem__("fs", 10.0))
+    )
+    np.testing.assert_array_equal(read(good).records[0].data, noise)
+
+
+def test_deflate_ratio_is_the_limit_of_zlib():
+    """RFC 1951: 258 bytes for two bits; zlib comes near and never beyond."""
+    for n in (1 << 16, 1 << 22):
+        ratio = n / len(zlib.compress(bytes(n), 9))
+        assert ratio < DEFLATE_RATIO
+    assert ratio > 0.98 * DEFLATE_RATIO
+
+
+def test_compressed_matlab_5_is_unpacked_with_a_limit(tmp_path):
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    savemat(stream, {"x": np.zeros(10)})
+    head = stream.getvalue()[:128]
+    bomb = zlib.compress(struct.pack("<II", 14, 200_000_000) + bytes(200_000_000), 9)
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(head + struct.pack("<II", 15, len(bomb)) + bomb)
+    start = time.perf_counter()
+    with pytest.raises(FormatError, match=r"would take .* MB of memory"):
+        read(path)
+    assert time.perf_counter() - start < 5
+    path.write_bytes(head + struct.pack("<II", 15, 400) + bomb[:400])
+    with pytest.raises(FormatError, match="cut off"):
+        read(path)
+    path.write_bytes(head + struct.pack("<II", 14, 400) + b"abc")
+    with pytest.raises(FormatError, match="longer than the rest"):
+        read(path)
+
+
+@pytest.fixture
+def fresh_helper():
+    guard._end()
+    yield
+    guard._end()
+
+
+def test_a_library_that_hangs_or_dies_is_survived(tmp_path, monkeypatch, fresh_helper):
+    path = tmp_path / "a.h5"
+    write_hdf5(path, {"a": record()})
+    os.utime(path, ns=(1, 1))  # no longer as this process wrote it
+    helper = guard._helper()
+    os.kill(helper.process.pid, signal.SIGSTOP)  # as in an endless loop
+    monkeypatch.setattr(guard, "TIME_LIMIT_S", 0.2)
+    start = time.perf_counter()
+    with pytest.raises(FormatError, match=r"no progress within"):
+        read(path)
+    assert time.perf_counter() - start < 4
+    monkeypatch.setattr(guard, "TIME_LIMIT_S", 20.0)
+    assert read(path).records[0].data.shape == (2, 10)  # a new helper serves the next file
+    assert guard._helper() is not helper
+    with pytest.raises(MissingError):
+        guard.try_apart(tmp_path / "none.h5", "hdf5")
+
+
+@pytest.mark.skipif(not HARMFUL, reason="the folder of harmful files beside the project is missing")
+def test_the_helper_ends_itself_if_nobody_waits(fresh_helper):
+    """Its own limit of computing time: no process is left that computes for ever."""
+    helper = guard._helper()
+    assert helper.ask({"kind": "hdf5", "path": str(FAULTS / "h6af48a6ad8.h5"), "limit_s": 0.3}, 30.0) is None
+    assert helper.process.returncode == -signal.SIGPROF
+
+
+def test_a_long_trial_goes_on_while_it_moves(tmp_path, monkeypatch, fresh_helper):
+    """Many objects take longer than the limit for one; signs of life come in between."""
+    from operando.io.safe import helper
+
+    said, clock = io.StringIO(), iter(np.arange(0.0, 100.0, 0.1).tolist())
+    monkeypatch.setattr(helper.time, "monotonic", lambda: next(clock))
+    watch = helper._Watch(50.0, said)
+    for _ in range(30):
+        watch.alive()
+    watch.end()
+    assert 5 <= said.getvalue().count("alive") <= 15
+
+
+def test_own_files_and_files_tried_before_are_not_tried_again(tmp_path, monkeypatch):
+    path = tmp_path / "a.h5"
+    write_hdf5(path, {"a": record()})
+    asked = []
+    monkeypatch.setattr(guard, "_helper", lambda: asked.append(1) or pytest.fail("asked"))
+    path = path.rename(tmp_path / "b.h5")  # a rename changes nothing
+    assert read_hdf5(path)["a"].sampling_hz == 100.0
+    assert not asked
+    os.utime(path, ns=(5, 5))
+    with pytest.raises(pytest.fail.Exception):
+        read_hdf5(path)
+
+
+def test_a_description_cannot_name_foreign_code_or_one_array_many_times(tmp_path):
+    def write(tree, **arrays):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            group = file.create_group("a")
+            group["__tree__"] = tree
+            for name, value in arrays.items():
+                group[name] = value
+        return tmp_path / "a.h5"
+
+    for name in ("operando.__main__:main", "operando.cli.answer:Answer", "os:path", "operando.data.time:", "operando..data:x"):
+        with pytest.raises(FormatError, match="no class"):
+            read_hdf5(write(f'{{"__class__": "{name}", "fields": {{}}}}'))
+    assert "operando.__main__" not in sys.modules
+    with pytest.raises(FormatError, match="named twice"):
+        read_hdf5(write('[{"__array__": "x"}, {"__array__": "x"}]', x=np.ones(3)))
+    with pytest.raises(FormatError, match="not there"):
+        read_hdf5(write('{"__array__": "/a/x"}', x=np.ones(3)))
+
+
+def test_values_of_another_type_than_declared_are_refused_at_reading(tmp_path):
+    write_hdf5(tmp_path / "a.h5", {"a": record()})
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        text = file["a/__tree__"].asstr()[()]
+        del file["a/__tree__"]
+        file["a/__tree__"] = text.replace('"__class__": "operando.data.time:Channel"', '"no_class": ""', 1)
+    with pytest.raises(FormatError, match=r"'channels' of TimeRecord .* expected tuple\[Channel"):
+        read(tmp_path / "a.h5")
+
+
+def test_types_of_fields():
+    assert is_of(1, float)
+    assert is_of(None, float | None)
+    assert is_of((1, "a"), tuple[int, str])
+    assert is_of({"a": [1.0]}, dict[str, list[float]])
+    assert not is_of(True, float)
+    assert not is_of("a", tuple[str, ...])
+    assert not is_of((1,), tuple[int, int])
+    assert not is_of([1.0], np.ndarray)
+    assert not is_of({1: 2}, dict[str, int])
+
+
+def test_memory_of_the_trial_stays_below_what_a_small_file_may_take():
+    assert memory_allowed(0) <= 200 << 20
+    assert resource.getrlimit(resource.RLIMIT_AS)  # the system can hold a process to it
+
+
+def test_source_uses_neither_eval_nor_pickle():
+    """No file can bring code with it: nothing in the package evaluates text or unpickles."""
+    import ast
+    from pathlib import Path
+
+    import operando
+
+    bad_calls = {"eval", "exec", "compile", "__import__"}
+    bad_modules = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib"}
+    found = []
+    for path in Path(operando.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name.split(".")[0] for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [(node.module or "").split(".")[0]]
+            elif isinstance(node, ast.Call):
+                if isinstance(node.func, ast.Name) and node.func.id in bad_calls:
+                    found.append(f"{path.name}:{node.lineno} {node.func.id}")
+                for word in node.keywords:
+                    allowed = isinstance(word.value, ast.Constant) and word.value.value is False
+                    if (word.arg == "allow_pickle" and not allowed) or (word.arg == "shell" and not allowed):
+                        found.append(f"{path.name}:{node.lineno} {word.arg}")
+                if ast.unparse(node.func) in ("np.load", "numpy.load") and not any(w.arg == "allow_pickle" for w in node.keywords):
+                    found.append(f"{path.name}:{node.lineno} np.load without allow_pickle=False")
+            found += [f"{path.name}:{node.lineno} {name}" for name in names if name in bad_modules]
+    assert not found
