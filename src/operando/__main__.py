@@ -1,6 +1,38 @@
-"""``python -m operando``: the command line."""
+"""``operando`` and ``python -m operando``: the command line, which Ctrl-C ends at once from here on."""
 
-from operando.cli import main
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import NoReturn
+
+
+def main() -> None:
+    """Run the command line.
+
+    Ctrl-C ends the process where it stands: whatever it writes appears whole or not at all, and nothing has to be unwound. An exception
+    instead would be lost, or shown as a traceback, wherever it meets the import of an extension module or a callback. Where the caller
+    has the signal ignored, it stays ignored.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
+    from operando.cli import main as command
+
+    command(prog_name="operando")
+
+
+def _interrupted(signum: int, frame: object) -> NoReturn:
+    hint = "finished stages are kept; the same command goes on from there"
+    atomic = sys.modules.get("operando.io.atomic")
+    if atomic is not None and hasattr(atomic, "remove_unfinished"):
+        atomic.remove_unfinished()
+    if "--json" in sys.argv:
+        document = f'{{"schema": "operando/error/1", "error": "interrupted", "where": null, "hint": "{hint}"}}\n'
+        os.write(1, document.encode())
+    os.write(2, f"operando: interrupted ({hint})\n".encode())
+    os._exit(130)
+
 
 if __name__ == "__main__":
-    main(prog_name="operando")
+    main()

@@ -57,3 +57,11 @@ class IdentificationError(OperandoError):
 
 class MissingError(OperandoError):
     """A needed file, stage, or optional package is missing."""
+
+
+class WriteError(OperandoError):
+    """A file cannot be written: no space, no permission, no such folder."""
+
+
+class BusyError(OperandoError):
+    """Another process is at work in the same results folder."""

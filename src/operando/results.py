@@ -52,7 +52,7 @@ class Results:
     left_out : dict
         Stage name → reason why it was left out.
     timings_s : dict
-        Stage name → wall seconds.
+        Stage name → wall seconds; in ``timings.json``, not in ``model.h5``.
     """
 
     name: str

@@ -10,7 +10,8 @@ from typing import Any
 from operando.errors import FormatError, MissingError, OperandoError
 from operando.results import Results
 
-_NAMES = tuple(f.name for f in fields(Results))
+_NAMES = tuple(f.name for f in fields(Results) if f.name != "timings_s")
+"""What took how long is no result: it differs from run to run."""
 
 
 def save_results(results: Results, path: str | Path) -> None:

@@ -16,21 +16,23 @@ from operando.cli.answer import Answer, answers
 def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> Answer:
     """Add effects to the idle model, refit all of them, and print the error before and after on lines the fit has not seen.
 
+    The next `operando run` on this folder makes the results of the test file again, without what was added here.
+
     EFFECT is KIND[@PLACE][=name:value,...], PLACE is DOF, DOF,DOF or x,y,z:+Z (m); values are starting values.
     """
     if bool(effects) == suggested:
         raise click.UsageError("name effects to add, or --suggested")
-    from operando.cli.ladder import change, present, suggestion
+    from operando.cli.ladder import accepted, change, present, suggestion
     from operando.cli.ofrf import check_dofs
+    from operando.cli.sources import changing
     from operando.effects import parse_effect
 
-    state = present(folder)
-    band = state.idle.band_hz if state.idle is not None else None
-    if suggested:
-        return change(folder, state, suggestion(folder, state))
-    new = [parse_effect(text, band, fixed=fix) for text in effects]
-    for text, effect in zip(effects, new, strict=True):
-        check_dofs(effect.location, state.idle.dofs if state.idle is not None else (), f"effect {text!r:.200}")
-    from operando.cli.ladder import accepted
-
-    return change(folder, state, [*accepted(state), *new])
+    with changing(folder, "add") as out:
+        state = present(folder)
+        band = state.idle.band_hz if state.idle is not None else None
+        if suggested:
+            return change(out, state, suggestion(folder, state))
+        new = [parse_effect(text, band, fixed=fix) for text in effects]
+        for text, effect in zip(effects, new, strict=True):
+            check_dofs(effect.location, state.idle.dofs if state.idle is not None else (), f"effect {text!r:.200}")
+        return change(out, state, [*accepted(state), *new])

@@ -78,6 +78,14 @@ def answers(function: Callable[..., Answer]) -> Callable[..., int]:
     return body
 
 
+def apart_from_runs(output: str | None, doing: str) -> None:
+    """Until the command ends, keep runs away from the results folder that a file to be written lies in, if it is one."""
+    if output is not None:
+        from operando.pipeline.folder import apart_from_runs as held
+
+        click.get_current_context().with_resource(held(output, doing))
+
+
 def _fail(error: OperandoError, as_json: bool, code: int = 1) -> int:
     if as_json:
         print_json(error.to_dict())

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from operando.cli.answer import Answer, answers, table
+from operando.cli.answer import Answer, answers, apart_from_runs, table
 
 
 @click.command("compare", epilog="Example: operando compare pump-results check/run1.uff -o comparison.json")
@@ -24,13 +24,14 @@ def compare(model: str, measured: str, output: str | None) -> Answer:
     from operando.cli.sources import load_measured, load_model
     from operando.compare import compare_all
 
+    apart_from_runs(output, "compare")
     source = load_model(model)
     runs = [replace(run, frf=run.frf.without_bands(source.exclude_bands)) for run in load_measured(measured)]
     found: dict[str, Any] = compare_all({"model": source.model}, runs, band_hz=source.band_hz)
     errors = found["models"]["model"]
     document = found | {"model": errors, "model_source": f"{model}: {source.what}", "measured_source": measured, "band_hz": source.band_hz}
     if output is not None:
-        from operando.pipeline.cache import write_json
+        from operando.io.atomic import write_json
 
         write_json(Path(output), document)
     return Answer(document, _text(source.what, errors, document, output))

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from operando.cli.answer import Answer, answers
+from operando.cli.answer import Answer, answers, apart_from_runs
 
 
 @click.command("convert", epilog="Example: operando convert run1.mat run1.uff")
@@ -20,6 +20,7 @@ def convert(source: str, target: str) -> Answer:
     """
     from operando.io import convert as convert_file
 
+    apart_from_runs(target, "convert")
     found: dict[str, Any] = convert_file(source, target)
     lines = [f"{target} written ({found['format_out']}, from {found['format_in']}):"]
     lines += [f"  {text}" for text in found["written"]]

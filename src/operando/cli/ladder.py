@@ -16,6 +16,7 @@ from operando.results import CheckRun, Results
 if TYPE_CHECKING:
     from operando.data import TimeRecord
     from operando.diagnose.apply import Applied
+    from operando.pipeline.folder import ResultsFolder
 
 
 def present(folder: str) -> Results:
@@ -112,13 +113,12 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
     return list(found.effects)
 
 
-def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
+def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
     from operando.compare import with_effect
     from operando.diagnose import Model, apply_effects
     from operando.diagnose.from_records import apply_levels, need_records, with_levels
-    from operando.pipeline.outputs import write_output
-    from operando.store import save_results
+    from operando.pipeline.outputs import LADDER_OUTPUTS
 
     say = Clock()
     idle = results.idle
@@ -129,7 +129,7 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
         applied = apply_levels(
             idle,
             effects,
-            check_records(folder, results),
+            check_records(str(folder.path), results),
             geometry=results.geometry,
             band=band or idle.band_hz,
             exclude_bands=left_out(results),
@@ -158,14 +158,9 @@ def change(folder: str, results: Results, effects: list[Effect]) -> Answer:
         made = replace(applied.model.idle, covariance=None, std=None)  # the idle model's variance judges
         shown = Model(made, applied.model.effects, applied.model.geometry) if applied.effects else None
         results.comparison = with_effect(results.comparison, idle, shown, runs, band or idle.band_hz)
-    out = Path(folder) if Path(folder).is_dir() else Path(folder).parent
-    save_results(results, out / "model.h5")
-    for name in ("diagnosis.json", "ladder.json", "comparison.json", "ofrf_effect.uff"):
-        write_output(name, out, results)
-    from operando.pipeline.cache import whole
-    from operando.report import write_report
-
-    with whole(out / "report.html") as beside:
-        write_report(results, beside)
+    for output in LADDER_OUTPUTS:
+        if output.name != "comparison.json" or results.comparison is not None:
+            folder.stage(output.name, None, output.of(results))
+    folder.commit()
     words = list(applied.words) or ["the idle model alone"]
     return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", ladder_table(done["ladder"])]))

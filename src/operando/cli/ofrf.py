@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from operando.cli.answer import Answer, answers, table
+from operando.cli.answer import Answer, answers, apart_from_runs, table
 
 if TYPE_CHECKING:
     from operando.data import Frf
@@ -72,6 +72,7 @@ def ofrf(
     if changes and (route != "effect" or level is not None):
         raise click.UsageError("--set belongs to --route effect, without --level")
     values = [parse_change(text) for text in changes]
+    apart_from_runs(output, "ofrf")
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
     names = ("idle_frf", "left_out", "settings", "geometry")
@@ -226,15 +227,15 @@ def check_dofs(wanted: Any, known: Any, where: str) -> None:
 def write_frf(frf: Frf, path: Path) -> None:
     """Write FRFs in the format of the file's ending."""
     from operando.io import convert, write_hdf5, write_uff
-    from operando.pipeline.cache import whole
+    from operando.io.atomic import writing
 
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     ending = path.suffix.lower()
     if ending in (".h5", ".hdf5"):
         write_hdf5(path, {"ofrf": frf})
     elif ending in (".uff", ".unv", ".uf", ".bunv", ".asc"):
-        with whole(path) as beside:
-            write_uff(beside, frf)
+        write_uff(path, frf)
     else:
         import tempfile
 

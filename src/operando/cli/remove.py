@@ -14,11 +14,13 @@ from operando.cli.answer import Answer, answers
 def remove(folder: str, step: int) -> Answer:
     """Take the effect of a step of the ladder back and refit the others (step 0 is the idle model)."""
     from operando.cli.ladder import accepted, change, present
+    from operando.cli.sources import changing
     from operando.errors import ConfigError
 
-    state = present(folder)
-    effects = accepted(state)
-    if not 1 <= step <= len(effects):
-        have = f"1 to {len(effects)}" if effects else "none: no effect has been added"
-        raise ConfigError(f"there is no step {step} to remove", where=folder, hint=f"steps with an effect: {have}")
-    return change(folder, state, [e for i, e in enumerate(effects, 1) if i != step])
+    with changing(folder, "remove") as out:
+        state = present(folder)
+        effects = accepted(state)
+        if not 1 <= step <= len(effects):
+            have = f"1 to {len(effects)}" if effects else "none: no effect has been added"
+            raise ConfigError(f"there is no step {step} to remove", where=folder, hint=f"steps with an effect: {have}")
+        return change(out, state, [e for i, e in enumerate(effects, 1) if i != step])

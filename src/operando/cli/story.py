@@ -35,7 +35,7 @@ def run_answer(results: Results, out: Path, until: str | None) -> Answer:
     """Answer of a run: ``summary.json`` with the folder and the comparison, tables, and an error if a stage failed."""
     from operando.pipeline import summary
 
-    document = summary(results) | {"results": str(out), "until": until, "comparison": results.comparison}
+    document = summary(results) | {"results": str(out), "until": until, "comparison": results.comparison, "timings_s": results.timings_s}
     return Answer(document, run_text(results, out), failure(results, out))
 
 

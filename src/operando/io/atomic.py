@@ -1,34 +1,104 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and stay so when the power fails."""
 
 from __future__ import annotations
 
+import errno
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from operando.errors import MissingError
+from operando.errors import WriteError
+from operando.jsonable import json_text
+
+_FULL = "make room and give the same command again; what was finished is kept"
+_CLOSED = "choose another folder, or ask for the right to write there"
+_HINTS = {
+    errno.ENOSPC: _FULL,
+    errno.EDQUOT: _FULL,
+    errno.EFBIG: _FULL,
+    errno.EACCES: _CLOSED,
+    errno.EPERM: _CLOSED,
+    errno.EROFS: _CLOSED,
+    errno.ENOENT: "does the folder exist?",
+}
+
+unfinished: set[Path] = set()
+"""Files being written now: a process that ends without unwinding removes them (:func:`remove_unfinished`)."""
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """What the operating system refuses inside the block, as a typed error that names the file.
+
+    Raises
+    ------
+    WriteError
+        If writing fails.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        hint = _HINTS.get(error.errno or 0, "give the same command again when this is put right")
+        raise WriteError(f"cannot be written: {reason}", where=str(path), hint=hint) from error
 
 
 @contextmanager
 def replacing(path: str | Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """Open a file beside ``path`` for writing; it takes the name ``path`` when the block ends well, and disappears when it does not.
 
+    Its content is on the disk before it takes the name, so that no power failure leaves the name with half a file.
+
     Raises
     ------
-    MissingError
-        If the folder does not exist or cannot be written.
+    WriteError
+        If the folder does not exist, is full or cannot be written.
     """
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with writing(path):
+        unfinished.add(beside)
+        try:
+            with open(beside, mode, **kwargs) as stream:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(beside, path)
+            sync_folder(path.parent)
+        finally:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
+            unfinished.discard(beside)
+
+
+def write_json(path: str | Path, document: Mapping[str, Any] | list[Any]) -> None:
+    """A JSON file, null where there is no value."""
+    text = json_text(document) + "\n"
+    with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
+        stream.write(text)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, where the operating system lets one (Windows does not)."""
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
     try:
-        stream = open(beside, mode, **kwargs)  # noqa: SIM115
-    except OSError as error:
-        raise MissingError(f"cannot be written: {error.strerror}", where=str(path), hint="does the folder exist?") from error
-    try:
-        with stream:
-            yield stream
-        os.replace(beside, path)
+        os.fsync(handle)
     finally:
-        beside.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def left_behind(folder: Path) -> list[Path]:
+    """Files in a folder that a process began to write and did not finish."""
+    return [path for path in folder.glob(".*.part") if re.fullmatch(r"\..+\.\d+\.part", path.name)]
+
+
+def remove_unfinished() -> None:
+    """Remove the files being written now."""
+    for path in tuple(unfinished):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)

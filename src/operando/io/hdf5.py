@@ -7,6 +7,7 @@ A group that holds an object has a dataset ``__tree__`` (JSON, with each array r
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import math
 from collections.abc import Mapping
@@ -82,10 +83,14 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     """
     import h5py
 
-    with replacing(path, "w+b") as stream, h5py.File(stream, "w") as file:
+    # In memory first: the HDF5 library never sees a write that fails, which it would answer by messages of its own.
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
         file.attrs["schema"] = SCHEMA
         for name, obj in objects.items():
             write_object(file.create_group(name), obj)
+    with replacing(path) as stream:
+        stream.write(content.getbuffer())
     trust(path, "hdf5")
 
 

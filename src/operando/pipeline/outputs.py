@@ -1,9 +1,9 @@
-"""The files of the results folder that one stage makes."""
+"""The files of the results folder: which stage each stands on, and how it is written."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +12,8 @@ import numpy as np
 from operando.data import Finding, Frf, ModalModel, node_motion
 from operando.dof import Dof
 from operando.errors import MissingError
-from operando.pipeline.cache import whole, write_json
+from operando.io.atomic import write_json
 from operando.results import Results
-
-OUTPUTS = {
-    "frf": ("idle_frf.uff",),
-    "ema": ("idle_modes.uff",),
-    "oma": ("operating_modes.uff",),
-    "ofrf": ("ofrf.uff",),
-    "compare": ("comparison.json",),
-    "diagnose": ("diagnosis.json", "ladder.json", "comparison.json", "ofrf_effect.uff"),
-}
-"""Stage → files it makes."""
-
-DESCRIPTIONS = {
-    "idle_frf.uff": "idle FRFs as measured",
-    "idle_modes.uff": "idle modes and residual terms",
-    "operating_modes.uff": "operational modes, unscaled",
-    "ofrf.uff": "operational FRFs, hybrid route",
-    "ofrf_effect.uff": "operational FRFs, idle model with accepted effects",
-}
-"""What the header of each UFF file says that it holds."""
 
 MAX_BYTES = 1_000_000_000
 """Beyond this size ``ofrf.uff`` holds the columns of the measured references only."""
@@ -42,45 +23,132 @@ MAX_BAND_VALUES = 2_000_000
 """Pairs times lines up to which ``ofrf.uff`` holds the standard deviation of all of them: measured on the example, 1.2 million take 4 s."""
 
 
-def write_output(name: str, out: Path, results: Results) -> list[Finding]:
-    """Write one file of the results folder, whole or not at all; returns what there is to say about it."""
-    if name == "comparison.json":
-        if results.comparison is not None:
-            write_json(out / name, results.comparison)
-        return []
-    if name in ("diagnosis.json", "ladder.json"):
-        document = results.diagnosis or {}
-        write_json(out / name, document if name == "diagnosis.json" else document.get("ladder", []))
-        return []
-    from operando.io import write_uff
+@dataclass(frozen=True)
+class Output:
+    """A file of the results folder.
 
+    Parameters
+    ----------
+    name : str
+    write : callable
+        (path, results) → findings: what there is to say about the file.
+    stage : str or None
+        Stage without which there is no such file; None: there always is.
+    whole : bool
+        Whether it tells of the whole run (settings, findings, what was left out), not of the stages up to its own alone.
+    """
+
+    name: str
+    write: Callable[[Path, Results], list[Finding]]
+    stage: str | None = None
+    whole: bool = False
+
+    def of(self, results: Results) -> Callable[[Path], list[Finding]]:
+        """What writes this file of these results."""
+        return lambda path: self.write(path, results)
+
+
+def _idle_frf(path: Path, results: Results) -> list[Finding]:
+    return _uff(path, results, "idle FRFs as measured", results.idle_frf)
+
+
+def _idle_modes(path: Path, results: Results) -> list[Finding]:
+    return _modes(path, results, "idle modes and residual terms", results.idle)
+
+
+def _operating_modes(path: Path, results: Results) -> list[Finding]:
+    return _modes(path, results, "operational modes, unscaled", results.operating)
+
+
+def _ofrf(path: Path, results: Results) -> list[Finding]:
     findings: list[Finding] = []
-    objects: list[Any] = []
-    if name == "idle_frf.uff":
-        objects = [results.idle_frf]
-    elif name in ("idle_modes.uff", "operating_modes.uff"):
-        model = results.idle if name == "idle_modes.uff" else results.operating
-        if model is not None:
-            objects.append(along_axes(replace(model, details=None), _directions(results), name, findings))
-    elif name == "ofrf.uff":
-        objects = [ofrf(results, findings)]
-    elif name == "ofrf_effect.uff":
-        dofs = None if results.idle is None else results.idle.dofs
-        objects = [effect_model(results).frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)]
-    written = [o for o in (results.geometry, *objects) if o is not None]
-    # The contract wants set 15 beside the modes; the other files have the nodes in double precision.
-    node_set = 15 if name.endswith("_modes.uff") else 2411
-    with whole(out / name) as beside:
-        write_uff(beside, *written, header=_header(results, DESCRIPTIONS[name], objects), node_set=node_set)
-    return findings
+    return _uff(path, results, "operational FRFs, hybrid route", ofrf(results, findings)) + findings
 
 
-def _header(results: Results, description: str, objects: Sequence[Any]) -> Any:
-    """Set 151: what the file holds, and when its data were measured; no time of writing, so that equal results make equal files."""
-    from operando.io import FileHeader
+def _ofrf_effect(path: Path, results: Results) -> list[Finding]:
+    dofs = None if results.idle is None else results.idle.dofs
+    frf = effect_model(results).frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)
+    return _uff(path, results, "operational FRFs, idle model with accepted effects", frf)
 
-    date = max((o.provenance.measured for o in objects if o is not None), default="")
-    return FileHeader(results.name, description, "operando", date, date, "operando", date)
+
+def _comparison(path: Path, results: Results) -> list[Finding]:
+    write_json(path, (results.comparison or {}) | {"settings": results.settings})
+    return []
+
+
+def _diagnosis(path: Path, results: Results) -> list[Finding]:
+    write_json(path, results.diagnosis or {})
+    return []
+
+
+def _ladder(path: Path, results: Results) -> list[Finding]:
+    write_json(path, (results.diagnosis or {}).get("ladder", []))
+    return []
+
+
+def _report(path: Path, results: Results) -> list[Finding]:
+    from operando.report import write_report
+
+    write_report(results, path)
+    return []
+
+
+def _summary(path: Path, results: Results) -> list[Finding]:
+    from operando.pipeline.summary import summary
+
+    write_json(path, summary(results))
+    return []
+
+
+def _model(path: Path, results: Results) -> list[Finding]:
+    from operando.store import save_results
+
+    save_results(results, path)
+    return []
+
+
+def _timings(path: Path, results: Results) -> list[Finding]:
+    write_json(path, {"schema": "operando/timings/1", "seconds": results.timings_s})
+    return []
+
+
+OUTPUTS = (
+    Output("idle_frf.uff", _idle_frf, "frf"),
+    Output("idle_modes.uff", _idle_modes, "ema"),
+    Output("operating_modes.uff", _operating_modes, "oma"),
+    Output("ofrf.uff", _ofrf, "ofrf"),
+    Output("comparison.json", _comparison, "compare", whole=True),
+    Output("diagnosis.json", _diagnosis, "diagnose"),
+    Output("ladder.json", _ladder, "diagnose"),
+    Output("ofrf_effect.uff", _ofrf_effect, "diagnose"),
+    Output("report.html", _report, whole=True),
+    Output("summary.json", _summary, whole=True),
+    Output("model.h5", _model, whole=True),
+    Output("timings.json", _timings, whole=True),
+)
+"""In the order they are written: what cannot be written is a finding, which those behind tell of."""
+
+LADDER_OUTPUTS = tuple(o for o in OUTPUTS if o.stage == "diagnose" or o.name in ("comparison.json", "model.h5", "report.html"))
+"""What ``add`` and ``remove`` change."""
+
+
+def _uff(path: Path, results: Results, description: str, content: Any, node_set: int = 2411) -> list[Finding]:
+    """One UFF file: what it holds in words (set 151), the geometry, the content."""
+    from operando.io import FileHeader, write_uff
+
+    # When the data were measured, no time of writing: equal results make equal files.
+    date = "" if content is None else content.provenance.measured
+    header = FileHeader(results.name, description, "operando", date, date, "operando", date)
+    write_uff(path, *(o for o in (results.geometry, content) if o is not None), header=header, node_set=node_set)
+    return []
+
+
+def _modes(path: Path, results: Results, description: str, model: ModalModel | None) -> list[Finding]:
+    """Modes and residual terms along the axes; the contract wants set 15 beside them, the other files have nodes in double precision."""
+    findings: list[Finding] = []
+    if model is not None:
+        model = along_axes(replace(model, details=None), _directions(results), path.name, findings)
+    return _uff(path, results, description, model, node_set=15) + findings
 
 
 def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = ()) -> Any:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 from operando.config import Test, load_test
 from operando.data import Finding, group_findings
-from operando.errors import ConfigError, OperandoError
+from operando.errors import ConfigError, OperandoError, WriteError
+from operando.io.atomic import replacing
 from operando.jsonable import jsonable
-from operando.pipeline.cache import FOLDER, StageCache, code_hash, key_of, whole, write_json
+from operando.pipeline.cache import load_stage, save_stage
+from operando.pipeline.code import code_hash
+from operando.pipeline.folder import ResultsFolder, key_of, results_folder
 from operando.pipeline.inputs import Inputs, UnfitTest
-from operando.pipeline.outputs import OUTPUTS, write_output
+from operando.pipeline.outputs import OUTPUTS, Output
 from operando.pipeline.stages import STEPS, Lacking, Stage, Work
-from operando.pipeline.summary import summary
 from operando.results import Results
 
 STAGES = ("inspect", "frf", "ema", "oma", "ofrf", "compare", "diagnose", "report")
@@ -32,6 +34,9 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     A stage is not run again as long as its files (by content), its settings, the stages it builds on and the code are the
     same. A stage whose data the test lacks is left out; one that fails becomes a finding of severity ``error``, and what does
     not build on it goes on. Both stand in ``Results.left_out`` with the reason.
+
+    The files of the folder change together when all stages are done: a run that ends before, however it does, leaves them as they
+    were, and the next one goes on from the last finished stage. A file that is missing or no longer what a run made is made again.
 
     Parameters
     ----------
@@ -53,6 +58,10 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     ------
     ConfigError
         If the test file is wrong or the stage is unknown.
+    BusyError
+        If another process is at work in the results folder.
+    WriteError
+        If the results folder cannot be written.
     """
     from threadpoolctl import threadpool_limits
 
@@ -63,9 +72,8 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     out = Path(out)
     if out.exists() and not out.is_dir():
         raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
-    out.mkdir(parents=True, exist_ok=True)
-    with threadpool_limits(1, "blas"):
-        return _Run(test, out, progress or (lambda stage, message: None)).all(until)
+    with threadpool_limits(1, "blas"), results_folder(out, "run", make=True) as folder:
+        return _Run(test, folder, progress or (lambda stage, message: None)).all(until)
 
 
 def lacking(test: Test, stage: str) -> str | None:
@@ -94,45 +102,26 @@ def used_settings(stage: str, results: Results) -> dict[str, Any]:
 class _Run:
     """State of one call of :func:`run`."""
 
-    def __init__(self, test: Test, out: Path, progress: Progress) -> None:
-        self.test, self.out, self.progress = test, out, progress
-        self.cache = StageCache(out)
+    def __init__(self, test: Test, folder: ResultsFolder, progress: Progress) -> None:
+        self.test, self.folder, self.progress = test, folder, progress
         self.work = Work(test, Inputs(test), Results(test.name, settings=test.settings()))
         self.keys: dict[str, str] = {}
         self.done: set[str] = set()
-        self.fresh: set[str] = set()
         self.own_findings: list[Finding] = []
-        (out / "errors.log").unlink(missing_ok=True)
+        self.log = ""
 
     @property
     def results(self) -> Results:
         return self.work.results
 
     def all(self, until: str | None) -> Results:
-        """All stages up to ``until``; later ones only where their stored results still hold."""
+        """All stages up to ``until``, later ones only where their stored results still hold; then the files, all at once."""
         last = len(STAGES) if until is None else STAGES.index(until) + 1
-        try:
-            self._stages(last)
-        except KeyboardInterrupt:
-            # what is finished stays, and no summary or report of older results beside it
-            for name in STAGES[:last]:
-                if name not in self.done and name not in self.results.left_out:
-                    self.results.left_out[name] = "interrupted"
-            (self.out / "report.html").unlink(missing_ok=True)
-            self._store()
-            raise
-        self._store()
-        return self.results
-
-    def _stages(self, last: int) -> None:
         for stage in STEPS:
             self.keys[stage.name] = self._key(stage)
             self._step(stage, asked=STAGES.index(stage.part_of) < last)
-        self._gather_findings()
-        if last == len(STAGES):
-            self._report()
-        elif self.fresh:
-            (self.out / "report.html").unlink(missing_ok=True)  # it would show results that no longer hold
+        self._write_outputs(report=last == len(STAGES))
+        return self.results
 
     def _key(self, stage: Stage) -> str:
         test = self.test
@@ -143,12 +132,12 @@ class _Run:
             files.append((name, self.work.inputs.hashes(state)))
         reading = (test.units, test.channels, test.geometry_units, test.directions) if stage.states else ()
         spans = {name: [repr(span) for span in getattr(test, name).spans] for name in stage.states if name != "geometry"}
-        upstream = [self.keys[name] for name in stage.upstream]
+        upstream = [self.keys[name] if name in self.done else None for name in stage.upstream]
         if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
             upstream.append(self.keys["ema"])  # its band is that of the idle modes
         if stage.name == "oma" and test.idle and not test.check:
             upstream.append("halves")  # for the diagnosis from operating modes alone
-        return key_of(stage.name, code_hash(stage.rooms), files, spans, reading, settings, upstream)
+        return key_of(stage.name, code_hash(stage.does.__module__), files, spans, reading, settings, upstream)
 
     def _step(self, stage: Stage, asked: bool) -> None:
         lacks = stage.lacks(self.test) or self._upstream_missing(stage)
@@ -156,47 +145,38 @@ class _Run:
             if asked and stage.part_of not in self.results.left_out:
                 self.results.left_out[stage.part_of] = lacks
                 self.progress(stage.part_of, f"left out: {lacks}")
-            self._forget(stage)
             return
-        started = time.perf_counter()
-        found = self.cache.load(stage.name, self.keys[stage.name])
-        if found is not None:
-            self._take(stage, found)
+        kept = load_stage(self.folder, stage.name, self.keys[stage.name])
+        if kept is not None:
+            self._take(stage, *kept)
             if asked:
-                self.progress(
-                    stage.part_of, "unchanged, taken from the last run" + (f" ({stage.name})" if stage.name != stage.part_of else "")
-                )
-        elif not asked:
-            self._forget(stage)
-            return
+                which = f" ({stage.name})" if stage.name != stage.part_of else ""
+                self.progress(stage.part_of, f"unchanged, taken from the last run{which}")
+        elif asked:
+            self._make(stage)
+
+    def _make(self, stage: Stage) -> None:
+        """Run a stage and keep its result."""
+        self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
+        self.work.say = lambda message: self.progress(stage.part_of, message)
+        started = time.perf_counter()
+        try:
+            found = stage.does(self.work)
+            seconds = time.perf_counter() - started
+            found = save_stage(self.folder, stage.name, self.keys[stage.name], found, seconds)
+        except Lacking as error:
+            reason = error.message + (f" ({error.hint})" if error.hint else "")
+            self.results.left_out[stage.part_of] = reason
+            self.progress(stage.part_of, f"left out: {reason}")
+        except (UnfitTest, WriteError):
+            raise
+        except OperandoError as error:
+            self._failed(stage.part_of, error)
+        except (MemoryError, Exception) as error:  # one failing part must not lose the rest
+            self._failed(stage.part_of, self._unexpected(stage.name, error))
         else:
-            self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
-            self.work.say = lambda message: self.progress(stage.part_of, message)
-            try:
-                found = stage.does(self.work)
-            except Lacking as error:
-                reason = error.message + (f" ({error.hint})" if error.hint else "")
-                self.results.left_out[stage.part_of] = reason
-                self.progress(stage.part_of, f"left out: {reason}")
-                self._forget(stage)
-                return
-            except UnfitTest:
-                raise
-            except OperandoError as error:
-                self._failed(stage, error)
-                return
-            except (MemoryError, Exception) as error:  # one failing part must not lose the rest
-                self._failed(stage, self._unexpected(stage, error))
-                return
-            found["seconds"] = time.perf_counter() - started
-            self.cache.save(stage.name, self.keys[stage.name], found)
-            self.fresh.add(stage.name)
-            self._take(stage, found)
-            self.progress(stage.part_of, f"done in {found['seconds']:.1f} s")
-        self.done.add(stage.name)
-        for name in OUTPUTS.get(stage.name, ()):
-            if stage.name in self.fresh or not (self.out / name).exists():
-                self._write(stage, name)
+            self._take(stage, found, seconds)
+            self.progress(stage.part_of, f"done in {seconds:.1f} s")
 
     def _upstream_missing(self, stage: Stage) -> str | None:
         # the comparison judges whatever model there is
@@ -212,55 +192,41 @@ class _Run:
         }
         return f"it needs the {' and the '.join(words[m] for m in missing)}" if missing else None
 
-    def _take(self, stage: Stage, found: dict[str, Any]) -> None:
+    def _take(self, stage: Stage, found: dict[str, Any], seconds: float) -> None:
         names = {f.name for f in fields(Results)} - {"findings"}
         for name, value in found.items():
             if name in names:
                 setattr(self.results, name, value)
-        seconds = float(found.get("seconds", 0.0))
         self.results.timings_s[stage.part_of] = self.results.timings_s.get(stage.part_of, 0.0) + seconds
         self.own_findings += found.get("findings", [])
         used = used_settings(stage.name, self.results)
         if used:
             self.results.settings.setdefault("used", {})[stage.name] = used
+        self.done.add(stage.name)
         self._gather_findings()  # later stages say by them why they lack something
 
-    def _write(self, stage: Stage, name: str) -> None:
-        try:
-            self.own_findings += write_output(name, self.out, self.results)
-        except OperandoError as error:
-            self._failed(stage, error, what=f"{name} cannot be written: ")
-        except Exception as error:
-            self._failed(stage, self._unexpected(stage, error), what=f"{name} cannot be written: ")
-
-    def _failed(self, stage: Stage, error: OperandoError, what: str = "") -> None:
-        text = f"{what}{error.message}"
-        self.progress(stage.part_of, f"failed: {text}")
-        if not what:
-            self.results.left_out[stage.part_of] = f"failed: {text}"
-            self._forget(stage)
+    def _failed(self, part: str, error: OperandoError, file: str | None = None) -> None:
+        text = error.message if file is None else f"{file} cannot be written: {error.message}"
+        self.progress(part, f"failed: {text}")
+        if file in (None, "report.html"):
+            self.results.left_out[part] = f"failed: {text}"
         self.own_findings.append(
             Finding(
                 "stage_failed",
-                f"stage {stage.part_of}: {text}",
+                f"stage {part}: {text}",
                 "error",
                 file=error.where,
-                consequence="what builds on it is left out" if not what else "the results stand in model.h5",
+                consequence="what builds on it is left out" if file is None else "the results stand in model.h5",
                 action=error.hint or "",
             )
         )
 
-    def _unexpected(self, stage: Stage, error: BaseException) -> OperandoError:
-        log = self.out / "errors.log"
-        with open(log, "a", encoding="utf-8") as stream:
-            stream.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} stage {stage.name}\n{''.join(traceback.format_exception(error))}\n")
+    def _unexpected(self, what: str, error: BaseException) -> OperandoError:
+        log = self.folder.path / "errors.log"
+        self.log += f"{time.strftime('%Y-%m-%d %H:%M:%S')} {what}\n{''.join(traceback.format_exception(error))}\n"
+        with replacing(log, "w", encoding="utf-8") as stream:
+            stream.write(self.log)
         return OperandoError(f"unexpected {type(error).__name__}: {error}", hint=f"a fault of the program; the traceback is in {log}")
-
-    def _forget(self, stage: Stage) -> None:
-        """Results that no longer hold must not lie around."""
-        self.cache.drop([stage.name])
-        for name in OUTPUTS.get(stage.name, ()):
-            (self.out / name).unlink(missing_ok=True)
 
     def _gather_findings(self) -> None:
         r = self.results
@@ -268,41 +234,63 @@ class _Run:
         carried += [run.frf.findings for run in r.check]
         r.findings = group_findings([*self.own_findings, *(f for group in carried for f in group)])
 
-    def _report(self) -> None:
-        stage = Stage("report", "report", lambda work: {}, optional=True)
-        path = self.out / "report.html"
-        key = key_of(self.keys, self.results.left_out, [f.to_dict() for f in self.results.findings], self.test.name, code_hash(("report",)))
-        if path.exists() and self.cache.load("report", key) is not None:
-            self.progress("report", "unchanged, taken from the last run")
-            return
-        started = time.perf_counter()
-        self.progress("report", "…")
-        try:
-            from operando.report import write_report
+    def _write_outputs(self, report: bool) -> None:
+        """Make the files that are missing, or not of these results; then all of them take their places at once."""
+        drop = [] if self.log else ["errors.log"]
+        for output in OUTPUTS:
+            if output.stage is not None and output.stage not in self.done:
+                drop.append(output.name)
+                continue
+            self._gather_findings()
+            key = self._output_key(output)
+            entry = self.folder.entry(output.name, key)
+            if entry is not None:
+                self._take_output(output, [Finding(**finding) for finding in entry.get("findings", [])], entry.get("seconds", 0.0))
+                if output.name == "report.html" and report:
+                    self.progress("report", "unchanged, taken from the last run")
+            elif output.name == "report.html" and not report:
+                drop.append(output.name)  # it would show results that no longer hold
+            else:
+                self._write(output, key, drop)
+        self.folder.commit(drop)
 
-            with whole(path) as beside:
-                write_report(self.results, beside)
-        except OperandoError as error:
-            self._failed(stage, error)
-        except Exception as error:
-            self._failed(stage, self._unexpected(stage, error))
-        else:
-            seconds = time.perf_counter() - started
-            self.results.timings_s["report"] = seconds
-            self.cache.save("report", key, {})
+    def _write(self, output: Output, key: str, drop: list[str]) -> None:
+        part = "report" if output.name == "report.html" else "store"
+        if self.folder.made_before(output.name, key):
+            self.progress(part, f"{output.name} is missing or changed since the last run: made again")
+        elif output.name in ("report.html", "model.h5"):  # the others take no time
+            self.progress(part, "…")
+        started = time.perf_counter()
+        try:
+            findings = self.folder.stage(output.name, key, output.of(self.results))
+        except WriteError:
+            raise
+        except (OperandoError, Exception) as error:
+            drop.append(output.name)
+            told = error if isinstance(error, OperandoError) else self._unexpected(output.name, error)
+            self._failed("report" if part == "report" else output.stage or part, told, output.name)
+            return
+        seconds = time.perf_counter() - started
+        self.folder.note(output.name, findings=[asdict(finding) for finding in findings], seconds=seconds)
+        self._take_output(output, findings, seconds)
+        if part == "report":
             self.progress("report", f"done in {seconds:.1f} s")
 
-    def _store(self) -> None:
-        from operando.store import save_results
+    def _take_output(self, output: Output, findings: list[Finding], seconds: float) -> None:
+        self.own_findings += findings
+        if output.name == "report.html":
+            self.results.timings_s["report"] = seconds
 
-        self._gather_findings()
-        write_json(self.out / "summary.json", summary(self.results))
-        path = self.out / "model.h5"
-        key = key_of(sorted(self.done), {name: self.keys[name] for name in self.done}, self.results.left_out, self.results.settings)
-        if self.fresh or not path.exists() or self.cache.load("store", key) is None:
-            self.progress("store", "…")
-            save_results(self.results, path)
-            self.cache.save("store", key, {})
+    def _output_key(self, output: Output) -> str:
+        """Key of what a file tells: the stages up to its own, or the whole run."""
+        r = self.results
+        if output.name == "timings.json":
+            return key_of(r.timings_s)
+        names = [stage.name for stage in STEPS if stage.name in self.done]
+        if not output.whole:
+            names = names[: names.index(str(output.stage)) + 1]
+        told = (r.name, r.settings, r.left_out, [f.to_dict() for f in r.findings]) if output.whole else ()
+        return key_of(output.name, {name: self.keys[name] for name in names}, told, code_hash("operando.pipeline.outputs"))
 
 
-__all__ = ["FOLDER", "STAGES", "lacking", "run"]
+__all__ = ["STAGES", "lacking", "run"]

@@ -21,7 +21,6 @@ def summary(results: Results) -> dict[str, Any]:
         "pairing": scaled["pairing"],
         "scaling": scaled["scaling"],
         "left_out": results.left_out,
-        "timings_s": results.timings_s,
         "inventory": results.inventory,
         "geometry": None if results.geometry is None else {"nodes": len(results.geometry.nodes), "unit_known": results.geometry.unit_known},
         "check": [

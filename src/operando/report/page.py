@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
-import tempfile
 from importlib.resources import files
 from pathlib import Path
 
+from operando.io.atomic import replacing
 from operando.printable import without_active
 from operando.report.sections import build
 from operando.report.text import band_text, esc
@@ -24,9 +23,7 @@ _POLICY = (
 
 
 def render_report(results: Results) -> str:
-    """HTML text of the whole report, without any reference outside itself."""
-    from datetime import datetime
-
+    """HTML text of the whole report, without any reference outside itself, and the same whenever it is made of the same results."""
     from operando import __version__
     from operando.report.derive import analysis_band
 
@@ -37,7 +34,6 @@ def render_report(results: Results) -> str:
         f'<section id="{s.anchor}" aria-labelledby="{s.anchor}-title"><h2 id="{s.anchor}-title">{n}. {esc(s.title)}</h2>{s.html}</section>'
         for n, s in enumerate(sections, start=1)
     )
-    made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     title = results.name or "unnamed test"
     page = (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -46,7 +42,7 @@ def render_report(results: Results) -> str:
         f"<title>{esc(title)}: operating FRFs</title><style>{style}</style></head><body>"
         f'<div class="frame"><nav aria-label="Contents"><h2>Contents</h2><ol>{contents}</ol></nav><main>'
         f'<header><p class="kicker">Operating frequency response functions · test report</p><h1>{esc(title)}</h1>'
-        f'<p class="meta">Analysis band {band_text(analysis_band(results))} · made {esc(made)} · operando {esc(__version__)}</p></header>'
+        f'<p class="meta">Analysis band {band_text(analysis_band(results))} · operando {esc(__version__)}</p></header>'
         f"{body}<footer>Made by operando {esc(__version__)}. Method: Shen &amp; Lu, Machines 2024, 12(8), 516. SI units; "
         "e<sup>+iωt</sup>; H = response/force; levels in dB are 20·log<sub>10</sub>.</footer></main></div>"
         f"<script>{_SCRIPT}</script></body></html>\n"
@@ -67,15 +63,7 @@ def write_report(results: Results, path: str | Path) -> None:
     """
     from threadpoolctl import threadpool_limits
 
-    target = Path(path)
     with threadpool_limits(1, "blas"):
         text = render_report(results)
-    handle, beside = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.chmod(beside, 0o644)
-        os.replace(beside, target)
-    except BaseException:
-        Path(beside).unlink(missing_ok=True)
-        raise
+    with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
+        stream.write(text)

@@ -20,7 +20,7 @@ _MAKERS: tuple[_Maker, ...] = (
     ("scaling", "Pairing and scaling", sections_modes.scaling),
     ("ofrf", "Operating FRFs against the check", sections_answer.ofrf),
     ("diagnosis", "Diagnosis: the evidence", sections_diagnosis.diagnosis),
-    ("settings", "Settings, timings, provenance", sections_rest.provenance),
+    ("settings", "Settings and provenance", sections_rest.provenance),
 )
 
 

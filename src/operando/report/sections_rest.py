@@ -7,7 +7,7 @@ from pathlib import PurePath
 from operando.data import Frf
 from operando.report import derive, figures_frf, tables, tables_files
 from operando.report.parts import Numbering, missing, paragraph
-from operando.report.text import band_text, count, esc, finite, fixed, number, plain, short_names
+from operando.report.text import band_text, count, esc, number, plain, short_names
 from operando.results import CheckRun, Results
 
 
@@ -61,7 +61,7 @@ def _frf_cells(frf: Frf) -> list[str]:
 
 
 def provenance(results: Results, numbering: Numbering) -> str:
-    """Settings, stages left out, timings, versions, inputs with their hashes, processing calls."""
+    """Settings, stages left out, versions, inputs with their hashes, processing calls."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
@@ -72,10 +72,6 @@ def provenance(results: Results, numbering: Numbering) -> str:
     if results.left_out:
         rows = [[esc(stage), esc(reason)] for stage, reason in results.left_out.items()]
         out.append(tables.table(["Stage", "Why"], rows, caption="<b>Stages left out.</b>"))
-    if results.timings_s:
-        rows = [[esc(stage), fixed(seconds, 2)] for stage, seconds in results.timings_s.items()]
-        rows.append(["together", fixed(sum(v for v in results.timings_s.values() if finite(v)), 2)])
-        out.append(tables.table(["Stage", "Wall time [s]"], rows, numeric=(1,), caption="<b>Timings.</b>", mine=[len(rows) - 1]))
     names = [("operando", __version__), ("Python", platform.python_version())]
     for package in ("numpy", "scipy", "matplotlib"):
         try:

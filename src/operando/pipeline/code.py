@@ -1,0 +1,104 @@
+"""The hash of the code that a result depends on, found by following the imports."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import platform
+import re
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+import operando
+
+ROOT = Path(operando.__file__).parent
+
+
+@cache
+def code_hash(module: str) -> str:
+    """Hash of a module, of all modules of operando it reaches, and of the versions of the packages they may use.
+
+    Results of older code are not taken for new ones.
+    """
+    digest = hashlib.sha256("\n".join((operando.__version__, platform.python_version(), *packages())).encode())
+    for name in sorted(reached(module)):
+        for file in _files(name):
+            digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+@cache
+def reached(module: str) -> frozenset[str]:
+    """A module and all modules of operando that it imports, anywhere in its text, and they in turn.
+
+    A package counts when something is imported from it, not when one of its modules is: its ``__init__`` only gathers names.
+    """
+    found: set[str] = set()
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += imported(name)
+    return frozenset(found)
+
+
+@cache
+def imported(module: str) -> frozenset[str]:
+    """Modules of operando that a module imports itself; what is imported for the type checker alone does not count."""
+    tree = ast.parse(_source(module).read_text(encoding="utf-8"))
+    return frozenset(name for node in _imports(tree) for name in _named(node) if name.split(".")[0] == "operando" and _exists(name))
+
+
+def _imports(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child
+        elif isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+            for other in child.orelse:
+                yield from _imports(other)
+        else:
+            yield from _imports(child)
+
+
+def _named(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
+    """Every name that may be a module: of ``from a.b import c`` both ``a.b`` and ``a.b.c``."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif node.module is not None:
+        yield node.module
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _source(module: str) -> Path:
+    place = ROOT.joinpath(*module.split(".")[1:])
+    return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+
+
+def _exists(module: str) -> bool:
+    return _source(module).is_file()
+
+
+def _files(module: str) -> list[Path]:
+    """The source of a module; for a package also what lies beside it and is no code (a style sheet)."""
+    source = _source(module)
+    others = sorted(p for p in source.parent.iterdir() if p.is_file() and p.suffix not in (".py", ".pyc"))
+    return [source, *(others if source.name == "__init__.py" and source.parent != ROOT else ())]
+
+
+@cache
+def packages() -> tuple[str, ...]:
+    """Packages that operando needs, each with the version installed."""
+    try:
+        needed = [re.split(r"[^\w.-]", text)[0] for text in requires("operando") or () if "extra ==" not in text]
+    except PackageNotFoundError:  # run from its source tree
+        needed = ["numpy", "scipy", "h5py"]
+    found = []
+    for name in needed:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            found.append(f"{name} none")
+    return tuple(found)

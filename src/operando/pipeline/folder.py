@@ -1,0 +1,173 @@
+"""The results folder: what each of its files was made of and holds, and changes that happen as one.
+
+Every file that operando makes there has an entry in ``.stages/manifest.json``: the key of what it was made of and the hash of its
+content. A file counts as unchanged when both still fit; a missing, cut or altered one is made again. New files are written aside, in
+``.stages/new``, and take their names together: first the files they stand in for go, then the new ones come, then the manifest. So
+a process that ends at any moment leaves old results whole or none, never old beside new; and an entry never speaks for a file
+that is not there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from operando.data import file_hash
+from operando.errors import MissingError
+from operando.io.atomic import left_behind, sync_folder, write_json, writing
+from operando.jsonable import jsonable
+from operando.pipeline.lock import exclusive
+
+HIDDEN = ".stages"
+SCHEMA = "operando/manifest/1"
+
+Made = TypeVar("Made")
+
+
+def key_of(*parts: Any) -> str:
+    """One key of hashes, settings and upstream keys."""
+    return hashlib.sha256(json.dumps(jsonable(parts), sort_keys=True).encode()).hexdigest()
+
+
+class ResultsFolder:
+    """A results folder that this process alone writes to; see :func:`results_folder`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.hidden = path / HIDDEN
+        self._aside = self.hidden / "new"
+        self._entries = _read(self.hidden / "manifest.json")
+        self._staged: dict[str, dict[str, Any]] = {}
+
+    def clear(self) -> None:
+        """Remove what an earlier process began to write, or this one did and dropped."""
+        self._staged = {}
+        begun = list(self._aside.iterdir()) if self._aside.is_dir() else []
+        for file in (*begun, *left_behind(self.path), *left_behind(self.hidden)):
+            file.unlink(missing_ok=True)
+
+    def entry(self, name: str, key: str) -> dict[str, Any] | None:
+        """What the manifest says of a file that was made under this key and still holds the same, else None."""
+        entry = self._entries.get(name)
+        if entry is None or entry.get("key") != key:
+            return None
+        with suppress(OSError):
+            if file_hash(self.path / name) == entry.get("sha256"):
+                return entry
+        return None
+
+    def made_before(self, name: str, key: str) -> bool:
+        """Whether a file was made under this key, whatever has become of it."""
+        return self._entries.get(name, {}).get("key") == key
+
+    def stage(self, name: str, key: str | None, write: Callable[[Path], Made], **more: Any) -> Made:
+        """Write a file aside; :meth:`commit` gives it its name.
+
+        Parameters
+        ----------
+        name : str
+            Path inside the folder.
+        key : str or None
+            Of what it is made of; None for a file made by hand, which the next run makes again unless it is the same.
+        write : callable
+            Writes the file at the path it is given.
+        more
+            What the entry of the manifest shall hold besides.
+        """
+        with writing(self._aside):
+            self._aside.mkdir(exist_ok=True)
+        made = write(self._aside / Path(name).name)
+        self._staged[name] = {"key": key, "sha256": file_hash(self._aside / Path(name).name), **more}
+        return made
+
+    def note(self, name: str, **more: Any) -> None:
+        """Add to the entry of a file that was staged."""
+        self._staged[name] |= more
+
+    def commit(self, drop: Iterable[str] = ()) -> None:
+        """Let the files written aside take their names, and those named in ``drop`` go."""
+        gone = [name for name in drop if name in self._entries or (self.path / name).exists()]
+        if not self._staged and not gone:
+            return
+        with writing(self.path):
+            for name in (*gone, *self._staged):
+                (self.path / name).unlink(missing_ok=True)
+            sync_folder(self.path)
+            for name in self._staged:
+                os.replace(self._aside / Path(name).name, self.path / name)
+            sync_folder(self.path)
+            sync_folder(self.hidden)
+        for name in gone:
+            self._entries.pop(name, None)
+        for name, entry in self._staged.items():
+            if entry["key"] is not None:
+                self._entries[name] = entry
+            elif self._entries.get(name, {}).get("sha256") != entry["sha256"]:
+                self._entries.pop(name, None)
+        self._staged = {}
+        write_json(self.hidden / "manifest.json", {"schema": SCHEMA, "files": dict(sorted(self._entries.items()))})
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """Entries of a manifest; none where it is missing or damaged, so that all is made again."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found["schema"] == SCHEMA and all(isinstance(entry, dict) for entry in found["files"].values()):
+            return dict(found["files"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        pass
+    return {}
+
+
+@contextmanager
+def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Iterator[ResultsFolder]:
+    """A results folder for this process alone, without what an earlier one left half done.
+
+    Parameters
+    ----------
+    path : path
+    doing : str
+        What is done there, for the message to a process that comes meanwhile.
+    make : bool
+        Whether a missing folder is made.
+
+    Raises
+    ------
+    BusyError
+        If another process is at work there.
+    MissingError
+        If there is no such folder.
+    WriteError
+        If it cannot be written.
+    """
+    path = Path(path)
+    if not make and not path.is_dir():
+        raise MissingError("there is no such results folder", where=str(path), hint="make one with `operando run test.toml -o DIR`")
+    with writing(path):
+        (path / HIDDEN).mkdir(parents=True, exist_ok=True)
+    with exclusive(path / HIDDEN / "lock", doing):
+        folder = ResultsFolder(path)
+        with writing(path):
+            folder.clear()
+        try:
+            yield folder
+        finally:
+            with suppress(OSError):
+                folder.clear()
+
+
+def apart_from_runs(path: str | Path, doing: str) -> AbstractContextManager[None]:
+    """For a file that is written by itself: where it lies in a results folder, no run is at work there inside the block.
+
+    Raises
+    ------
+    BusyError
+        If one is.
+    """
+    hidden = Path(path).absolute().parent / HIDDEN
+    return exclusive(hidden / "lock", doing) if hidden.is_dir() else nullcontext()

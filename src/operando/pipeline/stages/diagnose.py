@@ -1,0 +1,55 @@
+"""Stage ``diagnose``: which physics the idle model lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from operando.data import Finding
+from operando.pipeline.scale import no_scale
+from operando.pipeline.stages.estimate import whole_records
+from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
+
+
+def missing_physics(work: Work) -> dict[str, Any]:
+    """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
+    from operando.compare import with_effect
+    from operando.diagnose import Model, diagnose
+
+    results = work.results
+    idle = needed(results.idle, "idle modes")
+    if (cause := no_scale(idle, work.results.findings)) is not None:
+        raise Lacking(f"the idle modes have no scale, so no effect has a size: {cause[0]}", hint=cause[1])
+    runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
+    if not runs and results.operating is None:
+        raise Lacking("there are neither check FRFs nor operational modes")
+    findings: list[Finding] = []
+    found = diagnose(
+        idle,
+        check=runs,
+        operating=results.operating,
+        geometry=results.geometry,
+        hybrid=results.hybrid,
+        kinds=work.analysis.kinds or None,
+        places=work.analysis.places or None,
+        band=analysis_band(work),
+        progress=work.say,
+        records=whole_records(work, work.test.check, findings) if runs and work.test.check.records else (),
+        idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(work.analysis.exclude_bands),
+        exclude_bands=work.analysis.exclude_bands,
+    )
+    document = found.to_dict()
+    comparison = results.comparison
+    model = found.model or Model(idle, tuple(found.effects), results.geometry)
+    if runs and comparison is not None and found.effects:
+        bare = Model(replace(model.idle, covariance=None, std=None), model.effects, model.geometry)
+        comparison = with_effect(comparison, idle, bare, runs, analysis_band(work))
+    made: dict[str, Any] = {
+        "diagnosis": document,
+        "comparison": comparison,
+        "effect_idle": model.idle,
+        "effect_covariance": model.covariance,
+        "findings": findings,
+    }
+    # A place between sensors at which an effect was found is a node from here on.
+    return made if model.geometry is None else made | {"geometry": model.geometry}

@@ -1,0 +1,45 @@
+"""FRFs and whole records with the settings of a test, the same for all stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from operando.config import Analysis, State
+from operando.data import Finding, Frf, TimeRecord
+from operando.pipeline.stages.work import Work, offered
+
+
+def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding], rejected: Sequence[str] = ()) -> Frf:
+    """``estimate_frf`` with the settings of the test; of the hits rejected by hand those in these records."""
+    from operando.frf import estimate_frf
+
+    keywords = offered(
+        estimate_frf,
+        findings,
+        references=analysis.references,
+        estimator=analysis.estimator,
+        block_seconds=analysis.block_seconds,
+        overlap=analysis.overlap,
+        window=analysis.window,
+        hits=analysis.hits,
+        hits_reject=of_records(rejected, records),
+    )
+    return estimate_frf(records, **keywords)
+
+
+def of_records(rejected: Sequence[str], records: Sequence[TimeRecord]) -> tuple[str, ...]:
+    """Those of the hits named ``FILE#NUMBER`` that are in these records."""
+    names = {record.name for record in records}
+    return tuple(text for text in rejected if text.rpartition("#")[0] in names)
+
+
+def whole_records(
+    work: Work, state: State, findings: list[Finding], choose: Callable[[list[TimeRecord]], list[TimeRecord]] = list
+) -> list[TimeRecord]:
+    """The records of a state with force, or those chosen of them, for fits of whole records: without the hits rejected by hand."""
+    from operando.frf import without_hits
+
+    records = choose(work.inputs.records(state, force=True))
+    kept, found = without_hits(records, of_records(work.test.rejected_hits(state), records))
+    findings += found
+    return kept

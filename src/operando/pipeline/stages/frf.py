@@ -1,0 +1,24 @@
+"""Stage ``frf``: the idle FRFs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from operando.data import Finding
+from operando.pipeline.stages.estimate import estimate
+from operando.pipeline.stages.work import Work
+
+
+def idle_frf(work: Work) -> dict[str, Any]:
+    """Idle FRFs, estimated or as given, with drive-point, reciprocity and coherence checks."""
+    from operando.frf import check_frf
+
+    idle = work.test.idle
+    findings: list[Finding] = []
+    if idle.frfs:
+        frf = work.inputs.frf(idle)
+        if work.analysis.references is not None:
+            frf = frf.select(references=work.analysis.references)
+    else:
+        frf = estimate(work.inputs.records(idle, force=True), work.analysis, findings, work.test.rejected_hits(idle))
+    return {"idle_frf": check_frf(frf, work.analysis.band), "findings": findings}
