@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import measurements
 import operando
 from operando import load_test
 from operando.errors import ConfigError, IdentificationError
-from operando.pipeline import STAGES, run, runner
+from operando.pipeline import STAGES, run
 from operando.store import load_results
 
 CONTRACT_FILES = {
@@ -29,6 +28,7 @@ CONTRACT_FILES = {
     "diagnosis.json",
     "ladder.json",
     "model.h5",
+    "timings.json",
 }
 
 
@@ -119,7 +119,7 @@ def test_ofrf_file_holds_all_pairs_on_the_lines_of_the_idle_frf(finished):
 
 def test_second_run_takes_everything_from_the_first(again):
     path, out = again
-    before = {p.name: p.stat().st_mtime_ns for p in out.iterdir() if p.name in CONTRACT_FILES - {"summary.json"}}
+    before = {p.name: p.stat().st_mtime_ns for p in out.iterdir() if p.name in CONTRACT_FILES}
     messages = []
     results = run(path, out, progress=log(messages))
     assert computed(messages) == []
@@ -159,7 +159,12 @@ def test_until(again, tmp_path):
     results = run(path, tmp_path / "new", until="frf", progress=log(messages))
     assert computed(messages) == ["inspect", "frf"]
     assert results.idle is None
-    assert {p.name for p in (tmp_path / "new").iterdir() if not p.name.startswith(".")} == {"summary.json", "idle_frf.uff", "model.h5"}
+    assert {p.name for p in (tmp_path / "new").iterdir() if not p.name.startswith(".")} == {
+        "summary.json",
+        "idle_frf.uff",
+        "model.h5",
+        "timings.json",
+    }
     # going back keeps later results that still hold
     messages.clear()
     results = run(path, out, until="frf", progress=log(messages))
@@ -172,24 +177,26 @@ def test_until(again, tmp_path):
     assert not (out / "idle_modes.uff").exists()
 
 
-def test_interrupted_run_keeps_finished_stages(again, tmp_path, monkeypatch):
-    path, _ = again
-    out = tmp_path / "new"
+def test_interrupted_run_keeps_finished_stages_and_old_results(again, monkeypatch):
+    path, out = again
+    old = {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()}
 
-    def interrupt(work):
+    def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
+    changed = load_test(path).with_analysis(block_seconds=3.0)
     with monkeypatch.context() as patch:
-        steps = tuple(replace(step, does=interrupt) if step.name == "ema" else step for step in runner.STEPS)
-        patch.setattr(runner, "STEPS", steps)
+        patch.setattr("operando.ema.fit_ema", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            run(path, out)
-    assert not list(out.glob("**/*.part*"))
-    assert strict(out / "summary.json")["left_out"] == dict.fromkeys(STAGES[2:], "interrupted")
-    assert load_results(out).idle_frf is not None
+            run(changed, out)
+    assert {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()} == old
+    assert not list((out / ".stages/new").iterdir())
     messages = []
-    run(path, out, until="frf", progress=log(messages))
+    run(changed, out, until="frf", progress=log(messages))
     assert computed(messages) == []
+    assert load_results(out).settings["block_seconds"] == 3.0
+    assert load_results(out).idle is None
+    assert not (out / "idle_modes.uff").exists()  # it would be of another block length
 
 
 @pytest.mark.parametrize(
@@ -210,7 +217,12 @@ def test_a_stage_without_data_is_left_out_and_said(again, sections, left_out, fi
     assert computed(messages) == ["inspect", "report"]
     assert set(results.left_out) == left_out
     assert all(any(stage == name and "left out" in text for stage, text in messages) for name in left_out)
-    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} == files | {"summary.json", "model.h5", "report.html"}
+    assert {p.name for p in out.iterdir() if not p.name.startswith(".")} == files | {
+        "summary.json",
+        "model.h5",
+        "report.html",
+        "timings.json",
+    }
     assert strict(out / "summary.json")["left_out"] == results.left_out
 
 

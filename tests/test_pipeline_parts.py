@@ -11,10 +11,11 @@ import pytest
 import models
 from measurements import record, running_chain
 from operando.config import State, Test
-from operando.data import Finding, Frf, Provenance
+from operando.data import Finding, Provenance
 from operando.errors import DataError
 from operando.frf import merge_frfs
-from operando.pipeline.cache import StageCache, key_of, whole, write_json
+from operando.io.atomic import write_json
+from operando.pipeline.folder import key_of
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs, force_rms, level_groups
 from operando.pipeline.stages import offered, runs_behind
@@ -135,36 +136,12 @@ def test_records_beyond_the_memory_limit_are_read_again(tmp_path, monkeypatch):
     np.testing.assert_array_equal(again[0].data, first[0].data)
 
 
-def test_cache_gives_back_only_what_belongs_to_the_key(tmp_path):
-    cache = StageCache(tmp_path)
-    frf: Frf = models.measured(running_chain())
-    cache.save("frf", "key", {"idle_frf": frf, "findings": [Finding("x", "y")]})
-    found = cache.load("frf", "key")
-    np.testing.assert_array_equal(found["idle_frf"].data, frf.data)
-    assert found["findings"] == [Finding("x", "y")]
-    assert cache.load("frf", "other") is None
-    assert cache.load("ema", "key") is None
-    file = tmp_path / ".stages/frf.h5"
-    file.write_bytes(file.read_bytes()[:5000])  # cut off
-    assert cache.load("frf", "key") is None
-
-
 def test_keys_depend_on_order_and_content():
     assert key_of("a", {"x": 1, "y": 2}) == key_of("a", {"y": 2, "x": 1})
     assert len({key_of("a", 1), key_of("a", 2), key_of("b", 1), key_of("a", [1]), key_of("a", None)}) == 5
 
 
-def test_files_appear_whole_or_not_at_all(tmp_path):
+def test_json_has_null_where_there_is_no_value(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"x": float("nan"), "y": np.array([1.0, np.inf]), "z": 1 + 2j, "n": np.int64(3), "b": np.bool_(True)})
     assert json.loads(path.read_text()) == {"x": None, "y": [1.0, None], "z": [1.0, 2.0], "n": 3, "b": True}
-
-    def broken():
-        with whole(path) as beside:
-            beside.write_text("half")
-            raise OSError("disk full")
-
-    with pytest.raises(OSError, match="disk full"):
-        broken()
-    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
-    assert json.loads(path.read_text())["n"] == 3

@@ -17,7 +17,8 @@ def test_round_trip(tmp_path):
     made.left_out = {"diagnose": "not built yet"}
     save_results(made, tmp_path / "model.h5")
     back = load_results(tmp_path)
-    assert (back.name, back.settings, back.timings_s, back.left_out) == (made.name, made.settings, made.timings_s, made.left_out)
+    assert (back.name, back.settings, back.left_out) == (made.name, made.settings, made.left_out)
+    assert back.timings_s == {}  # no result: it differs from run to run
     assert back.findings == made.findings
     assert back.idle.dofs == made.idle.dofs
     for name in ("frequencies_hz", "damping_ratios", "shapes", "covariance"):
