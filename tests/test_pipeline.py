@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -345,3 +347,48 @@ def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
     refused = CliRunner().invoke(main, ["remove", str(folder), "9", "--json"])
     assert refused.exit_code == 1
     assert json.loads(refused.stdout)["schema"] == "operando/error/1"
+
+
+def watched(thing, read):
+    """A copy of a dataclass instance that notes which of its fields are read (but not those that ``replace`` carries over)."""
+
+    def noting(self, name):
+        if sys._getframe(1).f_globals.get("__name__") != "dataclasses" and not name.startswith("_"):
+            read.add(name)
+        return object.__getattribute__(self, name)
+
+    copied = copy.copy(thing)
+    object.__setattr__(copied, "__class__", type("Watched", (type(thing),), {"__getattribute__": noting}))
+    return copied
+
+
+def test_a_stage_reads_only_what_its_key_is_made_of(finished):
+    """Settings and results of other stages: what is read and not declared would leave old results standing."""
+    from operando.pipeline.inputs import Inputs
+    from operando.pipeline.stages import STEPS, Work
+
+    path, _, results = finished
+    test = load_test(path)
+    fills = {"inspect": {"inventory", "geometry"}, "frf": {"idle_frf"}, "automatic": {"automatic"}, "ema": {"idle"}, "oma": {"operating"}}
+    fills |= {
+        "ofrf": {"hybrid"},
+        "check": {"check"},
+        "compare": {"comparison"},
+        "diagnose": {"diagnosis", "effect_idle", "effect_covariance"},
+    }
+    upstream: dict = {}
+    for step in STEPS:
+        upstream[step.name] = {*step.upstream, *(far for near in step.upstream for far in upstream[near])}
+        settings, fields = set(), set()
+
+        class Analysed(Work):
+            analysis = watched(test.analysis, settings)
+
+        work = Analysed(test, Inputs(test), watched(results, fields))
+        found = step.does(work)
+        assert set(found) - {"findings", "geometry", "comparison"} <= fills[step.name], step.name
+        known = set().union(*(fills[name] for name in upstream[step.name])) if upstream[step.name] else set()
+        allowed = known | ({"idle"} if step.name == "oma" else set())  # in its key where the band is that of the idle modes
+        assert fields <= allowed, f"{step.name} reads {fields - allowed} and does not name the stage that makes it as upstream"
+        of_upstream = {name for other in STEPS if other.name in upstream[step.name] for name in other.settings}
+        assert settings <= set(step.settings) | of_upstream, f"{step.name} reads settings {settings - set(step.settings) - of_upstream}"

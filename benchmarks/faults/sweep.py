@@ -2,7 +2,8 @@
 
     python benchmarks/faults/sweep.py writes  [--every 1]   # each step × killed, disk full, Ctrl-C, over older results
     python benchmarks/faults/sweep.py stages                # one write of each stage × the three, everything computed again
-    python benchmarks/faults/sweep.py kills   [--count 200] # SIGKILL at random times, everything computed again
+    python benchmarks/faults/sweep.py kills   [--count 200] # SIGKILL at random times
+    python benchmarks/faults/sweep.py kills-computing       # the same, everything computed again
     python benchmarks/faults/sweep.py outputs               # each output missing, emptied, cut, altered
 
 Each adds its table to ``benchmarks/results/faults.json``. The test and the injector are those of ``tests/faults.py``.
@@ -141,8 +142,10 @@ def stages(base: Path) -> dict:
     return {"files": list(points), "faults": len(points) * len(faults.FAULTS), "not bit-equal or otherwise wrong": failed}
 
 
-def kills(base: Path, count: int) -> dict:
+def kills(base: Path, count: int, held: bool) -> dict:
     """SIGKILL at random times of the whole run, then a clean run."""
+    if held:
+        faults.hold_results()
     test, _ = tests(base)
     warm(test, base / "warm")
     new, kept, _ = reference(test, base / "new")
@@ -199,9 +202,9 @@ def spoilt(base: Path) -> dict:
 
 
 def main() -> None:
-    """Run one of the four and keep its table."""
+    """Run one of them and keep its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["writes", "stages", "kills", "outputs"])
+    parser.add_argument("what", choices=["writes", "stages", "kills", "kills-computing", "outputs"])
     parser.add_argument("--every", type=int, default=1, help="writes: every n-th step")
     parser.add_argument("--count", type=int, default=200, help="kills: how many")
     given = parser.parse_args()
@@ -209,7 +212,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
         table = {"writes": lambda: writes(base, given.every), "stages": lambda: stages(base),
-                 "kills": lambda: kills(base, given.count), "outputs": lambda: spoilt(base)}[given.what]()  # fmt: skip
+                 "kills": lambda: kills(base, given.count, held=True),
+                 "kills-computing": lambda: kills(base, given.count, held=False), "outputs": lambda: spoilt(base)}[given.what]()  # fmt: skip
     table["minutes"] = round((time.perf_counter() - started) / 60, 1)
     known = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
     RESULTS.write_text(json.dumps(known | {given.what: table}, indent=1) + "\n")

@@ -19,7 +19,7 @@ def judge(answer: dict, results: Path, exact=None) -> dict:
     summary = _load(results / "summary.json")
     if summary is None:
         return row
-    row["timings_s"] = summary.get("timings_s", {})
+    row["timings_s"] = (_load(results / "timings.json") or {}).get("seconds", {})
     row["left_out"] = summary.get("left_out", {})
     row["findings"] = sorted({f["kind"] for f in summary.get("findings", [])})
     row["identification"] = identification(answer, summary)

@@ -35,7 +35,7 @@ class Output:
     stage : str or None
         Stage without which there is no such file; None: there always is.
     whole : bool
-        Whether it tells of the whole run (settings, findings, what was left out), not of the stages up to its own alone.
+        Whether it tells of the settings, the findings and what was left out, besides what the stages made.
     """
 
     name: str

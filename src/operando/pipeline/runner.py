@@ -282,15 +282,13 @@ class _Run:
             self.results.timings_s["report"] = seconds
 
     def _output_key(self, output: Output) -> str:
-        """Key of what a file tells: the stages up to its own, or the whole run."""
+        """Key of what a file tells."""
         r = self.results
         if output.name == "timings.json":
             return key_of(r.timings_s)
-        names = [stage.name for stage in STEPS if stage.name in self.done]
-        if not output.whole:
-            names = names[: names.index(str(output.stage)) + 1]
-        told = (r.name, r.settings, r.left_out, [f.to_dict() for f in r.findings]) if output.whole else ()
-        return key_of(output.name, {name: self.keys[name] for name in names}, told, code_hash("operando.pipeline.outputs"))
+        told = (r.settings, r.left_out, [f.to_dict() for f in r.findings]) if output.whole else ()
+        made = {name: self.keys[name] for name in sorted(self.done)}  # all: the diagnosis may add nodes to the geometry of every file
+        return key_of(output.name, r.name, made, told, code_hash("operando.pipeline.outputs"))
 
 
 __all__ = ["STAGES", "lacking", "run"]
