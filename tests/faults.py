@@ -140,35 +140,41 @@ class Steps:
 
 
 def hold_results() -> None:
-    """What a stage, or the report, was once found to be for the same settings is not computed again in this process and its forks.
+    """What a stage or the report was once found to be for the same settings is not computed again in this process and its forks.
 
-    A sweep over hundreds of steps can then be made in minutes: everything that is written is written as ever.
+    Nor are the same results put into the form of HDF5, or taken out of the same file, twice. A sweep over hundreds of steps can then be
+    made in minutes: everything that is written is written as ever.
     """
-    from operando.pipeline import runner
+    import operando.io as files
+    from operando.data import file_hash
+    from operando.pipeline import cache, runner
     from operando.report import page
 
     kept: dict = {}
 
-    def held(does):
-        @functools.wraps(does)
-        def stage(work):
-            key = does.__name__, repr(work.analysis)
-            if key not in kept:
-                kept[key] = does(work)
-            return dict(kept[key])
-
-        return stage
-
-    render = page.render_report
-
-    def held_report(results):
-        key = repr(results.settings)
+    def once(key, make):
         if key not in kept:
-            kept[key] = render(results)
+            kept[key] = make()
         return kept[key]
 
+    def held(does):
+        return functools.wraps(does)(lambda work: dict(once((does.__name__, repr(work.analysis)), lambda: does(work))))
+
+    def write(path, objects, real=files.write_hdf5):
+        flat = objects.get("result", objects)
+        key = path.name, *((repr(v) if name in ("name", "settings", "findings", "left_out") else id(v)) for name, v in flat.items())
+        if key in kept:
+            with files.hdf5.replacing(path) as stream:
+                stream.write(kept[key][0])
+        else:
+            real(path, objects)
+            kept[key] = path.read_bytes(), flat  # held on to: no other object gets its id
+
+    render, read = page.render_report, cache._read
     runner.STEPS = tuple(replace(step, does=held(step.does)) for step in runner.STEPS)
-    page.render_report = held_report
+    page.render_report = lambda results: once(("report", results.name, repr(results.settings)), lambda: render(results))
+    cache._read = lambda path: dict(once(("read", file_hash(path)), lambda: read(path)))
+    files.write_hdf5 = write
 
 
 def problems(fault: str, status: int, out: Path, old: dict[str, bytes], new: dict[str, bytes]) -> list[str]:

@@ -211,9 +211,14 @@ def main() -> None:
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
-        table = {"writes": lambda: writes(base, given.every), "stages": lambda: stages(base),
-                 "kills": lambda: kills(base, given.count, held=True),
-                 "kills-computing": lambda: kills(base, given.count, held=False), "outputs": lambda: spoilt(base)}[given.what]()  # fmt: skip
+        ways = {
+            "writes": lambda: writes(base, given.every),
+            "stages": lambda: stages(base),
+            "kills": lambda: kills(base, given.count, held=True),
+            "kills-computing": lambda: kills(base, given.count, held=False),
+            "outputs": lambda: spoilt(base),
+        }
+        table = ways[given.what]()
     table["minutes"] = round((time.perf_counter() - started) / 60, 1)
     known = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
     RESULTS.write_text(json.dumps(known | {given.what: table}, indent=1) + "\n")
