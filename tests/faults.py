@@ -31,6 +31,9 @@ FAULTS = ("kill", "full", "interrupt")
 EXIT = {"kill": -signal.SIGKILL, "full": 1, "interrupt": 130}
 """How a process ends by each."""
 
+PARTLY = "some of the old results are gone, some are not"
+"""What can only be so where the process ends while the old files go, one after the other."""
+
 NOT_COMPARED = ("timings.json",)
 """Outputs that tell how long something took."""
 
@@ -76,7 +79,7 @@ class Steps:
     folder : Path
         Results folder; it need not exist.
     fault : str or None
-        One of ``FAULTS``; None only counts.
+        One of ``FAULTS``, or ``read-only``: every step from ``at`` on is refused; None only counts.
     at : int
         Step (from 1) at which it happens.
     """
@@ -89,8 +92,10 @@ class Steps:
         """One more step; ``half`` does half of it."""
         self.names.append(f"{what} {Path(str(name)).name}")
         now = len(self.names)
-        if self.fault is None or now < self.at or (now > self.at and self.fault != "full"):
+        if self.fault is None or now < self.at or (now > self.at and self.fault in ("kill", "interrupt")):
             return
+        if self.fault == "read-only":
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(name))
         if self.fault == "full":
             if what in ("remove", "rename"):
                 return  # these need no room
@@ -187,7 +192,7 @@ def problems(fault: str, status: int, out: Path, old: dict[str, bytes], new: dic
     if only_old and only_new:
         wrong.append(f"old {only_old} lie beside new {only_new}")
     if only_old and found != old:
-        wrong.append("the old results are not whole")
+        wrong.append(PARTLY)
     if status != EXIT[fault] and not (fault == "full" and status == 0 and found == new):
         wrong.append(f"exit status {status}")
     if "Traceback" in log:

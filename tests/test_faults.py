@@ -63,6 +63,18 @@ def test_a_fault_at_a_write_leaves_old_results_whole_or_none(small, tmp_path, fa
     assert faults.after_a_clean_run(status, out, new, faults.stage_results(newer)) == []
 
 
+def test_a_folder_that_cannot_be_written_keeps_its_results(small, tmp_path):
+    test, older, _, _ = small
+    out = tmp_path / "out"
+    shutil.copytree(older, out)
+    assert faults.run_in_a_fork(test, out, "read-only", 1) == 1
+    assert faults.outputs(out) == faults.outputs(older)
+    log = (tmp_path / "out.log").read_text(encoding="utf-8")
+    assert log.startswith("operando: ")
+    assert "Read-only file system (choose another folder" in log
+    assert len(log.splitlines()) == 1
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_spoilt_outputs_are_made_again_and_nothing_else(small, tmp_path, first):
     """Every other output missing, emptied, cut or altered in one bit."""

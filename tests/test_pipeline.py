@@ -281,6 +281,54 @@ def test_a_fault_in_one_stage_is_a_finding_with_a_log(again, monkeypatch):
     assert "sum of nothing" in (out / "errors.log").read_text()
 
 
+def test_what_was_made_without_a_failed_stage_is_made_again_with_it(again, monkeypatch):
+    """The comparison judges whatever models there are: one that was missing for a while must not stay missing."""
+    path, out = again
+    changed = load_test(path).with_analysis(threshold=0.8)
+    with monkeypatch.context() as patch:
+        patch.setattr("operando.scaling.scale_operational", lambda *args, **kwargs: 1 / 0)
+        run(changed, out)
+    results = run(changed, out)
+    assert "ofrf" in results.comparison["models"]
+    assert not (out / "errors.log").exists()
+
+
+def test_a_changed_geometry_reaches_the_files_that_hold_it(again):
+    path, out = again
+    from operando.data import Geometry
+    from operando.io import write_uff
+
+    before = {name: (out / name).read_bytes() for name in CONTRACT_FILES}
+    nodes = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0.5]])
+    write_uff(path.parent / "geometry.uff", Geometry((1, 2, 3, 4), nodes, ((1, 2, 3, 4),)))
+    messages = []
+    run(path, out, progress=log(messages))
+    assert set(computed(messages)) == {"inspect", "diagnose", "report"}
+    changed = {name for name in CONTRACT_FILES if (out / name).read_bytes() != before[name]}
+    assert {"idle_modes.uff", "operating_modes.uff", "model.h5"} <= changed
+    assert not changed & {"idle_frf.uff", "ofrf.uff"}
+
+
+def test_a_run_gives_the_results_of_the_test_file_again(again):
+    """Effects added by hand are in the folder until then; that they go is said."""
+    from click.testing import CliRunner
+
+    from operando.cli import main
+
+    path, out = again
+    before = {name: (out / name).read_bytes() for name in CONTRACT_FILES - {"timings.json"}}
+    done = CliRunner().invoke(main, ["remove", str(out), "1"])
+    assert done.exit_code == 0, done.output
+    by_hand = {name for name in before if (out / name).read_bytes() != before[name]}
+    assert by_hand == {"diagnosis.json", "ladder.json", "comparison.json", "ofrf_effect.uff", "model.h5", "report.html"}
+    messages = []
+    run(path, out, progress=log(messages))
+    assert computed(messages) == ["report"]
+    said = {message.split(" is missing or changed")[0] for _, message in messages if "missing or changed since the last run" in message}
+    assert said == by_hand
+    assert {name for name in before if (out / name).read_bytes() != before[name]} <= {"report.html"}  # here another stands for it
+
+
 def test_stored_results_come_back(finished):
     _, out, results = finished
     back = load_results(out)

@@ -306,7 +306,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(tmp_path, delay):
         "from operando import __main__ as entry\n"
         "real = signal.signal\n"
         "signal.signal = lambda *a: (real(*a), print('ready', flush=True))\n"
-        "sys.argv = ['operando', 'demo', '-o', sys.argv[1]]\n"
+        "sys.argv = ['operando', 'demo', '--json', '-o', sys.argv[1]]\n"
         "entry.main()"
     )
     process = subprocess.Popen(
@@ -315,8 +315,9 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(tmp_path, delay):
     assert process.stdout.readline() == "ready\n"
     time.sleep(delay)
     process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
+    stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 130, stderr
+    assert json.loads(stdout)["error"] == "interrupted"
     assert stderr.splitlines()[-1].startswith("operando: interrupted (finished stages are kept")
     assert "Traceback" not in stderr
 

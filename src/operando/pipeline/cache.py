@@ -12,13 +12,13 @@ from operando.pipeline.folder import HIDDEN, ResultsFolder
 
 def load_stage(folder: ResultsFolder, stage: str, key: str) -> tuple[dict[str, Any], float] | None:
     """The result of a stage and the seconds it took, if it was made under this key and is whole, else None."""
-    entry = folder.entry(_name(stage), key)
+    entry = folder.entry(stage_file(stage), key)
     if entry is None:
         return None
     from operando.io import UNREADABLE
 
     try:
-        return _read(folder.path / _name(stage)), float(entry.get("seconds", 0.0))
+        return _read(folder.path / stage_file(stage)), float(entry.get("seconds", 0.0))
     except (OperandoError, *UNREADABLE):
         return None  # written by another version of a library: made again
 
@@ -27,12 +27,13 @@ def save_stage(folder: ResultsFolder, stage: str, key: str, result: Mapping[str,
     """Keep the result of a stage and give it back as it was kept, so that later stages see the same whether it is new or not."""
     from operando.io import write_hdf5
 
-    folder.stage(_name(stage), key, lambda path: write_hdf5(path, {"result": dict(result)}), seconds=seconds)
+    folder.stage(stage_file(stage), key, lambda path: write_hdf5(path, {"result": dict(result)}), seconds=seconds)
     folder.commit()
-    return _read(folder.path / _name(stage))
+    return _read(folder.path / stage_file(stage))
 
 
-def _name(stage: str) -> str:
+def stage_file(stage: str) -> str:
+    """Where the result of a stage is kept in the results folder."""
     return f"{HIDDEN}/{stage}.h5"
 
 

@@ -3,8 +3,8 @@
 Every file that operando makes there has an entry in ``.stages/manifest.json``: the key of what it was made of and the hash of its
 content. A file counts as unchanged when both still fit; a missing, cut or altered one is made again. New files are written aside, in
 ``.stages/new``, and take their names together: first the files they stand in for go, then the new ones come, then the manifest. So
-a process that ends at any moment leaves old results whole or none, never old beside new; and an entry never speaks for a file
-that is not there.
+a process that ends at any moment leaves whole files, and never old ones beside new ones: the old results, unless it ends in the
+fraction of a millisecond in which they go; and an entry never speaks for a file that is not there.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class ResultsFolder:
         if not self._staged and not gone:
             return
         with writing(self.path):
-            for name in (*gone, *self._staged):
+            for name in reversed((*gone, *self._staged)):  # those that tell of the others go first
                 (self.path / name).unlink(missing_ok=True)
             sync_folder(self.path)
             for name in self._staged:

@@ -14,7 +14,7 @@ from operando.data import Finding, group_findings
 from operando.errors import ConfigError, OperandoError, WriteError
 from operando.io.atomic import replacing
 from operando.jsonable import jsonable
-from operando.pipeline.cache import load_stage, save_stage
+from operando.pipeline.cache import load_stage, save_stage, stage_file
 from operando.pipeline.code import code_hash
 from operando.pipeline.folder import ResultsFolder, key_of, results_folder
 from operando.pipeline.inputs import Inputs, UnfitTest
@@ -157,7 +157,10 @@ class _Run:
 
     def _make(self, stage: Stage) -> None:
         """Run a stage and keep its result."""
-        self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
+        if self.folder.made_before(stage_file(stage.name), self.keys[stage.name]):
+            self.progress(stage.part_of, f"the kept result ({stage.name}) is missing or damaged: made again")
+        else:
+            self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
         self.work.say = lambda message: self.progress(stage.part_of, message)
         started = time.perf_counter()
         try:
