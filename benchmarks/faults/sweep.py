@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import re
 import shutil
 import sys
 import tempfile
@@ -165,7 +166,8 @@ def kills(base: Path, count: int, held: bool) -> dict:
         delay = rng.uniform(0.0, seconds)
         status = faults.run_in_a_fork(test, out, kill_after=delay)
         log = (base / "out.log").read_text()
-        at_stage["after the end" if status == 0 else log.splitlines()[-1].split("]")[1].split()[0] if "]" in log else "start"] += 1
+        told = re.findall(r"s\] (\w+)", log)
+        at_stage["after the end" if status == 0 else told[-1] if told else "start"] += 1
         wrong = faults.problems("kill", status, out, {}, new) if status else []
         wrong += faults.after_a_clean_run(faults.run_in_a_fork(test, out), out, new, kept)
         if wrong:

@@ -104,11 +104,7 @@ class ResultsFolder:
             sync_folder(self.hidden)
         for name in gone:
             self._entries.pop(name, None)
-        for name, entry in self._staged.items():
-            if entry["key"] is not None:
-                self._entries[name] = entry
-            elif self._entries.get(name, {}).get("sha256") != entry["sha256"]:
-                self._entries.pop(name, None)
+        self._entries |= {name: entry for name, entry in self._staged.items() if entry["key"] is not None}
         self._staged = {}
         write_json(self.hidden / "manifest.json", {"schema": SCHEMA, "files": dict(sorted(self._entries.items()))})
 
