@@ -78,9 +78,7 @@ def test_a_failed_stage_exits_1_and_keeps_the_rest(path, tmp_path, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="needs POSIX signals")
 def test_ctrl_c_keeps_finished_stages(path, tmp_path):
     out = tmp_path / "out"
-    start = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from operando.cli import main; main(sys.argv[1:])"
-    )
+    start = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from operando.__main__ import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", start, "run", str(path), "-o", str(out), "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
