@@ -305,8 +305,7 @@ def test_a_changed_geometry_reaches_the_files_that_hold_it(again):
     run(path, out, progress=log(messages))
     assert set(computed(messages)) == {"inspect", "diagnose", "report"}
     changed = {name for name in CONTRACT_FILES if (out / name).read_bytes() != before[name]}
-    assert {"idle_modes.uff", "operating_modes.uff", "model.h5"} <= changed
-    assert not changed & {"idle_frf.uff", "ofrf.uff"}
+    assert {"idle_frf.uff", "idle_modes.uff", "operating_modes.uff", "ofrf.uff", "model.h5"} <= changed
 
 
 def test_a_run_gives_the_results_of_the_test_file_again(again):
@@ -437,6 +436,7 @@ def test_a_stage_reads_only_what_its_key_is_made_of(finished):
         assert set(found) - {"findings", "geometry", "comparison"} <= fills[step.name], step.name
         known = set().union(*(fills[name] for name in upstream[step.name])) if upstream[step.name] else set()
         allowed = known | ({"idle"} if step.name == "oma" else set())  # in its key where the band is that of the idle modes
+        allowed |= {"findings"}  # why a stage lacks something: such a stage keeps nothing
         assert fields <= allowed, f"{step.name} reads {fields - allowed} and does not name the stage that makes it as upstream"
         of_upstream = {name for other in STEPS if other.name in upstream[step.name] for name in other.settings}
         assert settings <= set(step.settings) | of_upstream, f"{step.name} reads settings {settings - set(step.settings) - of_upstream}"
