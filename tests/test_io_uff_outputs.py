@@ -15,7 +15,7 @@ from operando.data import Appearance, ModalModel, Provenance
 from operando.dof import Dof
 from operando.io import read
 from operando.pipeline import outputs
-from operando.pipeline.outputs import write_output
+from operando.pipeline.outputs import OUTPUTS
 
 NAMES = ("idle_frf.uff", "idle_modes.uff", "operating_modes.uff", "ofrf.uff")
 WHEN = Provenance(measured="2026-11-17T09:15:00")
@@ -46,7 +46,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("results")
     results = finished()
     for name in NAMES:
-        assert write_output(name, path, results) == []
+        assert {o.name: o for o in OUTPUTS}[name].write(path / name, results) == []
     return path, results
 
 
@@ -81,7 +81,7 @@ def test_each_file_has_header_units_and_geometry(folder):
 def test_writing_again_gives_the_same_bytes(folder, tmp_path):
     path, results = folder
     for name in NAMES:
-        write_output(name, tmp_path, results)
+        {o.name: o for o in OUTPUTS}[name].write(tmp_path / name, results)
         assert (tmp_path / name).read_bytes() == (path / name).read_bytes()
 
 
@@ -115,7 +115,7 @@ def test_modes_make_the_frfs_of_the_model(folder):
 def test_a_large_band_is_left_to_the_measured_references_and_said(folder, tmp_path, monkeypatch):
     _, results = folder
     monkeypatch.setattr(outputs, "MAX_BAND_VALUES", 10)
-    (finding,) = write_output("ofrf.uff", tmp_path, results)
+    (finding,) = {o.name: o for o in OUTPUTS}["ofrf.uff"].write(tmp_path / "ofrf.uff", results)
     assert finding.kind == "partial_output"
     assert "2 of 4 columns" in finding.message
     (back,) = read(tmp_path / "ofrf.uff").frfs
@@ -127,7 +127,7 @@ def test_skewed_directions_keep_the_residual_terms(tmp_path):
     dofs = (Dof(1, "a"), *results.idle.dofs[1:])
     results.idle = replace(results.idle, dofs=dofs)
     results.settings["directions"] = {"1+a": [0.6, 0.0, 0.8]}
-    (finding,) = write_output("idle_modes.uff", tmp_path, results)
+    (finding,) = {o.name: o for o in OUTPUTS}["idle_modes.uff"].write(tmp_path / "idle_modes.uff", results)
     assert finding.kind == "directions_resolved"
     (back,) = read(tmp_path / "idle_modes.uff").models
     lines = in_band(results)

@@ -188,7 +188,10 @@ def spoilt(base: Path) -> dict:
     new, kept, _ = reference(test, out)
     new |= {name: (out / name).read_bytes() for name in faults.NOT_COMPARED}
     failed, count = {}, 0
-    for name, data in new.items():
+    for name in list(new):
+        data = (out / name).read_bytes()
+        if name in faults.NOT_COMPARED:
+            new[name] = data
         middle = len(data) // 2
         ways = {
             "emptied": b"",
@@ -202,12 +205,14 @@ def spoilt(base: Path) -> dict:
             else:
                 (out / name).write_bytes(content)
             count += 1
+            if name == "report.html":  # made again, it takes another time
+                new = {other: was for other, was in new.items() if other not in faults.NOT_COMPARED}
             wrong = faults.after_a_clean_run(faults.run_in_a_fork(test, out), out, faults.outputs(out), kept)
             wrong += [f"{other} differs" for other, was in new.items() if not (out / other).is_file() or (out / other).read_bytes() != was]
             print(name, way, wrong or "bit-equal", flush=True)
             if wrong:
                 failed[f"{name} {way}"] = wrong
-    return {"outputs": len(new), "spoilt": count, "not bit-equal or otherwise wrong": failed}
+    return {"spoilt": count, "not bit-equal or otherwise wrong": failed}
 
 
 def main() -> None:
