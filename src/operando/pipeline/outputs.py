@@ -15,6 +15,15 @@ from operando.errors import MissingError
 from operando.io.atomic import write_json
 from operando.results import Results
 
+DESCRIPTIONS = {
+    "idle_frf.uff": "idle FRFs as measured",
+    "idle_modes.uff": "idle modes and residual terms",
+    "operating_modes.uff": "operational modes, unscaled",
+    "ofrf.uff": "operational FRFs, hybrid route",
+    "ofrf_effect.uff": "operational FRFs, idle model with accepted effects",
+}
+"""What the header of each UFF file says that it holds."""
+
 MAX_BYTES = 1_000_000_000
 """Beyond this size ``ofrf.uff`` holds the columns of the measured references only."""
 
@@ -49,26 +58,26 @@ class Output:
 
 
 def _idle_frf(path: Path, results: Results) -> list[Finding]:
-    return _uff(path, results, "idle FRFs as measured", results.idle_frf)
+    return _uff(path, results, results.idle_frf)
 
 
 def _idle_modes(path: Path, results: Results) -> list[Finding]:
-    return _modes(path, results, "idle modes and residual terms", results.idle)
+    return _modes(path, results, results.idle)
 
 
 def _operating_modes(path: Path, results: Results) -> list[Finding]:
-    return _modes(path, results, "operational modes, unscaled", results.operating)
+    return _modes(path, results, results.operating)
 
 
 def _ofrf(path: Path, results: Results) -> list[Finding]:
     findings: list[Finding] = []
-    return _uff(path, results, "operational FRFs, hybrid route", ofrf(results, findings)) + findings
+    return _uff(path, results, ofrf(results, findings)) + findings
 
 
 def _ofrf_effect(path: Path, results: Results) -> list[Finding]:
     dofs = None if results.idle is None else results.idle.dofs
     frf = effect_model(results).frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)
-    return _uff(path, results, "operational FRFs, idle model with accepted effects", frf)
+    return _uff(path, results, frf)
 
 
 def _comparison(path: Path, results: Results) -> list[Finding]:
@@ -132,23 +141,23 @@ LADDER_OUTPUTS = tuple(o for o in OUTPUTS if o.stage == "diagnose" or o.name in 
 """What ``add`` and ``remove`` change."""
 
 
-def _uff(path: Path, results: Results, description: str, content: Any, node_set: int = 2411) -> list[Finding]:
+def _uff(path: Path, results: Results, content: Any, node_set: int = 2411) -> list[Finding]:
     """One UFF file: what it holds in words (set 151), the geometry, the content."""
     from operando.io import FileHeader, write_uff
 
     # When the data were measured, no time of writing: equal results make equal files.
     date = "" if content is None else content.provenance.measured
-    header = FileHeader(results.name, description, "operando", date, date, "operando", date)
+    header = FileHeader(results.name, DESCRIPTIONS[path.name], "operando", date, date, "operando", date)
     write_uff(path, *(o for o in (results.geometry, content) if o is not None), header=header, node_set=node_set)
     return []
 
 
-def _modes(path: Path, results: Results, description: str, model: ModalModel | None) -> list[Finding]:
+def _modes(path: Path, results: Results, model: ModalModel | None) -> list[Finding]:
     """Modes and residual terms along the axes; the contract wants set 15 beside them, the other files have nodes in double precision."""
     findings: list[Finding] = []
     if model is not None:
         model = along_axes(replace(model, details=None), _directions(results), path.name, findings)
-    return _uff(path, results, description, model, node_set=15) + findings
+    return _uff(path, results, model, node_set=15) + findings
 
 
 def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = ()) -> Any:
