@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from io_files import text_set
 from operando.data import Channel, Frf, Geometry, ModalModel, TimeRecord
 from operando.dof import Dof
-from operando.errors import DataError, MissingError
+from operando.errors import DataError, WriteError
 from operando.io import read, write_uff
 
 pyuff = pytest.importorskip("pyuff")
@@ -169,7 +169,7 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
         write_uff(path, "no object")
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.uff"]
-    with pytest.raises(MissingError):
+    with pytest.raises(WriteError, match="folder"):
         write_uff(tmp_path / "no" / "folder.uff", make_record())
 
 

@@ -13,6 +13,7 @@ import pytest
 from operando.compare import compare_all
 from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
+from operando.errors import WriteError
 from operando.report import assumptions, derive, headline, render_report, tables, tables_files, write_report
 from operando.report.figures_modes import ShapePair, mode_shapes
 from operando.report.svg import thin
@@ -237,7 +238,7 @@ def test_failed_write_leaves_the_old_report(whole, tmp_path, monkeypatch):
     target = tmp_path / "report.html"
     target.write_text("old")
     monkeypatch.setattr("os.replace", lambda *a: (_ for _ in ()).throw(OSError("disk")))
-    with pytest.raises(OSError, match="disk"):
+    with pytest.raises(WriteError, match="disk"):
         write_report(replace_results(whole, name="x", idle=None, operating=None, hybrid=None, check=[], idle_frf=None), target)
     assert target.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
