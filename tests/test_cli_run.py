@@ -83,7 +83,7 @@ def test_ctrl_c_keeps_finished_stages(path, tmp_path):
         [sys.executable, "-c", start, "run", str(path), "-o", str(out), "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     patience = time.monotonic() + 60
-    while not (out / "idle_frf.uff").exists() and process.poll() is None and time.monotonic() < patience:
+    while not any((out / ".stages").rglob("frf.h5")) and process.poll() is None and time.monotonic() < patience:
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)

@@ -27,7 +27,8 @@ def _interrupted(signum: int, frame: object) -> NoReturn:
     atomic = sys.modules.get("operando.io.atomic")
     if atomic is not None and hasattr(atomic, "remove_unfinished"):
         atomic.remove_unfinished()
-    if "--json" in sys.argv:
+    answer = sys.modules.get("operando.cli.answer")
+    if "--json" in sys.argv and not getattr(answer, "printing", False):
         document = f'{{"schema": "operando/error/1", "error": "interrupted", "where": null, "hint": "{hint}"}}\n'
         os.write(1, document.encode())
     os.write(2, f"operando: interrupted ({hint})\n".encode())

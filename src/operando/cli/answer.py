@@ -31,9 +31,16 @@ class Answer:
     failure: OperandoError | None = None
 
 
+printing = False
+"""Whether the document is on its way to stdout: Ctrl-C puts no second one behind it from then on."""
+
+
 def print_json(document: dict[str, Any]) -> None:
     """One JSON document on stdout."""
-    sys.stdout.write(json_text(document) + "\n")
+    global printing
+    text = json_text(document)
+    printing = True
+    sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
