@@ -340,7 +340,7 @@ def test_failures_are_counted(judged, tmp_path):
     assert none["found"] == 0 < none["wanted"]
     spin = SCORE.run_limited([sys.executable, "-c", "while True: pass"], 1, tmp_path / "log")
     assert SCORE.outcome(spin["exit"], "") == "out of time"
-    assert 0.5 < spin["cpu_s"] < 3  # the limit of 1 s counts whole ticks of the clock, which on a loaded machine are more than the time used
+    assert 0.5 < spin["cpu_s"] < 3  # the limit of 1 s counts whole ticks, which on a loaded machine are more than the time used
     fine = SCORE.run_limited([sys.executable, "-c", "x = bytearray(50_000_000)"], 5, tmp_path / "log")
     assert SCORE.outcome(fine["exit"], "") == "done"
     assert 50 < fine["memory_mb"] < 80  # its own, whatever this process holds
