@@ -36,6 +36,10 @@ QUADRATURE, QUADRATURE_GUESS, QUADRATURE_MOST, QUADRATURE_FREE = 0.2, 0.05, 0.25
 DRIFT, DRIFT_GUESS, DRIFT_MOST = 1e-3, 2e-4, 1e-2
 """The same for δ: roving tests drift by 1e-4 … 1e-3."""
 
+PEAK_MOST, PEAK_WIDTHS, PEAK_LINES = 3.0, 3.0, 3
+"""Spread of a: so many times what the FRF has at most within three half bandwidths, the drift and three lines. Two modes of opposite
+sense 0.4 half bandwidths apart, which are one by the rule of twins, are five times their sum: a prior cost of three of several hundred."""
+
 PSEUDO_PAIRS = 2.0
 CHUNK = 256
 
@@ -234,15 +238,29 @@ def project(
     if previous is not None and np.isfinite(least):
         curvature = shift_curvature(pairs.frequencies_hz, poles, previous, pairs.window_rate, least)
     flat = pairs.accelerance - curvature
+    most = _largest(pairs, poles, columns.g)
     parts = []
     for start in range(0, pairs.accelerance.shape[0], CHUNK):
         rows = slice(start, start + CHUNK)
         before = None if previous is None or amplitude is None else (previous[0][rows], previous[1][rows], amplitude[rows])
-        parts.append(_solve(flat[rows], variance[rows], columns, stack, poles, before))
+        parts.append(_solve(flat[rows], variance[rows], columns, stack, poles, most[rows], before))
     gather = [np.concatenate([p[k] for p in parts]) for k in range(11)]
     cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope = gather
     normal, sums = np.sum([p[11] for p in parts], axis=0), np.sum([p[12] for p in parts], axis=0)
     return Projection(cost, a, b, shift, shifted, curvature, tails, error, normal, gradient, evidence, a_std, slope, sums)
+
+
+def _largest(pairs: Pairs, poles: Poles, g: Complex) -> Real:
+    """Spread of the prior on a, (P, n): no mode is much larger than the FRF at its resonance, so two do not stand against each other there.
+
+    In a pair near a node of both, two poles within a bandwidth of each other otherwise trade places and grow to any size.
+    """
+    out = np.empty((pairs.accelerance.shape[0], poles.hz.size))
+    for r, hz in enumerate(poles.hz):
+        distance = np.abs(pairs.frequencies_hz - hz)
+        near = distance <= max(PEAK_WIDTHS * poles.zeta[r] * hz, DRIFT_MOST * hz, np.partition(distance, PEAK_LINES)[PEAK_LINES])
+        out[:, r] = PEAK_MOST * np.abs(pairs.accelerance[:, near]).max(axis=1) / np.abs(g[r, near]).max()
+    return out
 
 
 def updated_spreads(poles: Poles, sums: Real, most_quadrature: float) -> Poles:
@@ -272,7 +290,9 @@ def _against(weighted: Complex, columns: Complex) -> Real:
     return np.asarray(weighted.real @ columns.real.T + weighted.imag @ columns.imag.T)
 
 
-def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, before: Coefficients | None) -> tuple[Any, ...]:
+def _solve(
+    h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, most: Real, before: tuple[Real, Real, Real] | None
+) -> tuple[Any, ...]:
     """One chunk of pairs: what :class:`Projection` holds, sums last."""
     n, t = c.g.shape[0], c.tails.shape[0]
     core = 2 * n + t
@@ -296,11 +316,12 @@ def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles
     diagonal = np.einsum("pii->pi", matrix)
     diagonal += RIDGE
     prior = np.zeros_like(scale)  # precision, in the scaled unknowns
+    prior[:, :n] = np.minimum(1e12, 0.5 / np.maximum(most * scale[:, :n], 1e-150) ** 2)
     if before is not None:
         spread_b = np.maximum(poles.quadrature * before[2], 1e-150)
         prior[:, n : 2 * n] = np.minimum(1e12, 0.5 / np.maximum(spread_b * scale[:, n : 2 * n], 1e-150) ** 2)
         prior[:, core:] = np.minimum(1e12, 0.5 / np.maximum(poles.drift * scale[:, core:], 1e-150) ** 2)
-        diagonal += prior
+    diagonal += prior
     inverse = np.linalg.inv(matrix)
     x = np.zeros_like(scale)
     error = h
