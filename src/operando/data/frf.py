@@ -92,6 +92,8 @@ class Frf:
         ratio of each pole and is taken off after identification.
     name : str
         What was measured, as the file says.
+    setups : (n_responses, n_references) int array, optional
+        Where sensors roved: number of the set-up that measured the pair, −1 for more than one.
     findings : tuple of Finding
         What is wrong with it.
     provenance : Provenance, optional
@@ -109,6 +111,7 @@ class Frf:
     si: bool = True
     exponential_window_rate: float = 0.0
     name: str = ""
+    setups: NDArray[np.int_] | None = None
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance)
 
@@ -128,6 +131,10 @@ class Frf:
                 object.__setattr__(self, name, frozen(array, float, 3, name))
                 if array.shape != expected:
                     raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+        if self.setups is not None:
+            object.__setattr__(self, "setups", frozen(self.setups, int, 2, "setups"))
+            if self.setups.shape != expected[:2]:
+                raise DataError(f"setups has shape {self.setups.shape}, expected {expected[:2]}")
         if self.quantity not in QUANTITIES:
             raise DataError(f"quantity {self.quantity!r} is none of {', '.join(QUANTITIES)}")
         for label, dofs in (("response", self.responses), ("reference", self.references)):
@@ -185,6 +192,7 @@ class Frf:
             references=refs,
             variance=None if self.variance is None else self.variance[ix],
             coherence=None if self.coherence is None else self.coherence[ix],
+            setups=None if self.setups is None else self.setups[ix],
         )
 
     def to_quantity(self, quantity: str) -> Frf:

@@ -199,7 +199,7 @@ def fit_linear(
 
 
 def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
-    """Cluster sandwich (Liang & Zeger, Biometrika 73, 1986, 13–22): all pairs of one roving place are a cluster.
+    """Cluster sandwich (Liang & Zeger, Biometrika 73, 1986, 13–22): all pairs of one place or set-up are a cluster, means belong to each.
 
     One hit, or one mounting of the sensors, is behind them all. What is stated is the mean over the places that were measured: a slow trend
     from place to place, in the order of the file, is no error of it, so successive differences stand for the scatter (von Neumann, Ann.
@@ -207,12 +207,14 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
     """
     inverse = _inverse(projection.normal)
     naive = 0.5 * nu * inverse
-    place = np.unique(pairs.grid[:, pairs.roving_side], return_inverse=True)[1]
-    count = int(place.max()) + 1
+    single = pairs.places >= 0
+    place = np.unique(pairs.places[single], return_inverse=True)[1]
+    count = int(place.max(initial=-1)) + 1
     if count < 2:
         return np.asarray(naive)
     gradient = np.zeros((count, projection.gradient.shape[1]))
-    np.add.at(gradient, place, projection.gradient)
+    np.add.at(gradient, place, projection.gradient[single])
+    gradient += projection.gradient[~single].sum(axis=0) / count
     if count < FEW_PLACES:
         own = np.asarray(inverse @ (gradient.T @ gradient) @ inverse * count / (count - 1))
         return _raised(own, np.diag(naive))
@@ -226,7 +228,7 @@ def stated_covariance(fit: LinearFit) -> Real:
     1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²). A random walk over all places of rms δ has s² = δ²/places within one.
     """
     variances, n = np.diag(fit.covariance).copy(), fit.n_modes
-    places = np.unique(fit.pairs.grid[:, fit.pairs.roving_side]).size
+    places = max(1, np.unique(fit.pairs.places[fit.pairs.places >= 0]).size)
     variances[n:] += np.minimum(fit.poles.drift**2 / fit.poles.zeta**2 / places, 1.0) ** 2
     return _raised(fit.covariance, variances)
 

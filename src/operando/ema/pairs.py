@@ -37,6 +37,9 @@ class Pairs:
         DOF of the model of the response and of the reference.
     grid : (P, 2) int array
         Response and reference number of each pair in the FRF matrix.
+    places : (P,) int array
+        Where hammer or sensors stood, in the order of the file: the set-up, or else response or reference, whichever side has more. What
+        is measured at once errs together. −1 for the mean of several set-ups.
     window_rate : float
         Rate β [1/s] of the exponential window the FRFs carry.
     """
@@ -48,6 +51,7 @@ class Pairs:
     rows: NDArray[np.int_]
     columns: NDArray[np.int_]
     grid: NDArray[np.int_]
+    places: NDArray[np.int_]
     window_rate: float = 0.0
 
     @property
@@ -68,12 +72,13 @@ class Pairs:
             rows=self.rows[keep],
             columns=self.columns[keep],
             grid=self.grid[keep],
+            places=self.places[keep],
         )
 
     @property
     def roving_side(self) -> int:
         """0 where the responses rove, 1 where the references do: the side with more places."""
-        return int(np.argmax([np.unique(places).size for places in self.grid.T]))
+        return roving_side(self.grid)
 
     @property
     def staying(self) -> NDArray[np.int_]:
@@ -116,7 +121,13 @@ def frf_pairs(frf: Frf, dofs: tuple[Dof, ...], band: tuple[float, float]) -> Pai
     known = variance is not None and bool(np.all(np.isfinite(variance))) and bool(np.all(np.any(variance > 0, axis=1)))
     floor = NOISE_FLOOR * np.mean(np.abs(h) ** 2, axis=1, keepdims=True)
     noise = np.maximum(variance if known and variance is not None else noise_shape(h), floor)
-    return Pairs(f[usable], h, noise, known, np.asarray(rows)[i], np.asarray(columns)[j], grid, part.exponential_window_rate)
+    places = grid[:, roving_side(grid)] if part.setups is None else part.setups[i, j]
+    return Pairs(f[usable], h, noise, known, np.asarray(rows)[i], np.asarray(columns)[j], grid, places, part.exponential_window_rate)
+
+
+def roving_side(grid: NDArray[np.int_]) -> int:
+    """0 where the responses rove, 1 where the references do: the side with more places."""
+    return int(np.argmax([np.unique(places).size for places in grid.T]))
 
 
 def noise_shape(h: Complex) -> Real:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from operando.data import Finding, Frf, Provenance
 from operando.dof import Dof, Node
 from operando.errors import DataError
-from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of
+from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of, measured_by
 from operando.frf.shift import frequency_shifts, in_words
 
 Array = NDArray[Any]
@@ -83,6 +83,7 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
         si=all(h.si for h in same),
         exponential_window_rate=first.exponential_window_rate,
         name=first.name,
+        setups=measured_by(same, list(responses.values()), list(references.values())),
         findings=tuple(dict.fromkeys([*(f for h in frfs for f in h.findings), *_said(first, averaged, apart), *missing])),
         provenance=Provenance.merge(*(h.provenance for h in same)).then("merge_frfs"),
     )

@@ -263,6 +263,7 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
         si=all(r.si for r in kept),
         exponential_window_rate=rates.pop(),
         name=kept[0].name,
+        setups=measured_by(runs, responses, columns),
         findings=(*(f for r in kept for f in r.findings), *findings),
         provenance=Provenance.merge(*(r.provenance for r in kept)),
     )
@@ -281,6 +282,23 @@ def _columns(kept: Sequence[RunEstimate], responses: Sequence[Dof], columns: Seq
             there = ~np.isnan(part.data[:, 0].real).all(axis=1)
             data[there, j], variance[there, j], coherence[there, j] = part.data[there, 0], part.variance[there, 0], part.coherence[there, 0]
     return data, variance, coherence
+
+
+def measured_by(
+    parts: Sequence[RunEstimate] | Sequence[Frf], responses: Sequence[Dof], references: Sequence[Dof]
+) -> NDArray[np.int_] | None:
+    """Number of the part that alone measured each pair, −1 for more than one; None where all parts have the same responses."""
+    sensors = [{(d.node, d.axis) for d in part.responses} for part in parts]
+    if all(s == sensors[0] for s in sensors):
+        return None
+    forces = [{(d.node, d.axis) for d in part.references} for part in parts]
+    out = np.full((len(responses), len(references)), -1)
+    for i, d in enumerate(responses):
+        for j, e in enumerate(references):
+            having = [k for k in range(len(parts)) if (d.node, d.axis) in sensors[k] and (e.node, e.axis) in forces[k]]
+            if len(having) == 1:
+                out[i, j] = having[0]
+    return out
 
 
 def absent_pairs(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) -> list[Finding]:
