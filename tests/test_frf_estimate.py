@@ -258,7 +258,7 @@ def test_lrm_beats_hann_on_a_short_lightly_damped_record_and_is_chosen():
 def test_averaging_is_chosen_for_a_long_well_damped_record():
     chain = Chain(4, zeta=0.05)
     rng = np.random.default_rng(12)
-    f, x = simulate(chain, FS, 1 << 16, [1], rng)
+    f, x = simulate(chain, FS, 1 << 18, [1], rng)
     frf = estimate_frf(make_record(f, x, FS, [1]))
     assert "'h1'" in frf.provenance.calls[-1]
     assert frf.averages > 25
