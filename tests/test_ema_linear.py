@@ -13,7 +13,7 @@ from operando.ema.discrepancy import fit_variance
 from operando.ema.fit import model_dofs
 from operando.ema.linear import NOISE_LIMITED, fit_linear
 from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
-from operando.ema.projection import Poles, project
+from operando.ema.projection import PEAK_MOST, Poles, project
 from operando.ema.unit_mass import SEEN, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from structures import Chain
@@ -278,3 +278,55 @@ def test_modes_that_differ_between_pairs_are_not_polished():
     assert model.details.answer == "linear"
     assert "differ between the pairs" in model.details.answer_reason
     assert_modes(model, c, f_tolerance=1e-3, z_tolerance=0.1)
+
+
+def test_a_mode_at_whose_node_the_drive_point_stands_is_no_wrong_sign():
+    """Its residue there is noise of either sign: a finding that says where the scale is uncertain, none that blames a sensor."""
+    for seed in range(4):
+        c = chain()
+        c.phi[0, 2] = 0.0
+        rng = np.random.default_rng(seed)
+        s, w = 2j * np.pi * F, 2 * np.pi * c.hz[:, None]
+        h = np.einsum("jr,r,rl->jl", c.phi, c.phi[0], s**2 / (w**2 + s**2 + 2 * c.zeta[:, None] * w * s))[:, None]
+        h[:, 0] += np.outer(c.phi[:, 2], 1e-3 * (s**2 / (w[2] ** 2 + s**2 + 2 * c.zeta[2] * w[2] * s)))  # a hit beside the point
+        size = 1e-4 * np.sqrt(np.mean(np.abs(h) ** 2))
+        h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        model = fit_ema(as_frf(h, (0,)), band=BAND)
+        said = {f.kind: f.message for f in model.findings}
+        assert "drive_point_sign" not in said
+        assert "63" in said["drive_point_at_node"]
+
+
+def test_two_poles_at_one_frequency_do_not_grow_against_each_other():
+    """PEAK_MOST: what a mode adds is no more than a few times the FRF at its resonance."""
+    _, h = frfs()
+    pairs = frf_pairs(as_frf(h), model_dofs(as_frf(h)), BAND)
+    hz = np.insert(HZ, 1, 41.0 * (1 + 2e-5))
+    poles = Poles(hz, np.insert(chain().zeta, 1, 0.004))
+    fit = fit_linear(pairs.lines(informative_lines(pairs.frequencies_hz, poles.hz, poles.zeta)), poles, BAND, rounds=2)
+    peak = np.abs(fit.projection.a[:, 1:3]) / (2 * fit.poles.zeta[1:3])
+    near = np.abs(pairs.frequencies_hz - 41.0) < 1.0
+    assert np.all(peak < 2 * PEAK_MOST * np.abs(pairs.accelerance[:, near]).max(axis=1)[:, None])
+
+
+def test_a_set_up_is_one_measurement_of_a_mode_that_drifts():
+    """Three mountings of two sensors each: the mean is known to their scatter over √3, not to that of six sensors by themselves."""
+    ratios, alone = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        c, moved = chain(), HZ * (1 + 3e-4 * rng.standard_normal((3, N)))
+        s = 2j * np.pi * F
+        h = np.empty((N, 2, F.size), complex)
+        for i in range(N):
+            w = 2 * np.pi * moved[i // 2][:, None]
+            h[i] = (c.phi[i] * c.phi[[0, 3]]) @ (s**2 / (w**2 + s**2 + 2 * c.zeta[:, None] * w * s))
+        h = h + 1e-4 * np.sqrt(np.mean(np.abs(h) ** 2)) * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        scatter = moved.std(axis=0, ddof=1) / np.sqrt(3)
+        frf = as_frf(h, setups=np.repeat([[0], [0], [1], [1], [2], [2]], 2, axis=1))
+        modes = in_band(fit_ema(frf, band=BAND))
+        assert modes.n_modes == N
+        ratios.append(modes.frequency_std_hz / scatter)
+        assert np.max(np.abs(modes.frequencies_hz - moved.mean(axis=0)) / modes.frequency_std_hz) < 4.3  # 95 % of t with two degrees
+        alone.append(in_band(fit_ema(replace(frf, setups=None), band=BAND)).frequency_std_hz / scatter)
+    assert 0.6 < np.median(ratios) < 1.6
+    assert np.median(alone) < 0.8 * np.median(ratios)

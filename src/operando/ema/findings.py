@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operando.data import Finding, Frf
-from operando.dof import Dof
 from operando.ema.answers import LinearModes
-from operando.ema.order import OrderLog
 from operando.ema.polish_model import Real
+from operando.ema.unit_mass import SEEN, UnitMassShapes
 
 NOTABLE_DRIFT = 5e-4
 """Twice the drift that a day in a laboratory makes of itself (1–3·10⁻⁴ on seven states of a plate)."""
@@ -33,11 +34,35 @@ def turned_finding(dof: str) -> Finding:
     )
 
 
-def fit_findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, float], log: OrderLog, misfit: float) -> list[Finding]:
+@dataclass(frozen=True)
+class DriveResidues:
+    """Modes to which no drive point gives a scale.
+
+    Parameters
+    ----------
+    absent_hz : tuple of float
+        No drive point moves in them by more than three standard deviations: as at a node.
+    negative_hz : tuple of float
+        A drive-point residue is below zero by more than that: a negative modal mass.
+    """
+
+    absent_hz: tuple[float, ...] = ()
+    negative_hz: tuple[float, ...] = ()
+
+
+def drive_residues(hz: Real, mass: UnitMassShapes, sure: NDArray[np.bool_]) -> DriveResidues:
+    """What the drive points say of the modes that are no doubtful poles."""
+    if not mass.drive:
+        return DriveResidues()
+    negative = sure & np.any([t < -SEEN for _, t in mass.drive], axis=0)
+    absent = sure & ~mass.scaled & ~negative
+    return DriveResidues(tuple(map(float, hz[absent])), tuple(map(float, hz[negative])))
+
+
+def fit_findings(frf: Frf, band: tuple[float, float], drive: DriveResidues, misfit: float) -> list[Finding]:
     """Findings of one fit."""
     out = []
-    drive = [r for r in frf.references if any(r.same_axis(d) for d in frf.responses)]
-    if not drive:
+    if not frf.drive_points():
         out.append(
             Finding(
                 "missing_drive_point",
@@ -57,27 +82,24 @@ def fit_findings(frf: Frf, dofs: tuple[Dof, ...], hz: Real, band: tuple[float, f
                 action="give acceleration and force in [units] of the test file",
             )
         )
-    unseen = [h for h in log.unseen_hz if drive and band[0] <= h <= band[1]]
-    if unseen:
+    if absent := [h for h in drive.absent_hz if band[0] <= h <= band[1]]:
         out.append(
             Finding(
-                "drive_point_sign",
-                f"no drive point gives {_at(unseen)} a positive modal mass",
-                "warning",
-                band_hz=(0.98 * min(unseen), 1.02 * max(unseen)),
-                consequence="the scale of these modes rests on what else the fit holds and is uncertain",
-                action="check the sense of force and response at the drive points, or add a reference that sees these modes",
+                "drive_point_at_node",
+                f"no drive point moves beyond its uncertainty in {_at(absent)}",
+                "info",
+                band_hz=(0.98 * min(absent), 1.02 * max(absent)),
+                consequence="the scale of these modes is uncertain",
+                action="add a reference that sees these modes, if their scale is wanted",
             )
         )
-    wrong = [(h, value) for h, value in log.wrong_sign if h not in log.unseen_hz and band[0] <= h <= band[1]]
-    if wrong:
+    if wrong := [h for h in drive.negative_hz if band[0] <= h <= band[1]]:
         out.append(
             Finding(
                 "drive_point_sign",
-                f"a drive-point residue of {_at([h for h, _ in wrong])} has the wrong sign (down to {min(v for _, v in wrong):.3g} 1/kg): "
-                "negative modal mass",
+                f"a drive-point residue of {_at(wrong)} has the wrong sign: negative modal mass",
                 "warning",
-                band_hz=(0.98 * min(h for h, _ in wrong), 1.02 * max(h for h, _ in wrong)),
+                band_hz=(0.98 * min(wrong), 1.02 * max(wrong)),
                 consequence="that drive point contradicts the others and gives these modes no scale",
                 action="check the sense of the force sensor and the accelerometer there, and whether both sit at the same point",
             )

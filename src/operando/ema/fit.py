@@ -16,9 +16,8 @@ from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.choose import ChoiceLog, choose_modes
 from operando.ema.doubts import judge_modes
-from operando.ema.findings import fit_findings, linear_findings, quantity_finding, turned_finding
+from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
-from operando.ema.order import OrderLog
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
@@ -286,13 +285,14 @@ def _answer(
     evidence = judge_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, evidence, mass.scaled)
+    signs = drive_residues(fit.mean_hz, mass, np.array([not e.doubts for e in evidence]))
     wanted, reason = _polish_wanted(job, fit)
     found: _Outcome | None = None
     if wanted:
-        found, reason = _polished(job, pairs, fit, log, candidates, runs, fit_band, reason)
+        found, reason = _polished(job, pairs, fit, log, candidates, runs, fit_band, reason, signs)
     answer = "linear" if found is None else "polished"
     if found is None:
-        found = _linear(job, pairs, fit, log, kept, mass, turned)
+        found = _linear(job, pairs, fit, log, kept, mass, turned, signs)
     stabilization = _diagram(job, found.fit_band, max_order, *found.poles)
     details = EmaDetails(
         stabilization,
@@ -320,6 +320,7 @@ def _polished(
     runs: list[RunSpectra],
     fit_band: tuple[float, float],
     reason: str,
+    signs: DriveResidues,
 ) -> tuple[_Outcome | None, str]:
     """The maximum-likelihood answer, or None and why it is not taken: too much work, or worse on unused lines than the linear stage."""
     if not runs:
@@ -338,7 +339,7 @@ def _polished(
     theta = answer.fit.parameters
     drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
     scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
-    said = fit_findings(job.frf, job.dofs, theta.hz, job.band, answer.log, answer.misfit)
+    said = fit_findings(job.frf, job.band, signs, answer.misfit)
     outcome = _Outcome(
         polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled),
         (theta.hz, theta.zeta, theta.shapes),
@@ -355,7 +356,14 @@ def _polished(
 
 
 def _linear(
-    job: _Job, pairs: Pairs, fit: LinearFit, log: ChoiceLog, kept: LinearModes, mass: UnitMassShapes, turned: NDArray[np.int_]
+    job: _Job,
+    pairs: Pairs,
+    fit: LinearFit,
+    log: ChoiceLog,
+    kept: LinearModes,
+    mass: UnitMassShapes,
+    turned: NDArray[np.int_],
+    signs: DriveResidues,
 ) -> _Outcome:
     """The linear stage's answer: modes without doubts."""
     misfit, by_row = float("nan"), np.full(len(job.dofs), np.nan)
@@ -369,7 +377,7 @@ def _linear(
         if e.doubts
     ]
     undriven = len(job.dofs) - np.unique(fit.pairs.columns).size
-    said = fit_findings(job.frf, job.dofs, fit.mean_hz[sure], job.band, _drive_log(fit, mass, sure), float("nan"))
+    said = fit_findings(job.frf, job.band, signs, float("nan"))
     return _Outcome(
         model,
         (fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]),
@@ -442,19 +450,6 @@ def _right_quantity(pairs: Pairs, start: Poles) -> tuple[Pairs, list[Finding]]:
     factor = 2j * np.pi * pairs.frequencies_hz + pairs.window_rate
     turned = replace(pairs, accelerance=pairs.accelerance * factor, noise=pairs.noise * np.abs(factor) ** 2)
     return turned, [quantity_finding("mobilities, and multiplied by iω")]
-
-
-def _drive_log(fit: LinearFit, mass: UnitMassShapes, sure: NDArray[np.bool_]) -> OrderLog:
-    """Modes without a scale, and drive-point residues of the wrong sign."""
-    log = OrderLog()
-    if mass.drive:
-        log.unseen_hz = [float(h) for h in fit.poles.hz[sure & ~mass.scaled]]
-        wrong: dict[int, float] = {}
-        for pair, t in mass.drive:
-            for k in np.flatnonzero(sure & (t < -3)):
-                wrong[int(k)] = min(wrong.get(int(k), 0.0), float(fit.projection.a[pair, k]))
-        log.wrong_sign = [(float(fit.poles.hz[k]), value) for k, value in sorted(wrong.items())]
-    return log
 
 
 def _exactly(job: _Job) -> AddModes:

@@ -25,7 +25,6 @@ class OrderLog:
     rejected: list[RejectedPole] = field(default_factory=list)
     rounds: list[str] = field(default_factory=list)
     unseen_hz: list[float] = field(default_factory=list)
-    wrong_sign: list[tuple[float, float]] = field(default_factory=list)
 
 
 def thin_lines(runs: Sequence[RunSpectra], hz: Real, zeta: Real, per_width: int = 12) -> list[RunSpectra]:
@@ -68,14 +67,9 @@ def refine(
     if start is None:
         outside = outside_kernels(runs, hz, lower)
         residues = linear_residues(runs, hz, zeta, outside)
-        shapes, seen, drive = rank_one(runs, residues, n_dofs)
+        shapes, seen = rank_one(runs, residues, n_dofs)
         if log is not None:
             log.unseen_hz = [float(h) for h, s in zip(hz, seen, strict=True) if not s]
-            log.wrong_sign = [
-                (float(hz[r]), float(drive[:, r].min()))
-                for r in range(hz.size)
-                if drive.size and drive[:, r].min() < -0.05 * np.max(np.abs(drive[:, r]))
-            ]
         start = start_parameters(runs, hz, zeta, shapes, outside)
     # A wide prior only keeps shapes that no drive point sees from running away.
     rms = np.sqrt(np.mean(start.shapes**2, axis=0, keepdims=True))

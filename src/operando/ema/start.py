@@ -85,7 +85,7 @@ def _ridge(design: Real, target: Real) -> Real:
     return np.asarray(cho_solve(cho_factor(normal), design @ target / scale) / scale)
 
 
-def rank_one(runs: Sequence[RunSpectra], residues: Sequence[Real], n_dofs: int) -> tuple[Real, NDArray[np.bool_], Real]:
+def rank_one(runs: Sequence[RunSpectra], residues: Sequence[Real], n_dofs: int) -> tuple[Real, NDArray[np.bool_]]:
     """Shapes of unit modal mass from the residues of all references.
 
     Returns
@@ -93,23 +93,16 @@ def rank_one(runs: Sequence[RunSpectra], residues: Sequence[Real], n_dofs: int) 
     shapes : (M, n) array
     seen : (n,) bool array
         Whether a drive point with a residue of the right sign gives the scale.
-    drive : (n_drive, n) array
-        Drive-point residues (negative: wrong sign), one row a drive point in the order met.
     """
     n = residues[0].shape[2]
     shapes = np.zeros((n_dofs, n))
     seen = np.zeros(n, bool)
     columns: list[tuple[int, NDArray[np.int_], Real]] = []
-    drive: list[Real] = []
     for run, residue in zip(runs, residues, strict=True):
-        for i, row in enumerate(run.force_rows):
-            columns.append((int(row), run.response_rows, residue[i]))
-            at = np.flatnonzero(run.response_rows == row)
-            if at.size:
-                drive.append(residue[i, at[0]])
+        columns += [(int(row), run.response_rows, residue[i]) for i, row in enumerate(run.force_rows)]
     for r in range(n):
         shapes[:, r], seen[r] = _rank_one_mode([(row, rows, residue[:, r]) for row, rows, residue in columns], n_dofs)
-    return shapes, seen, np.array(drive).reshape(len(drive), n)
+    return shapes, seen
 
 
 def _rank_one_mode(columns: list[tuple[int, NDArray[np.int_], Real]], n_dofs: int, rounds: int = 25) -> tuple[Real, bool]:
