@@ -109,7 +109,11 @@ def _read_text(buffer: Buffer, payload: tuple[int, int], header: Header58) -> ND
     while start < end:
         values, stop = _next_numbers(buffer, start, end, header)
         if count + values.size > expected:
-            values = _surplus(values, count, expected, header, len(bytes(buffer[start : start + 400]).split(b"\n", 1)[0].split()))
+            if stop < end:  # whether it is filling shows only with all that follows
+                rest = _parse_text(bytes(buffer[stop : min(end, stop + _CHUNK)]), header)
+                values, stop = np.concatenate([values, rest]), end
+            first_line = bytes(buffer[payload[0] : payload[0] + 400]).split(b"\n", 1)[0]
+            values = _surplus(values, count, expected, header, len(first_line.split()))
         out[count : count + values.size] = values
         count += values.size
         start = stop
