@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from operando.errors import FormatError
 from operando.io.uff.header58 import Header58, parse_header58
 from operando.io.uff.textform import HEAD_BYTES, Buffer, utf16_of
@@ -20,6 +22,11 @@ _REST_OF_LINE = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)")
 _BLANK_LINE = re.compile(rb"[ \t]*\r?\n")
 _BLANK = re.compile(rb"[\s\x00\x1a]*\Z")
 _NOTHING = re.compile(rb"(?:(?:\A|(?<=[\r\n]))[ \t]*-1[ \t]*(?=[\r\n]|\Z)|[\s\x00\x1a]|\xef\xbb\xbf)*")
+
+
+_NEWLINE, _RETURN, _BLANK_CHARACTER = b"\n\r "
+_LINES = 1 << 11
+"""Lines looked at together: their text stays in the cache of a core."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +157,7 @@ def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet
     except FormatError as error:
         return _closed(buffer, bare, body, separator, error.message)
     if not header.binary:
-        closed = replace(_closed(buffer, bare, data, separator, ""), header=header)
+        closed = replace(_closed(buffer, bare, _after_equal_lines(buffer, data, len(separator)), separator, ""), header=header)
         numbers, characters = header.points * header.numbers_per_point, closed.end - data
         # A number takes a character at least: checked before memory is taken for what the header declares.
         problem = f"the header declares {header.points} points ({numbers} numbers), the set holds {characters} characters"
@@ -182,6 +189,27 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
         b = bare  # not by replace, which takes longer than all the rest of a short set
         return RawSet(b.index, b.number, b.binary, b.start, b.body, max(close, end), stop, (data, end), header, problem, notes)
     return _lost_payload(buffer, bare, header, data, separator)
+
+
+def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
+    """Where the lines end that are as long as the first one and hold a character right behind ``width`` columns.
+
+    No separator of that width is among them. This tells so four times faster than a search for it.
+    """
+    length = buffer.find(b"\n", at, at + 1024) + 1 - at
+    if length <= width + 1:
+        return at
+    while True:
+        text = np.frombuffer(bytes(buffer[at : at + _LINES * length]), np.uint8)
+        lines = text[: text.size // length * length].reshape(-1, length)
+        returns = np.count_nonzero(lines == _RETURN)
+        equal = np.count_nonzero(lines == _NEWLINE) == np.count_nonzero(lines[:, -1] == _NEWLINE) == len(lines)
+        equal = equal and returns == np.count_nonzero(lines[:, -2] == _RETURN)
+        if not equal or np.any(lines[:, width] <= _BLANK_CHARACTER):
+            return at
+        at += lines.size
+        if len(lines) < _LINES:
+            return at
 
 
 def _binary_notes(header: Header58, n_bytes: int, closed: bool) -> Iterator[str]:
