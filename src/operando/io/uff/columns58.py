@@ -83,7 +83,8 @@ class Columns:
         if not (negative | (signs == 0) | (signs == ord("+") - ord(" "))).all() or (exponent_signs & 1).any():
             return None
         parts = (self.weights @ above.astype(np.float32).T).astype(np.float64)
-        upper, lower, power = np.split(parts, 3)  # a row for each number of a line
+        k = self.decimals.size
+        upper, lower, power = parts[:k], parts[k : 2 * k], parts[2 * k :]
         upper *= 10.0**GROUP
         upper += lower
         power *= 1.0 - exponent_signs

@@ -202,9 +202,10 @@ def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
     while True:
         text = np.frombuffer(bytes(buffer[at : at + _LINES * length]), np.uint8)
         lines = text[: text.size // length * length].reshape(-1, length)
+        other = np.flatnonzero(lines[:, -1] != _NEWLINE)[:1]
+        lines = lines[: other[0] if other.size else len(lines)]
         returns = np.count_nonzero(lines == _RETURN)
-        equal = np.count_nonzero(lines == _NEWLINE) == np.count_nonzero(lines[:, -1] == _NEWLINE) == len(lines)
-        equal = equal and returns == np.count_nonzero(lines[:, -2] == _RETURN)
+        equal = np.count_nonzero(lines == _NEWLINE) == len(lines) and returns == np.count_nonzero(lines[:, -2] == _RETURN)
         if not equal or np.any(lines[:, width] <= _BLANK_CHARACTER):
             return at
         at += lines.size
