@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
+from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.provenance import Provenance
 from operando.dof import Dof, Node, match_dofs, parse_dofs
@@ -67,7 +68,7 @@ class FrequencyAxis:
 
 
 @dataclass(frozen=True)
-class Frf:
+class Frf(ForOthers):
     """Frequency response functions H[response, reference] = response/force, e^{+iωt}.
 
     Parameters

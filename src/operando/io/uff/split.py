@@ -181,11 +181,8 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
             continue  # no count agrees with it, and the closing separator itself would be its last sample
         close = end if after is None else after.start(1)
         stop = size if after is None else after.end()
-        problem, notes = "", ()
-        if n_bytes != header.expected_bytes:
-            problem = _short(header, n_bytes)
-        else:
-            notes = tuple(_binary_notes(header, n_bytes, after is not None))
+        problem = _short(header, n_bytes) if n_bytes != header.expected_bytes else ""
+        notes = () if problem else tuple(_binary_notes(header, n_bytes, after is not None))
         b = bare  # not by replace, which takes longer than all the rest of a short set
         return RawSet(b.index, b.number, b.binary, b.start, b.body, max(close, end), stop, (data, end), header, problem, notes)
     return _lost_payload(buffer, bare, header, data, separator)
