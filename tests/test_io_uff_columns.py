@@ -80,8 +80,9 @@ def test_lines_without_columns(line):
 
 
 @pytest.mark.parametrize(
-    "odd", [b"        1.0D+00        2.0        -3.E0           4\n", b"   1.000000000000E+00   2.000000000000E+00  -3.000000000000E+00 4.0\n",
-            b"   1.000000000000D+00   2.000000000000D+00  -3.000000000000D+00   4.000000000000D+00\n"],
+    "odd",
+    [b"        1.0D+00        2.0        -3.E0           4\n", b"   1.000000000000E+00   2.000000000000E+00  -3.000000000000E+00 4.0\n",
+     b"   1.000000000000D+00   2.000000000000D+00  -3.000000000000D+00   4.000000000000D+00\n"],
     ids=["free form", "shorter", "D exponents"],
 )  # fmt: skip
 def test_an_odd_line_among_thousands(tmp_path, odd):
