@@ -19,8 +19,9 @@ from operando.diagnose.refit import Fit
 from operando.dof import MAX_NUMBER_DIGITS, Dof
 from operando.effects import Effect
 from operando.ema import fit_ema
+from operando.ema.limits import LEAST_LINES
 from operando.ema.polished import polish_runs
-from operando.ema.spectra import LEAST_LINES, record_spectra
+from operando.ema.spectra import record_spectra
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.frf import estimate_frf
 from operando.io import from_sep005
