@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from operando.errors import FormatError
+from operando.io.uff.columns58 import LINES
 from operando.io.uff.header58 import Header58, parse_header58
 from operando.io.uff.textform import HEAD_BYTES, Buffer, utf16_of
 
@@ -22,11 +23,7 @@ _REST_OF_LINE = re.compile(rb"[ \t]*(?:\r\n|\n|\r|\Z)")
 _BLANK_LINE = re.compile(rb"[ \t]*\r?\n")
 _BLANK = re.compile(rb"[\s\x00\x1a]*\Z")
 _NOTHING = re.compile(rb"(?:(?:\A|(?<=[\r\n]))[ \t]*-1[ \t]*(?=[\r\n]|\Z)|[\s\x00\x1a]|\xef\xbb\xbf)*")
-
-
 _NEWLINE, _RETURN, _BLANK_CHARACTER = b"\n\r "
-_LINES = 1 << 11
-"""Lines looked at together: their text stays in the cache of a core."""
 
 
 @dataclass(frozen=True)
@@ -191,13 +188,13 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
 def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
     """Where the lines end that are as long as the first one and hold a character right behind ``width`` columns.
 
-    No separator of that width is among them. This tells so four times faster than a search for it.
+    No separator of that width is among them. This tells so in a third of the time of a search for it.
     """
     length = buffer.find(b"\n", at, at + 1024) + 1 - at
     if length <= width + 1:
         return at
     while True:
-        text = np.frombuffer(bytes(buffer[at : at + _LINES * length]), np.uint8)
+        text = np.frombuffer(bytes(buffer[at : at + LINES * length]), np.uint8)
         lines = text[: text.size // length * length].reshape(-1, length)
         other = np.flatnonzero(lines[:, -1] != _NEWLINE)[:1]
         lines = lines[: other[0] if other.size else len(lines)]
@@ -206,7 +203,7 @@ def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
         if not equal or np.any(lines[:, width] <= _BLANK_CHARACTER):
             return at
         at += lines.size
-        if len(lines) < _LINES:
+        if len(lines) < LINES:
             return at
 
 
