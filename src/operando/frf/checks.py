@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import QUANTITIES, Finding, Frf
-from operando.dof import Dof
 from operando.frf.leakage import resonance_peaks
 
 Array = NDArray[Any]
@@ -198,7 +197,7 @@ def reciprocity_error(frf: Frf) -> float | None:
 def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
     """Relative reciprocity error of each pair of references that both are measured (see :func:`reciprocity_error`)."""
     out: dict[tuple[str, str], float] = {}
-    for first, second, forward, backward, total in both_ways(frf):
+    for first, second, forward, backward, total in frf.both_ways():
         good = np.isfinite(forward) & np.isfinite(backward)
         noise = 0.0
         if total is not None:
@@ -210,29 +209,6 @@ def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
             difference = float(np.sum(np.abs(forward[good] - backward[good]) ** 2))
             out[(str(first), str(second))] = float(np.sqrt(max(difference - noise, 0.0) / power))
     return out
-
-
-def both_ways(frf: Frf) -> Iterator[tuple[Dof, Dof, NDArray[Any], NDArray[Any], NDArray[np.float64] | None]]:
-    """Each pair of references that are also responses.
-
-    Yields
-    ------
-    first, second : Dof
-    forward, backward : (n_lines,) complex arrays
-        H[second, first] and H[first, second], both in the positive senses.
-    variance : (n_lines,) float array or None
-        Of their difference.
-    """
-    row = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
-    for b, second in enumerate(frf.references):
-        for a, first in enumerate(frf.references[:b]):
-            at_first, at_second = row.get((first.node, first.axis)), row.get((second.node, second.axis))
-            if at_first is None or at_second is None:
-                continue
-            forward = frf.data[at_second[0], a] * at_second[1] * first.sign
-            backward = frf.data[at_first[0], b] * at_first[1] * second.sign
-            variance = None if frf.variance is None else frf.variance[at_second[0], a] + frf.variance[at_first[0], b]
-            yield first, second, forward, backward, variance
 
 
 def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:

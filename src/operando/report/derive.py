@@ -14,7 +14,6 @@ from operando.compare.comparison import lowest_level
 from operando.data import Finding, Frf, ModalModel
 from operando.dof import Dof
 from operando.errors import OperandoError
-from operando.frf import both_ways
 from operando.report.svg import thin
 from operando.report.text import number
 from operando.report.words_diagnosis import changed_by_hand
@@ -246,7 +245,7 @@ def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str,
         without variances).
     """
     rows: list[dict[str, Any]] = []
-    for second, first, one, two, variance in both_ways(frf if band is None else frf.band(*band)):
+    for second, first, one, two, variance in (frf if band is None else frf.band(*band)).both_ways():
         ok = np.isfinite(one) & np.isfinite(two)
         if not ok.any():
             continue
