@@ -1,149 +1,216 @@
-"""Reading and writing of UFF 58b: time against a raw read of the same bytes and against pyuff, and peak memory.
+"""Reading and writing of UFF 58 and 58b: time against a raw read or write of the same bytes and against pyuff, and peak memory.
 
-Run: python benchmarks/read_uff.py [--channels 64] [--samples 1000000] [--repeat 5]
+Run: python benchmarks/read_uff.py [--repeat 9] [--against FOLDER] [-o benchmarks/results/uff_speed]
+
+All tasks run in turn, so that a busy machine meets each alike; medians count. FOLDER is the ``src`` folder of an older version.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
-from operando.data import Channel, TimeRecord
-from operando.dof import Dof
-from operando.io import read, write_uff
+CHANNELS, SAMPLES = 64, 1_000_000
+FILES = {
+    "small": "records, 58b, 8 x 100000", "ascii": "records, ASCII 58, 8 x 100000", "by_pyuff": "the same, written by pyuff",
+    "frfs": "FRFs, ASCII 58, 20 x 4 x 2000", "many": "records, 58b, 500 sets of 64",
+}  # fmt: skip
+KINDS = ("clock", "processor")
+GOALS = {"write": 1.2, "read": 1.2, "memory": 1.2, "ascii": 6.0, "by_pyuff": 6.0, "frfs": 6.0, "many": 1.5}
 
 
-def make_record(channels: int, samples: int) -> TimeRecord:
-    rng = np.random.default_rng(0)
-    data = rng.standard_normal((channels, samples))
+def make_record(channels: int, samples: int) -> Any:
+    from operando.data import Channel, TimeRecord
+    from operando.dof import Dof
+
+    data = np.random.default_rng(0).standard_normal((channels, samples))
     return TimeRecord(data, 51200.0, tuple(Channel(Dof(i + 1, "Z"), "acceleration", "m/s2", f"a{i + 1}") for i in range(channels)))
 
 
-def raw_read(path: Path) -> float:
+def make_frf() -> Any:
+    from operando.data import FrequencyAxis, Frf
+    from operando.dof import Dof
+
+    parts = np.random.default_rng(1).standard_normal((2, 20, 4, 2000))
+    responses, references = tuple(Dof(i + 1, "Z") for i in range(20)), tuple(Dof(i + 1, "Z") for i in range(4))
+    return Frf(parts[0] + 1j * parts[1], FrequencyAxis(np.arange(2000) * 0.5), responses, references, "accelerance")
+
+
+def make_files(folder: Path) -> None:
+    import pyuff
+
+    from operando.io import write_uff
+
+    small = make_record(8, 100_000)
+    write_uff(folder / "small", small)
+    write_uff(folder / "ascii", small, binary=False)
+    write_uff(folder / "frfs", make_frf(), binary=False)
+    write_uff(folder / "many", make_record(500, 64))
+    pyuff.UFF(str(folder / "by_pyuff")).write_sets(pyuff.UFF(str(folder / "ascii")).read_sets(), "overwrite")
+
+
+def raw_read(path: Path) -> None:
     """Read the bytes into one fresh buffer of their size, as any reader must at least."""
-    start = time.perf_counter()
     buffer = np.empty(path.stat().st_size, np.uint8)
     with open(path, "rb") as stream:
         stream.readinto(buffer.data)
-    return time.perf_counter() - start
 
 
-def own_read(path: Path) -> float:
-    start = time.perf_counter()
-    content = read(path)
-    took = time.perf_counter() - start
-    assert content.records[0].data.shape[0] > 0
-    return took
+def raw_write(path: Path, data: np.ndarray) -> None:
+    """Write the bytes and bring them to the disk, as operando does with every file (versions before 82e57c0 did not)."""
+    with open(path, "wb") as stream:
+        stream.write(data.data)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
-def pyuff_read(path: Path) -> float:
+def serve(folder: Path) -> None:
+    """Do tasks named on stdin, answer with the seconds each took by the clock and of the processor."""
     import pyuff
 
-    start = time.perf_counter()
-    sets = pyuff.UFF(str(path)).read_sets()
-    took = time.perf_counter() - start
-    assert sets
-    return took
+    from operando.io import read, write_uff
+
+    record = make_record(CHANNELS, SAMPLES)
+    own = folder / f"big{os.getpid()}"
+    tasks: dict[str, Callable[[], object]] = {
+        "raw write": lambda: raw_write(folder / f"raw{os.getpid()}", record.data),
+        "write": lambda: write_uff(own, record),
+        "raw read": lambda: raw_read(own),
+        "read": lambda: read(own),
+    }
+    for name in FILES:
+        tasks[name] = lambda path=folder / name: read(path)
+        tasks[f"pyuff {name}"] = lambda path=folder / name: pyuff.UFF(str(path)).read_sets()
+    for line in sys.stdin:
+        if "write" not in line:
+            tasks[line.strip()]()  # the first time, the system moves pages and memory about
+        start, computing = time.perf_counter(), time.process_time()
+        result = tasks[line.strip()]()
+        print(time.perf_counter() - start, time.process_time() - computing, flush=True)
+        del result
 
 
-def pyuff_write(path: Path, record: TimeRecord) -> float:
-    import pyuff
+class Worker:
+    """A process that does tasks with one version of operando."""
 
-    axis = {"spec_data_type": 0, "len_unit_exp": 0, "force_unit_exp": 0, "temp_unit_exp": 0, "axis_lab": "NONE", "axis_units_lab": "NONE"}
-    axes = {f"{name}_{key}": value for name in ("abscissa", "ordinate", "orddenom") for key, value in axis.items()}
-    axes |= {f"z_axis_{key}": value for key, value in axis.items()}
-    names = {"rsp_ent_name": "NONE", "ref_ent_name": "NONE", "id1": "a", "id2": "NONE", "id3": "NONE", "id4": "NONE", "id5": "NONE"}
-    numbers = {"func_id": 1, "ver_num": 0, "load_case_id": 0, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0, "z_axis_value": 0.0}
-    even = {"abscissa_spacing": 1, "abscissa_min": 0.0, "abscissa_inc": 1 / record.sampling_hz, "num_pts": record.n_samples}
-    sets = [
-        {"type": 58, "binary": 1, "func_type": 1, "rsp_node": i + 1, "ord_data_type": 4, "data": row, "x": record.time_s}
-        | axes | names | numbers | even
-        for i, row in enumerate(record.data)
-    ]  # fmt: skip
-    start = time.perf_counter()
-    pyuff.UFF(str(path)).write_sets(sets, "add")
-    return time.perf_counter() - start
+    def __init__(self, source: str, folder: Path) -> None:
+        command = [sys.executable, __file__, "--serve", str(folder)]
+        environment = os.environ | {"PYTHONPATH": source, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=environment)
+
+    def seconds(self, task: str) -> tuple[float, float]:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(task + "\n")
+        clock, computing = self.process.stdout.readline().split()
+        return float(clock), float(computing)
+
+    def end(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        self.process.wait()
 
 
-def peak_memory(code: str) -> float:
-    """Peak resident memory [MB] of a fresh interpreter that runs the code."""
+def peak_memory(code: str, source: str) -> float:
+    """Peak resident memory [bytes] of a fresh interpreter that runs the code."""
     # VmHWM starts anew with the program, ru_maxrss does not.
     script = code + "\nprint(next(l.split()[1] for l in open('/proc/self/status') if l.startswith('VmHWM')))"
-    out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    return float(out.stdout.split()[-1]) * 1024 / 1e6
+    environment = os.environ | {"PYTHONPATH": source}
+    out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
+    return float(out.stdout.split()[-1]) * 1024
+
+
+def memory_of_reading(source: str, folder: Path) -> float:
+    """Peak memory of reading the large file over the size of its data."""
+    path = next(folder.glob("big*"))
+    base = peak_memory("import numpy, operando.io", source)
+    return (peak_memory(f"from operando.io import read; c = read({str(path)!r})", source) - base) / (8 * CHANNELS * SAMPLES)
+
+
+def measure(sources: dict[str, str], folder: Path, repeat: int) -> dict[str, Any]:
+    workers = {name: Worker(source, folder) for name, source in sources.items()}
+    names = ["raw write", "write", "raw read", "read", *FILES]
+    times: dict[str, list[tuple[float, float]]] = {}
+    for turn in range(repeat + 1):  # the first turn warms the caches
+        for task in names:
+            # The first to come pays for what the system still does for the task before: each is first in turn.
+            for name in (list(workers), list(workers)[::-1])[turn % 2]:
+                seconds = workers[name].seconds(task)
+                if turn:
+                    times.setdefault(f"{name}: {task}", []).append(seconds)
+        for task in FILES:
+            seconds = workers["now"].seconds(f"pyuff {task}")
+            if turn:
+                times.setdefault(f"pyuff: {task}", []).append(seconds)
+    for worker in workers.values():
+        worker.end()
+    seconds_of = {task: dict(zip(KINDS, map(median, zip(*t, strict=True)), strict=True)) for task, t in times.items()}
+    ratios = {name: {kind: _ratios(seconds_of, name, names, kind) for kind in KINDS} for name in sources}
+    memory = {name: memory_of_reading(source, folder) for name, source in sources.items()}
+    return {"repeat": repeat, "load": os.getloadavg(), "ratios": ratios, "memory": memory, "seconds": seconds_of}
+
+
+def _ratios(seconds: dict[str, dict[str, float]], name: str, names: list[str], kind: str) -> dict[str, float]:
+    of = {task: seconds[f"{name}: {task}"][kind] for task in names}
+    own = {"write": of["write"] / of["raw write"], "read": of["read"] / of["raw read"]}
+    return own | {task: seconds[f"pyuff: {task}"][kind] / of[task] for task in FILES}
+
+
+def table(result: dict[str, Any]) -> str:
+    columns = [(version, kind) for version in result["ratios"] for kind in KINDS]
+    words = {
+        "write": f"write, 58b, {CHANNELS} x {SAMPLES} samples, over a raw write brought to the disk",
+        "read": "read the same, over a raw read",
+    }
+    lines = [
+        f"# Speed of UFF\n\n`python benchmarks/read_uff.py`: medians of {result['repeat']} turns, all tasks in turn; load of the machine "
+        f"{result['load'][0]:.1f}, {os.cpu_count()} cores. Under load the time of the processor counts.\n",
+        "| what | " + " | ".join(f"{version}, {kind}" for version, kind in columns) + " | goal |", "| --- " * (len(columns) + 2) + "|",
+    ]  # fmt: skip
+    for key in result["ratios"]["now"]["clock"]:
+        text = words.get(key, f"read {FILES.get(key, key)}: times faster than pyuff")
+        goal = f"{'≤' if key in words else '≥'} {GOALS[key]:g}" if key in GOALS else ""
+        lines.append(f"| {text} | " + " | ".join(f"{result['ratios'][v][k][key]:.2f}" for v, k in columns) + f" | {goal} |")
+    memory = ", ".join(f"{name} {value:.2f}" for name, value in result["memory"].items())
+    lines.append(f"\nPeak memory of reading the large file over its data: {memory} (goal ≤ {GOALS['memory']:g}).")
+    lines += ["\n| task | clock [ms] | processor [ms] |", "| --- | --- | --- |"]
+    lines += [f"| {task} | {1e3 * s['clock']:.1f} | {1e3 * s['processor']:.1f} |" for task, s in result["seconds"].items()]
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--channels", type=int, default=64)
-    parser.add_argument("--samples", type=int, default=1_000_000)
-    parser.add_argument("--repeat", type=int, default=5)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeat", type=int, default=9)
+    parser.add_argument("--against", metavar="FOLDER", help="src folder of an older version")
+    parser.add_argument("-o", "--output", metavar="PATH", help="write PATH.json and PATH.md")
+    parser.add_argument("--folder", help="where the files are written (default: the folder for temporary files)")
+    parser.add_argument("--serve", metavar="FOLDER", help=argparse.SUPPRESS)
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "big.uff"
-        record = make_record(args.channels, args.samples)
-        writes, raw_writes = [], []
-        for _ in range(3):
-            start = time.perf_counter()
-            with open(Path(folder) / "raw.bin", "wb") as stream:
-                stream.write(record.data.data)
-            raw_writes.append(time.perf_counter() - start)
-            start = time.perf_counter()
-            write_uff(path, record)
-            writes.append(time.perf_counter() - start)
-        megabytes = path.stat().st_size / 1e6
-        assert np.array_equal(read(path).records[0].data, record.data)
-        del record
-        raw, own = [], []
-        for _ in range(args.repeat + 1):  # in turn, so that a busy machine meets both; the first pass warms the cache
-            raw.append(raw_read(path))
-            own.append(own_read(path))
-        base = peak_memory("import numpy, operando.io")
-        peak = peak_memory(f"from operando.io import read; c = read({str(path)!r})")
-        print(f"58b double, {args.channels} channels x {args.samples} samples, {megabytes:.0f} MB, median of {args.repeat}")
-        print(f"{'raw read':28s} {median(raw[1:]):8.3f} s")
-        print(f"{'operando read':28s} {median(own[1:]):8.3f} s   {median(own[1:]) / median(raw[1:]):.2f} x raw (goal <= 3)")
-        print(f"{'raw write':28s} {median(raw_writes):8.3f} s")
-        print(f"{'operando write':28s} {median(writes):8.3f} s   {median(writes) / median(raw_writes):.2f} x raw")
-        print(f"{'peak memory of reading':28s} {peak - base:8.0f} MB  {(peak - base) / megabytes:.2f} x the file")
+    if args.serve:
+        serve(Path(args.serve))
+        return
+    import operando
 
-        small = make_record(8, 100_000)
-        mine, theirs = Path(folder) / "small.uff", Path(folder) / "pyuff.uff"
-        start = time.perf_counter()
-        write_uff(mine, small)
-        write_own = time.perf_counter() - start
-        write_pyuff = pyuff_write(theirs, small)
-        read_own = median(own_read(mine) for _ in range(5))
-        read_pyuff = median(pyuff_read(mine) for _ in range(3))
-        base_pyuff = peak_memory("import pyuff, operando.io")
-        peak_pyuff = peak_memory(f"import pyuff, operando.io; s = pyuff.UFF({str(mine)!r}).read_sets()")
-        peak_own = peak_memory(f"import pyuff, operando.io; c = operando.io.read({str(mine)!r})")
-        size = mine.stat().st_size / 1e6
-        print(f"\n8 channels x 100000 samples, {size:.1f} MB")
-        print(f"{'':12s}{'operando':>12s}{'pyuff':>12s}{'ratio':>10s}")
-        print(f"{'read [s]':12s}{read_own:12.4f}{read_pyuff:12.4f}{read_pyuff / read_own:9.0f}x")
-        print(f"{'write [s]':12s}{write_own:12.4f}{write_pyuff:12.4f}{write_pyuff / write_own:9.0f}x")
-        print(f"{'peak [MB]':12s}{peak_own - base_pyuff:12.1f}{peak_pyuff - base_pyuff:12.1f}")
-
-        many = TimeRecord(np.zeros((2000, 64)), 512.0, tuple(Channel(Dof(i + 1, "Z"), "acceleration", "m/s2") for i in range(2000)))
-        times = {}
-        for n in (500, 1000, 2000):
-            part = many.select(range(n))
-            start = time.perf_counter()
-            write_uff(mine, part)
-            middle = time.perf_counter()
-            read(mine)
-            times[n] = (middle - start, time.perf_counter() - middle)
-        print("\nsets      write [s]   read [s]   (linear in the number of sets)")
-        for n, (w, r) in times.items():
-            print(f"{n:6d} {w:12.3f} {r:10.3f}")
+    sources = {"now": str(Path(operando.__file__).parents[1])} | ({"before": args.against} if args.against else {})
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        make_files(Path(folder))
+        result = measure(sources, Path(folder), args.repeat)
+    text = table(result)
+    print(text)
+    if args.output:
+        Path(args.output).with_suffix(".md").write_text(text, encoding="utf-8")
+        Path(args.output).with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

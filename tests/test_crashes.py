@@ -13,14 +13,15 @@ import measurements
 from nonlinear_truth import Strip, measure, place
 from operando.config import load_test
 from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, one_level
-from operando.diagnose.levenberg import inverse, unobservable
+from operando.diagnose.levenberg import SHARE, SINGULAR, inverse, unobservable
 from operando.diagnose.model import Model
 from operando.diagnose.refit import Fit
-from operando.dof import Dof
+from operando.dof import MAX_NUMBER_DIGITS, Dof
 from operando.effects import Effect
 from operando.ema import fit_ema
+from operando.ema.limits import LEAST_LINES
 from operando.ema.polished import polish_runs
-from operando.ema.spectra import LEAST_LINES, record_spectra
+from operando.ema.spectra import record_spectra
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.frf import estimate_frf
 from operando.io import from_sep005
@@ -173,6 +174,30 @@ def test_unobservable_parameters_are_not_known():
     assert unobservable(np.zeros((0, 0))).size == 0
 
 
+@pytest.mark.parametrize(("apart", "told"), [(30.0, True), (0.03, False)])
+def test_two_parameters_are_told_apart_down_to_rounding(apart, told):
+    """Two columns that differ by a small angle: the least eigenvalue over the largest is its square over four, ``SINGULAR`` the limit."""
+    angle = apart * 2 * np.sqrt(SINGULAR)
+    slope = np.zeros((400, 2))
+    slope[:, 0] = 1 / 20
+    slope[:, 1] = (np.cos(angle) + np.sin(angle) * np.where(np.arange(400) % 2, 1, -1)) / 20
+    assert unobservable(slope.T @ slope).tolist() == [not told, not told]
+    assert 400 * np.finfo(float).eps < SINGULAR
+
+
+@pytest.mark.parametrize(("part", "told"), [(0.3, True), (3.0, False)])
+def test_a_small_part_in_what_is_not_told_leaves_a_parameter_known(part, told):
+    """A third parameter that lies in the untold direction of two others by a share of its square, ``SHARE`` the limit."""
+    share = part * SHARE
+    untold = np.array([np.sqrt((1 - share) / 2), -np.sqrt((1 - share) / 2), np.sqrt(share)])
+    normal = np.eye(3) - np.outer(untold, untold)
+    scale = 1 / np.sqrt(np.diag(normal))
+    value, vector = np.linalg.eigh(normal * scale[:, None] * scale)
+    assert bool(vector[2, 0] ** 2 > SHARE) is (not told)
+    assert unobservable(normal).tolist() == [True, True, not told]
+    assert value[0] < SINGULAR
+
+
 def test_the_standard_deviation_of_what_no_line_tells_is_infinite():
     term = SimpleNamespace(size=2)
     fit = Fit((term,), (np.ones(2),), np.zeros((1, 1)), None, covariance=np.diag([0.04, 0.0]), untold=np.array([False, True]))
@@ -210,6 +235,8 @@ def test_force_levels_are_split_by_one_ratio_everywhere():
 
 @pytest.mark.parametrize("text", ["9" * 100_000 + "+Z", "9" * 19, "1" + "0" * 18 + "-a"])
 def test_node_numbers_of_many_digits(text):
+    assert 10**MAX_NUMBER_DIGITS < 2**63 < 10 ** (MAX_NUMBER_DIGITS + 1)  # the longest that always fits 64 bits
+    assert Dof.parse("9" * MAX_NUMBER_DIGITS + "+Z").number == 10**MAX_NUMBER_DIGITS - 1
     with pytest.raises(DofError, match="digits") as caught:
         Dof.parse(text)
     assert len(str(caught.value)) < 300

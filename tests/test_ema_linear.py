@@ -7,13 +7,13 @@ import pytest
 
 from operando.data import Frf
 from operando.dof import Dof
-from operando.ema import fit_ema
-from operando.ema.choose import choose_modes
+from operando.ema import choose, fit_ema, linear
+from operando.ema.choose import SETTLE_ROUNDS, choose_modes
 from operando.ema.discrepancy import fit_variance
 from operando.ema.fit import model_dofs
-from operando.ema.linear import NOISE_LIMITED, fit_linear
+from operando.ema.linear import NOISE_LIMITED, SETTLED, fit_linear
 from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
-from operando.ema.projection import PEAK_MOST, Poles, project
+from operando.ema.projection import CURVED_MOST, PEAK_MOST, Poles, project, shift_curvature
 from operando.ema.unit_mass import SEEN, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from structures import Chain
@@ -90,14 +90,14 @@ def test_gradient_is_that_of_the_cost():
     poles = Poles(HZ * (1 + 1e-3), np.full(N, 0.008), np.full(N, 0.2), np.full(N, 1e-9))
     variance = pairs.noise + 0.05**2 * np.abs(pairs.accelerance) ** 2
     first = project(pairs, poles, variance, None, BAND)
-    now = project(pairs, poles, variance, first.residues, BAND)
+    now = project(pairs, poles, variance, first.coefficients, BAND)
     for k in range(2 * N):
         costs = []
         for side in (1, -1):
             step = np.zeros(2 * N)
             step[k] = side * 1e-5
             moved = replace(poles, hz=poles.hz * np.exp(step[:N]), zeta=poles.zeta * np.exp(step[N:]))
-            costs.append(project(pairs, moved, variance, first.residues, BAND).cost.sum())
+            costs.append(project(pairs, moved, variance, first.coefficients, BAND).cost.sum())
         slope = (costs[0] - costs[1]) / 2e-5
         assert now.gradient.sum(axis=0)[k] == pytest.approx(-0.5 * slope, rel=2e-4, abs=1e-4 * np.abs(now.gradient.sum(axis=0)).max())
 
@@ -119,6 +119,73 @@ def test_a_mode_that_drifts_between_pairs_stays_one():
     model = fit_ema(as_frf(h, (0,)), band=BAND)
     assert_modes(model, c, f_tolerance=2e-3, z_tolerance=0.1)
     assert "mode_drift" in kinds(model)
+
+
+def strong_drift(share, seed):
+    """FRFs of six rows, the modes of each shifted by a share (rms) of their damping ratio; the mean shift is zero."""
+    rng = np.random.default_rng(seed)
+    c, s = chain(), 2j * np.pi * F
+    steps = rng.standard_normal((N, N))
+    steps -= steps.mean(axis=0)
+    steps *= share * c.zeta / np.sqrt(np.mean(steps**2, axis=0))
+    w = 2 * np.pi * c.hz * (1 + steps)
+    kernels = s**2 / (w[:, :, None] ** 2 + s**2 + 2 * (c.zeta * w)[:, :, None] * s)
+    h = np.einsum("ir,irl->il", c.phi * c.phi[0], kernels)[:, None]
+    size = 1e-3 * np.sqrt(np.mean(np.abs(h) ** 2))
+    return c, h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.35])
+def test_a_strong_drift_splits_no_mode_and_damping_stays(share):
+    """Shifts of a third of the damping ratio: CURVED_SHARE decides that they are taken in full."""
+    c, h = strong_drift(share, seed=0)
+    modes = in_band(fit_ema(as_frf(h, (0,)), band=BAND))
+    assert modes.n_modes == N
+    assert np.all(np.abs(modes.frequencies_hz - c.hz) < 2 * modes.frequency_std_hz)
+    assert np.all(np.abs(modes.damping_ratios - c.zeta) < modes.damping_ratio_std)
+    assert np.max(np.abs(modes.damping_ratios / c.zeta - 1)) < 5e-4
+
+
+def test_shifts_of_first_order_alone_raise_the_damping(monkeypatch):
+    """What CURVED_SHARE is there for: without it a drift of 0.1 ζ is 0.4 % of damping."""
+    for module in ("linear", "choose"):
+        monkeypatch.setattr(f"operando.ema.{module}.CURVED_SHARE", np.inf)
+    c, h = strong_drift(0.1, seed=0)
+    modes = in_band(fit_ema(as_frf(h, (0,)), band=BAND))
+    assert 2e-3 < np.max(np.abs(modes.damping_ratios / c.zeta - 1)) < 6e-3
+
+
+def test_shifts_count_in_full_up_to_a_limit():
+    """A pair shifted beyond CURVED_MOST half bandwidths bends as one shifted by just so much; weak shifts do not bend."""
+    poles = Poles(np.array([50.0]), np.array([0.01]))
+    one = np.ones((1, 1))
+    bent = lambda part, least: shift_curvature(F, poles, (one, 0 * one, part * 0.01 * one), 0.0, least)  # noqa: E731
+    np.testing.assert_array_equal(bent(4.0, 0.1), bent(CURVED_MOST, 0.1))
+    assert np.max(np.abs(bent(0.9 * CURVED_MOST, 0.1) - bent(CURVED_MOST, 0.1))) > 0.1
+    assert not bent(0.3, 0.1).any()  # 0.3² < 0.1
+    assert np.max(np.abs(bent(0.33, 0.1))) == pytest.approx(0.33**2 * 50, rel=0.15)  # (δ/ζ)² of the peak, 1/(2ζ) high
+
+
+def test_the_last_fit_settles_before_its_rounds_end(monkeypatch):
+    """Rounds go on until SETTLED, SETTLE_ROUNDS are not reached; more rounds move no frequency by a fifth of its deviation."""
+    counts, fits = [], []
+    assert np.sqrt(SETTLED) == 0.01  # of the deviation of a line
+    search, fit = linear.search_poles, choose.fit_linear
+    monkeypatch.setattr(linear, "search_poles", lambda *a, **k: (counts.append(1), search(*a, **k))[1])
+
+    def counted(*args, **more):
+        counts.clear()
+        fits.append((fit(*args, **more), len(counts), more.get("rounds")))
+        return fits[-1][0]
+
+    monkeypatch.setattr(choose, "fit_linear", counted)
+    _, h = strong_drift(0.35, seed=0)
+    fit_ema(as_frf(h, (0,)), band=BAND)
+    last, rounds, most = next(entry for entry in fits[::-1] if entry[2] == SETTLE_ROUNDS)
+    assert 3 <= rounds < most
+    again = fit(last.pairs, last.poles, last.ends_hz, start=last.projection.coefficients, before=last.variance, rounds=2 * SETTLE_ROUNDS)
+    assert np.max(np.abs(again.poles.hz - last.poles.hz) / last.frequency_std_hz) < 0.2
+    assert np.max(np.abs(again.poles.zeta / last.poles.zeta - 1)) < 5e-4
 
 
 def test_an_offset_under_the_window_hides_no_mode():

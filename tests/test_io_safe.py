@@ -174,6 +174,22 @@ def test_a_library_that_hangs_or_dies_is_survived(tmp_path, monkeypatch, fresh_h
         guard.try_apart(tmp_path / "none.h5", "hdf5")
 
 
+def test_a_small_file_that_hangs_is_given_up_before_the_command_counts_as_hanging(fresh_helper):
+    """``WAITING`` times the computing time; ten seconds without a word count as hanging. ``START_LIMIT_S`` is far above a start."""
+    assert guard.WAITING * guard.TIME_LIMIT_S < 10.0
+    assert guard.WAITING > 2.0  # a machine with twice as many processes as cores
+    start = time.perf_counter()
+    guard._helper()
+    assert time.perf_counter() - start < 0.5 * guard.START_LIMIT_S
+
+
+def test_a_helper_that_does_not_start_is_told(monkeypatch, fresh_helper):
+    monkeypatch.setattr(guard, "START_LIMIT_S", 1e-3)
+    with pytest.raises(MissingError, match="does not start"):
+        guard._helper()
+    assert not guard._running
+
+
 @pytest.mark.skipif(not HARMFUL, reason="the folder of harmful files beside the project is missing")
 def test_the_helper_ends_itself_if_nobody_waits(fresh_helper):
     """Its own limit of computing time: no process is left that computes for ever."""

@@ -14,6 +14,7 @@ from operando.data import Channel, Frf, Geometry, ModalModel, TimeRecord
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, FormatError
 from operando.io import convert, detect_format, from_sep005, inspect_files, read, read_csv, to_sep005, write_csv, write_matlab, write_uff
+from operando.io.csv import LONGEST_NAME
 from operando.units import G_STANDARD
 
 DATA = SHARED / "data"
@@ -344,3 +345,15 @@ def test_inspect(tmp_path):
 def test_importing_the_room_loads_nothing_heavy():
     code = "import sys, operando.io; print([m for m in ('h5py', 'pyuff', 'scipy', 'matplotlib', 'pandas') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("length", "good"), [(LONGEST_NAME, True), (LONGEST_NAME + 1, False)])
+def test_a_column_name_longer_than_any_format_has_is_refused(tmp_path, length, good):
+    assert LONGEST_NAME > 256  # characters of a name in UFF or TDMS
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],{'a' * length}\n" + "".join(f"{i / 64},{i % 3}\n" for i in range(20)), encoding="utf-8")
+    if good:
+        assert read(path).records[0].channels[0].name == "a" * length
+    else:
+        with pytest.raises(FormatError, match=f"a column name of {length} characters"):
+            read(path)

@@ -276,22 +276,34 @@ def test_imports_are_found_as_the_parser_finds_them():
 def test_a_stage_reaches_its_own_rooms_and_no_later_ones():
     rooms = {step.name: {name.split(".")[1] for name in reached(step.does.__module__) if "." in name} for step in STEPS}
     assert {"frf", "quality", "io", "data"} <= rooms["frf"]
-    assert not rooms["frf"] & {"oma", "compare", "diagnose", "nonlinear", "report", "cli"}
+    assert not rooms["frf"] & {"scaling", "effects", "oma", "compare", "diagnose", "nonlinear", "report", "cli"}
+    assert [name for name in reached(STEPS[1].does.__module__) if name.startswith("operando.ema")] == ["operando.ema.limits"]
+    assert not rooms["oma"] & {"scaling", "effects"}
     assert "oma" in rooms["oma"] - rooms["ema"]
     assert "compare" in rooms["compare"] - rooms["ofrf"]
     assert {"diagnose", "nonlinear"} <= rooms["diagnose"]
     assert "operando.report.page" in reached("operando.pipeline.outputs")
 
 
-def test_a_changed_file_changes_the_hash_of_what_reaches_it_alone(monkeypatch):
+@pytest.mark.parametrize(
+    ("file", "stages"),
+    [
+        ("oma/fit.py", {"oma"}),
+        ("ema/fit.py", {"automatic", "ema"}),
+        ("effects/friction.py", {"diagnose"}),
+        ("values.py", set()),
+        ("io/detect.py", {step.name for step in STEPS}),
+    ],
+)
+def test_a_changed_file_changes_the_hash_of_what_reaches_it_alone(file, stages, monkeypatch):
     steps = {step.name: step.does.__module__ for step in STEPS}
     before = {name: code_hash(module) for name, module in steps.items()}
-    real, changed = Path.read_bytes, ROOT / "oma" / "fit.py"
+    real, changed = Path.read_bytes, ROOT / file
     monkeypatch.setattr(Path, "read_bytes", lambda self: real(self) + (b"#" if self == changed else b""))
     code_hash.cache_clear()
     after = {name: code_hash(module) for name, module in steps.items()}
     code_hash.cache_clear()
-    assert {name for name in before if before[name] != after[name]} == {"oma"}
+    assert {name for name in before if before[name] != after[name]} == stages
 
 
 # Ctrl-C
@@ -320,6 +332,13 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(tmp_path, delay):
     assert json.loads(stdout)["error"] == "interrupted"
     assert stderr.splitlines()[-1].startswith("operando: interrupted (finished stages are kept")
     assert "Traceback" not in stderr
+
+
+def test_nothing_is_loaded_before_ctrl_c_is_minded():
+    """Until then the interpreter shows a traceback: operando adds the signals of the standard library to its start, and no more."""
+    code = "import sys, os, signal; before = set(sys.modules); import operando.__main__; print(*sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) <= {"__future__", "operando", "operando.__main__"}
 
 
 def test_the_entry_point_is_the_one_that_minds_ctrl_c():

@@ -1,14 +1,19 @@
 """operando: operational FRFs of running machines from raw vibration measurements.
 
-Public names are loaded on first use, so that ``import operando`` stays light.
+Public names are loaded on first use, so that ``import operando`` stays light. It loads nothing itself: the command line minds Ctrl-C only
+when it is through with it.
 """
 
 from __future__ import annotations
 
-import importlib
 import sys
-from types import ModuleType
-from typing import Any
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+else:
+    ModuleType = type(sys)
 
 __version__ = "0.1.0"
 
@@ -51,6 +56,8 @@ __all__ = ["__version__", *_WHERE]
 
 def __getattr__(name: str) -> Any:
     if name in _WHERE:
+        import importlib
+
         return getattr(importlib.import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'operando' has no attribute {name!r}")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import Final
 
 from operando.errors import UnitError
@@ -83,6 +84,7 @@ def normalise_unit(text: str) -> str:
     return unit
 
 
+@lru_cache(maxsize=512)
 def parse_unit(text: str, quantity: str | None = None) -> tuple[str, float]:
     """Quantity and factor to SI of a unit text.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
+from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.provenance import Provenance
 from operando.dof import Dof, Node, match_dofs, parse_dofs
@@ -67,7 +68,7 @@ class FrequencyAxis:
 
 
 @dataclass(frozen=True)
-class Frf:
+class Frf(ForOthers):
     """Frequency response functions H[response, reference] = response/force, e^{+iωt}.
 
     Parameters
@@ -223,6 +224,28 @@ class Frf:
     def drive_points(self) -> list[tuple[int, int]]:
         """(response, reference) index pairs on the same node and axis."""
         return [(i, j) for j, r in enumerate(self.references) for i, d in enumerate(self.responses) if d.same_axis(r)]
+
+    def both_ways(self) -> Iterator[tuple[Dof, Dof, NDArray[Any], NDArray[Any], NDArray[np.float64] | None]]:
+        """Each pair of references that are also responses, as reciprocity is judged by.
+
+        Yields
+        ------
+        first, second : Dof
+        forward, backward : (n_lines,) complex arrays
+            H[second, first] and H[first, second], in the positive senses.
+        variance : (n_lines,) float array or None
+            Of their difference.
+        """
+        row = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(self.responses)}
+        for b, second in enumerate(self.references):
+            for a, first in enumerate(self.references[:b]):
+                at_first, at_second = row.get((first.node, first.axis)), row.get((second.node, second.axis))
+                if at_first is None or at_second is None:
+                    continue
+                forward = self.data[at_second[0], a] * at_second[1] * first.sign
+                backward = self.data[at_first[0], b] * at_first[1] * second.sign
+                variance = None if self.variance is None else self.variance[at_second[0], a] + self.variance[at_first[0], b]
+                yield first, second, forward, backward, variance
 
     def with_findings(self, findings: Sequence[Finding]) -> Frf:
         """The FRF with more annotations."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
+from operando.data.elsewhere import ForOthers
 from operando.data.provenance import Provenance
 from operando.dof import Dof, Node, node_label, split_node
 from operando.errors import DataError
@@ -73,7 +74,7 @@ class Appearance:
 
 
 @dataclass(frozen=True)
-class Geometry:
+class Geometry(ForOthers):
     """Nodes with coordinates [m], lines and faces between them.
 
     Parameters

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
+from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_terms, shape_rows
@@ -21,7 +22,7 @@ from operando.synthesis import synthesis_variance, synthesise
 
 
 @dataclass(frozen=True)
-class ModalModel:
+class ModalModel(ForOthers):
     """Modes of a structure, and beside them the residual terms that complete its FRFs.
 
     Parameters

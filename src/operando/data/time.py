@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
+from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.provenance import Provenance
 from operando.dof import Dof
@@ -55,7 +56,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class TimeRecord:
+class TimeRecord(ForOthers):
     """Evenly sampled channels of one run.
 
     Parameters

@@ -21,6 +21,7 @@ from operando.stabilization import RejectedPole
 MAX_ROUNDS = 14
 SEARCH_ROUNDS = 9
 SETTLE_ROUNDS = 10
+"""Rounds of the last fit at most: twice the five after which one with drifts of 0.35 ζ has settled (tests/test_ema_linear.py)."""
 
 MAX_LOG_DAMPING_STD = 0.5
 """A damping ratio unknown to half of itself determines no mode."""

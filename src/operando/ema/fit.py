@@ -17,19 +17,17 @@ from operando.ema.candidates import Candidate, candidate_poles, stabilization_di
 from operando.ema.choose import ChoiceLog, choose_modes
 from operando.ema.doubts import judge_modes
 from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
+from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
-from operando.ema.spectra import LEAST_LINES, RunSpectra, whole_records
+from operando.ema.spectra import RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
 
 ANSWERS = ("auto", "linear", "polished")
-
-LOWER, UPPER = 0.8, 1.1
-"""Lines of the linear stage, in units of the band's ends: resonances just outside show where they are."""
 
 MIN_SUPPORT = 0.3
 """Share of linear fits (times their orders) that a starting pole of the linear stage needs."""

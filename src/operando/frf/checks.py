@@ -196,27 +196,18 @@ def reciprocity_error(frf: Frf) -> float | None:
 
 def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
     """Relative reciprocity error of each pair of references that both are measured (see :func:`reciprocity_error`)."""
-    row = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
     out: dict[tuple[str, str], float] = {}
-    for b in range(len(frf.references)):
-        for a in range(b):
-            first, second = frf.references[a], frf.references[b]
-            at_first, at_second = row.get((first.node, first.axis)), row.get((second.node, second.axis))
-            if at_first is None or at_second is None:
-                continue
-            forward = frf.data[at_second[0], a] * at_second[1] * first.sign
-            backward = frf.data[at_first[0], b] * at_first[1] * second.sign
-            good = np.isfinite(forward) & np.isfinite(backward)
-            noise = 0.0
-            if frf.variance is not None:
-                total = frf.variance[at_second[0], a] + frf.variance[at_first[0], b]
-                size = np.minimum(np.abs(forward) ** 2, np.abs(backward) ** 2)
-                good &= np.isfinite(total) & (size > 10 * np.where(np.isfinite(total), total, 0))
-                noise = float(total[good].sum())
-            power = 0.5 * float(np.sum(np.abs(forward[good]) ** 2 + np.abs(backward[good]) ** 2))
-            if good.any() and power > 0:
-                difference = float(np.sum(np.abs(forward[good] - backward[good]) ** 2))
-                out[(str(first), str(second))] = float(np.sqrt(max(difference - noise, 0.0) / power))
+    for first, second, forward, backward, total in frf.both_ways():
+        good = np.isfinite(forward) & np.isfinite(backward)
+        noise = 0.0
+        if total is not None:
+            size = np.minimum(np.abs(forward) ** 2, np.abs(backward) ** 2)
+            good &= np.isfinite(total) & (size > 10 * np.where(np.isfinite(total), total, 0))
+            noise = float(total[good].sum())
+        power = 0.5 * float(np.sum(np.abs(forward[good]) ** 2 + np.abs(backward[good]) ** 2))
+        if good.any() and power > 0:
+            difference = float(np.sum(np.abs(forward[good] - backward[good]) ** 2))
+            out[(str(first), str(second))] = float(np.sqrt(max(difference - noise, 0.0) / power))
     return out
 
 

@@ -55,7 +55,7 @@ spring (tests/test_frf_periodic.py) the median of the variance is right within 1
 lines give 91 and 93 %, smoothing over neighbouring windows doubles the scatter of the variance."""
 
 LEAST_LINES = 17
-"""Excited lines below which a force is a few tones and not a multisine."""
+"""Excited lines below which a force is a few tones and not a multisine: one window of the local rational models, so ``WINDOW``."""
 
 FREEDOM = 8
 """Degrees of freedom to which the variance of a line is smoothed: its standard deviation is then within 25 %."""

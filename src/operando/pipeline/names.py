@@ -12,7 +12,7 @@ import numpy as np
 from operando.config import Test
 from operando.data import Finding, Geometry
 from operando.dof import Dof, Node, split_node
-from operando.ema.spectra import LEAST_LINES
+from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.errors import ConfigError, OperandoError
 from operando.values import nearest
 
@@ -202,8 +202,6 @@ def _in_khz(band: tuple[float, float], lines: Sequence[Lines]) -> str | None:
 
 
 def _check_frequencies(test: Test, lines: Mapping[str, list[tuple[Path, Lines]]]) -> None:
-    from operando.ema.fit import LOWER, UPPER
-
     for key, state in FREQUENCIES.items():
         items = lines[state]
         for hz in getattr(test.analysis, key) if items else ():

@@ -27,7 +27,8 @@ ORIGIN_BLOCKS = 8
 long blocks resolve the resonances (blocks of a thirtieth lose a tenth of the coherence to leakage)."""
 SHORTEST_BLOCK = 64
 DRIVEN = 0.5
-"""Part of the response power that must follow the force: 0.84 to 1.00 in 32 good records of five structures, machines running in half."""
+"""Part of the response power that must follow the force: 0.84 to 1.00 in 28 good records of four structures and the example, machines
+running in half."""
 MOTION = {"displacement": 1, "velocity": 0, "acceleration": -1}
 """Power of iω that turns the quantity into a velocity."""
 

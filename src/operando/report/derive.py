@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from operando.compare.comparison import lowest_level
 from operando.data import Finding, Frf, ModalModel
-from operando.dof import Dof, Node
+from operando.dof import Dof
 from operando.errors import OperandoError
 from operando.report.svg import thin
 from operando.report.text import number
@@ -244,28 +244,19 @@ def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str,
         ``pair`` (two DOFs), ``relative`` (rms difference over rms size), ``ratio`` (mean |difference|² over its variance; None
         without variances).
     """
-    index: dict[tuple[Node, str], tuple[int, int]] = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(frf.responses)}
     rows: list[dict[str, Any]] = []
-    part = frf if band is None else frf.band(*band)
-    for a, first in enumerate(frf.references):
-        for b in range(a):
-            second = frf.references[b]
-            at_first, at_second = index.get((first.node, first.axis)), index.get((second.node, second.axis))
-            if at_first is None or at_second is None:
-                continue
-            one = part.data[at_first[0], b] * at_first[1] * first.sign
-            two = part.data[at_second[0], a] * at_second[1] * second.sign
-            ok = np.isfinite(one) & np.isfinite(two)
-            if not ok.any():
-                continue
-            gap = np.abs(one - two)[ok] ** 2
-            size = 0.5 * (np.abs(one[ok]) ** 2 + np.abs(two[ok]) ** 2)
-            ratio = None
-            if part.variance is not None:
-                noise = (part.variance[at_first[0], b] + part.variance[at_second[0], a])[ok]
-                good = np.isfinite(noise) & (noise > 0)
-                ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
-            rows.append({"pair": (first, second), "relative": float(np.sqrt(gap.sum() / max(size.sum(), 1e-300))), "ratio": ratio})
+    for second, first, one, two, variance in (frf if band is None else frf.band(*band)).both_ways():
+        ok = np.isfinite(one) & np.isfinite(two)
+        if not ok.any():
+            continue
+        gap = np.abs(one - two)[ok] ** 2
+        size = 0.5 * (np.abs(one[ok]) ** 2 + np.abs(two[ok]) ** 2)
+        ratio = None
+        if variance is not None:
+            noise = variance[ok]
+            good = np.isfinite(noise) & (noise > 0)
+            ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
+        rows.append({"pair": (first, second), "relative": float(np.sqrt(gap.sum() / max(size.sum(), 1e-300))), "ratio": ratio})
     return rows
 
 

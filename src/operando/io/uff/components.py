@@ -48,6 +48,8 @@ def evidence_of_components(headers: Sequence[Header58], file_header: FileHeader 
 def _spelled(ids: Iterable[str], name: str, dof: Dof) -> str:
     """Full name of a component as an ID line writes it with this node; the entity name may be cut at 10 characters."""
     for line in ids:
+        if f":{dof.number}" not in line:  # a pattern of its own for each node takes longer than all else
+            continue
         for match in re.finditer(rf"([^\s/:][^/:]*):{dof.number}:?[+-]R?[XYZ]\b", line):
             words = match[1].split(" ")
             for i in range(len(words)):  # the name may hold blanks, and words may stand before it

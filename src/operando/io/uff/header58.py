@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from operando.dof import Dof
@@ -132,7 +133,7 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
     binary, big_endian, float_format, stated = _first_line(lines[0])
     kind, points, even, step_text, start_text, z_text = _record7(lines[7])
     function_type, response, reference, response_name, reference_name = _record6(lines[6])
-    ids = tuple(said(decode(line[:4096])) for line in lines[1:6])
+    ids = tuple(_id_text(line) for line in lines[1:6])
     try:
         axes = [_axis(line) for line in lines[8:12]]
         spectral = function_type != 1 and axes[0].code != 17
@@ -157,6 +158,10 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
 
 
 def _lines(buffer: Buffer, at: int, count: int) -> tuple[list[bytes], int]:
+    # Twelve lines of the standard have 890 characters at most: cut at once; only longer lines are searched for one by one.
+    found = bytes(buffer[at : at + 1024]).split(b"\n", count)
+    if len(found) > count:
+        return [line.rstrip(b"\r") for line in found[:count]], at + sum(map(len, found[:count])) + count
     lines: list[bytes] = []
     for _ in range(count):
         newline = buffer.find(b"\n", at, at + 65536)
@@ -167,6 +172,7 @@ def _lines(buffer: Buffer, at: int, count: int) -> tuple[list[bytes], int]:
     return lines, at
 
 
+@lru_cache(maxsize=256)
 def _first_line(line: bytes) -> tuple[bool, bool, int, int]:
     text = line.decode("latin-1")
     match = re.match(r"\s*58\s*[bB]\b(.*)$", text)
@@ -186,6 +192,7 @@ def _first_line(line: bytes) -> tuple[bool, bool, int, int]:
     return True, byte_order == 2, float_format, stated
 
 
+@lru_cache(maxsize=256)
 def _record7(line: bytes) -> tuple[int, int, bool, str, str, str]:
     text = line.decode("latin-1")
     tokens = re.sub(r"(?<=\d)(?=[+-]\d*\.)", " ", text).split()
@@ -232,6 +239,7 @@ def _record6(line: bytes) -> tuple[int, Dof | None, Dof | None, str, str]:
     )
 
 
+@lru_cache(maxsize=1024)
 def _dof(node: int, code: int) -> Dof | None:
     """DOF of node and direction; none where the file leaves both at 0 or states what is no DOF."""
     if node == 0 and code == 0:
@@ -242,6 +250,7 @@ def _dof(node: int, code: int) -> Dof | None:
         return None
 
 
+@lru_cache(maxsize=256)
 def _axis(line: bytes) -> Axis:
     head, label, unit = line[:25], line[25:46], line[46:67]
     numbers = [head[0:10], head[10:15], head[15:20], head[20:25]]
@@ -260,9 +269,16 @@ def _axis(line: bytes) -> Axis:
     return Axis(code, (exponents[0], exponents[1], exponents[2]), said(decode(label)), said(decode(unit)))
 
 
+@lru_cache(maxsize=256)
+def _id_text(line: bytes) -> str:
+    return said(decode(line[:4096]))
+
+
 def _exact(ids: tuple[str, ...], name: str) -> float | None:
     """Value that operando wrote into an ID line because the standard field is too narrow."""
     for line in ids:
+        if f"{name}=" not in line:
+            continue
         match = re.search(rf"\b{name}=([-+0-9.eE]+)", line)
         if match is not None:
             try:

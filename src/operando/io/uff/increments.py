@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from fractions import Fraction
+from functools import lru_cache
 
 _NUMBER = re.compile(r"^\s*[+-]?(\d*)\.?(\d*)(?:[EeDd]?([+-]?\d+))?\s*$")
 
@@ -35,6 +36,7 @@ def printed_rounding(text: str) -> float:
     return 0.5 * 10.0 ** (exponent - len(match[2]))
 
 
+@lru_cache(maxsize=256)
 def restore_step(text: str, points: int, spectral: bool = False) -> float:
     """The step that was meant by its printed digits.
 
@@ -76,6 +78,7 @@ def restore_step(text: str, points: int, spectral: bool = False) -> float:
     return best if low <= best <= high else step
 
 
+@lru_cache(maxsize=256)
 def restore_start(text: str, step: float) -> float:
     """The first abscissa: the multiple of the step that prints as ``text``, else the number as printed.
 
@@ -130,6 +133,7 @@ def _roundest(low: float, high: float) -> list[tuple[int, float]]:
     return sorted(found)
 
 
+@lru_cache(maxsize=256)
 def tidy_rate(step: float) -> float:
     """1/step without the last bits of rounding: 25000 and not 24999.999999999996."""
     rate = 1 / step

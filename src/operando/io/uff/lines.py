@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
+from functools import lru_cache
 
 from operando.errors import FormatError
 from operando.io.uff.increments import parse_float
@@ -78,6 +79,7 @@ def ints_of(line: str, count: int, what: str) -> list[int]:
     return numbers
 
 
+@lru_cache(maxsize=256)
 def parse_date(text: str) -> str:
     """Date and time of a header line such as ``17-Nov-26 09:15:00`` in the form of ISO 8601; empty where there is none."""
     match = _DATE.search(text)

@@ -80,7 +80,7 @@ def _one_form(mapped: mmap.mmap, where: str) -> tuple[Buffer, str]:
 
 def _measured(sets: list[RawSet]) -> str:
     """When the functions were measured: the earliest date of their ID lines (the third, by the standard)."""
-    dates = (parse_date(line) for raw in sets if raw.header is not None for line in raw.header.ids[2:3] + raw.header.ids)
+    dates = (parse_date(line) for raw in sets if raw.header is not None for line in raw.header.ids if ":" in line)
     return min((date for date in dates if date), default="")
 
 

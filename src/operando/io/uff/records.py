@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Channel, TimeRecord
+from operando.dof import Node
 from operando.errors import FormatError, UnitError
 from operando.io.quantities import Scale, code_quantity, find_spec, quantity_from_words, resolve, spec_dof
 from operando.io.uff.header58 import Header58
@@ -143,11 +144,11 @@ def _record(stream: IO[bytes], group: list[_Row], inventory: Inventory) -> TimeR
 
 
 def _note_duplicates(channels: tuple[Channel, ...], inventory: Inventory) -> None:
-    seen: dict[tuple[str, str], Channel] = {}
+    seen: dict[tuple[Node, str, str], Channel] = {}
     for channel in channels:
         if channel.dof is None:
             continue
-        key = (str(channel.dof.unsigned), channel.quantity)
+        key = (channel.dof.node, channel.dof.axis, channel.quantity)
         if key in seen:
             inventory.findings.append(_duplicate(channel, seen[key], inventory.file))
         seen.setdefault(key, channel)

@@ -108,7 +108,13 @@ def _write_nodes(stream: IO[bytes], geometry: Geometry, numbers: NodeNumbers, no
 
 
 def _write_traces(stream: IO[bytes], geometry: Geometry, numbers: NodeNumbers) -> None:
-    """Lines of one name and colour share a set, as far as its nodes go."""
+    for i, (name, color, nodes) in enumerate(trace_sets(geometry, numbers)):
+        rows = ["".join(f"{n:10d}" for n in nodes[k : k + 8]) for k in range(0, len(nodes), 8)]
+        write_set(stream, 82, [f"{i + 1:10d}{len(nodes):10d}{color:10d}", field_of(name, 80), *rows])
+
+
+def trace_sets(geometry: Geometry, numbers: NodeNumbers) -> list[tuple[str, int, list[int]]]:
+    """Name, colour and nodes of each set 82: lines of one name and colour share a set, as far as its nodes go; 0 ends a line."""
     shown = geometry.appearance
     names = shown.line_names or ("",) * len(geometry.lines)
     colors = shown.line_colors or (1,) * len(geometry.lines)
@@ -120,14 +126,12 @@ def _write_traces(stream: IO[bytes], geometry: Geometry, numbers: NodeNumbers) -
             if not sets or sets[-1][:2] != (name, color) or len(sets[-1][2]) + len(part) + 1 > MAX_TRACE_NODES:
                 sets.append((name, color, []))
             sets[-1][2].extend([*part, 0])
-    for i, (name, color, nodes) in enumerate(sets):
-        rows = ["".join(f"{n:10d}" for n in nodes[k : k + 8]) for k in range(0, len(nodes), 8)]
-        write_set(stream, 82, [f"{i + 1:10d}{len(nodes):10d}{color:10d}", field_of(name, 80), *rows])
+    return sets
 
 
 def write_modes(stream: IO[bytes], model: ModalModel, numbers: NodeNumbers) -> None:
     """One set 55 a mode, then one a residual term; together they make the FRFs of the model, as the check in the ID lines proves."""
-    nodes, columns, per_node = _node_table(model.dofs)
+    nodes, columns, per_node = node_table(model.dofs)
     terms = model.terms
     check = Check.of(model)
     for r in range(terms.n):
@@ -137,7 +141,7 @@ def write_modes(stream: IO[bytes], model: ModalModel, numbers: NodeNumbers) -> N
         write_set(stream, 55, _mode_lines(model, r, [numbers.number(n) for n in nodes], shape, "" if check is None else check.text))
 
 
-def _node_table(dofs: Sequence[Dof]) -> tuple[list[Node], list[tuple[int, int, int]], int]:
+def node_table(dofs: Sequence[Dof]) -> tuple[list[Node], list[tuple[int, int, int]], int]:
     """Nodes, (row, column, sign) of each DOF in the table of nodes, and values a node."""
     if all(d.axis == "" for d in dofs):
         nodes = [d.node for d in dofs]
@@ -152,22 +156,27 @@ def _node_table(dofs: Sequence[Dof]) -> tuple[list[Node], list[tuple[int, int, i
     return nodes, [(rows[d.node], AXES.index(d.axis) - 1, d.sign) for d in dofs], per_node
 
 
+def mode_ids(model: ModalModel, r: int, check: str = "") -> tuple[str, ...]:
+    """The five ID lines of the set 55 of a mode or residual term."""
+    terms = model.terms
+    scaled = f"{UNIT_MODAL_MASS}; {_SUM}" if model.si else "scaling: unit modal mass, units of the input"
+    return (
+        f"operando residual term {r + 1 - model.n_modes} of {model.n_residuals}" if terms.residual[r] else
+        f"operando mode {r + 1} of {model.n_modes}",
+        scaled if model.scaling == "unit_modal_mass" else UNSCALED,
+        print_date(model.provenance.measured),
+        f"frequency_hz={float(terms.frequencies_hz[r]):.17g} damping_ratio={float(terms.damping_ratios[r]):.17g}",
+        "; ".join(filter(None, (RESIDUAL if terms.residual[r] else "", check))),
+    )  # fmt: skip
+
+
 def _mode_lines(model: ModalModel, r: int, nodes: list[int], shape: NDArray[Any], check: str) -> list[str | bytes]:
     is_complex, terms = np.iscomplexobj(shape), model.terms
     frequency, damping = float(terms.frequencies_hz[r]), float(terms.damping_ratios[r])
     per_node = shape.shape[1]
     scaled = model.scaling == "unit_modal_mass"
-    scaling = f"{UNIT_MODAL_MASS}; {_SUM}" if model.si else "scaling: unit modal mass, units of the input"
-    ids = [
-        f"operando residual term {r + 1 - model.n_modes} of {model.n_residuals}" if terms.residual[r] else
-        f"operando mode {r + 1} of {model.n_modes}",
-        scaling if scaled else UNSCALED,
-        print_date(model.provenance.measured),
-        f"frequency_hz={frequency:.17g} damping_ratio={damping:.17g}",
-        "; ".join(filter(None, (RESIDUAL if terms.residual[r] else "", check))),
-    ]  # fmt: skip
     characteristic = {1: 1, 3: 2, 6: 3}[per_node]
-    lines: list[str | bytes] = [field_of(text, 80) for text in ids]
+    lines: list[str | bytes] = [field_of(text, 80) for text in mode_ids(model, r, check)]
     lines.append("".join(f"{n:10d}" for n in (1, 3 if is_complex else 2, characteristic, 8, 5 if is_complex else 2, per_node)))
     if is_complex:
         pole = terms.poles[r]

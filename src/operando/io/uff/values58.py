@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.errors import FormatError
+from operando.io.uff.columns58 import LINES, columns_of, numbers_in_columns
 from operando.io.uff.header58 import Header58
 from operando.io.uff.split import RawSet
 from operando.io.uff.textform import Buffer
 
-_CHUNK = 1 << 23
+_CHUNK = 1 << 18
+"""Characters read word by word at once."""
 _GLUED = re.compile(rb"(?<=[0-9.])(?=[+-][0-9]*\.)")
 _BARE_EXPONENT = re.compile(rb"(?<=[0-9.])([+-][0-9]{2,3})(?![0-9.])")
 
@@ -105,18 +107,33 @@ def _read_text(buffer: Buffer, payload: tuple[int, int], header: Header58) -> ND
     out = np.empty(expected)
     count = 0
     while start < end:
-        stop = end
-        if end - start > _CHUNK:
-            stop = buffer.rfind(b"\n", start, start + _CHUNK) + 1 or end
-        values = _parse_text(bytes(buffer[start:stop]), header)
+        values, stop = _next_numbers(buffer, start, end, header)
         if count + values.size > expected:
-            values = _surplus(values, count, expected, header, len(bytes(buffer[start : start + 400]).split(b"\n", 1)[0].split()))
+            if stop < end:  # whether it is filling shows only with all that follows
+                rest = _parse_text(bytes(buffer[stop : min(end, stop + _CHUNK)]), header)
+                values, stop = np.concatenate([values, rest]), end
+            first_line = bytes(buffer[payload[0] : payload[0] + 400]).split(b"\n", 1)[0]
+            values = _surplus(values, count, expected, header, len(first_line.split()))
         out[count : count + values.size] = values
         count += values.size
         start = stop
     if count != expected:
         raise FormatError(f"the header declares {header.points} points ({expected} numbers), the set holds {count} numbers")
     return out
+
+
+def _next_numbers(buffer: Buffer, start: int, end: int, header: Header58) -> tuple[NDArray[np.float64], int]:
+    """Numbers of the next lines, and where the lines behind them start: all lines at once where they have the columns of the first."""
+    newline = buffer.find(b"\n", start, min(end, start + _CHUNK)) + 1
+    columns = columns_of(bytes(buffer[start:newline])) if newline else None
+    if columns is not None:
+        lines = min((end - start) // columns.length, LINES)
+        stop = start + lines * columns.length
+        values = numbers_in_columns(bytes(buffer[start:stop]), columns)
+        if values is not None:
+            return values, stop
+    stop = end if end - start <= _CHUNK else buffer.rfind(b"\n", start, start + _CHUNK) + 1 or end
+    return _parse_text(bytes(buffer[start:stop]), header), stop
 
 
 def _surplus(values: NDArray[np.float64], count: int, expected: int, header: Header58, a_line: int) -> NDArray[np.float64]:

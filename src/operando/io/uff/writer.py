@@ -37,7 +37,7 @@ _FREQUENCY = Axis(18, (0, 0, 0), "Frequency", "Hz")
 
 
 @dataclass(frozen=True)
-class _Function:
+class Function:
     """Everything of one set 58 but the number format of its values."""
 
     kind: int
@@ -101,7 +101,7 @@ def write_uff(
     for obj in objects:
         if not isinstance(obj, TimeRecord | Frf | ModalModel | Geometry):
             raise DataError(f"{type(obj).__name__} has no form in UFF", hint="TimeRecord, Frf, ModalModel or Geometry")
-    numbers = NodeNumbers.of(_numbered_nodes(objects))
+    numbers = NodeNumbers.of(numbered_nodes(objects))
     if header is None and numbers.components:
         header = FileHeader(writer="operando")
     with replacing(path) as stream:
@@ -115,13 +115,13 @@ def write_uff(
             elif isinstance(obj, ModalModel):
                 write_modes(stream, obj, numbers)
             else:
-                for function in _record_functions(obj) if isinstance(obj, TimeRecord) else _frf_functions(obj):
+                for function in record_functions(obj) if isinstance(obj, TimeRecord) else frf_functions(obj):
                     _write_function(stream, function, binary, single, big_endian)
         for raw in passthrough:
             stream.write(raw if raw.endswith(b"\n") else raw + b"\n")
 
 
-def _numbered_nodes(objects: Iterable[Any]) -> list[Node]:
+def numbered_nodes(objects: Iterable[Any]) -> list[Node]:
     """Nodes that stand as bare numbers in the file: those of geometries and modes; functions name the component."""
     nodes: list[Node] = []
     for obj in objects:
@@ -140,16 +140,16 @@ def _is_si(obj: Any) -> bool:
     return obj.unit_known if isinstance(obj, Geometry) else True
 
 
-def _record_functions(record: TimeRecord) -> Iterable[_Function]:
+def record_functions(record: TimeRecord) -> Iterable[Function]:
     for row, channel in zip(record.data, record.channels, strict=True):
         ordinate = _axis(channel.quantity, channel.unit)
-        yield _Function(
+        yield Function(
             1, channel.dof, None, channel.name, _TIME, ordinate, Axis(), record.start_s, 1 / record.sampling_hz, None, row,
             (channel.name, f"{OWN_LINES[2]} {channel.label}", print_date(record.provenance.measured), "", ""),
         )  # fmt: skip
 
 
-def _frf_functions(frf: Frf) -> Iterable[_Function]:
+def frf_functions(frf: Frf) -> Iterable[Function]:
     start, step, frequencies = _even(frf.frequencies_hz)
     averages = "" if frf.averages is None else f"averages={frf.averages:.17g}"
     date = print_date(frf.provenance.measured)
@@ -164,15 +164,15 @@ def _frf_functions(frf: Frf) -> Iterable[_Function]:
             ordinate = _axis(quantity, unit if frf.si else "")
             denominator = _axis(below[0], below[1] if frf.si else "")
             ids = (f"{frf.quantity} {response}/{reference}", OWN_LINES[0], date, "", averages)
-            yield _Function(4, response, reference, "", _FREQUENCY, ordinate, denominator, start, step, frequencies, frf.data[i, j], ids)
+            yield Function(4, response, reference, "", _FREQUENCY, ordinate, denominator, start, step, frequencies, frf.data[i, j], ids)
             if frf.coherence is not None and not np.all(np.isnan(frf.coherence[i, j])):
                 ids = (f"coherence {response}/{reference}", *ids[1:])
                 values = frf.coherence[i, j]
-                yield _Function(6, response, reference, "", _FREQUENCY, Axis(), Axis(), start, step, frequencies, values, ids)
+                yield Function(6, response, reference, "", _FREQUENCY, Axis(), Axis(), start, step, frequencies, values, ids)
             if frf.variance is not None and not np.all(np.isnan(frf.variance[i, j])):
                 ids = (f"{STANDARD_DEVIATION} {frf.quantity} {response}/{reference}", OWN_LINES[1], *ids[2:])
                 values = np.sqrt(frf.variance[i, j])
-                yield _Function(0, response, reference, "", _FREQUENCY, ordinate, denominator, start, step, frequencies, values, ids)
+                yield Function(0, response, reference, "", _FREQUENCY, ordinate, denominator, start, step, frequencies, values, ids)
 
 
 def _even(frequencies: NDArray[np.float64]) -> tuple[float, float, NDArray[np.float64] | None]:
@@ -192,7 +192,7 @@ def _axis(quantity: str, unit: str) -> Axis:
     return Axis(_CODES.get(quantity, 0), exponents, _LABELS.get(quantity, quantity.replace("_", " ").capitalize()), unit)
 
 
-def _write_function(stream: IO[bytes], f: _Function, binary: bool, single: bool | None, big_endian: bool) -> None:
+def _write_function(stream: IO[bytes], f: Function, binary: bool, single: bool | None, big_endian: bool) -> None:
     complex_values = np.iscomplexobj(f.values)
     if single is None:
         single = f.values.dtype in (np.dtype(np.float32), np.dtype(np.complex64))
@@ -215,7 +215,7 @@ def _write_function(stream: IO[bytes], f: _Function, binary: bool, single: bool 
         stream.write(b"    -1\n")
 
 
-def _header(f: _Function, binary: bool, kind: int, n_bytes: int, big_endian: bool) -> bytes:
+def _header(f: Function, binary: bool, kind: int, n_bytes: int, big_endian: bool) -> bytes:
     first = f"{58:6d}"
     if binary:
         first += f"b{2 if big_endian else 1:6d}{2:6d}{11:12d}{n_bytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
@@ -234,7 +234,7 @@ def _header(f: _Function, binary: bool, kind: int, n_bytes: int, big_endian: boo
     return b"\n".join(line.rstrip() if len(line) == 80 else line for line in lines) + b"\n"
 
 
-def _survives(f: _Function, start: str, step: str) -> bool:
+def _survives(f: Function, start: str, step: str) -> bool:
     """Whether a reader gets the exact axis from the six printed digits."""
     restored = restore_step(step, f.values.size, f.kind != 1)
     same_step = restored == f.step or tidy_rate(restored) == tidy_rate(f.step)
