@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Frf, TimeRecord
+from operando.data import Frf, TimeRecord, complex_of
 from operando.errors import DataError, FormatError, OperandoError
 from operando.io.atomic import replacing
 from operando.io.content import Content
@@ -119,7 +119,7 @@ def _walk_hdf5(group: Any, path: str, file: Any) -> Iterator[Variable]:
                     yield Variable(here, [_characters(cell) for cell in chars])
             elif item.dtype.names == ("real", "imag"):
                 raw = item[()]
-                yield Variable(here, (raw["real"] + 1j * raw["imag"]).T)
+                yield Variable(here, complex_of(raw["real"], raw["imag"]).T)
             elif item.dtype.kind in "biuf":
                 yield Variable(here, np.asarray(item[()]).T)
 

@@ -75,11 +75,13 @@ class Check:
             made = self._sum(model, self.dof, self.frequency_hz)
         except DofError:
             return float("inf")
-        return abs(20 * float(np.log10(1 + abs(made - self.value) / abs(self.value)))) if self.value else 0.0
+        error = abs(20 * float(np.log10(1 + abs(made - self.value) / abs(self.value)))) if self.value else 0.0
+        return error if np.isfinite(error) else float("inf")
 
     @staticmethod
     def _sum(model: ModalModel, dof: Dof, frequency: float) -> complex:
-        return complex(model.frf([frequency], [dof], [dof], variance=False).data[0, 0, 0])
+        with np.errstate(all="ignore"):  # modes of a damaged file
+            return complex(model.frf([frequency], [dof], [dof], variance=False).data[0, 0, 0])
 
 
 def assemble_models(sets: list[RawSet], inventory: Inventory) -> tuple[ModalModel, ...]:
