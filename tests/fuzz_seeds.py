@@ -157,7 +157,7 @@ def table_seed(seed: Seed, path: Path, head: int, separator: bytes, time: bool =
     at = 0
     for number, line in enumerate(seed.data.splitlines(keepends=True)):
         start, at = at, at + len(line)
-        if number < head or not line.strip():
+        if number < head or not line[:1].isdigit():
             continue
         first, *cells = line.split(separator)
         changed = separator.join([first, *(_FIRST_DIGIT.sub(_next_digit, cell) for cell in cells)])

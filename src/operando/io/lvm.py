@@ -44,16 +44,12 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
     where = str(path)
     with open_file(path) as stream:
         text = stream.read().decode("latin-1")
-    separator, decimal, axes, blocks, unended = _parse(text, where)
+    separator, decimal, axes, blocks, lost = _parse(text, where)
     del text
-    findings: list[Finding] = []
-    if unended:
-        findings.append(
-            Finding(
-                "damaged", f"the header of the block from line {unended} has no end", "error", where,
-                consequence="its samples are missing from every result", action="export the file again",
-            )
-        )  # fmt: skip
+    findings = [
+        Finding("damaged", text, "error", where, consequence="samples may be missing from every result", action="export the file again")
+        for text in lost
+    ]
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
     infos: list[SetInfo] = []
     found: list[tuple[float, float, list[str], list[str], NDArray[np.float64]]] = []
@@ -87,8 +83,8 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
     findings += [f for record in records for f in record.findings]
     gaps = sum(int(np.count_nonzero(~np.isfinite(record.data))) for record in records)
     if gaps:
-        lost = f"{gaps} cells hold no number"
-        findings.append(Finding("nan", lost, "warning", where, consequence="they are NaN in the record"))
+        empty = f"{gaps} cells hold no number"
+        findings.append(Finding("nan", empty, "warning", where, consequence="they are NaN in the record"))
     return Content(where, "lvm", tuple(records), sets=tuple(infos), findings=tuple(findings))
 
 
@@ -96,8 +92,8 @@ def _unused(title: str, reason: str, where: str) -> Finding:
     return Finding("unused_block", f"the {title} is not used: {reason}", "warning", where, consequence="no result knows its samples")
 
 
-def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block], int]:
-    """Separator, decimal mark, what X columns there are (no, one, multi), blocks, line of a block whose header has no end (0: none)."""
+def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block], list[str]]:
+    """Separator, decimal mark, what X columns there are (no, one, multi), blocks, what belongs to no block in words."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     separator = "," if any(re.match(r"Separator,Comma", line) for line in lines[:30]) else "\t"
     head: dict[str, list[str]] = {}
@@ -112,11 +108,13 @@ def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block], int]:
     axes = (head.get("X_Columns") or ["No"])[0].lower()
     blocks: list[_Block] = []
     header: dict[str, list[str]] | None = None
-    begun = unended = 0
+    begun = 0
+    outside: list[int] = []
+    unended: list[int] = []
     for number, line in enumerate(lines[at + 1 :], start=at + 2):
         cells = [c.strip() for c in line.split(separator)]
         if cells[0] == "Channels":
-            unended = unended or (0 if header is None else begun)
+            unended += [] if header is None else [begun]
             header, begun = {"Multi_Headings": head.get("Multi_Headings", [])}, number
         if header is not None:
             if line.startswith(_END):
@@ -124,7 +122,9 @@ def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block], int]:
                 header = None
             else:
                 header[cells[0]] = cells[1 : 1 + _count(header, cells, where, number)]
-        elif blocks and any(cells):
+        elif not blocks:
+            outside += [number] if any(cells) else []
+        elif any(cells):
             block = blocks[-1]
             if not block.names:
                 if cells[0] != "X_Value":
@@ -132,7 +132,10 @@ def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block], int]:
                 block.names = _names(cells, len(block.header["Channels"]) and int(block.header["Channels"][0]), axes, where)
             elif cells[0] != "X_Value":
                 block.rows.append((number, line))
-    return separator, decimal, axes, blocks, unended or (0 if header is None else begun)
+    unended += [] if header is None else [begun]
+    lost = [f"the header of the block from line {line} has no end" for line in unended]
+    lost += [f"{len(outside)} lines from line {outside[0]} on belong to no block"] if outside else []
+    return separator, decimal, axes, blocks, lost
 
 
 def _count(header: dict[str, list[str]], cells: list[str], where: str, number: int) -> int:
