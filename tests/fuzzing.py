@@ -29,6 +29,7 @@ from operando.io import Content
 
 TIME_LIMIT_S = 10.0
 MEMORY_FACTOR, MEMORY_FREE = 5, 200 << 20
+_TOO_LONG = f"no answer within {TIME_LIMIT_S:g} s"
 
 Edit = tuple[int, int, bytes]
 """Bytes from start to stop become others; all places are those of the good file."""
@@ -372,7 +373,11 @@ class Fuzzer:
         return applied(self.seed.data, self.edits(number))
 
     def try_mutant(self, number: int) -> Outcome:
-        """Read a mutant and judge what comes of it."""
+        """Read a mutant and judge what comes of it. One that takes too long is tried again: the machine may have other work."""
+        first = self._timed(number)
+        return self._timed(number) if first.note == _TOO_LONG else first
+
+    def _timed(self, number: int) -> Outcome:
         edits = self.edits(number)
         data = applied(self.seed.data, edits)
         self.path.write_bytes(data)
@@ -382,7 +387,7 @@ class Fuzzer:
         try:
             what, note = self.judge(edits)
         except HangError:
-            what, note = "failure", f"no answer within {TIME_LIMIT_S:g} s"
+            what, note = "failure", _TOO_LONG
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, old)

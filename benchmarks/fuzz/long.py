@@ -52,7 +52,7 @@ def batch(seed: Seed, folder: Path, series: str, numbers: range) -> list[dict]:
             os._exit(0)
         os.close(writing)
         text = b""
-        while select.select([reading], [], [], 3 * TIME_LIMIT_S)[0]:
+        while select.select([reading], [], [], 6 * TIME_LIMIT_S)[0]:
             more = os.read(reading, 1 << 16)
             if not more:
                 break
