@@ -10,6 +10,7 @@ import wave
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -69,19 +70,23 @@ def written(path: Path, write: Callable[[Path], Any]) -> bytes:
 
 # --- UFF --------------------------------------------------------------------------------------------------------------------------
 
+
+def e_format(*numbers: float, width: int = 13, digits: int = 5) -> str:
+    """Numbers as Fortran's E format prints them."""
+    return "".join(f"{number:{width}.{digits}E}" for number in numbers)
+
+
 SYSTEMS_18 = (
-    f"{7:10d}{0:10d}{0:10d}{8:10d}{0:10d}", "local", "  1.0000000E+00  2.0000000E+00  0.0000000E+00  1.0000000E+00  3.0000000E+00  0.0000000E+00",
-    "  1.0000000E+00  2.0000000E+00  1.0000000E+00",
+    f"{7:10d}{0:10d}{0:10d}{8:10d}{0:10d}", "local", e_format(1, 2, 0, 1, 3, 0, width=15, digits=7), e_format(1, 2, 1, width=15, digits=7),
 )  # fmt: skip
 SYSTEMS_2420 = (
-    f"{1:10d}", "part", f"{7:10d}{0:10d}{8:10d}", "local", *("   %25.16E%25.16E%25.16E" % tuple(row) for row in np.eye(3)),
-    "   %25.16E%25.16E%25.16E" % (0.5, 0.0, 0.0),
+    f"{1:10d}", "part", f"{7:10d}{0:10d}{8:10d}", "local", *(e_format(*row, width=25, digits=16) for row in np.eye(3)),
+    e_format(0.5, 0, 0, width=25, digits=16),
 )  # fmt: skip
 NODES_15 = tuple(f"{n:10d}{7 * (n == 2):10d}{0:10d}{1:10d}{0.5 * n:13.5E}{n * n:13.5E}{0.25:13.5E}" for n in (1, 2, 3))
 TRACE_82 = (f"{1:10d}{4:10d}{1:10d}", "beam", f"{1:10d}{2:10d}{0:10d}{3:10d}{1:10d}")
-QUALIFIERS = (
-    "           0" * 6, "     0     2" + "     0" * 10, "  0.0000000E+00" * 5, "  0.0000000E+00" * 5, "  0.0000000E+00" * 5, "X+    X+", "NONE",
-)  # fmt: skip
+NO_FACTORS = e_format(0, 0, 0, 0, 0, width=15, digits=7)
+QUALIFIERS = ("           0" * 6, "     0     2" + "     0" * 10, NO_FACTORS, NO_FACTORS, NO_FACTORS, "X+    X+", "NONE")
 
 
 def analysis_2414(rng: Generator, number: int) -> bytes:
@@ -177,13 +182,25 @@ def _next_digit(match: re.Match[bytes]) -> bytes:
 
 def lvm_file(record: TimeRecord) -> bytes:
     """Two blocks of one measurement."""
-    lines = ["LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.", "Multi_Headings\tYes", "X_Columns\tOne"]
+    lines = [
+        "LabVIEW Measurement\t",
+        "Writer_Version\t2",
+        "Separator\tTab",
+        "Decimal_Separator\t.",
+        "Multi_Headings\tYes",
+        "X_Columns\tOne",
+    ]
     lines += ["***End_of_Header***\t", "\t"]
     step, half = 1 / record.sampling_hz, record.n_samples // 2
     for start in (0, half):
         many = lambda text: "\t".join([text] * 3) + "\t"  # noqa: E731
         lines += ["Channels\t3\t\t", f"Samples\t{many(str(half))}", "Y_Unit_Label\tN\tm/s2\tm/s2\t", f"X_Dimension\t{many('Time')}"]
-        lines += [f"X0\t{many(f'{start * step:.9E}')}", f"Delta_X\t{many(f'{step:.9f}')}", "***End_of_Header***\t\t", "X_Value\tF\t1+Z\t2-Y\tComment"]
+        lines += [
+            f"X0\t{many(f'{start * step:.9E}')}",
+            f"Delta_X\t{many(f'{step:.9f}')}",
+            "***End_of_Header***\t\t",
+            "X_Value\tF\t1+Z\t2-Y\tComment",
+        ]
         for i in range(start, start + half):
             lines.append("\t".join([f"{i * step:.6f}", *(f"{v:.6f}" for v in record.data[:, i])]))
         lines.append("")
@@ -224,7 +241,8 @@ def array_seed(seed: Seed, path: Path, arrays: Iterable[np.ndarray]) -> Seed:
         for i in range(flat.size):
             at = start + i * flat.itemsize
             stop = at + flat.itemsize
-            cuts.append((at, stop, seed.data[:at] + bytes([seed.data[at] ^ 1]) + seed.data[at + 1 :]))
+            middle = at + max(0, flat.itemsize - 3)  # the last bits may be rounded away by the unit
+            cuts.append((at, stop, seed.data[:middle] + bytes([seed.data[middle] ^ 1]) + seed.data[middle + 1 :]))
     return replace(with_parts(replace(seed, fine=True), cuts, path), fixed=True)
 
 
@@ -278,9 +296,15 @@ def binaries(path: Path) -> Iterator[Seed]:
     yield array_seed(Seed("mat 5", "a.mat", saved_mat(mat), read), path, [columns])
     yield Seed("mat 5 compressed", "a.mat", saved_mat(mat, do_compression=True), read, whole=True)
     f, h = np.arange(12) * 2.0, rng.normal(size=(2, 12)) + 1j * rng.normal(size=(2, 12))
-    pairs = {"X1": np.column_stack([np.arange(16) / RATE, data[:, 0]]), "H1_2": np.column_stack([f, h[0]]), "H1_3": np.column_stack([f, h[1]])}
+    pairs = {
+        "X1": np.column_stack([np.arange(16) / RATE, data[:, 0]]),
+        "H1_2": np.column_stack([f, h[0]]),
+        "H1_3": np.column_stack([f, h[1]]),
+    }
     pairs |= {"C1_2": np.column_stack([f, np.full(12, 0.9)]), "C1_3": np.column_stack([f, rng.uniform(0.5, 1, 12)])}
-    yield array_seed(Seed("mat 5 SignalCalc", "a.mat", saved_mat(pairs), read), path, [pairs["X1"][:, 1], h[0].real.copy(), h[1].imag.copy()])
+    yield array_seed(
+        Seed("mat 5 SignalCalc", "a.mat", saved_mat(pairs), read), path, [pairs["X1"][:, 1], h[0].real.copy(), h[1].imag.copy()]
+    )
 
     with h5py.File(path, "w", userblock_size=512) as file:
         file["x"], file["fs"] = data.T, np.array([[RATE]])
@@ -297,7 +321,9 @@ def binaries(path: Path) -> Iterator[Seed]:
     objects = {"record": record, "frf": small_frf(rng), "model": small_model(rng), "geometry": small_geometry(rng)}
     yield Seed("hdf5", "a.h5", written(path, lambda p: write_hdf5(p, objects)), read, whole=True)
     found = {"verdict": "unexplained", "effects": [], "ladder": [{"step": 0, "added": None, "misfit": 3.25}]}
-    results = Results("chain", {"band": [10.0, 90.0]}, idle=small_model(rng), idle_frf=small_frf(rng), geometry=small_geometry(rng), diagnosis=found)
+    results = Results(
+        "chain", {"band": [10.0, 90.0]}, idle=small_model(rng), idle_frf=small_frf(rng), geometry=small_geometry(rng), diagnosis=found
+    )
     yield Seed("model.h5", "model.h5", written(path, lambda p: save_results(results, p)), load_results, whole=True)
     yield from tdms(path, data)
 
@@ -311,7 +337,9 @@ def tdms(path: Path, data: np.ndarray) -> Iterator[Seed]:
     with nptdms.TdmsWriter(str(path)) as writer:
         given = zip(("12+Z", "Force"), data.T, ("g", "N"), strict=True)
         properties = {"wf_increment": 1 / 1024, "wf_start_offset": 0.5}
-        writer.write_segment([nptdms.ChannelObject("run", name, row, properties=properties | {"unit_string": unit}) for name, row, unit in given])
+        writer.write_segment(
+            [nptdms.ChannelObject("run", name, row, properties=properties | {"unit_string": unit}) for name, row, unit in given]
+        )
     yield array_seed(Seed("tdms", "a.tdms", path.read_bytes(), read), path, [data[:, 0], data[:, 1]])
 
 
@@ -348,7 +376,7 @@ def texts(path: Path) -> Iterator[Seed]:
         write_uff(path.with_name(name), small_record(rng))
     data = TEST.encode()
     ends = [0, *(m.end() for m in re.finditer(rb"\n", data))]
-    cuts = [(a, b, data[:a] + data[b:]) for a, b in zip(ends, ends[1:], strict=False)]
+    cuts = [(a, b, data[:a] + data[b:]) for a, b in pairwise(ends)]
     yield with_parts(Seed("test.toml", "test.toml", data, load_test), cuts, path)
     rows = rng.normal(size=(3, 8)).round(6).tolist()
     items = [{"data": row, "fs": RATE, "name": f"{i}+Z", "unit_str": "m/s2"} for i, row in enumerate(rows, start=1)]

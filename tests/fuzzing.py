@@ -429,7 +429,9 @@ class Fuzzer:
             return self.good
         left = Counter(self.good)
         for start, stop, new in edits:
-            hit = [part for part in self.seed.parts if (start < part.stop and part.start < stop) or part.start <= start == stop <= part.stop]
+            hit = [
+                part for part in self.seed.parts if (start < part.stop and part.start < stop) or part.start <= start == stop <= part.stop
+            ]
             inside = sum(min(stop, part.stop) - max(start, part.start) for part in hit)
             shifts = self.seed.fixed and len(new) != stop - start
             if shifts or not hit or inside < stop - start or any(part.depend is None for part in hit):

@@ -233,8 +233,57 @@ def test_values_of_another_type_than_declared_are_refused_at_reading(tmp_path):
         text = file["a/__tree__"].asstr()[()]
         del file["a/__tree__"]
         file["a/__tree__"] = text.replace('"__class__": "operando.data.time:Channel"', '"no_class": ""', 1)
+        del file["a"].attrs["blake2b"]
+        file.attrs["schema"] = "operando/hdf5/1"  # as older versions wrote it, without hashes
     with pytest.raises(FormatError, match=r"'channels' of TimeRecord .* expected tuple\[Channel"):
         read(tmp_path / "a.h5")
+
+
+def test_what_was_changed_in_an_own_file_is_refused(tmp_path):
+    """HDF5 does not notice a changed byte; the hashes of the file do."""
+    objects = {"a": record(), "b": record()}
+    path = tmp_path / "a.h5"
+
+    def changed(change):
+        write_hdf5(path, objects)
+        with h5py.File(path, "r+") as file:
+            change(file)
+        with pytest.raises(FormatError) as caught:
+            read_hdf5(path)
+        return f"{caught.value.message} ({caught.value.hint})"
+
+    assert "'data' is not what was written" in changed(lambda file: file["a/data"].__setitem__((0, 3), 3.5))
+    assert "description of '/b' is not what was written" in changed(lambda file: file["b"].attrs.__setitem__("blake2b", "00"))
+    assert "description of '/b' is not what was written" in changed(lambda file: file["b"].attrs.__delitem__("blake2b"))
+    assert "object 'b' that the file lists is not in it" in changed(lambda file: file.__delitem__("b"))
+    assert "'operando/hdf5/9' is not known (known are" in changed(lambda file: file.attrs.__setitem__("schema", "operando/hdf5/9"))
+    assert "lists no objects" in changed(lambda file: file.attrs.__delitem__("objects"))
+
+
+def test_numbers_that_lie_plainly_in_the_file_are_not_read_on_trial(tmp_path, monkeypatch):
+    from operando.io.safe import hdf5_file
+
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["plain"], file["texts"] = np.arange(100.0), np.array(["a", "b"], dtype=object)
+        file.create_dataset("packed", data=np.arange(100.0), compression="gzip", chunks=(50,))
+        file.create_dataset("missing", (100,), "f8")
+    with h5py.File(tmp_path / "a.h5") as file:
+        plain = {name: hdf5_file._lies_plainly(item, tmp_path / "a.h5") for name, item in file.items()}
+        assert plain == {"plain": True, "texts": False, "packed": False, "missing": False}
+        end = file["plain"].id.get_offset() + 800
+    raw = (tmp_path / "a.h5").read_bytes()
+    with h5py.File(tmp_path / "a.h5") as file:
+        (tmp_path / "cut").write_bytes(raw[: end - 8])
+        with pytest.raises(FormatError, match="beyond the end"):
+            hdf5_file._lies_plainly(file["plain"], tmp_path / "cut")
+
+
+def test_a_file_that_hangs_is_given_up_before_ten_seconds():
+    """The waiting time of a small file; starting the helper takes its second besides."""
+    assert guard.WAITING * guard.TIME_LIMIT_S + 1 < 10
+    assert guard.TIME_LIMIT_S > 1000 * 0.0005  # an object takes half a millisecond
+    # a large file may come from a network drive
+    assert 1e9 / guard.SLOWEST_BYTES_PER_S == 50
 
 
 def test_types_of_fields():

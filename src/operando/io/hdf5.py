@@ -144,8 +144,11 @@ def check_objects(file: h5py.File) -> None:
         raise FormatError(f"the format {schema!r:.100} is not known", where=file.filename, hint=hint)
     if schema != SCHEMA:
         return
-    names = json.loads(file.attrs["objects"])
-    lost = [name for name in names if not isinstance(name, str) or name not in file]
+    try:
+        names = list(json.loads(str(file.attrs["objects"])))
+    except (KeyError, ValueError, TypeError) as error:
+        raise FormatError("the file lists no objects", where=file.filename, hint=_CHANGED) from error
+    lost = [name for name in names if not isinstance(name, str) or f"{name}/{TREE}" not in file]
     if lost:
         raise FormatError(f"the object {lost[0]!r:.100} that the file lists is not in it", where=file.filename, hint=_CHANGED)
 

@@ -18,7 +18,6 @@ from operando.io.sep005 import make_record
 from operando.io.uff.increments import tidy_rate
 from operando.io.uff.reader import open_file, quick_hash
 
-MARK = b"LabVIEW Measurement"
 _END = "***End_of_Header***"
 
 

@@ -63,7 +63,9 @@ def read_npz(path: str | Path, *, units: Units | None = None, channels: ChannelS
                     except FormatError as error:
                         refused = refused or f"{name}: {error.message}"
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, ValueError) as error:
-            raise FormatError(f"the archive cannot be read: {error!s:.200}", where=where, hint="the file is damaged: export it again") from error
+            raise FormatError(
+                f"the archive cannot be read: {error!s:.200}", where=where, hint="the file is damaged: export it again"
+            ) from error
     if refused:
         raise FormatError(refused, where=where, hint="save arrays of numbers and texts, with allow_pickle=False")
     content = content_of(variables, path, "npz", units, channels)

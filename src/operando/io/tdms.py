@@ -47,7 +47,12 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
     listed, said = _load(path)
     findings = [
         Finding(
-            "damaged", f"the samples of the TDMS file: {text}", "warning", where, consequence="samples may be missing", action="export it again"
+            "damaged",
+            f"the samples of the TDMS file: {text}",
+            "warning",
+            where,
+            consequence="samples may be missing",
+            action="export it again",
         )
         for text in dict.fromkeys(said)
     ]
