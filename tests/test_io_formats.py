@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 import sys
 import wave
@@ -163,6 +164,18 @@ def test_what_belongs_to_no_block_of_lvm_is_told(tmp_path):
         path.write_text(text)
         with pytest.raises(FormatError, match=match):
             read(path)
+
+
+def test_a_block_of_lvm_without_its_step_is_refused(tmp_path):
+    data = np.round(RNG.normal(size=(2, 20)), 6)
+    for line in ("Delta_X", "X0"):
+        text = LVM_HEAD.format(axes="No", mark=".") + re.sub(rf"\n{line}\t.*", rf"\n{line}", lvm_block(data, 0.0, 1 / 512))
+        (tmp_path / "a.lvm").write_text(text)
+        if line == "X0":
+            assert read(tmp_path / "a.lvm").records[0].start_s == 0.0
+            continue
+        with pytest.raises(FormatError, match="no step of time"):
+            read(tmp_path / "a.lvm")
 
 
 def test_tdms_samples_of_a_channel_that_is_not_listed_are_told(tmp_path):

@@ -60,7 +60,7 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
             infos.append(SetInfo(i, 0, title, "ignored", reason))
             findings.append(_unused(title, reason, where))
             continue
-        step, start = _number(block.header.get("Delta_X", [""])[0], decimal), _number(block.header.get("X0", ["0"])[0], decimal)
+        step, start = (_number((block.header.get(key) or [""])[0], decimal) for key in ("Delta_X", "X0"))
         values, time = _values(block, separator, axes, decimal, where)
         if not step > 0 and time is not None and len(time) > 1:
             step, start = float(time[-1] - time[0]) / (len(time) - 1), float(time[0])
