@@ -16,7 +16,7 @@ from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, one_level
 from operando.diagnose.levenberg import inverse, unobservable
 from operando.diagnose.model import Model
 from operando.diagnose.refit import Fit
-from operando.dof import Dof
+from operando.dof import MAX_NUMBER_DIGITS, Dof
 from operando.effects import Effect
 from operando.ema import fit_ema
 from operando.ema.polished import polish_runs
@@ -215,6 +215,8 @@ def test_node_numbers_of_many_digits(text):
     assert len(str(caught.value)) < 300
     with pytest.raises(DofError, match="18 digits"):
         Dof(10**18, "Z")
+    assert 10**MAX_NUMBER_DIGITS < 2**63 < 10 ** (MAX_NUMBER_DIGITS + 1)  # as many as fit 64 bits
+    assert Dof.parse("9" * MAX_NUMBER_DIGITS).number == 10**MAX_NUMBER_DIGITS - 1
 
 
 def test_leading_zeros_are_no_digits():

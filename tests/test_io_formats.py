@@ -16,6 +16,7 @@ from operando.data import Frf
 from operando.errors import ConfigError, FormatError, MissingError
 from operando.io import convert, detect_format, inspect_files, read
 from operando.io.columns import check_columns, propose_columns
+from operando.io.csv import LONGEST_NAME
 from operando.io.frf_table import write_frf_csv
 from operando.units import G_STANDARD
 
@@ -459,3 +460,35 @@ def test_levels_beyond_all_numbers_make_no_warning(tmp_path):
     (frf,) = read(tmp_path / "a.txt", units={"columns": ["Hz", "dB", "deg"]}).frfs
     assert np.isinf(frf.data[0, 0, 2].real)
     np.testing.assert_allclose(frf.data[0, 0, 3], 10 ** (4 / 20) * np.exp(1j * np.deg2rad(40)), rtol=1e-14)
+
+
+def test_empty_cells_of_an_frf_table_are_told(tmp_path):
+    data = np.ones((1, 1, 4)) + 1j
+    write_frf_csv(tmp_path / "a.csv", Frf(data, np.arange(1.0, 5.0), ("1Z",), ("1Z",), coherence=np.full(data.shape, 0.5)))
+    assert not read(tmp_path / "a.csv").findings
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "b.csv").write_text(text[: text.rindex(",") + 1])
+    (finding,) = read(tmp_path / "b.csv").findings
+    assert (finding.kind, finding.message) == ("nan", "1 cells of the table hold no number")
+
+
+def test_variables_of_matlab_7_3_that_are_not_understood_are_told(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file["x"], file["fs"] = RNG.normal(size=(2, 20)), 64.0
+        file["H"] = np.zeros(4, np.dtype([("reel", "<f8"), ("imag", "<f8")]))
+    with open(tmp_path / "a.mat", "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    (finding,) = [f for f in read(tmp_path / "a.mat").findings if f.kind == "unused_variable"]
+    assert "neither numbers nor texts: H" in finding.message
+
+
+def test_a_column_name_is_no_longer_than_any_format_has(tmp_path):
+    for length in (LONGEST_NAME, LONGEST_NAME + 1):
+        (tmp_path / "a.csv").write_text(f"t,{'x' * length}\n" + "".join(f"{i},1\n" for i in range(9)))
+        if length == LONGEST_NAME:
+            assert len(read(tmp_path / "a.csv").records[0].channels[0].name) == length
+            continue
+        with pytest.raises(FormatError, match=f"at most {LONGEST_NAME} characters"):
+            read(tmp_path / "a.csv")
+    assert LONGEST_NAME > 256  # the longest names of UFF and TDMS pass

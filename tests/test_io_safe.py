@@ -290,6 +290,7 @@ def test_what_was_changed_in_an_own_file_is_refused(tmp_path):
     assert "description of '/b' is not what was written" in changed(lambda file: file["b"].attrs.__delitem__("blake2b"))
     assert "object 'b' that the file lists is not in it" in changed(lambda file: file.__delitem__("b"))
     assert "'operando/hdf5/9' is not known (known are" in changed(lambda file: file.attrs.__setitem__("schema", "operando/hdf5/9"))
+    assert "object 'b' that the file lists is not in it" in changed(lambda file: file["b"].__delitem__("__tree__"))
     assert "lists no objects" in changed(lambda file: file.attrs.__delitem__("objects"))
 
 

@@ -325,3 +325,16 @@ def test_a_damaged_line_is_not_printed_whole(tmp_path):
     with pytest.raises(FormatError) as caught:
         load(tmp_path, ascii58([1.0] * 4).replace(b"         4         4         1", b"x" * 5000))
     assert len(str(caught.value)) < 400
+
+
+def test_modes_at_different_nodes_are_told(tmp_path):
+    """A node number that is lost in one mode makes it a model of its own."""
+    model = ModalModel(np.array([10.0, 20.0, 30.0]), np.full(3, 0.01), np.ones((6, 3)), [f"{n}+{a}" for n in (1, 2) for a in "XYZ"])
+    write_uff(tmp_path / "m.uff", model)
+    assert not read(tmp_path / "m.uff").findings
+    sets = [raw for _, raw in read_uff_sets(tmp_path / "m.uff")]
+    sets[-1] = sets[-1].replace(b"\n         1\n", b"\n         7\n", 1)
+    content = load(tmp_path, *sets)
+    assert [m.n_modes for m in content.models] == [2, 1]
+    (finding,) = content.findings
+    assert (finding.kind, "2 different sets of nodes" in finding.message) == ("unequal_nodes", True)

@@ -87,15 +87,21 @@ def examine(seed: Seed, folder: Path, series: str, count: int) -> dict:
     return row
 
 
-def markdown(table: dict) -> str:
+HOW = (
+    "Mutants of small good files, by `python benchmarks/fuzz/long.py`; `benchmarks/fuzz/README.md` says what the columns mean. Times are of "
+    "a machine with other work; the memory is that of the reading process above what it had (files below 50 kB: at most 200 MB are allowed)."
+)
+
+
+def markdown(rows: dict[str, dict]) -> str:
     """The table for reading."""
-    heads = ["mutants", "refused", "equal outside the mutated part", "with a finding", "failures", "worst_s", "most_memory_mb"]
-    lines = ["# Fuzzing of the readers", "", table["how"], "", "| seed | " + " | ".join(heads) + " |", "| --- " * (len(heads) + 1) + "|"]
-    for name, row in table["seeds"].items():
+    heads = ["series", "mutants", "refused", "equal outside the mutated part", "with a finding", "failures", "worst_s", "most_memory_mb"]
+    lines = ["# Fuzzing of the readers", "", HOW, "", "| seed | " + " | ".join(heads) + " |", "| --- " * (len(heads) + 1) + "|"]
+    for name, row in rows.items():
         lines.append(f"| {name} | " + " | ".join(str(row[h]) for h in heads) + " |")
-    total = {h: sum(row[h] for row in table["seeds"].values()) for h in heads[:5]}
-    total |= {h: max(row[h] for row in table["seeds"].values()) for h in heads[5:]}
-    lines.append("| **all** | " + " | ".join(str(total[h]) for h in heads) + " |")
+    total: dict = {h: sum(row[h] for row in rows.values()) for h in heads[1:6]}
+    total |= {h: max(row[h] for row in rows.values()) for h in heads[6:]}
+    lines.append("| **all** | | " + " | ".join(str(total[h]) for h in heads[1:]) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -104,7 +110,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100_000, help="mutants of all seeds together")
     parser.add_argument("--series", default="a", help="another series has other mutants")
-    parser.add_argument("--only", default="", help="seeds whose names hold this; the table is not kept")
+    parser.add_argument("--only", default="", help="seeds whose names hold this; their rows are put into the table there is")
     given = parser.parse_args()
     started = time.perf_counter()
     with tempfile.TemporaryDirectory(dir=scratch()) as name:
@@ -115,17 +121,13 @@ def main() -> None:
         for seed in seeds:
             table[seed.name] = examine(seed, folder, given.series, each)
             print(seed.name, json.dumps(table[seed.name]), flush=True)
-    how = (
-        f"{each} mutants of each seed, series `{given.series}`; the memory is that of the reading process above what it had (files below "
-        f"50 kB: at most 200 MB); {(time.perf_counter() - started) / 60:.0f} minutes on one core."
-    )
-    document = {"series": given.series, "how": how, "seeds": table}
-    if not given.only:
-        RESULTS.mkdir(exist_ok=True)
-        (RESULTS / "fuzz.json").write_text(json.dumps(document, indent=1) + "\n")
-        (RESULTS / "fuzz.md").write_text(markdown(document))
+    minutes = (time.perf_counter() - started) / 60
+    known = json.loads((RESULTS / "fuzz.json").read_text())["seeds"] if given.only and (RESULTS / "fuzz.json").is_file() else {}
+    document = {"seeds": known | {name: {"series": given.series} | row for name, row in table.items()}}
+    (RESULTS / "fuzz.json").write_text(json.dumps(document, indent=1) + "\n")
+    (RESULTS / "fuzz.md").write_text(markdown(document["seeds"]))
     failures = sum(row["failures"] for row in table.values())
-    print(f"{each * len(seeds)} mutants, {failures} failures")
+    print(f"{each * len(seeds)} mutants, {failures} failures, {minutes:.0f} minutes")
     sys.exit(1 if failures else 0)
 
 
