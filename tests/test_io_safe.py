@@ -241,6 +241,17 @@ def test_own_files_and_files_tried_before_are_not_tried_again(tmp_path, monkeypa
         read_hdf5(path)
 
 
+def test_only_hdf5_matlab_and_tdms_start_the_helper(tmp_path, monkeypatch):
+    from operando.io import write_csv, write_uff
+
+    monkeypatch.setattr(guard, "_helper", lambda: pytest.fail("asked"))
+    write_uff(tmp_path / "a.uff", record())
+    write_csv(tmp_path / "a.csv", record())
+    np.savez(tmp_path / "a.npz", x=np.arange(40.0).reshape(20, 2), fs=10.0)
+    for path in tmp_path.iterdir():
+        assert read(path).records
+
+
 def test_a_description_cannot_name_foreign_code_or_one_array_many_times(tmp_path):
     def write(tree, **arrays):
         with h5py.File(tmp_path / "a.h5", "w") as file:

@@ -88,8 +88,8 @@ def examine(seed: Seed, folder: Path, series: str, count: int) -> dict:
 
 
 HOW = (
-    "Mutants of small good files, by `python benchmarks/fuzz/long.py`; `benchmarks/fuzz/README.md` says what the columns mean. Times are of "
-    "a machine with other work; the memory is that of the reading process above what it had (files below 50 kB: at most 200 MB are allowed)."
+    "Mutants of small good files, by `python benchmarks/fuzz/long.py`; `benchmarks/fuzz/README.md` explains the columns. Times are of "
+    "a machine with other work; the memory is that of the reading process above what it had (files below 50 kB: 200 MB are allowed)."
 )
 
 
