@@ -392,8 +392,14 @@ def texts(path: Path) -> Iterator[Seed]:
 
 def read_sep005(path: Path) -> TimeRecord:
     """SEP005 knows no file: here its lists and dicts stand as JSON; what is no JSON is no mutant of it."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(dict(pairs)) < len(pairs):
+            raise ValueError("a key stands there twice")
+        return dict(pairs)
+
     try:
-        measurement = json.loads(path.read_bytes())
+        measurement = json.loads(path.read_bytes(), object_pairs_hook=once)
     except (ValueError, RecursionError) as error:
         raise FormatError(f"no JSON: {error}") from None
     return from_sep005(measurement)
