@@ -242,6 +242,8 @@ def test_node_numbers_of_many_digits(text):
     assert len(str(caught.value)) < 300
     with pytest.raises(DofError, match="18 digits"):
         Dof(10**18, "Z")
+    assert 10**MAX_NUMBER_DIGITS < 2**63 < 10 ** (MAX_NUMBER_DIGITS + 1)  # as many as fit 64 bits
+    assert Dof.parse("9" * MAX_NUMBER_DIGITS).number == 10**MAX_NUMBER_DIGITS - 1
 
 
 def test_leading_zeros_are_no_digits():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 import sys
 import wave
@@ -15,6 +16,7 @@ from operando.data import Frf
 from operando.errors import ConfigError, FormatError, MissingError
 from operando.io import convert, detect_format, inspect_files, read
 from operando.io.columns import check_columns, propose_columns
+from operando.io.csv import LONGEST_NAME
 from operando.io.frf_table import write_frf_csv
 from operando.units import G_STANDARD
 
@@ -133,6 +135,62 @@ def test_tdms_without_the_library_says_how_to_get_it(tmp_path, monkeypatch):
     (tmp_path / "a.tdms").write_bytes(b"TDSm" + bytes(40))
     with pytest.raises(MissingError, match=r"operando\[tdms\]"):
         read(tmp_path / "a.tdms")
+
+
+def test_what_belongs_to_no_block_of_lvm_is_told(tmp_path):
+    """Damage at the words that open and close a header; each lost a block without a word."""
+    data = np.round(RNG.normal(size=(2, 20)), 6)
+    blocks = [lvm_block(data[:, :10], 0.0, 1 / 512), lvm_block(data[:, 10:], 10 / 512, 1 / 512)]
+    head = LVM_HEAD.format(axes="No", mark=".")
+    path = tmp_path / "a.lvm"
+
+    def findings(text):
+        path.write_text(text)
+        content = read(path)
+        assert content.records[0].n_samples == 10
+        return [(f.kind, f.severity, f.message) for f in content.findings if f.kind != "missing_unit"]
+
+    end = "***End_of_Header***"
+    for first, second in ((blocks[0].replace(end, "***End_of"), blocks[1]), (blocks[0], blocks[1].replace(end, "***End_of"))):
+        ((kind, severity, message),) = findings(head + first + second)
+        assert (kind, severity, "has no end" in message) == ("damaged", "error", True)
+    assert findings(head + blocks[0].replace("Channels", "Chan") + blocks[1])[0][2].endswith("belong to no block")
+    ((kind, severity, message),) = findings(head + blocks[0] + blocks[1].replace("Time", "Timf", 1))
+    assert (kind, severity, "its axis is time, timf" in message) == ("unused_block", "warning", True)
+    for text, match in (
+        (head.replace(end, "x") + "".join(blocks), "has no end"),
+        (head + blocks[0].replace("Channels\t2", "Channels\t1") + blocks[1], "1 channels but 2 names"),
+        (head + blocks[0].replace("12+Z\tForce", "12+Z Force") + blocks[1], "2 channels but 1 names"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FormatError, match=match):
+            read(path)
+
+
+def test_a_block_of_lvm_without_its_step_is_refused(tmp_path):
+    data = np.round(RNG.normal(size=(2, 20)), 6)
+    for line in ("Delta_X", "X0"):
+        text = LVM_HEAD.format(axes="No", mark=".") + re.sub(rf"\n{line}\t.*", rf"\n{line}", lvm_block(data, 0.0, 1 / 512))
+        (tmp_path / "a.lvm").write_text(text)
+        if line == "X0":
+            assert read(tmp_path / "a.lvm").records[0].start_s == 0.0
+            continue
+        with pytest.raises(FormatError, match="no step of time"):
+            read(tmp_path / "a.lvm")
+
+
+def test_tdms_samples_of_a_channel_that_is_not_listed_are_told(tmp_path):
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS is not installed (the extra tdms)")
+    path = tmp_path / "a.tdms"
+    given = {"wf_increment": 0.01, "unit_string": "g"}
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment([nptdms.ChannelObject("run", name, np.ones(20), properties=given) for name in ("1+Z", "2+Z")])
+    assert not read(path).findings
+    path.write_bytes(path.read_bytes().replace(b"'1+Z'", b"'1+Z\x00"))  # its name has no end: the library takes it for a group
+    content = read(path)
+    assert [c.name for c in content.records[0].channels] == ["2+Z"]
+    (finding,) = content.findings
+    assert (finding.kind, "320 bytes of samples are stored, the channels take 160" in finding.message) == ("damaged", True)
 
 
 # --- NumPy ----------------------------------------------------------------------------------------------------------------------
@@ -384,3 +442,53 @@ def test_frf_csv_written_elsewhere(tmp_path):
     path.write_text(f"frequency,2+Z/1+Z real [N/m],2+Z/1+Z imag [N/m]\n{rows}\n")
     (frf,) = read(path).frfs
     assert not frf.si
+
+
+def test_members_of_an_archive_that_are_no_arrays_are_told(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for name, value in (("x.npy", RNG.normal(size=(20, 2))), ("fs.npy", np.array(64.0)), ("channel_names*npy", np.array(["a", "b"]))):
+            stream = io.BytesIO()
+            np.save(stream, value)
+            archive.writestr(name, stream.getvalue())
+    (finding,) = [f for f in read(tmp_path / "a.npz").findings if f.kind == "unused_member"]
+    assert "channel_names*npy" in finding.message
+
+
+def test_levels_beyond_all_numbers_make_no_warning(tmp_path):
+    rows = "".join(f"{f} {'1e9' if f == 3 else f} {f * 10}\n" for f in range(1, 9))
+    (tmp_path / "a.txt").write_text(rows)
+    (frf,) = read(tmp_path / "a.txt", units={"columns": ["Hz", "dB", "deg"]}).frfs
+    assert np.isinf(frf.data[0, 0, 2].real)
+    np.testing.assert_allclose(frf.data[0, 0, 3], 10 ** (4 / 20) * np.exp(1j * np.deg2rad(40)), rtol=1e-14)
+
+
+def test_empty_cells_of_an_frf_table_are_told(tmp_path):
+    data = np.ones((1, 1, 4)) + 1j
+    write_frf_csv(tmp_path / "a.csv", Frf(data, np.arange(1.0, 5.0), ("1Z",), ("1Z",), coherence=np.full(data.shape, 0.5)))
+    assert not read(tmp_path / "a.csv").findings
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "b.csv").write_text(text[: text.rindex(",") + 1])
+    (finding,) = read(tmp_path / "b.csv").findings
+    assert (finding.kind, finding.message) == ("nan", "1 cells of the table hold no number")
+
+
+def test_variables_of_matlab_7_3_that_are_not_understood_are_told(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file["x"], file["fs"] = RNG.normal(size=(2, 20)), 64.0
+        file["H"] = np.zeros(4, np.dtype([("reel", "<f8"), ("imag", "<f8")]))
+    with open(tmp_path / "a.mat", "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    (finding,) = [f for f in read(tmp_path / "a.mat").findings if f.kind == "unused_variable"]
+    assert "neither numbers nor texts: H" in finding.message
+
+
+def test_a_column_name_is_no_longer_than_any_format_has(tmp_path):
+    for length in (LONGEST_NAME, LONGEST_NAME + 1):
+        (tmp_path / "a.csv").write_text(f"t,{'x' * length}\n" + "".join(f"{i},1\n" for i in range(9)))
+        if length == LONGEST_NAME:
+            assert len(read(tmp_path / "a.csv").records[0].channels[0].name) == length
+            continue
+        with pytest.raises(FormatError, match=f"at most {LONGEST_NAME} characters"):
+            read(tmp_path / "a.csv")
+    assert LONGEST_NAME > 256  # the longest names of UFF and TDMS pass

@@ -173,7 +173,7 @@ def test_matlab_variables_are_found_in_structures_and_cells(tmp_path, compressed
         "list": np.array([{"k": 1.0}, {"k": 2.0}]), "single": np.ones(3, np.complex64),
     }  # fmt: skip
     savemat(tmp_path / "a.mat", variables, do_compression=compressed)
-    found = {v.path: v.value for v in read_variables(tmp_path / "a.mat")}
+    found = {v.path: v.value for v in read_variables(tmp_path / "a.mat")[0]}
     assert found.keys() == {"a", "b", "d", "s.x", "s.y.z", "s.y.w", "t", "list0.k", "list1.k", "single"}
     np.testing.assert_array_equal(found["a"], variables["a"])
     np.testing.assert_array_equal(found["b"], variables["b"])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
-from io_files import SHARED, ascii58, binary58, head58, text_set
+from io_files import SHARED, ascii58, binary58, head58, text_set, units164
 from operando.data import Geometry, ModalModel
 from operando.errors import FormatError
 from operando.io import read, read_uff_sets, write_uff
@@ -282,3 +284,57 @@ def test_a_direction_of_one_mode_alone_is_told(tmp_path):
     write_uff(tmp_path / "m.uff", model)
     (finding,) = read(tmp_path / "m.uff").findings
     assert (finding.kind, "1+Z" in finding.message) == ("odd_direction", True)
+
+
+# --- found by mutants -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_set_that_is_swallowed_by_the_units_is_told(tmp_path):
+    """The separators between the units and a function are gone: its lines stand behind those of the units."""
+    units = units164()
+    content = load(tmp_path, units[: -len("    -1\n")], ascii58([1.0] * 4)[len("    -1\n") :], ascii58([2.0] * 4, response=(2, 3)))
+    assert len(content.records[0].channels) == 1
+    (finding,) = [f for f in content.findings if f.kind == "outside_sets"]
+    assert (finding.severity, finding.set) == ("error", 0)
+    assert "13 lines more than a set of type 164" in finding.message
+    assert not [f for f in load(tmp_path, units, ascii58([1.0] * 4)).findings if f.kind == "outside_sets"]
+
+
+def test_a_stated_value_that_the_modes_cannot_make_is_noticed_also_where_it_is_no_number(tmp_path):
+    model = ModalModel(np.array([10.0, 20.0]), np.array([0.01, 0.02]), np.ones((3, 2)), ("1+X", "1+Y", "1+Z"), "unit_modal_mass")
+    write_uff(tmp_path / "m.uff", model)
+    text = (tmp_path / "m.uff").read_text()
+    assert not read(tmp_path / "m.uff").findings
+    (tmp_path / "n.uff").write_text(re.sub(r" at \d+ Hz = ", " at nan Hz = ", text))
+    assert kinds(read(tmp_path / "n.uff")) == ["modes_incomplete"]
+
+
+def test_infinite_and_signalling_numbers_make_no_warning(tmp_path):
+    good = ascii58([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], kind=6, even=0, points=2, function=4, reference=(1, 3), denominator=(13, "Force", "N"),
+                   abscissa=(18, "Frequency", "Hz"))  # fmt: skip
+    content = load(tmp_path, good.replace(b"  3.000000000000E+00", b"                 inf"))
+    assert np.isinf(content.frfs[0].data[0, 0, 0].imag)
+    assert content.frfs[0].data[0, 0, 1] == complex(5.0, 6.0)
+    load(tmp_path, binary58([1.0] * 4, kind=2).replace(b"\x00\x00\x80\x3f", b"\x01\x00\xa0\x7f", 1), binary58([1.0] * 4, response=(2, 3)))
+    frf = ascii58([1.0] * 8, kind=6, points=4, function=4, reference=(1, 3), abscissa=(18, "Frequency", "Hz"), step_text="  1.0000E+308")
+    with pytest.raises(FormatError):
+        load(tmp_path, frf)
+
+
+def test_a_damaged_line_is_not_printed_whole(tmp_path):
+    with pytest.raises(FormatError) as caught:
+        load(tmp_path, ascii58([1.0] * 4).replace(b"         4         4         1", b"x" * 5000))
+    assert len(str(caught.value)) < 400
+
+
+def test_modes_at_different_nodes_are_told(tmp_path):
+    """A node number that is lost in one mode makes it a model of its own."""
+    model = ModalModel(np.array([10.0, 20.0, 30.0]), np.full(3, 0.01), np.ones((6, 3)), [f"{n}+{a}" for n in (1, 2) for a in "XYZ"])
+    write_uff(tmp_path / "m.uff", model)
+    assert not read(tmp_path / "m.uff").findings
+    sets = [raw for _, raw in read_uff_sets(tmp_path / "m.uff")]
+    sets[-1] = sets[-1].replace(b"\n         1\n", b"\n         7\n", 1)
+    content = load(tmp_path, *sets)
+    assert [m.n_modes for m in content.models] == [2, 1]
+    (finding,) = content.findings
+    assert (finding.kind, "2 different sets of nodes" in finding.message) == ("unequal_nodes", True)

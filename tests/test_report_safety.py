@@ -24,6 +24,14 @@ LIVE = (
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
+def dom_of(path, profile):
+    """A page as the browser has it after its scripts ran."""
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", f"--user-data-dir={profile}", "--dump-dom"]
+    done = subprocess.run([CHROMIUM, *flags, path.as_uri()], capture_output=True, text=True, timeout=120)
+    assert "</html>" in done.stdout, done.stderr
+    return done.stdout
+
+
 def nasty_results():
     frf = Frf(np.ones((2, 1, 30)) + 0j, np.arange(30.0), ("1Z", "2Z"), ("1Z",), coherence=np.ones((2, 1, 30)), averages=4, name=LIVE,
               provenance=Provenance(((LIVE, LIVE),), (LIVE,)))  # fmt: skip
@@ -80,11 +88,7 @@ def test_drawings_take_texts_as_texts():
 def test_nothing_runs_in_a_browser(page, tmp_path):
     def opened(html):
         (tmp_path / "report.html").write_text(html, encoding="utf-8")
-        done = subprocess.run(
-            [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom",
-             (tmp_path / "report.html").as_uri()], capture_output=True, text=True, timeout=120)  # fmt: skip
-        assert "</html>" in done.stdout, done.stderr
-        return done.stdout
+        return dom_of(tmp_path / "report.html", tmp_path / "profile")
 
     dom = opened(page)
     assert dom.count("<script") == 1

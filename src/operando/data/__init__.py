@@ -1,5 +1,6 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
+from operando.data.arrays import complex_of
 from operando.data.findings import Finding, group_findings
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
@@ -24,6 +25,7 @@ __all__ = [
     "Provenance",
     "ResidualTerms",
     "TimeRecord",
+    "complex_of",
     "direction_of",
     "file_hash",
     "group_findings",

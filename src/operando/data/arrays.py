@@ -24,3 +24,11 @@ def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = 
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
+    """Complex numbers of two parts; an infinite part leaves the other one as it is, which a product with i would not."""
+    first = np.asarray(real, float)
+    out = np.empty(first.shape, complex)
+    out.real, out.imag = first, imaginary
+    return out

@@ -5,7 +5,7 @@ from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
 from operando.io.detect import detect_format, read
-from operando.io.hdf5 import UNREADABLE, read_hdf5, read_object, write_hdf5, write_object
+from operando.io.hdf5 import UNREADABLE, check_objects, read_hdf5, read_object, write_hdf5, write_object
 from operando.io.hints import check_fields
 from operando.io.inspect import inspect_content, inspect_files
 from operando.io.matlab import read_matlab, write_matlab
@@ -20,6 +20,7 @@ __all__ = [
     "NoHeader",
     "SetInfo",
     "check_fields",
+    "check_objects",
     "convert",
     "detect_format",
     "from_sep005",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding
+from operando.data import Finding, complex_of
 from operando.errors import ConfigError, FormatError, UnitError
 from operando.units import parse_unit
 
@@ -107,12 +107,14 @@ def complex_lines(table: NDArray[Any], columns: Sequence[str], where: str) -> tu
     if not np.all(np.isfinite(frequencies)) or not np.all(np.diff(frequencies) > 0) or frequencies[0] < 0:
         raise FormatError("the first column is no frequency: it does not increase from row to row", where=where)
     if columns[1] == "real":
-        return frequencies, table[1] + 1j * table[2], []
-    size = 10.0 ** (table[1] / 20) if columns[1] == "dB" else table[1]
-    if len(columns) == 2:
-        note = Finding(
-            "missing_phase", "magnitudes without phase: the phase is taken as 0", "error", where,
-            consequence="levels can be compared; modes and scaling made from it are wrong", action="export the phase, too",
-        )  # fmt: skip
-        return frequencies, size.astype(complex), [note]
-    return frequencies, size * np.exp(1j * (np.deg2rad(table[2]) if columns[2] == "deg" else table[2])), []
+        return frequencies, complex_of(table[1], table[2]), []
+    with np.errstate(over="ignore", invalid="ignore"):  # levels of a damaged file
+        size = 10.0 ** (table[1] / 20) if columns[1] == "dB" else table[1]
+        if len(columns) > 2:
+            angle = np.deg2rad(table[2]) if columns[2] == "deg" else table[2]
+            return frequencies, complex_of(size * np.cos(angle), size * np.sin(angle)), []
+    note = Finding(
+        "missing_phase", "magnitudes without phase: the phase is taken as 0", "error", where,
+        consequence="levels can be compared; modes and scaling made from it are wrong", action="export the phase, too",
+    )  # fmt: skip
+    return frequencies, size.astype(complex), [note]

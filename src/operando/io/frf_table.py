@@ -133,10 +133,14 @@ def read_frf_table(names: Sequence[str], texts: Sequence[str], table: NDArray[np
         if coherence is not None:
             coherence[at] = table[has["coherence"]]
         unit_texts.add(texts[has[kind[0]]])
+    empty = int(np.count_nonzero(np.isnan(table[sorted({i for has in found.values() for i in has.values()})])))
     frf, findings = _scaled_frf(data, frequencies * factor, responses, references, coherence, unit_texts, path, units, channels)
     averages = [float(m[1]) for m in (re.match(r"# averages = ([0-9.e+]+)$", c) for c in comments) if m]
     if averages:
         frf = replace(frf, averages=averages[0])
+    if empty:
+        lost = Finding("nan", f"{empty} cells of the table hold no number", "warning", where, consequence="they are NaN in the FRFs")
+        findings = [*findings, lost]
     sets = tuple(SetInfo(i, 0, f"column {name}", "ignored" if notes[i] and i else "used", notes[i]) for i, name in enumerate(names))
     return Content(where, "csv", frfs=(frf,), sets=sets, findings=tuple(findings))
 

@@ -2,10 +2,14 @@
 
 A group that holds an object has a dataset ``__tree__`` (JSON, with each array replaced by the path of its dataset). So
 ``h5dump`` or any HDF5 viewer shows ``idle/frequencies_hz``, ``idle/shapes``, … without knowing operando.
+
+HDF5 itself does not notice a changed byte. So the tree holds a hash of each array, the group one of the tree, and the file a list of
+its objects: a damaged file is refused, never read as something else. Files of the first version of the format have no hashes.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import io
 import json
@@ -26,8 +30,12 @@ from operando.io.safe import opened_hdf5, trust
 if TYPE_CHECKING:
     import h5py
 
-SCHEMA = "operando/hdf5/1"
+SCHEMA = "operando/hdf5/2"
 TREE = "__tree__"
+HASH = "blake2b"
+"""Key of a hash of 64 bits: as attribute of a group that of its tree, in the tree that of an array."""
+_SCHEMAS = ("operando/hdf5/1", SCHEMA)
+_CHANGED = "the file is damaged, or was changed after operando wrote it"
 UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError)
 """What h5py and the description of an object raise where a file is damaged."""
 
@@ -48,8 +56,9 @@ def write_object(group: h5py.Group, obj: Any) -> None:
     DataError
         If the object holds something that has no lasting form (a function, a foreign object).
     """
-    tree = _encode(obj, group, "")
-    _dataset(group, TREE, json.dumps(tree, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(_encode(obj, group, ""), ensure_ascii=False, allow_nan=False)
+    _dataset(group, TREE, text)
+    group.attrs[HASH] = _hash(text)
 
 
 def read_object(group: h5py.Group) -> Any:
@@ -60,13 +69,17 @@ def read_object(group: h5py.Group) -> Any:
     Raises
     ------
     FormatError
-        If the group does not hold an operando object or names a class that does not exist.
+        If the group does not hold an operando object, names a class that does not exist, or holds something else than was written.
     """
     if TREE not in group:
         raise FormatError(f"group {group.name!r} holds no operando object", where=_where(group), hint="expected a dataset " + TREE)
     try:
-        text = group[TREE][()]
-        tree = json.loads(text.decode("utf-8") if isinstance(text, bytes) else text)
+        raw = group[TREE][()]
+        text = raw.decode("utf-8") if isinstance(raw, bytes) else raw
+        stated = group.attrs.get(HASH)
+        if stated != _hash(text) and (stated is not None or _schema(group.file) == SCHEMA):
+            raise FormatError(f"the description of {group.name!r} is not what was written", where=_where(group), hint=_CHANGED)
+        tree = json.loads(text)
     except UNREADABLE as error:
         raise FormatError(f"the description of {group.name!r} is damaged: {error}", where=_where(group)) from error
     return _decode(tree, _Stored(group))
@@ -86,7 +99,7 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     # In memory first: the HDF5 library never sees a write that fails, which it would answer by messages of its own.
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
-        file.attrs["schema"] = SCHEMA
+        file.attrs["schema"], file.attrs["objects"] = SCHEMA, json.dumps(list(objects))
         for name, obj in objects.items():
             write_object(file.create_group(name), obj)
     with replacing(path) as stream:
@@ -106,6 +119,7 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
 
     try:
         with opened_hdf5(path) as file:
+            check_objects(file)
             found = {str(name): read_object(item) for name, item in file.items() if isinstance(item, h5py.Group) and TREE in item}
     except OperandoError:
         raise
@@ -114,6 +128,47 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
     if not found:
         raise FormatError("an HDF5 file, but without objects of operando", where=str(path), hint="expected groups written by operando")
     return found
+
+
+def check_objects(file: h5py.File) -> None:
+    """Refuse a file of operando that does not hold all objects it lists.
+
+    Raises
+    ------
+    FormatError
+        If an object is missing, or the format of the file is of no known version.
+    """
+    schema = _schema(file)
+    if schema is not None and schema not in _SCHEMAS:
+        hint = f"known are {' and '.join(_SCHEMAS)}; is the file of a newer version?"
+        raise FormatError(f"the format {schema!r:.100} is not known", where=file.filename, hint=hint)
+    if schema != SCHEMA:
+        return
+    try:
+        names = list(json.loads(str(file.attrs["objects"])))
+    except (KeyError, ValueError, TypeError) as error:
+        raise FormatError("the file lists no objects", where=file.filename, hint=_CHANGED) from error
+    lost = [name for name in names if not isinstance(name, str) or f"{name}/{TREE}" not in file]
+    if lost:
+        raise FormatError(f"the object {lost[0]!r:.100} that the file lists is not in it", where=file.filename, hint=_CHANGED)
+
+
+def _schema(file: h5py.File) -> str | None:
+    found = file.attrs.get("schema")
+    return None if found is None else str(found)
+
+
+def _hash(value: str | np.ndarray) -> str:
+    """Hash of a text or an array, by which damage is noticed."""
+    digest = hashlib.blake2b(digest_size=8)
+    if isinstance(value, str):
+        digest.update(value.encode("utf-8", "surrogatepass"))
+    elif value.dtype.kind in "OU":
+        digest.update(json.dumps(value.tolist()).encode())
+    else:
+        digest.update(f"{value.dtype.str}{value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
 
 
 def _where(group: h5py.Group) -> str:
@@ -165,14 +220,15 @@ def _encode_array(value: np.ndarray, group: h5py.Group, path: str) -> Any:
         raise DataError(f"an array of {value.dtype} at {path or 'the top'} cannot be stored in HDF5")
     name = path or "value"
     _dataset(group, name, value)
-    return {"__array__": name}
+    return {"__array__": name, HASH: _hash(value)}
 
 
 def _encode_sequence(value: tuple | list, group: h5py.Group, path: str) -> Any:
     if len(value) > 0 and all(isinstance(v, Dof) for v in value):
         name = path or "value"
-        _dataset(group, name, np.array([str(v) for v in value], dtype=object))
-        tree: Any = {"__dofs__": name}
+        labels = np.array([str(v) for v in value], dtype=object)
+        _dataset(group, name, labels)
+        tree: Any = {"__dofs__": name, HASH: _hash(labels)}
         return tree if isinstance(value, tuple) else {"__list__": tree}
     if len(value) > 32 and all(type(v) is float for v in value):
         return {"__floats__": _encode_array(np.asarray(value, float), group, path), "tuple": isinstance(value, tuple)}
@@ -192,13 +248,14 @@ class _Stored:
         self.group = group
         self._taken: set[str] = set()
 
-    def array(self, name: str) -> np.ndarray:
-        """Values of a dataset below the group.
+    def array(self, name: str, stated: str | None) -> np.ndarray:
+        """Values of a dataset below the group, whose hash is stated (None in files of the first version).
 
         Raises
         ------
         FormatError
-            If there is no such dataset, or it was taken before: a short text could name one array many times and fill the memory.
+            If there is no such dataset, it holds something else than was written, or it was taken before: a short text could name one
+            array many times and fill the memory.
         """
         import h5py
 
@@ -207,7 +264,10 @@ class _Stored:
             reason = "named twice" if name in self._taken else "not there"
             raise FormatError(f"the array {name!r} of the description is {reason}", where=self.where)
         self._taken.add(name)
-        return np.asarray(item.asstr()[()] if item.dtype.kind == "O" else item[()])
+        found = np.asarray(item.asstr()[()] if item.dtype.kind == "O" else item[()])
+        if stated is not None and stated != _hash(found):
+            raise FormatError(f"the array {name!r} is not what was written", where=self.where, hint=_CHANGED)
+        return found
 
     @property
     def where(self) -> str:
@@ -222,9 +282,9 @@ def _decode(tree: Any, stored: _Stored) -> Any:
     if "__class__" in tree:
         return _decode_class(tree, stored)
     if "__array__" in tree:
-        return stored.array(tree["__array__"])
+        return stored.array(tree["__array__"], tree.get(HASH))
     if "__dofs__" in tree:
-        return tuple(Dof.parse(str(text)) for text in stored.array(tree["__dofs__"]))
+        return tuple(Dof.parse(str(text)) for text in stored.array(tree["__dofs__"], tree.get(HASH)))
     if "__list__" in tree:
         return list(_decode(tree["__list__"], stored))
     if "__tuple__" in tree:

@@ -18,7 +18,6 @@ from operando.io.sep005 import make_record
 from operando.io.uff.increments import tidy_rate
 from operando.io.uff.reader import open_file, quick_hash
 
-MARK = b"LabVIEW Measurement"
 _END = "***End_of_Header***"
 
 
@@ -44,8 +43,12 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
     where = str(path)
     with open_file(path) as stream:
         text = stream.read().decode("latin-1")
-    separator, decimal, axes, blocks = _parse(text, where)
+    separator, decimal, axes, blocks, lost = _parse(text, where)
     del text
+    findings = [
+        Finding("damaged", text, "error", where, consequence="samples may be missing from every result", action="export the file again")
+        for text in lost
+    ]
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
     infos: list[SetInfo] = []
     found: list[tuple[float, float, list[str], list[str], NDArray[np.float64]]] = []
@@ -53,14 +56,17 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
         title = f"block from line {block.line}: {len(block.names)} channels, {len(block.rows)} samples"
         kinds = {d.lower() for d in block.header.get("X_Dimension", []) if d}
         if not block.rows or kinds - {"time"}:
-            infos.append(SetInfo(i, 0, title, "ignored", "no samples" if not block.rows else f"its axis is {', '.join(sorted(kinds))}"))
+            reason = "no samples" if not block.rows else f"its axis is {', '.join(sorted(kinds))}"
+            infos.append(SetInfo(i, 0, title, "ignored", reason))
+            findings.append(_unused(title, reason, where))
             continue
-        step, start = _number(block.header.get("Delta_X", [""])[0], decimal), _number(block.header.get("X0", ["0"])[0], decimal)
+        step, start = (_number((block.header.get(key) or [""])[0], decimal) for key in ("Delta_X", "X0"))
         values, time = _values(block, separator, axes, decimal, where)
         if not step > 0 and time is not None and len(time) > 1:
             step, start = float(time[-1] - time[0]) / (len(time) - 1), float(time[0])
         if not (np.isfinite(step) and step > 0):
             infos.append(SetInfo(i, 0, title, "ignored", "no step of time"))
+            findings.append(_unused(title, "no step of time", where))
             continue
         stated = block.header.get("Y_Unit_Label", [])
         texts = stated if len(stated) == len(block.names) else [""] * len(block.names)
@@ -73,16 +79,20 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
     if not records:
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:4]) or "no block"
         raise FormatError(f"no time history ({seen})", where=where, hint="export samples over time")
-    findings = tuple(f for record in records for f in record.findings)
+    findings += [f for record in records for f in record.findings]
     gaps = sum(int(np.count_nonzero(~np.isfinite(record.data))) for record in records)
     if gaps:
-        lost = f"{gaps} cells hold no number"
-        findings = (*findings, Finding("nan", lost, "warning", where, consequence="they are NaN in the record"))
-    return Content(where, "lvm", tuple(records), sets=tuple(infos), findings=findings)
+        empty = f"{gaps} cells hold no number"
+        findings.append(Finding("nan", empty, "warning", where, consequence="they are NaN in the record"))
+    return Content(where, "lvm", tuple(records), sets=tuple(infos), findings=tuple(findings))
 
 
-def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block]]:
-    """Separator, decimal mark, what X columns there are (no, one, multi), blocks."""
+def _unused(title: str, reason: str, where: str) -> Finding:
+    return Finding("unused_block", f"the {title} is not used: {reason}", "warning", where, consequence="no result knows its samples")
+
+
+def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block], list[str]]:
+    """Separator, decimal mark, what X columns there are (no, one, multi), blocks, what belongs to no block in words."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     separator = "," if any(re.match(r"Separator,Comma", line) for line in lines[:30]) else "\t"
     head: dict[str, list[str]] = {}
@@ -91,23 +101,29 @@ def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block]]:
         key, *rest = lines[at].split(separator)
         head[key.strip()] = [r.strip() for r in rest]
         at += 1
-    if at == len(lines):
+    if at == len(lines) or "Channels" in head:  # with it the header of a block begins
         raise FormatError("the header of the LabVIEW file has no end", where=where, hint=f"expected a line {_END}")
     decimal = (head.get("Decimal_Separator") or ["."])[0] or "."
     axes = (head.get("X_Columns") or ["No"])[0].lower()
     blocks: list[_Block] = []
     header: dict[str, list[str]] | None = None
+    begun = 0
+    outside: list[int] = []
+    unended: list[int] = []
     for number, line in enumerate(lines[at + 1 :], start=at + 2):
         cells = [c.strip() for c in line.split(separator)]
         if cells[0] == "Channels":
-            header = {"Multi_Headings": head.get("Multi_Headings", [])}
+            unended += [] if header is None else [begun]
+            header, begun = {"Multi_Headings": head.get("Multi_Headings", [])}, number
         if header is not None:
             if line.startswith(_END):
                 blocks.append(_Block(header, line=number))
                 header = None
             else:
                 header[cells[0]] = cells[1 : 1 + _count(header, cells, where, number)]
-        elif blocks and any(cells):
+        elif not blocks:
+            outside += [number] if any(cells) else []
+        elif any(cells):
             block = blocks[-1]
             if not block.names:
                 if cells[0] != "X_Value":
@@ -115,7 +131,10 @@ def _parse(text: str, where: str) -> tuple[str, str, str, list[_Block]]:
                 block.names = _names(cells, len(block.header["Channels"]) and int(block.header["Channels"][0]), axes, where)
             elif cells[0] != "X_Value":
                 block.rows.append((number, line))
-    return separator, decimal, axes, blocks
+    unended += [] if header is None else [begun]
+    lost = [f"the header of the block from line {line} has no end" for line in unended]
+    lost += [f"{len(outside)} lines from line {outside[0]} on belong to no block"] if outside else []
+    return separator, decimal, axes, blocks, lost
 
 
 def _count(header: dict[str, list[str]], cells: list[str], where: str, number: int) -> int:
@@ -128,8 +147,9 @@ def _count(header: dict[str, list[str]], cells: list[str], where: str, number: i
 
 def _names(cells: list[str], count: int, axes: str, where: str) -> list[str]:
     names = cells[1::2] if axes == "multi" else cells[1:]
-    if len(names) < count:
-        raise FormatError(f"{count} channels but {len(names)} names", where=where)
+    named = names[:-1] if names[-1:] == ["Comment"] or (len(names) > count and not names[-1]) else names
+    if len(named) != count:
+        raise FormatError(f"{count} channels but {len(named)} names", where=where, hint="the file is damaged: export it again")
     return [name or f"ch{i + 1}" for i, name in enumerate(names[:count])]
 
 

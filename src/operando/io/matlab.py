@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from operando.data import Frf, TimeRecord
+from operando.data import Finding, Frf, TimeRecord, complex_of
 from operando.errors import DataError, FormatError, OperandoError
 from operando.io.atomic import replacing
 from operando.io.content import Content
@@ -31,7 +32,16 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
         If the file is damaged, or no data with a time or frequency axis are found.
     """
     path = Path(path)
-    return content_of(read_variables(path), path, "matlab", units, channels)
+    variables, unread = read_variables(path)
+    content = content_of(variables, path, "matlab", units, channels)
+    if not unread:
+        return content
+    names = ", ".join(unread[:6]) + (" …" if len(unread) > 6 else "")
+    note = Finding(
+        "unused_variable", f"{len(unread)} variables hold neither numbers nor texts: {names:.200}", "info", str(path),
+        consequence="they are not used", action="look whether they are data",
+    )  # fmt: skip
+    return replace(content, findings=(*content.findings, note))
 
 
 def write_matlab(path: str | Path, *objects: TimeRecord | Frf) -> None:
@@ -62,20 +72,21 @@ def write_matlab(path: str | Path, *objects: TimeRecord | Frf) -> None:
         savemat(stream, variables, do_compression=False, oned_as="column")  # type: ignore[arg-type]
 
 
-def read_variables(path: Path) -> list[Variable]:
-    """Arrays and lists of texts of a file, each with its path (``structure.field``), of any version from 5 on."""
+def read_variables(path: Path) -> tuple[list[Variable], list[str]]:
+    """Arrays and lists of texts of a file, each with its path (``structure.field``), of any version from 5 on; paths of anything else."""
+    unread: list[str] = []
     with open_file(path) as stream:
         version73 = stream.read(19).startswith(b"MATLAB 7.3")
     try:
         if version73:
             with opened_hdf5(path) as file:
-                return list(_walk_hdf5(file, "", file))
+                return list(_walk_hdf5(file, "", file, unread)), unread
         loaded = read_mat5(path)
     except OperandoError:
         raise
     except Exception as error:  # h5py and SciPy raise errors of many kinds on damaged files
         raise FormatError(f"the MATLAB file cannot be read: {error}", where=str(path)) from error
-    return [v for name, value in loaded.items() for v in _walk(value, name)]
+    return [v for name, value in loaded.items() for v in _walk(value, name)], unread
 
 
 def _walk(value: Any, path: str) -> Iterator[Variable]:
@@ -99,7 +110,8 @@ def _walk(value: Any, path: str) -> Iterator[Variable]:
         yield Variable(path, value)
 
 
-def _walk_hdf5(group: Any, path: str, file: Any) -> Iterator[Variable]:
+def _walk_hdf5(group: Any, path: str, file: Any, unread: list[str]) -> Iterator[Variable]:
+    """Variables below a group; paths of what is none are added to ``unread``."""
     import h5py
 
     for name, item in group.items():
@@ -107,7 +119,7 @@ def _walk_hdf5(group: Any, path: str, file: Any) -> Iterator[Variable]:
             continue
         here = f"{path}.{name}" if path else str(name)
         if isinstance(item, h5py.Group):
-            yield from _walk_hdf5(item, here, file)
+            yield from _walk_hdf5(item, here, file, unread)
         elif isinstance(item, h5py.Dataset):
             kind = item.attrs.get("MATLAB_class", b"")
             if kind == b"char":
@@ -117,11 +129,15 @@ def _walk_hdf5(group: Any, path: str, file: Any) -> Iterator[Variable]:
                 chars = [c for c in cells if c.attrs.get("MATLAB_class", b"") == b"char"]
                 if len(chars) == len(cells):
                     yield Variable(here, [_characters(cell) for cell in chars])
+                else:
+                    unread.append(here)
             elif item.dtype.names == ("real", "imag"):
                 raw = item[()]
-                yield Variable(here, (raw["real"] + 1j * raw["imag"]).T)
+                yield Variable(here, complex_of(raw["real"], raw["imag"]).T)
             elif item.dtype.kind in "biuf":
                 yield Variable(here, np.asarray(item[()]).T)
+            else:
+                unread.append(here)
 
 
 def _characters(item: Any) -> str:

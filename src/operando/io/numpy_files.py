@@ -6,11 +6,13 @@ import math
 import warnings
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
+from operando.data import Finding
 from operando.errors import FormatError
 from operando.io.content import Content
 from operando.io.quantities import ChannelSpecs, Units
@@ -49,6 +51,7 @@ def read_npz(path: str | Path, *, units: Units | None = None, channels: ChannelS
         try:
             with zipfile.ZipFile(stream) as archive:
                 members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
+                other = [m.filename for m in archive.infolist() if not m.filename.endswith(".npy")]
                 check_growth(sum(m.file_size for m in members), path.stat().st_size, where, "the arrays of the archive")
                 for member in members:
                     if member.file_size > DEFLATE_RATIO * member.compress_size + DEFLATE_RATIO:
@@ -60,10 +63,19 @@ def read_npz(path: str | Path, *, units: Units | None = None, channels: ChannelS
                     except FormatError as error:
                         refused = refused or f"{name}: {error.message}"
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, ValueError) as error:
-            raise FormatError(f"the archive cannot be read: {error}", where=where, hint="the file is damaged: export it again") from error
+            raise FormatError(
+                f"the archive cannot be read: {error!s:.200}", where=where, hint="the file is damaged: export it again"
+            ) from error
     if refused:
         raise FormatError(refused, where=where, hint="save arrays of numbers and texts, with allow_pickle=False")
-    return content_of(variables, path, "npz", units, channels)
+    content = content_of(variables, path, "npz", units, channels)
+    if not other:
+        return content
+    lost = Finding(
+        "unused_member", f"{len(other)} members of the archive are no arrays: {', '.join(other)[:100]}", "warning", where,
+        consequence="they are not used", action="look whether they are data",
+    )  # fmt: skip
+    return replace(content, findings=(*content.findings, lost))
 
 
 def _array(stream: IO[bytes], size: int, where: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,7 +47,12 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
     listed, said = _load(path)
     findings = [
         Finding(
-            "damaged", f"the TDMS library says: {text}", "warning", where, consequence="samples may be missing", action="export it again"
+            "damaged",
+            f"the samples of the TDMS file: {text}",
+            "warning",
+            where,
+            consequence="samples may be missing",
+            action="export it again",
         )
         for text in dict.fromkeys(said)
     ]
@@ -125,7 +131,32 @@ def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], li
             unit = next((str(given[key]) for key in _UNIT_KEYS if given.get(key)), "")
             step, offset = _number(given.get("wf_increment")), _number(given.get("wf_start_offset"))
             found.append((name, unit, step if step > 0 else 0.0, offset, np.asarray(channel[:]), str(given.get("wf_xname", ""))))
+        plain = all(channel.dtype is not None and channel.dtype.kind != "O" for channel in listed)
+    stored = _stored_bytes(path) if plain else None
+    if stored is not None and stored > needed:
+        said.append(f"{stored} bytes of samples are stored, the channels take {needed}")
     return found, said
+
+
+_BIG_ENDIAN, _DAQMX = 1 << 6, 1 << 7
+_LEAD = 28
+
+
+def _stored_bytes(path: Path) -> int | None:
+    """Bytes of samples by the lead-ins of all segments (TDMS file format, National Instruments); None where cards stored them raw."""
+    size, at, total = path.stat().st_size, 0, 0
+    with path.open("rb") as stream:
+        while at + _LEAD <= size:
+            stream.seek(at)
+            lead = stream.read(_LEAD)
+            (contents,) = struct.unpack_from("<I", lead, 4)
+            if contents & _DAQMX:
+                return None
+            following, begin = struct.unpack_from(">QQ" if contents & _BIG_ENDIAN else "<QQ", lead, 12)
+            stop = min(size, at + _LEAD + following)
+            total += max(0, stop - (at + _LEAD + begin))
+            at = stop
+    return total
 
 
 @contextmanager

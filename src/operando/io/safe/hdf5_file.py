@@ -38,7 +38,10 @@ def opened_hdf5(path: str | Path) -> Iterator[h5py.File]:
 
 
 def try_hdf5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
-    """Check every link and the size of every dataset, then read everything once.
+    """Check every link and the size of every dataset, then read once what the library has to take apart.
+
+    Numbers that lie in the file as they are in memory are one read at a known place, and need no trial: so the bulk of a large file is
+    read once only, by whoever asked for it.
 
     Parameters
     ----------
@@ -126,7 +129,7 @@ def _declared(dataset: h5py.Dataset, path: Path) -> int:
 
 def _read(dataset: h5py.Dataset, path: Path, alive: Callable[[], None]) -> None:
     """Read the values part by part and throw them away; texts of any length are counted."""
-    if dataset.shape is None:  # holds no value
+    if dataset.shape is None or _lies_plainly(dataset, path):
         return
     if dataset.ndim == 0 or not dataset.size or (dataset.dtype.kind != "O" and not dataset.chunks and dataset.nbytes <= _BLOCK):
         dataset[()]
@@ -139,6 +142,26 @@ def _read(dataset: h5py.Dataset, path: Path, alive: Callable[[], None]) -> None:
         if dataset.dtype.kind == "O":
             texts += sum(len(item) for item in block.ravel().tolist() if isinstance(item, bytes | str))
             check_growth(texts, size, str(path), f"the texts of dataset {dataset.name!r}")
+
+
+def _lies_plainly(dataset: h5py.Dataset, path: Path) -> bool:
+    """Whether numbers stand in one stretch of the file, not compressed.
+
+    Raises
+    ------
+    FormatError
+        If that stretch reaches beyond the end of the file.
+    """
+    import h5py
+
+    properties = dataset.id.get_create_plist()
+    kinds = [dataset.dtype] if dataset.dtype.names is None else [kind for kind, *_ in (dataset.dtype.fields or {}).values()]
+    if properties.get_layout() != h5py.h5d.CONTIGUOUS or properties.get_nfilters() or any(kind.kind not in "biufcS" for kind in kinds):
+        return False
+    start = dataset.id.get_offset()
+    if start is not None and start + dataset.id.get_storage_size() > path.stat().st_size:
+        raise FormatError(f"dataset {dataset.name!r} lies beyond the end of the file", where=str(path), hint="the file was cut off")
+    return start is not None
 
 
 def _rows(dataset: h5py.Dataset) -> Iterator[slice]:

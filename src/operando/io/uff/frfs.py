@@ -178,7 +178,8 @@ def _lines(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[tuple[A
             inventory.note("unit_conflict", f"set {raw.index}: frequency axis in {header.abscissa.unit!r}, taken as Hz", raw)
     abscissa, values = read_values(inventory.buffer, raw)
     if abscissa is None:
-        frequencies = np.asarray(header.start * factor + header.step * factor * np.arange(header.points), np.float64)
+        with np.errstate(over="ignore"):  # a step of a damaged file; the axis refuses what is not finite
+            frequencies = np.asarray(header.start * factor + header.step * factor * np.arange(header.points), np.float64)
         key: tuple[Any, ...] = (float(f"{header.start * factor:.9g}"), float(f"{header.step * factor:.9g}"), header.points)
     else:
         frequencies = abscissa * factor

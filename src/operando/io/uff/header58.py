@@ -147,9 +147,9 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
             start = exact
         z_value = parse_float(z_text) if z_text.strip() else 0.0
     except (ValueError, OverflowError) as error:
-        raise FormatError(f"the abscissa of the function cannot be read: {lines[7]!r}") from error
+        raise FormatError(f"the abscissa of the function cannot be read: {lines[7][:80]!r}") from error
     if even and not (math.isfinite(step) and step > 0 and math.isfinite(start)):
-        raise FormatError(f"the abscissa increment {step_text.strip()!r} is not positive")
+        raise FormatError(f"the abscissa increment {step_text.strip()[:80]!r} is not positive")
     header = Header58(
         binary, big_endian, float_format, stated, ids, function_type, response, reference, response_name, reference_name,
         kind in _COMPLEX, kind in _DOUBLE, even, points, start, step, axes[0], axes[1], axes[2], axes[3], z_value,
@@ -183,7 +183,7 @@ def _first_line(line: bytes) -> tuple[bool, bool, int, int]:
         # Some programs shift the columns: the fields are taken in their order.
         byte_order, float_format, _, stated = (int(t) for t in tokens[:4])
     except ValueError:
-        raise FormatError(f"the first line of the 58b set cannot be read: {text.strip()!r}") from None
+        raise FormatError(f"the first line of the 58b set cannot be read: {text.strip()[:80]!r}") from None
     if float_format in (1, 3):
         name = {1: "VAX (DEC)", 3: "IBM 370"}[float_format]
         raise FormatError(f"binary data in {name} floating point are not supported", hint="export them as IEEE 754 or ASCII")
@@ -209,7 +209,7 @@ def _record7(line: bytes) -> tuple[int, int, bool, str, str, str]:
         if not 0 < points < _MAX_POINTS:
             raise FormatError(f"the function declares {points} points")
         return kind, points, spacing != 0, step, start, fields[5] if len(fields) > 5 else ""
-    raise FormatError(f"record 7 of the function (type, points, abscissa) cannot be read: {text.strip()!r}")
+    raise FormatError(f"record 7 of the function (type, points, abscissa) cannot be read: {text.strip()[:80]!r}")
 
 
 def _record6(line: bytes) -> tuple[int, Dof | None, Dof | None, str, str]:
@@ -224,7 +224,7 @@ def _record6(line: bytes) -> tuple[int, Dof | None, Dof | None, str, str]:
         if match is None:
             kind = re.match(r"\s*(\d+)", text)
             if kind is None:
-                raise FormatError(f"record 6 of the function (type, DOFs) cannot be read: {text.strip()!r}") from None
+                raise FormatError(f"record 6 of the function (type, DOFs) cannot be read: {text.strip()[:80]!r}") from None
             numbers, names = [int(kind[1]), 0, 0, 0, 0], [b"", b""]
         else:
             numbers = [int(match[i]) for i in (1, 6, 7, 9, 10)]

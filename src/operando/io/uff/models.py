@@ -73,13 +73,15 @@ class Check:
         """How far the FRFs of a model are from it [dB]; infinite where the model lacks the DOF."""
         try:
             made = self._sum(model, self.dof, self.frequency_hz)
-        except DofError:
+        except (DofError, DataError):  # no such DOF, or no such frequency
             return float("inf")
-        return abs(20 * float(np.log10(1 + abs(made - self.value) / abs(self.value)))) if self.value else 0.0
+        error = abs(20 * float(np.log10(1 + abs(made - self.value) / abs(self.value)))) if self.value else 0.0
+        return error if np.isfinite(error) else float("inf")
 
     @staticmethod
     def _sum(model: ModalModel, dof: Dof, frequency: float) -> complex:
-        return complex(model.frf([frequency], [dof], [dof], variance=False).data[0, 0, 0])
+        with np.errstate(all="ignore"):  # modes of a damaged file
+            return complex(model.frf([frequency], [dof], [dof], variance=False).data[0, 0, 0])
 
 
 def assemble_models(sets: list[RawSet], inventory: Inventory) -> tuple[ModalModel, ...]:
@@ -91,6 +93,7 @@ def assemble_models(sets: list[RawSet], inventory: Inventory) -> tuple[ModalMode
         if mode is not None:
             key = (raw.number, np.iscomplexobj(mode.values), mode.nodes, mode.values.shape[1], _scaling(mode))
             groups.setdefault(key, []).append((raw, mode))
+    _note_unequal(list(groups), inventory)
     models = []
     for group in groups.values():
         try:
@@ -107,6 +110,20 @@ def assemble_models(sets: list[RawSet], inventory: Inventory) -> tuple[ModalMode
             text = f"{'real' if mode.kind == NORMAL_MODE else 'complex'} mode {mode.mode}: {mode.frequency_hz:.6g} Hz"
             inventory.use(raw, text, _scaling(mode).replace("_", " "))
     return tuple(models)
+
+
+def _note_unequal(keys: list[tuple[Any, ...]], inventory: Inventory) -> None:
+    """A finding where modes of one kind lie at different nodes."""
+    kinds: dict[tuple[Any, ...], list[tuple[int, ...]]] = {}
+    for number, is_complex, nodes, per_node, scaling in keys:
+        kinds.setdefault((number, is_complex, per_node, scaling), []).append(nodes)
+    for (number, *_), nodes_of in kinds.items():
+        if len(nodes_of) > 1:
+            inventory.note(
+                "unequal_nodes", f"the modes of the file (sets {number}) lie at {len(nodes_of)} different sets of nodes, of "
+                f"{', '.join(str(len(nodes)) for nodes in nodes_of[:8])} nodes",
+                consequence=f"they became {len(nodes_of)} models", action="export all modes with the same nodes",
+            )  # fmt: skip
 
 
 def _scaling(mode: ModeSet) -> str:

@@ -18,13 +18,15 @@ from operando.io.uff.frfs import assemble_frfs
 from operando.io.uff.geometry import assemble_geometry
 from operando.io.uff.information import read_header, read_qualifiers, read_units
 from operando.io.uff.inventory import SET_NAMES, Inventory, title_of
-from operando.io.uff.lines import OWN_LINES, parse_date
+from operando.io.uff.lines import OWN_LINES, body_lines, parse_date
 from operando.io.uff.models import assemble_models
 from operando.io.uff.records import assemble_records, is_time_function
 from operando.io.uff.split import RawSet, outside_sets, split_sets
 from operando.io.uff.textform import Buffer, in_one_form
 
 _FULL_HASH = 1 << 25
+_LINES = {164: 3, 151: 7, 1858: 7}
+"""Most lines of the sets that tell of others, by the standard: more of them are another set whose separators are damaged."""
 
 
 def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
@@ -172,6 +174,7 @@ def _read_information(inventory: Inventory) -> FileHeader | None:
     """Units, header and qualifiers: what other sets are understood by."""
     header = None
     for raw in inventory.sets:
+        _note_surplus(raw, inventory)
         if raw.number == 164:
             try:
                 system, problem = read_units(raw.raw(inventory.buffer))
@@ -192,6 +195,19 @@ def _read_information(inventory: Inventory) -> FileHeader | None:
         elif raw.number == 1858:
             _read_qualifiers(raw, inventory)
     return header
+
+
+def _note_surplus(raw: RawSet, inventory: Inventory) -> None:
+    """A finding where a set goes on behind its last line: a set with a damaged separator is in it."""
+    if raw.number not in _LINES:
+        return
+    lines = [line for line in body_lines(raw.raw(inventory.buffer)) if line.strip()]
+    surplus = len(lines) - _LINES[raw.number]
+    if surplus > 0:
+        inventory.note(
+            "outside_sets", f"set {raw.index} ({title_of(raw)}) has {surplus} lines more than a set of type {raw.number}", raw,
+            severity="error", consequence="if they are another set, its data are missing from every result", action="export the file again",
+        )  # fmt: skip
 
 
 def _read_components(header: FileHeader | None, inventory: Inventory) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import complex_of
 from operando.errors import FormatError
 from operando.io.uff.lines import body_lines, floats_of, ints_of, said
 
@@ -115,7 +116,7 @@ def _mode(
     nodes, values = _node_values(rows, per_node * (2 if is_complex else 1), name)
     if not np.all(np.isfinite(values)):
         raise FormatError(f"set {name} holds values that are no finite numbers")
-    table: NDArray[Any] = values[:, 0::2] + 1j * values[:, 1::2] if is_complex else values
+    table: NDArray[Any] = complex_of(values[:, 0::2], values[:, 1::2]) if is_complex else values
     if not (np.isfinite(frequency) and frequency >= 0 and np.isfinite(damping)):
         raise FormatError(f"set {name} states a frequency of {frequency} Hz and a damping ratio of {damping}")
     return ModeSet(kind, nodes, table, float(frequency), float(damping), number, code, ids, extra)

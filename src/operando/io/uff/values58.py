@@ -9,6 +9,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import complex_of
 from operando.errors import FormatError
 from operando.io.uff.columns58 import LINES, columns_of, numbers_in_columns
 from operando.io.uff.header58 import Header58
@@ -54,7 +55,8 @@ def fill_real(stream: IO[bytes], buffer: Buffer, raw: RawSet, out: NDArray[Any])
             out.byteswap(inplace=True)
         return
     values = read_values(buffer, raw)[1]
-    out[:] = values.real if np.iscomplexobj(values) else values
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
+        out[:] = values.real if np.iscomplexobj(values) else values
 
 
 def read_values(buffer: Buffer, raw: RawSet) -> tuple[NDArray[np.float64] | None, NDArray[Any]]:
@@ -88,7 +90,7 @@ def read_values(buffer: Buffer, raw: RawSet) -> tuple[NDArray[np.float64] | None
         return None, numbers.view(np.complex128 if numbers.dtype == np.float64 else np.complex64)
     table = numbers.reshape(-1, per_point)
     abscissa = table[:, 0].astype(np.float64)
-    ordinate = table[:, 1] + 1j * table[:, 2] if header.is_complex else table[:, 1].copy()
+    ordinate = complex_of(table[:, 1], table[:, 2]) if header.is_complex else table[:, 1].copy()
     return abscissa, ordinate
 
 
