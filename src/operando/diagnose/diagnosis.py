@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
+from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.diagnose.learn import learn, on_all_lines
@@ -33,10 +32,6 @@ from operando.errors import DataError, MissingError
 from operando.results import CheckRun
 
 Array = NDArray[Any]
-
-WHERE_LINES = 600
-"""Lines of a run on which failure by DOF and band is judged."""
-
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -67,6 +62,8 @@ class Diagnosis:
         As it was before.
     model : Model or None
         Idle model (shapes at the effects' places refitted), the accepted effects, and the covariance of both.
+    judged_on : mapping
+        State, level and lines of the held-out figures.
     """
 
     verdict: str
@@ -82,6 +79,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     idle: ModalModel | None = None
     model: Model | None = None
+    judged_on: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
@@ -98,6 +96,7 @@ class Diagnosis:
             "noise_floor_db": self.noise_floor_db,
             "picture": self.picture,
             "notes": list(self.notes),
+            "judged_on": dict(self.judged_on),
         }
 
 
@@ -115,6 +114,7 @@ def diagnose(
     records: Sequence[TimeRecord] = (),
     idle_frf: Frf | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
+    compared: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
     """Name the physical effect that the idle model lacks, where it acts and how large it is.
 
@@ -142,6 +142,8 @@ def diagnose(
         FRFs at rest: how much of the responses is not proportional to the force there.
     exclude_bands : sequence of (float, float)
         Lines of the records left out [Hz].
+    compared : mapping, optional
+        Errors of the idle model against these runs, as :func:`operando.compare.compare_all` gives them; made where not given.
 
     Raises
     ------
@@ -155,7 +157,7 @@ def diagnose(
     if records:
         from operando.diagnose.from_records import diagnose_levels
 
-        asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "progress": progress}
+        asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "progress": progress, "compared": compared}
         linear = (lambda: diagnose(idle, check=check, operating=operating, hybrid=hybrid, **asked)) if check else None
         return diagnose_levels(linear, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
     if not check:
@@ -168,7 +170,7 @@ def diagnose(
         )
     with threadpool_limits(1, "blas"):
         problem = make_problem(idle, check, kinds, places, band or idle.band_hz, progress)
-        return _search(problem, check, operating, geometry, band or idle.band_hz)
+        return _search(problem, check, operating, geometry, band or idle.band_hz, compared)
 
 
 def make_problem(
@@ -211,7 +213,9 @@ def _search(
     operating: ModalModel | None,
     geometry: Geometry | None,
     band: tuple[float, float] | None,
+    compared: Mapping[str, Any] | None,
 ) -> Diagnosis:
+    idle = problem.idle  # without the places between sensors that the search may add
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
     found = search(problem, MAX_EFFECTS if one_system else 1, lambda first: between_sensors(problem, geometry, first))
     if found.elsewhere is not None:
@@ -268,7 +272,7 @@ def _search(
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
     ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
     proposal = propose(problem, final[-1], alternatives, verdict)
-    where = where_it_fails(problem.idle, check, band)
+    where = where_it_fails(idle, check, band, compared)
     floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
     picture = localise(problem, effects, final[-1])
     return Diagnosis(
@@ -285,6 +289,7 @@ def _search(
         tuple(notes),
         problem.idle,
         model_of(problem, final[-1], geometry),
+        judged_on(problem, check, band),
     )
 
 
@@ -383,33 +388,27 @@ def candidate_row(tried: Tried, before: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def where_it_fails(idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None) -> dict[str, Any]:
-    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level."""
+def where_it_fails(
+    idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None, compared: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level: the figures of the comparison."""
+    from operando.compare import compare_all
+
+    made = compared or compare_all({"idle": idle}, check, band)["models"]["idle"]
+    return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
+
+
+def judged_on(problem: Problem, check: Sequence[CheckRun], band: tuple[float, float] | None) -> dict[str, Any]:
+    """State, level and lines of the ladder's figures on the judge set."""
     from operando.compare.comparison import lowest_level
 
-    judge = lowest_level(check)
-    runs = [run.frf for run in check if run.level == judge]
-    if band is not None:
-        runs = [frf.band(*band) for frf in runs]
-    # The idle model's variance of thousands of lines takes longer than the diagnosis; peaks need the lines but no variance.
-    few = [every(frf, max(1, len(frf.axis) // WHERE_LINES)) for frf in runs]
-    made = compare(idle, few).to_dict()
-    have = {(d.node, d.axis) for d in idle.dofs}
-    plain = []
-    for frf in runs:
-        shared = frf.select([d for d in frf.responses if (d.node, d.axis) in have], [d for d in frf.references if (d.node, d.axis) in have])
-        plain.append((idle.frf(shared.frequencies_hz, shared.responses, shared.references, shared.quantity, variance=False), shared))
-    by_mode = [row for model, frf in plain for row in compare(model, frf).to_dict()["by_mode"]]
-    return {"by_dof": made["by_dof"], "by_band": made["by_band"], "by_mode": by_mode}
-
-
-def every(frf: Frf, step: int) -> Frf:
-    """One line in ``step``."""
-    pick = slice(step // 2, None, step)
-    return replace(
-        frf,
-        data=frf.data[:, :, pick],
-        axis=FrequencyAxis(frf.frequencies_hz[pick]),
-        variance=None if frf.variance is None else frf.variance[:, :, pick],
-        coherence=None if frf.coherence is None else frf.coherence[:, :, pick],
-    )
+    judge = problem.sets[JUDGE]
+    return {
+        "state": "operating",
+        "measured": "FRF lines",
+        "runs": [judge.runs[k] for k in np.unique(judge.run)],
+        "level": lowest_level(check),
+        "band_hz": None if band is None else [float(v) for v in band],
+        "n_lines": int(np.sum(np.isfinite(judge.variance))),
+        "whole_run": bool(np.all(problem.lines.group[np.isin(problem.lines.run, judge.run)] == JUDGE)),
+    }

@@ -261,6 +261,7 @@ def _diagnose(
         notes=(sets.note, *([words(faint, others)] if faint else [])),
         idle=given,
         model=_model(idle, basis, full, geometry) if effects else Model(given, (), geometry),
+        judged_on={"state": "operating", "measured": sets.note},
     )
 
 

@@ -11,7 +11,7 @@ from operando.data import Geometry
 from operando.effects import Effect, kind_of
 from operando.errors import DataError
 from operando.nonlinear.equivalent import equivalents
-from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
+from operando.nonlinear.judge import judged_on, ladder_row, verdict_of, where_it_fails
 from operando.nonlinear.laws import free_law
 from operando.nonlinear.place import Weighted
 from operando.nonlinear.polish import std_of
@@ -119,6 +119,7 @@ def conclude(
         picture,
         simulated(steps[0].case, accepted, notes),
         tuple(notes),
+        judged_on(last),
     )
 
 

@@ -71,6 +71,21 @@ def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fi
     }
 
 
+def judged_on(case: Case) -> dict[str, Any]:
+    """State, level and lines of the ladder's figures on the judge set."""
+    runs = case.judged or case.fitted
+    levels = sorted({float(run.force_level) for run in runs})
+    return {
+        "state": "operating",
+        "measured": "spectra of records",
+        "runs": [run.name for run in runs],
+        "level": " … ".join(dict.fromkeys(f"{v:.4g}" for v in (levels[0], levels[-1]))) + " N rms",
+        "band_hz": [float(v) for v in case.band],
+        "n_lines": int(sum(run.rows.size * run.lines.size for run in runs)),
+        "whole_run": bool(case.judged),
+    }
+
+
 def where_it_fails(case: Case, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """``by_dof`` and ``by_band`` of the idle model on the judge runs."""
     n = len(case.fitted)

@@ -36,6 +36,8 @@ class NonlinearDiagnosis:
     simulation : dict
         The model with its effects in the closed loop against the judge record.
     notes : tuple of str
+    judged_on : dict
+        State, level and lines of the held-out figures.
     """
 
     verdict: str
@@ -50,6 +52,7 @@ class NonlinearDiagnosis:
     picture: dict[str, Any] = field(default_factory=dict)
     simulation: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    judged_on: dict[str, Any] = field(default_factory=dict)
 
     @property
     def nonlinear(self) -> tuple[Effect, ...]:
@@ -73,4 +76,5 @@ class NonlinearDiagnosis:
             "picture": self.picture,
             "simulation": self.simulation,
             "notes": list(self.notes),
+            "judged_on": self.judged_on,
         }

@@ -335,6 +335,20 @@ def _errors(ladder: Ladder, output_only: bool) -> str:
     return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
 
 
+def lines_words(judged_on: Mapping[str, Any]) -> str:
+    """State, level and lines of the held-out figures."""
+    if not judged_on:
+        return ""
+    part = "whole runs" if judged_on.get("whole_run") else "held-out blocks of lines"
+    runs = listing([str(r) for r in judged_on.get("runs") or []], MOST_NAMED)
+    text = f"{judged_on['state']} state, {judged_on['measured']}"
+    text += f", {part} of {runs}" if runs else ""
+    text += f", level {judged_on['level']}" if judged_on.get("level") else ""
+    band, count = judged_on.get("band_hz"), judged_on.get("n_lines")
+    text += f", {number(band[0], 4)} … {number(band[1], 4)} Hz" if band else ""
+    return text + (f", {count} complex values" if count else "")
+
+
 def _deviations(misfit: float) -> str:
     return f"{number(max(misfit, 0.0) ** 0.5, 2)} standard deviations"
 

@@ -22,8 +22,7 @@ def comparison(work: Work) -> dict[str, Any]:
         named = {name: results.hybrid.alternative_models.get(name) for name in ("idle_shapes", "msf_all")} | {"ofrf": results.hybrid.modal}
         for name, model in named.items():
             if model is not None:
-                # the idle model's variance judges all models alike (contract), so that of the others is not worth its cost
-                models[name] = replace(model, covariance=None, std=None) if "idle" in models else model
+                models[name] = model
             else:
                 message = f"baseline {name} cannot be made from these modes"
                 findings.append(Finding("baseline_failed", message, "warning", consequence="it is not compared"))

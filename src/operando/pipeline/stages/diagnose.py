@@ -37,13 +37,13 @@ def missing_physics(work: Work) -> dict[str, Any]:
         records=whole_records(work, work.test.check, findings) if runs and work.test.check.records else (),
         idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(work.analysis.exclude_bands),
         exclude_bands=work.analysis.exclude_bands,
+        compared=None if results.comparison is None or not runs else results.comparison["models"].get("idle"),
     )
     document = found.to_dict()
     comparison = results.comparison
     model = found.model or Model(idle, tuple(found.effects), results.geometry)
     if runs and comparison is not None and found.effects:
-        bare = Model(replace(model.idle, covariance=None, std=None), model.effects, model.geometry)
-        comparison = with_effect(comparison, idle, bare, runs, analysis_band(work))
+        comparison = with_effect(comparison, model, runs, analysis_band(work))
     made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,
