@@ -86,7 +86,7 @@ def test_kind_place_and_size(chain, idle, kind, place, change, name, size):
     assert found.ladder[0]["heldout_misfit"] > 20
     assert found.ladder[1]["heldout_misfit"] < 1.5
     document = found.to_dict()
-    assert document["schema"] == "operando/diagnosis/1"
+    assert document["schema"] == "operando/diagnosis/2"
     assert document["candidates"][0]["kind"] == kind
 
 

@@ -140,7 +140,7 @@ def hide(
     largest: float = np.inf,
     target_db: float | None = None,
 ) -> Hidden:
-    """One effect at a random place, its size drawn for a change of 0.5 to 6 dB of the FRFs (or of ``target_db``), and at most ``largest``."""
+    """One effect at a random place that changes the FRFs by 0.5 to 6 dB, at random, or by ``target_db``; no larger than ``largest``."""
     base = base or idle(structure)
     if kind in SENSOR:
         return _sensor_fault(kind, structure, references, rng, base)

@@ -152,7 +152,9 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     if "picture" in more:
         more["picture"], notes = with_levels(more["picture"], idle, applied.effects, runs, band or idle.band_hz)
         by_hand["words"] = [*done["words"], *notes]
-    results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | more
+    results.diagnosis = (
+        before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | more
+    )
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
     if results.comparison is not None:
         shown = applied.model if applied.effects else None

@@ -136,7 +136,9 @@ def apply_effects(
                             f"the data speak for another one: {effects_of(best)[-1]} would lower it to {other:.4g}; "
                             f"`operando remove` takes step {k} back"
                         )
-        return Applied(model_of(problem, fits[-1], geometry), tuple(effects_of(fits[-1])), tuple(rows), tuple(words), judged_on(problem, check, span))
+        return Applied(
+            model_of(problem, fits[-1], geometry), tuple(effects_of(fits[-1])), tuple(rows), tuple(words), judged_on(problem, check, span)
+        )
 
 
 def best_start(problem: Problem, fit: Fit, term: Term, q: Array) -> tuple[Term, Array]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, error_db, noise_floor_db
+from operando.compare.verdict import GOOD, verdict_of
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
@@ -20,18 +21,21 @@ from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
 from operando.diagnose.places import candidates as all_candidates
+from operando.diagnose.power import unseen
 from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
 from operando.diagnose.search import EXCUSED, MAX_EFFECTS, other_orders, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
-from operando.diagnose.verdict import FURTHER_PART, GOOD, ambiguous_with, verdict_of
+from operando.diagnose.support import further, taken_out, weakest
+from operando.diagnose.verdict import FURTHER_PART, ambiguous_with, one_mode
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
 
 Array = NDArray[Any]
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -39,7 +43,7 @@ class Diagnosis:
 
     Parameters
     ----------
-    verdict : {"no_misfit", "explained", "partial", "unexplained", "ambiguous"}
+    verdict : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
     effects : tuple of Effect
         Accepted, in order, refitted together.
     ambiguous_with : tuple of Effect
@@ -64,6 +68,8 @@ class Diagnosis:
         Idle model (shapes at the effects' places refitted), the accepted effects, and the covariance of both.
     judged_on : mapping
         State, level and lines of the held-out figures.
+    detectable : tuple of dict
+        The least change of each mode's frequency that would have been seen.
     """
 
     verdict: str
@@ -80,11 +86,12 @@ class Diagnosis:
     idle: ModalModel | None = None
     model: Model | None = None
     judged_on: Mapping[str, Any] = field(default_factory=dict)
+    detectable: tuple[dict[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
         return {
-            "schema": "operando/diagnosis/1",
+            "schema": "operando/diagnosis/2",
             "data": list(self.data),
             "verdict": self.verdict,
             "effects": [e.to_dict() for e in self.effects],
@@ -97,6 +104,11 @@ class Diagnosis:
             "picture": self.picture,
             "notes": list(self.notes),
             "judged_on": dict(self.judged_on),
+            "detectable": [dict(row) for row in self.detectable],
+            # not estimated yet, so null: what differs between the two measurements, the discrepancy, modes by level
+            "between": None,
+            "discrepancy": None,
+            "by_level": None,
         }
 
 
@@ -157,7 +169,14 @@ def diagnose(
     if records:
         from operando.diagnose.from_records import diagnose_levels
 
-        asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "progress": progress, "compared": compared}
+        asked: dict[str, Any] = {
+            "geometry": geometry,
+            "kinds": kinds,
+            "places": places,
+            "band": band,
+            "progress": progress,
+            "compared": compared,
+        }
         linear = (lambda: diagnose(idle, check=check, operating=operating, hybrid=hybrid, **asked)) if check else None
         return diagnose_levels(linear, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
     if not check:
@@ -220,12 +239,12 @@ def _search(
     found = search(problem, MAX_EFFECTS if one_system else 1, lambda first: between_sensors(problem, geometry, first))
     if found.elsewhere is not None:
         problem, geometry, found = found.elsewhere
-    fits, history, before, last, further = found.fits, found.history, found.before, found.last, found.further
+    most = MAX_EFFECTS if one_system and not one_mode(idle) else 1
+    found, more = further(problem, found, most) if most > 1 else (found, None)
+    fits, history, before, last = found.fits, found.history, found.before, found.last
     final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
     rows, final = ladder(problem, [renamed(f, sensors) for f in final])
-    if found.corrected:
-        rows, final = with_what_was_learnt(problem, rows, final)
     if one_system and rises(rows) and rows[-1]["heldout_misfit"] < GOOD:
         # Effects that make up for each other: told in an order in which each helps, if there is one.
         for other_fits, other_history in other_orders(problem, fits[-1], history):
@@ -234,46 +253,58 @@ def _search(
             if not rises(other_rows) and other_rows[-1]["heldout_misfit"] < GOOD:
                 fits, history, rows, final = other_fits, other_history, other_rows, again
                 break
+    notes = list(problem.lines.notes)
     kept = lowering([r["heldout_misfit"] for r in rows]) if one_system else len(rows)
+    dropped: list[Effect] = []
     if kept < len(rows):
         rows, final, fits, history = rows[:kept], final[:kept], fits[:kept], history[: kept - 1]
+        more = "an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse"
+    rows, final = with_what_was_learnt(problem, rows, final)
+    while (weak := weakest(final[-1])) is not None:
+        dropped.append(effects_of(final[-1])[weak])
+        notes.append(f"{dropped[-1].kind} at {dropped[-1].place or 'the whole'} is a candidate only: its 95 % interval holds zero")
+        fits, history = taken_out(problem, fits, history, weak)
+        rows, final = ladder(problem, [renamed(problem.settled(f) if f.terms else f, sensors) for f in fits])
+        rows, final = with_what_was_learnt(problem, rows, final)
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     judged = problem.sets[JUDGE]
-    notes = list(problem.lines.notes)
-    if kept < len(found.fits):
-        further = 0.0  # there is something, but not what was found
-        notes.append("an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse")
     if history and rows[-1]["heldout_misfit"] >= GOOD:
         gain, odd = gain_by_free_law(problem, fits[-1])
         if odd is not None and gain < FURTHER_PART:
-            further = min(further, gain)
             place = ", ".join(map(str, odd.dofs)) or "the place found"
-            notes.append(
+            more = (
                 f"what acts at {place} does not follow the law of {odd.kind.plain}: "
                 f"free to bend over frequency it lowers the misfit by {1 - gain:.0%}"
             )
-    verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
-    alone = alone_by_free_law(problem, fits[-1], history[0][1]) if verdict == "explained" else None
-    if alone is not None:
-        verdict = "partial"
+    if not one_system:
+        more = "the runs of different level are not one linear system: a linear effect cannot explain both"
+    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
+    hidden, detectable = unseen(problem, floor, rows[0]["heldout_misfit"])
+    judge = [r["heldout_misfit"] for r in rows]
+    verdict, reason = verdict_of(judge, unseen=hidden, more=more, ambiguous=other)
+    if verdict == "explained" and (alone := alone_by_free_law(problem, fits[-1], history[0][1])) is not None:
         place = ", ".join(map(str, alone.dofs)) or "one place"
-        notes.append(f"one effect at {place}, of a law that is not in the catalogue, explains about as much as the effects named together")
-    if not one_system and verdict in ("explained", "ambiguous"):
-        verdict = "partial"
-        notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
-    if verdict in ("explained", "ambiguous"):
-        if not found.corrected:
-            rows, final = with_what_was_learnt(problem, rows, final)
+        more = f"one effect at {place}, of a law that is not in the catalogue, explains about as much as the effects named together"
+        verdict, reason = verdict_of(judge, unseen=hidden, more=more)
+    if reason is not None:
+        notes.append(reason)
+    if verdict in ("explained", "ambiguous", "partial"):
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
-        final[-1] = on_all_lines(problem, final[-1])
-        rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
-        notes.append(AFTERWARDS)
+        if verdict != "partial":
+            final[-1] = on_all_lines(problem, final[-1])
+            rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
+            notes.append(AFTERWARDS)
+    elif history:
+        dropped += effects_of(final[-1], problem.idle.dofs)
+        rows, final, alternatives = rows[:1], final[:1], []
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
-    ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
+    ranked = [
+        *(unsupported_row(e, judge) for e in dropped),
+        *(candidate_row(t, before) for t in (found.history[0][1] if found.history else last)),
+    ]
     proposal = propose(problem, final[-1], alternatives, verdict)
     where = where_it_fails(idle, check, band, compared)
-    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
     picture = localise(problem, effects, final[-1])
     return Diagnosis(
         verdict,
@@ -281,7 +312,7 @@ def _search(
         tuple(effects_of(t.fit)[-1] for t in alternatives),
         proposal,
         tuple(rows),
-        ranked,
+        tuple(ranked),
         where,
         floor,
         ("check_frf",),
@@ -290,6 +321,7 @@ def _search(
         problem.idle,
         model_of(problem, final[-1], geometry),
         judged_on(problem, check, band),
+        tuple(detectable),
     )
 
 
@@ -386,6 +418,14 @@ def candidate_row(tried: Tried, before: Sequence[float]) -> dict[str, Any]:
         "selection_misfit": tried.selection,
         "evidence": f"misfit on lines the fit has not seen {before[0]:.4g} → {tried.selection:.4g} ({100 * fall:.1f} % lower)",
     }
+
+
+def unsupported_row(effect: Effect, judge: Sequence[float]) -> dict[str, Any]:
+    """An entry of ``candidates`` for what was found and is not supported."""
+    evidence = (
+        f"found, but not supported: reduced chi-square on the validation lines {judge[0]:.4g} → {judge[-1]:.4g} with all that was found"
+    )
+    return effect.to_dict() | {"selection_misfit": None, "evidence": evidence}
 
 
 def where_it_fails(

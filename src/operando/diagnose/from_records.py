@@ -13,11 +13,18 @@ from operando.diagnose.apply import Applied, words_of
 from operando.diagnose.at_level import level_picture, levels_of
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
 from operando.diagnose.model import Model
-from operando.diagnose.verdict import GOOD
 from operando.dof import Node
 from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
-from operando.nonlinear import AppliedToRecords, NonlinearDiagnosis, apply_to_records, diagnose_records, has_restoring_force, linear_effects, measured_distortion
+from operando.nonlinear import (
+    AppliedToRecords,
+    NonlinearDiagnosis,
+    apply_to_records,
+    diagnose_records,
+    has_restoring_force,
+    linear_effects,
+    measured_distortion,
+)
 from operando.results import CheckRun
 
 DISTORTION, LOUDEST = 3.0, 0.75
@@ -46,7 +53,10 @@ class RecordsDiagnosis(Diagnosis):
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``, with ``detection`` and ``simulation`` beside."""
         out = super().to_dict()
-        return out if self.records is None else out | {"detection": self.records.detection, "simulation": self.records.simulation}
+        if self.records is None:
+            return out
+        said = self.records.to_dict()
+        return out | {key: said[key] for key in ("detection", "simulation", "discrepancy")}
 
 
 @dataclass(frozen=True)
@@ -68,7 +78,7 @@ class RecordsApplied(Applied):
 
 
 def need_records(effects: Sequence[Effect], data: Sequence[str] = ()) -> bool:
-    """Whether effects depend on the level, so that FRFs cannot tell their sizes; or records told the diagnosis and can tell these as well."""
+    """Whether effects depend on the level, so that FRFs cannot size them; or records made the diagnosis and can size these, too."""
     if any(e.definition.acts == "pseudo_force" for e in effects):
         return True
     return "check_records" in data and all(has_restoring_force(e) for e in effects)
@@ -220,7 +230,7 @@ def diagnose_levels(
     found = linear()
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
-        doubt = found.verdict == "explained" and (seen is None or levels or found.ladder[-1]["heldout_misfit"] > GOOD)
+        doubt = found.verdict == "explained" and (seen is None or levels)
         return replace(found, verdict="partial" if doubt else found.verdict, notes=(*found.notes, *notes))
     reason = f"the linear diagnosis is {found.verdict}"
     try:
@@ -268,7 +278,7 @@ def merged(
         idle,
         Model(idle, tuple(linear), geometry),
         seen.judged_on,
-        seen,
+        records=seen,
     )
 
 

@@ -91,6 +91,18 @@ def learn(problem: Problem, fit: Fit) -> Fit:
     return there.learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
 
 
+def cost_once_corrected(problem: Problem, fit: Fit) -> float:
+    """2·Σ|e|²/var + |z|² where the idle model may move within its covariance, and no further, beside the effects.
+
+    Of two sets of effects the difference is twice that of their log posteriors: what the errors of the idle model can make up for tells
+    nothing for either.
+    """
+    state = _Parameters.of(problem, fit, _telling(problem))
+    x = state.found(state.start, AT_ONCE)
+    last = state.on(2)
+    return last.cost(last.descend(x, LAST))
+
+
 def on_all_lines(problem: Problem, fit: Fit) -> Fit:
     """The last fit once more, with the lines that judged, too: when nothing is left to choose, a mode among them is known by them as well.
 

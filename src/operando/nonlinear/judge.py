@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from operando.compare.verdict import GOOD
 from operando.effects import Effect
 from operando.nonlinear.laws import Motion
 from operando.nonlinear.place import Weighted
@@ -15,7 +16,6 @@ from operando.nonlinear.run import Complex
 if TYPE_CHECKING:
     from operando.nonlinear.search import Case
 
-GOOD = 1.5
 SNR = 100.0
 """Lines whose power is above so many times the variance count for errors in dB."""
 
@@ -53,6 +53,23 @@ def figures(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str
         "error_db": float(np.sqrt(squares / n)) if n else float("nan"),
         "floor_db": float(np.sqrt(floor / n)) if n else float("nan"),
     }
+
+
+def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> float:
+    """Part α of the responses to be allowed for, (α|X|)² beside the variance, for the reduced chi-square to be good; 0 where it is."""
+    parts = []
+    for w, error in zip(weighted, errors, strict=True):
+        rest = np.abs(decayed(w.with_error(error))) ** 2
+        parts.append((rest, np.abs(w.run.responses[:, w.run.lines]) ** 2 / w.run.variance))
+    count = sum(rest.size for rest, _ in parts)
+    misfit = lambda part: sum(float(np.sum(rest / (1 + part**2 * power))) for rest, power in parts) / max(count, 1)  # noqa: E731
+    low, high = 0.0, 1.0
+    if misfit(low) < GOOD:
+        return 0.0
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (low, middle) if misfit(middle) < GOOD else (middle, high)
+    return high
 
 
 def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fitted: int, errors: Sequence[Complex]) -> dict[str, Any]:
@@ -110,15 +127,3 @@ def where_it_fails(case: Case, weighted: Sequence[Weighted], errors: Sequence[Co
         ],
         "by_mode": [],
     }
-
-
-def verdict_of(judge: Sequence[float], accepted: bool, ambiguous: bool, further: float) -> str:
-    """Verdict of the contract from the judge misfits step by step (that of the idle model first)."""
-    if not accepted:
-        return "no_misfit" if judge[0] < GOOD else "unexplained"
-    now, fall = judge[-1], 1 - judge[-1] / judge[0]
-    if now < GOOD or (fall > 0.99 and further > 0.8):
-        return "ambiguous" if ambiguous else "explained"
-    if fall > 0.8:
-        return "ambiguous" if ambiguous else "partial"
-    return "unexplained"

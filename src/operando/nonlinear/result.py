@@ -14,7 +14,7 @@ class NonlinearDiagnosis:
 
     Parameters
     ----------
-    verdict : {"no_misfit", "explained", "partial", "unexplained", "ambiguous"}
+    verdict : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
         As in the contract.
     effects : tuple of Effect
         Accepted, in order; springs and dampers that turned out to be linear among them.
@@ -38,6 +38,8 @@ class NonlinearDiagnosis:
     notes : tuple of str
     judged_on : dict
         State, level and lines of the held-out figures.
+    discrepancy : float or None
+        Part of the responses that the effects leave beyond the noise.
     """
 
     verdict: str
@@ -53,6 +55,7 @@ class NonlinearDiagnosis:
     simulation: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     judged_on: dict[str, Any] = field(default_factory=dict)
+    discrepancy: float | None = None
 
     @property
     def nonlinear(self) -> tuple[Effect, ...]:
@@ -62,7 +65,7 @@ class NonlinearDiagnosis:
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
         return {
-            "schema": "operando/diagnosis/1",
+            "schema": "operando/diagnosis/2",
             "data": ["check_records"],
             "verdict": self.verdict,
             "effects": [e.to_dict() for e in self.effects],
@@ -77,4 +80,5 @@ class NonlinearDiagnosis:
             "simulation": self.simulation,
             "notes": list(self.notes),
             "judged_on": self.judged_on,
+            "discrepancy": None if self.discrepancy is None else {"value": self.discrepancy, "std": None},
         }
