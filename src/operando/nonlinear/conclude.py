@@ -106,9 +106,11 @@ def conclude(
                 other = other or t.law.kind != best.law.kind or not neighbours(first, best, t, geometry)
     judged = [r["heldout_misfit"] for r in rows]
     unseen = floor_reason(rows[0].get("noise_floor_db"))
-    off = discrepancy(weighted[n:], errors[n:]) if accepted and len(weighted) > n else 0.0
-    if accepted and off <= DISCREPANCY:
-        judged[-1] = min(judged[-1], GOOD * (1 - 1e-9))
+    judges = slice(n if len(weighted) > n else 0, None)
+    off = discrepancy(weighted[judges], errors[judges]) if accepted else 0.0
+    if any(kind_of(t.law.kind).level_dependent for t in accepted) and off <= DISCREPANCY:
+        judged[-1] = min(judged[-1], np.nextafter(GOOD, 0))
+    picture = pictures_of(first, effects, accepted, notes)
     verdict, reason = verdict_of(judged, unseen=unseen, more=more, ambiguous=other)
     if verdict in ("explained", "ambiguous") and off > 0:
         notes.append(f"what is left beyond the noise is {100 * off:.2g} % of the responses; {100 * DISCREPANCY:g} % are allowed")
