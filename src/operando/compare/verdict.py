@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from operando.indicators import INTERVAL
+
 GOOD = 1.5
 """Reduced chi-square on the validation lines below which the data allow no better (contract)."""
 
@@ -12,10 +14,6 @@ PARTLY = 0.8
 
 FLOOR_DB = 3.0
 """Noise floor above which nothing can be said to be missing or not: FRFs that are known to a factor of √2 only."""
-
-
-INTERVAL = 1.96
-"""Standard deviations in the 95 % interval."""
 
 
 def free_of_zero(values: Mapping[str, float], std: Mapping[str, float]) -> bool:

@@ -21,7 +21,7 @@ from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
 from operando.diagnose.places import candidates as all_candidates
-from operando.diagnose.power import unseen
+from operando.diagnose.power import unseen, what_hides
 from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
@@ -70,6 +70,8 @@ class Diagnosis:
         State, level and lines of the held-out figures.
     detectable : tuple of dict
         The least change of each mode's frequency that would have been seen.
+    reason : str or None
+        What stands in the way of a better verdict.
     """
 
     verdict: str
@@ -87,6 +89,7 @@ class Diagnosis:
     model: Model | None = None
     judged_on: Mapping[str, Any] = field(default_factory=dict)
     detectable: tuple[dict[str, Any], ...] = ()
+    reason: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
@@ -104,6 +107,7 @@ class Diagnosis:
             "picture": self.picture,
             "notes": list(self.notes),
             "judged_on": dict(self.judged_on),
+            "reason": self.reason,
             "detectable": [dict(row) for row in self.detectable],
             # not estimated yet, so null: what differs between the two measurements, the discrepancy, modes by level
             "between": None,
@@ -286,8 +290,6 @@ def _search(
         place = ", ".join(map(str, alone.dofs)) or "one place"
         more = f"one effect at {place}, of a law that is not in the catalogue, explains about as much as the effects named together"
         verdict, reason = verdict_of(judge, unseen=hidden, more=more)
-    if reason is not None:
-        notes.append(reason)
     if verdict in ("explained", "ambiguous", "partial"):
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
@@ -303,7 +305,7 @@ def _search(
         *(unsupported_row(e, judge) for e in dropped),
         *(candidate_row(t, before) for t in (found.history[0][1] if found.history else last)),
     ]
-    proposal = propose(problem, final[-1], alternatives, verdict)
+    proposal = what_hides(problem) if verdict == "inconclusive" else propose(problem, final[-1], alternatives, verdict)
     where = where_it_fails(idle, check, band, compared)
     picture = localise(problem, effects, final[-1])
     return Diagnosis(
@@ -322,6 +324,7 @@ def _search(
         model_of(problem, final[-1], geometry),
         judged_on(problem, check, band),
         tuple(detectable),
+        reason,
     )
 
 

@@ -231,7 +231,9 @@ def diagnose_levels(
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
         doubt = found.verdict == "explained" and (seen is None or levels)
-        return replace(found, verdict="partial" if doubt else found.verdict, notes=(*found.notes, *notes))
+        if doubt:
+            found = replace(found, verdict="partial", reason=f"{reason}, and no effect found so far says why")
+        return replace(found, notes=(*found.notes, *notes))
     reason = f"the linear diagnosis is {found.verdict}"
     try:
         if found.verdict in SURE:
@@ -278,6 +280,7 @@ def merged(
         idle,
         Model(idle, tuple(linear), geometry),
         seen.judged_on,
+        reason=seen.reason,
         records=seen,
     )
 

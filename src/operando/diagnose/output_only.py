@@ -298,10 +298,11 @@ def _diagnose(
         {"by_dof": [], "by_band": [], "by_mode": list(by_mode)},
         None,
         ("operating_modes",),
-        notes=(sets.note, *([words(faint, others)] if faint else []), *([reason] if reason else [])),
+        notes=(sets.note, *([words(faint, others)] if faint else [])),
         idle=given,
         model=_model(idle, basis, full, geometry) if effects else Model(given, (), geometry),
         judged_on={"state": "operating", "measured": sets.note},
+        reason=reason,
     )
 
 

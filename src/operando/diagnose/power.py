@@ -31,6 +31,15 @@ def shifts(problem: Problem) -> dict[float, float]:
     return out
 
 
+def what_hides(problem: Problem) -> str:
+    """Which variance is the larger one on the judge lines, and the measurement that lowers it."""
+    lines, own = problem.sets[JUDGE], problem.owns[JUDGE]
+    good = np.isfinite(lines.variance)
+    if float(np.mean(own[good] / (own[good] + lines.variance[good]))) > 0.5:
+        return "the idle model's own uncertainty hides it: measure the FRFs at rest again with more averages, and force at more points"
+    return "the noise of the validation measurement hides it: measure again in operation with a larger force or more averages"
+
+
 def unseen(problem: Problem, noise_floor_db: float | None, now: float) -> tuple[str | None, list[dict[str, Any]]]:
     """Why a change could have passed, and the least frequency shift of each mode that would not have.
 

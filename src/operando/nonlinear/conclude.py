@@ -124,8 +124,6 @@ def conclude(
                 "the place is right, the law is none of the catalogue"
             )
             verdict, reason = verdict_of(judged, unseen=unseen, more=more)
-    if reason is not None:
-        notes.append(reason)
     if verdict not in ("explained", "ambiguous", "partial") and effects:
         dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], dict[str, Any]()
     notes += too_fast(effects, accepted[: len(effects)], n, rows[-1]["heldout_misfit"])
@@ -147,6 +145,7 @@ def conclude(
         tuple(notes),
         judged_on(last),
         None if not effects else off,
+        reason,
     )
 
 

@@ -40,6 +40,8 @@ class NonlinearDiagnosis:
         State, level and lines of the held-out figures.
     discrepancy : float or None
         Part of the responses that the effects leave beyond the noise.
+    reason : str or None
+        What stands in the way of a better verdict.
     """
 
     verdict: str
@@ -56,6 +58,7 @@ class NonlinearDiagnosis:
     notes: tuple[str, ...] = ()
     judged_on: dict[str, Any] = field(default_factory=dict)
     discrepancy: float | None = None
+    reason: str | None = None
 
     @property
     def nonlinear(self) -> tuple[Effect, ...]:
@@ -80,5 +83,6 @@ class NonlinearDiagnosis:
             "simulation": self.simulation,
             "notes": list(self.notes),
             "judged_on": self.judged_on,
+            "reason": self.reason,
             "discrepancy": None if self.discrepancy is None else {"value": self.discrepancy, "std": None},
         }

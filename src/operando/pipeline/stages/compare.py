@@ -7,7 +7,7 @@ from typing import Any
 
 from operando.data import Finding
 from operando.errors import MissingError
-from operando.pipeline.stages.work import Lacking, Work, analysis_band
+from operando.pipeline.stages.work import Lacking, Work, analysis_band, scaled
 
 
 def comparison(work: Work) -> dict[str, Any]:
@@ -27,7 +27,9 @@ def comparison(work: Work) -> dict[str, Any]:
                 message = f"baseline {name} cannot be made from these modes"
                 findings.append(Finding("baseline_failed", message, "warning", consequence="it is not compared"))
     if not models:
-        raise Lacking("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
+        if results.idle is not None:
+            scaled(results.idle, results.findings, "no model predicts the validation measurement")
+        raise Lacking("there is no model to compare with the validation measurement")
     if not results.check:
         raise MissingError("no check FRF")
     band = analysis_band(work)
