@@ -294,9 +294,11 @@ def _search(
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
         if verdict != "partial":
-            final[-1] = on_all_lines(problem, final[-1])
-            rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
-            notes.append(AFTERWARDS)
+            again = on_all_lines(problem, final[-1])
+            if weakest(again) is None:  # else the last fit has lost its way: the sizes that were judged stand
+                final[-1] = again
+                rows[-1]["added"] = effects_of(again)[-1].to_dict()
+                notes.append(AFTERWARDS)
     elif history:
         dropped += effects_of(final[-1], problem.idle.dofs)
         rows, final, alternatives = rows[:1], final[:1], []
