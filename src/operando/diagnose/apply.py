@@ -137,7 +137,7 @@ def apply_effects(
                             f"`operando remove` takes step {k} back"
                         )
         return Applied(
-            model_of(problem, fits[-1], geometry), tuple(effects_of(fits[-1])), tuple(rows), tuple(words), judged_on(problem, check, span)
+            model_of(problem, fits[-1], geometry), tuple(effects_of(fits[-1])), tuple(rows), tuple(words), judged_on(problem, check)
         )
 
 

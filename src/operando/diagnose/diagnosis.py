@@ -28,7 +28,7 @@ from operando.diagnose.result import effects_of, model_of
 from operando.diagnose.search import EXCUSED, MAX_EFFECTS, other_orders, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
-from operando.diagnose.support import further, taken_out, weakest
+from operando.diagnose.support import further, noise_alone, taken_out, weakest
 from operando.diagnose.verdict import FURTHER_PART, ambiguous_with, one_mode
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
@@ -262,8 +262,10 @@ def _search(
     dropped: list[Effect] = []
     if kept < len(rows):
         rows, final, fits, history = rows[:kept], final[:kept], fits[:kept], history[: kept - 1]
-        more = "an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse"
+        notes.append("an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse")
     rows, final = with_what_was_learnt(problem, rows, final)
+    if kept < len(found.fits) and not noise_alone(problem, final[-1]):
+        more = "something more is missing, but not what was found: it left lines the fit had not seen worse predicted"
     while (weak := weakest(final[-1])) is not None:
         dropped.append(effects_of(final[-1])[weak])
         notes.append(f"{dropped[-1].kind} at {dropped[-1].place or 'the whole'} is a candidate only: its 95 % interval holds zero")
@@ -294,10 +296,10 @@ def _search(
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
         if verdict != "partial":
-            again = on_all_lines(problem, final[-1])
-            if weakest(again) is None:  # else the last fit has lost its way: the sizes that were judged stand
-                final[-1] = again
-                rows[-1]["added"] = effects_of(again)[-1].to_dict()
+            whole = on_all_lines(problem, final[-1])
+            if weakest(whole) is None:  # else the last fit has lost its way: the sizes that were judged stand
+                final[-1] = whole
+                rows[-1]["added"] = effects_of(whole)[-1].to_dict()
                 notes.append(AFTERWARDS)
     elif history:
         dropped += effects_of(final[-1], problem.idle.dofs)
@@ -324,7 +326,7 @@ def _search(
         tuple(notes),
         problem.idle,
         model_of(problem, final[-1], geometry),
-        judged_on(problem, check, band),
+        judged_on(problem, check),
         tuple(detectable),
         reason,
     )
@@ -443,7 +445,7 @@ def where_it_fails(
     return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
 
 
-def judged_on(problem: Problem, check: Sequence[CheckRun], band: tuple[float, float] | None) -> dict[str, Any]:
+def judged_on(problem: Problem, check: Sequence[CheckRun]) -> dict[str, Any]:
     """State, level and lines of the ladder's figures on the judge set."""
     from operando.compare.comparison import lowest_level
 
@@ -453,7 +455,7 @@ def judged_on(problem: Problem, check: Sequence[CheckRun], band: tuple[float, fl
         "measured": "FRF lines",
         "runs": [judge.runs[k] for k in np.unique(judge.run)],
         "level": lowest_level(check),
-        "band_hz": None if band is None else [float(v) for v in band],
+        "band_hz": [float(problem.lines.hz.min()), float(problem.lines.hz.max())],
         "n_lines": int(np.sum(np.isfinite(judge.variance))),
         "whole_run": bool(np.all(problem.lines.group[np.isin(problem.lines.run, judge.run)] == JUDGE)),
     }

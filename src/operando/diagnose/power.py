@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 def shifts(problem: Problem) -> dict[float, float]:
-    """Rise of the judge set's reduced chi-square by each mode in band [Hz] that moves by one half-power width, 2ζf."""
-    lines, own = problem.sets[JUDGE], problem.owns[JUDGE]
+    """Rise of the reduced chi-square of all lines by each mode in band [Hz] that moves by one half-power width, 2ζf."""
+    lines, own = problem.lines, problem.own
     w = weights(lines, own)
     terms = problem.idle.terms
     low, high = float(lines.hz.min()), float(lines.hz.max())

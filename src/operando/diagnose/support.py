@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from operando.compare.verdict import free_of_zero
-from operando.diagnose.learn import cost_once_corrected
-from operando.diagnose.problem import EARNED, Problem, Tried, step
+from operando.compare.verdict import GOOD, free_of_zero
+from operando.diagnose.learn import BEYOND_NOISE, cost_once_corrected
+from operando.diagnose.problem import EARNED, Problem, Tried, scan, shortlist, step, with_shapes
+from operando.diagnose.refit import Fit, mean_misfit, predicted
 from operando.diagnose.result import effects_of
 from operando.diagnose.search import History, Search, in_order, without
-
-if TYPE_CHECKING:
-    from operando.diagnose.refit import Fit
+from operando.diagnose.sets import JUDGE
 
 LOOKED = 3
 """Best candidates beside the accepted effects that are held against the errors of the idle model."""
@@ -30,20 +27,33 @@ def one_more(problem: Problem, found: Search) -> Tried | None:
         return None
     if problem.say:
         problem.say("look for one more effect")
-    tried = _of_the_last_step(found) or step(problem.allowing(found.fits[-1]), found.fits[-1])[0]
-    now = cost_once_corrected(problem, fit)
+    now, left = cost_once_corrected(problem, fit)
     best, least = None, (1 - EARNED) * now
-    for one in tried[:LOOKED]:
-        cost = cost_once_corrected(problem, problem.settled(one.fit))
+    for one in _candidates(problem, found, left > BEYOND_NOISE)[:LOOKED]:
+        cost, _ = cost_once_corrected(problem, problem.settled(one.fit))
         if cost < least:
             best, least = one, cost
     return best
 
 
-def _of_the_last_step(found: Search) -> list[Tried]:
-    """Candidates that the search has held against these effects already, where it has."""
-    have = [t.key for t in found.fits[-1].terms]
-    return found.last if found.last and [t.key for t in found.last[0].fit.terms[:-1]] == have else []
+def _candidates(problem: Problem, found: Search, thorough: bool) -> list[Tried]:
+    """The best candidates beside the effects found: of the search where it looked, else of a step, or where little is left of the scan."""
+    last = found.fits[-1]
+    have = [t.key for t in last.terms]
+    if found.last and [t.key for t in found.last[0].fit.terms[:-1]] == have:
+        return found.last
+    here = problem.allowing(last)
+    if thorough:
+        return step(here, last)[0]
+    few = shortlist(scan(here, last))[:LOOKED]
+    return [here.tried(with_shapes(here, here.joint([*last.terms, c.term], [*last.q, c.q], shapes=False))) for c in few]
+
+
+def noise_alone(problem: Problem, fit: Fit) -> bool:
+    """Whether the validation lines keep no more than the noise of the measurement, whatever the model may be off by."""
+    lines = problem.sets[JUDGE]
+    data, _ = predicted(problem.arrays, lines, fit)
+    return mean_misfit(lines, np.zeros(data.shape), data) < GOOD
 
 
 def further(problem: Problem, found: Search, most: int) -> tuple[Search, str | None]:
