@@ -272,6 +272,8 @@ def _search(
         fits, history = taken_out(problem, fits, history, weak)
         rows, final = ladder(problem, [renamed(problem.settled(f) if f.terms else f, sensors) for f in fits])
         rows, final = with_what_was_learnt(problem, rows, final)
+    if dropped and history and noise_alone(problem, final[-1]):
+        more = None  # what was found beyond these effects has no support, and nothing but noise is left
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     judged = problem.sets[JUDGE]
     if history and rows[-1]["heldout_misfit"] >= GOOD:
