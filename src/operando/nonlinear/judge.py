@@ -11,7 +11,7 @@ from operando.compare.verdict import GOOD
 from operando.effects import Effect
 from operando.nonlinear.laws import Motion
 from operando.nonlinear.place import Weighted
-from operando.nonlinear.run import Complex
+from operando.nonlinear.run import Complex, running_mean
 
 if TYPE_CHECKING:
     from operando.nonlinear.search import Case
@@ -56,11 +56,14 @@ def figures(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str
 
 
 def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> float:
-    """Part α of the responses to be allowed for, (α|X|)² beside the variance, for the reduced chi-square to be good; 0 where it is."""
+    """Part α of the responses to be allowed for, for the reduced chi-square to be good; 0 where it is.
+
+    (α|X|)² stands beside the variance, |X|² the mean over neighbouring lines: a random response dips at single lines for no reason.
+    """
     parts = []
     for w, error in zip(weighted, errors, strict=True):
         rest = np.abs(decayed(w.with_error(error))) ** 2
-        parts.append((rest, np.abs(w.run.responses[:, w.run.lines]) ** 2 / w.run.variance))
+        parts.append((rest, running_mean(np.abs(w.run.responses[:, w.run.lines]) ** 2) / w.run.variance))
     count = sum(rest.size for rest, _ in parts)
     misfit = lambda part: sum(float(np.sum(rest / (1 + part**2 * power))) for rest, power in parts) / max(count, 1)  # noqa: E731
     low, high = 0.0, 1.0
