@@ -220,14 +220,15 @@ def _without(sets: Sets, basis: Basis, found: _Search, k: int) -> _Search:
 
 
 def shifted(sets: Sets, basis: Basis, bare: Fit) -> dict[float, float]:
-    """Misfit of what judges with each operating mode [Hz] moved by its half-power width: the least of up and down."""
-    out = {}
-    for k, log_hz in enumerate(sets.judge.log_hz):
+    """Misfit of all values with each operating mode [Hz] moved by its half-power width: the least of up and down."""
+    whole, out = sets.whole, {}
+    every = np.ones((whole.n, whole.per_mode), bool)
+    for k, log_hz in enumerate(whole.log_hz):
         seen = []
         for way in (1, -1):
-            moved = np.array(sets.judge.log_hz)
-            moved[k] += way * 2 * np.exp(sets.judge.log_zeta[k])
-            seen.append(replace(sets, judge=replace(sets.judge, log_hz=moved)).misfit(basis, bare))
+            moved = np.array(whole.log_hz)
+            moved[k] += way * 2 * np.exp(whole.log_zeta[k])
+            seen.append(replace(sets, judge=replace(whole, log_hz=moved), held=every).misfit(basis, bare))
         out[float(np.exp(log_hz))] = min(seen)
     return out
 
