@@ -76,8 +76,9 @@ def ofrf(
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
     advised = advice(folder)
-    warning = None
+    warning = why = None
     if route is None:
+        why = None if advised is None else f"Route {advised.name}, as the results recommend: {advised.reason}."
         route = advised.name if advised is not None else "hybrid"
     elif advised is not None and advised.name != route and not changes and level is None:
         warning = f"the results recommend --route {advised.name}: {advised.reason}"
@@ -135,7 +136,8 @@ def ofrf(
     else:
         data = np.stack([frf.data.real, frf.data.imag], axis=-1)
         document |= {"frequencies_hz": frf.frequencies_hz, "data": data, "std": None if frf.variance is None else np.sqrt(frf.variance)}
-    return Answer(document, _text(frf, method, output))
+    text = _text(frf, method, output)
+    return Answer(document, text if why is None else f"{text}\n{why}")
 
 
 def advice(folder: str) -> Route | None:
