@@ -12,7 +12,6 @@ from operando.data import Finding, ModalModel
 from operando.errors import IdentificationError, MissingError
 from operando.pipeline.inputs import Inputs
 from operando.results import Results
-from operando.scaling.no_scale import no_scale
 
 
 class Lacking(MissingError):
@@ -86,6 +85,8 @@ def scaled(idle: ModalModel, findings: Sequence[Finding], what: str) -> None:
     IdentificationError
         If a fault of the measurement hides it.
     """
+    from operando.scaling.no_scale import no_scale
+
     cause = no_scale(idle, findings)
     if cause is not None:
         text = f"the idle modes have no scale, so {what}: {cause[0]}"
