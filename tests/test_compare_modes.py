@@ -103,7 +103,7 @@ def test_noise_floor_is_the_error_of_the_truth():
     assert c.noise_floor_db == pytest.approx(c.error_db, rel=0.05)
 
 
-def test_model_variance_counts_and_is_the_idle_models_for_all():
+def test_model_variance_counts_and_is_each_models_own():
     chain = Chain(5)
     sd = np.concatenate([1e-4 * chain.hz, 0.01 * chain.zeta, 0.01 * np.abs(chain.phi).T.ravel() + 1e-3])
     rng = np.random.default_rng(3)
@@ -118,9 +118,14 @@ def test_model_variance_counts_and_is_the_idle_models_for_all():
     assert 0.05 < np.median(shares) < 0.95
     exact = model(chain.hz, chain.zeta, chain.phi)
     own = model(chain.hz, chain.zeta, chain.phi, np.diag(sd**2))
-    out = compare_all({"idle": own, "ofrf": exact}, [CheckRun("a", "1 N rms", truth(chain, 0.01))])
-    assert out["models"]["idle"]["misfit"] == pytest.approx(out["models"]["ofrf"]["misfit"])
-    assert out["models"]["ofrf"]["model_share"] > 0
+    run = CheckRun("a", "1 N rms", truth(chain, 0.01))
+    out = compare_all({"idle": own, "ofrf": exact}, [run])
+    # One comparison has one number: as by itself, whatever else is compared beside it.
+    for name, one in (("idle", own), ("ofrf", exact)):
+        assert out["models"][name] == compare(one, run.frf).to_dict() == compare_all({"model": one}, [run])["models"]["model"]
+    assert out["models"]["ofrf"]["model_share"] == 0
+    assert out["models"]["ofrf"]["misfit"] == out["models"]["ofrf"]["misfit_meas"] > out["models"]["idle"]["misfit"]
+    assert out["judged_on"] == {"runs": ["a"], "level": "1 N rms", "band_hz": None}
 
 
 def test_several_runs_of_the_lowest_level_are_pooled():

@@ -28,9 +28,9 @@ from operando.io import from_sep005
 from operando.nonlinear import diagnose_records
 from operando.pipeline import run
 from operando.pipeline.levels import level_groups
-from operando.pipeline.scale import no_scale
 from operando.scaling import scale_operational
 from operando.scaling.missing import missing_modes
+from operando.scaling.no_scale import no_scale
 
 DOFS = tuple(Dof(i + 1, "Z") for i in range(4))
 

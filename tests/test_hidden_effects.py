@@ -368,3 +368,13 @@ def test_tally_says_what_is_not_there():
     }
     text = tally.report([row])
     assert "No diagnosis in 1 runs: not built yet" in text
+
+
+def test_uneven_pairs_have_the_ratio_they_promise():
+    known = generate.truth(generate.parse("rotor-uneven-702-r3-shaker"))
+    strong = hidden.change_db(known.structure, known.weaker_than, known.references)
+    weak = hidden.change_db(known.structure, known.state, known.references, known.weaker_than)
+    assert 2 * 0.95 <= strong <= 6 * 1.05
+    assert 3 * 0.9 <= strong / weak <= 30 * 1.1
+    assert len(known.state.effects) == 2
+    assert len({e["kind"] for e in known.state.effects}) == 2

@@ -115,7 +115,7 @@ def test_one_level_alone_has_no_distortion_to_compare():
 
 def test_the_document_is_plain_json():
     document = found("clearance").to_dict()
-    assert json.loads(json.dumps(document, allow_nan=False))["schema"] == "operando/diagnosis/1"
+    assert json.loads(json.dumps(document, allow_nan=False))["schema"] == "operando/diagnosis/2"
     assert document["data"] == ["check_records"]
     (picture,) = document["picture"]["restoring_force"]
     assert picture["location"] == ["5+Z"]

@@ -368,7 +368,7 @@ def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
         return json.loads(done.stdout)
 
     found = call("diagnose", str(folder))
-    assert found["schema"] == "operando/diagnosis/1"
+    assert found["schema"] == "operando/diagnosis/2"
     assert found["verdict"] in ("explained", "ambiguous")
     right = found["effects"][0]
     # The running chain keeps its modal damping ratios although the spring stiffens it: a little damping comes with the spring.

@@ -358,14 +358,14 @@ def test_thinned_curve_keeps_peaks():
 @pytest.mark.parametrize(
     ("value", "std", "text"),
     [
-        (21.07868, 0.00123, "21.0787 ± 0.0012"),
-        (64.2, 0.0996, "64.20 ± 0.10"),
-        (3.0, 12.3, "3 ± 12"),
+        (21.07868, 0.00123, "21.0787 ± 0.0024"),
+        (64.2, 0.0508, "64.20 ± 0.10"),
+        (3.0, 12.3, "3 ± 24"),
         (-0.5, None, "−0.50000"),
         (None, 1.0, "–"),
     ],
 )
-def test_value_and_uncertainty_have_matching_digits(value, std, text):
+def test_value_and_its_95_percent_interval_have_matching_digits(value, std, text):
     assert re.sub("<[^>]+>", "", plus_minus(value, std)) == text
 
 

@@ -61,7 +61,7 @@ def document(verdict="explained", effects=(MASS,), decibels=(3.93, 0.15), misfit
     hz = np.linspace(8, 140, 90)
     law = -0.2 * (2 * np.pi * hz) ** 2
     out = {
-        "schema": "operando/diagnosis/1",
+        "schema": "operando/diagnosis/2",
         "data": ["check_frf"],
         "verdict": verdict,
         "effects": list(effects),

@@ -24,7 +24,7 @@ from hidden import LINEAR, OUTSIDE, SENSOR, Hidden, change_db, hide, hide_betwee
 from records import Logger, contact_runs, forced_run, geometry, operating_run, through_faults
 
 SPECIAL = ("none", "orders", "two", "unmeasured", "outside", "one_mode")
-KINDS = (*LINEAR, *SENSOR, *SPECIAL, *NONLINEAR)  # new ones behind: the number of a kind seeds its cases
+KINDS = (*LINEAR, *SENSOR, *SPECIAL, *NONLINEAR, "uneven")  # new ones behind: the number of a kind seeds its cases
 PAIRABLE = (
     "point_mass",
     "ground_spring",
@@ -36,6 +36,7 @@ PAIRABLE = (
     "sensor_gain",
 )
 BETWEEN = ("point_mass", "ground_spring", "ground_damper", "tuned_absorber")
+STRONG_DB, UNEVEN = (2.0, 6.0), (3.0, 30.0)  # of an uneven pair: change of the FRFs by the stronger effect, and that over the weaker one's
 FORCE_RMS = 12.0
 
 
@@ -75,6 +76,7 @@ class Truth:
     band: tuple[float, float]
     orders: tuple[tuple[float, float], ...]
     contact: Contact | None = None
+    weaker_than: Hidden | None = None  # of an uneven pair: the state with the stronger effect alone
 
 
 def truth(spec: Spec) -> Truth:
@@ -84,12 +86,17 @@ def truth(spec: Spec) -> Truth:
     structure = draw(spec.family, spec.seed)
     rng = np.random.default_rng([spec.seed, FAMILIES.index(spec.family), KINDS.index(spec.kind), 77])
     references = _references(structure, spec.references)
-    band, contact = structure.band, None
+    band, contact, stronger = structure.band, None, None
     if spec.kind == "two":
         first, second = (PAIRABLE[i] for i in rng.choice(len(PAIRABLE), 2, replace=False))
         if "sensor_gain" in (first, second) and not spec.check:
             first, second = "point_mass", "coupling_spring"
         state = hide(second, structure, references, rng, hide(first, structure, references, rng))
+    elif spec.kind == "uneven":
+        first, second = (PAIRABLE[i] for i in rng.choice(len(PAIRABLE) - 1, 2, replace=False))  # structural ones
+        strong, ratio = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (STRONG_DB, UNEVEN))
+        stronger = hide(first, structure, references, rng, target_db=strong)
+        state = hide(second, structure, references, rng, stronger, target_db=strong / ratio)
     elif spec.kind == "unmeasured":
         state = hide_between(BETWEEN[spec.seed % len(BETWEEN)], structure, references, rng)
     elif spec.kind == "outside":
@@ -107,7 +114,7 @@ def truth(spec: Spec) -> Truth:
     else:
         state = hide(spec.kind, structure, references, rng)
     orders = _orders(state, band, rng) if spec.orders or spec.kind == "orders" else ()
-    return Truth(structure, references, state, band, orders, contact)
+    return Truth(structure, references, state, band, orders, contact, stronger)
 
 
 def _with_band(structure: Structure, band: tuple[float, float]) -> Structure:
@@ -226,6 +233,7 @@ def answer(spec: Spec, known: Truth) -> dict:
         "change_db": None
         if known.contact is not None
         else change_db(_with_band(structure, known.band), state, known.references, system=state.check_system),
+        "weaker_db": None if known.weaker_than is None else change_db(structure, state, known.references, known.weaker_than),
         "band_hz": list(known.band),
         "sensor_spacing_m": structure.spacing,
         "dofs": [s.name for s in structure.sensors],

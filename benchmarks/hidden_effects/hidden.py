@@ -138,21 +138,25 @@ def hide(
     *,
     most_db: float = DB_RANGE[1],
     largest: float = np.inf,
+    target_db: float | None = None,
 ) -> Hidden:
-    """One effect at a random place, its size drawn for a change of 0.5 to 6 dB of the FRFs, and at most ``largest``."""
+    """One effect at a random place that changes the FRFs by 0.5 to 6 dB, at random, or by ``target_db``; no larger than ``largest``."""
     base = base or idle(structure)
     if kind in SENSOR:
         return _sensor_fault(kind, structure, references, rng, base)
     for _ in range(60):
-        target = float(np.exp(rng.uniform(*np.log((DB_RANGE[0], most_db)))))
+        target = target_db or float(np.exp(rng.uniform(*np.log((DB_RANGE[0], most_db)))))
         make, low, high = _maker(kind, structure, rng, base)
-        found = _sized((make, low, min(high, largest)), structure, references, base, target)
+        least = DB_RANGE[0] if target_db is None else 0.95 * target_db
+        found = _sized((make, low, min(high, largest)), structure, references, base, target, least)
         if found is not None:
             return found
-    raise RuntimeError(f"no place for {kind} changes the FRFs by {DB_RANGE} dB")
+    raise RuntimeError(f"no place for {kind} changes the FRFs by {target_db or DB_RANGE} dB")
 
 
-def _sized(maker, structure: Structure, references: tuple[int, ...], base: Hidden, target: float) -> Hidden | None:
+def _sized(
+    maker, structure: Structure, references: tuple[int, ...], base: Hidden, target: float, least: float = DB_RANGE[0]
+) -> Hidden | None:
     """Bisection in the logarithm of the size; None where the target cannot be met or the state is not stable."""
     make, low, high = maker
 
@@ -163,7 +167,7 @@ def _sized(maker, structure: Structure, references: tuple[int, ...], base: Hidde
         return change_db(structure, state, references, base)
 
     top = change(high)
-    if np.isfinite(top) and top < DB_RANGE[0]:
+    if np.isfinite(top) and top < least:
         return None
     if change(low) > target:
         return None
@@ -173,7 +177,8 @@ def _sized(maker, structure: Structure, references: tuple[int, ...], base: Hidde
         middle = np.sqrt(low * high)
         low, high = (low, middle) if change(middle) > target else (middle, high)
     # A size beyond which the place is all but fixed cannot be found by anyone: a fifth less must show.
-    if change(low) < DB_RANGE[0] or change_db(structure, make(0.8 * low), references, make(low)) < LEAST_OF_A_FIFTH:
+    fifth = LEAST_OF_A_FIFTH * min(1.0, least / DB_RANGE[0])
+    if change(low) < least or change_db(structure, make(0.8 * low), references, make(low)) < fifth:
         return None
     return make(low)
 

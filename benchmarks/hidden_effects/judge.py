@@ -32,6 +32,8 @@ def judge(answer: dict, results: Path, exact=None) -> dict:
     if comparison is not None:
         models = {k: v for k, v in comparison["models"].items() if v}
         row["comparison_misfit"] = {k: v["misfit"] for k, v in models.items()}
+        # A model without variance has the floor of the measurement alone.
+        row["noise_db"] = (models.get("msf_all") or {}).get("noise_floor_db")
     if exact is not None:
         for route, name in (("hybrid", "ofrf.uff"), ("effect", "ofrf_effect.uff")):
             if (results / name).exists():

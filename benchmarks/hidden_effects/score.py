@@ -38,7 +38,9 @@ TIMEOUT = 900  # s a run
 
 
 def plan(name: str) -> list[Spec]:
-    """The cases of a plan; ``full``, ``short`` (one seed of each kind in turn), ``contacts`` (level-dependent kinds)."""
+    """The cases of a plan; ``full``, ``short`` (one seed of each kind in turn), ``contacts`` (level-dependent kinds), ``uneven`` pairs."""
+    if name == "uneven":
+        return [Spec(family, "uneven", 700 + i, (3, 2)[i % 2]) for i in range(10) for family in FAMILIES]
     if name == "contacts":
         specs = [Spec(family, kind, 500 + i, 2 + i % 2) for family in FAMILIES for kind in NONLINEAR for i in range(6)]
         return sorted(specs, key=lambda s: hashlib.sha1(s.name.encode()).hexdigest())
@@ -71,7 +73,7 @@ def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None
     if not (case / "test.toml").exists():
         write(spec, work, case)
     answer = json.loads((work / "answers" / f"{spec.name}.json").read_text())
-    row["truth"], row["change_db"] = answer["effects"], answer["change_db"]
+    row["truth"], row["change_db"], row["weaker_db"] = answer["effects"], answer["change_db"], answer.get("weaker_db")
     start = time.perf_counter()
     arguments = [command, "run", str(case / "test.toml"), "-o", str(results), *(["--until", until] if until else [])]
     environment = dict(os.environ, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MPLBACKEND="Agg")
@@ -116,7 +118,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("names", nargs="*", help="names of cases, as generate.py writes them")
-    parser.add_argument("--plan", choices=("full", "short", "contacts"))
+    parser.add_argument("--plan", choices=("full", "short", "contacts", "uneven"))
     parser.add_argument("--only", help="of the plan, cases whose name holds this text")
     parser.add_argument("--limit", type=int, help="stop after so many new runs")
     parser.add_argument("--processes", type=int, default=2)

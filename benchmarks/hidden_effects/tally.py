@@ -55,6 +55,12 @@ def _set(row: dict) -> bool:
     return bool(row["diagnosis"].get("in_set"))
 
 
+def swallowed(row: dict) -> bool:
+    """Whether a pair is called explained although one effect is missing that changes the FRFs by more than twice the noise."""
+    shows = row.get("weaker_db") is not None and row.get("noise_db") is not None and row["weaker_db"] > 2 * row["noise_db"]
+    return shows and row["diagnosis"]["verdict"] == "explained" and not all(row["diagnosis"]["right"])
+
+
 def must_show(rows: list[dict]) -> str:
     """Each line of the issue: figure, and what is asked."""
     linear = [r for r in rows if r["kind"] in LINEAR and r["check"]]
@@ -62,7 +68,8 @@ def must_show(rows: list[dict]) -> str:
     quiet = [r for r in rows if r["kind"] in QUIET]
     blind = [r for r in rows if r["kind"] in LINEAR and not r["check"]]
     one, three = ([r for r in linear if r["references"] == n] for n in (1, 3))
-    unmeasured, outside, lonely, two = ([r for r in rows if r["kind"] == k] for k in ("unmeasured", "outside", "one_mode", "two"))
+    special = ("unmeasured", "outside", "one_mode", "two", "uneven")
+    unmeasured, outside, lonely, two, uneven = ([r for r in rows if r["kind"] == k] for k in special)
     lines = [
         ("linear, 3 references: kind and place at the top", share(three, _top), "95 %"),
         ("linear, 1 reference: kind and place at the top", share(one, _top), "90 %"),
@@ -83,6 +90,8 @@ def must_show(rows: list[dict]) -> str:
             "100 %",
         ),
         ("two effects: both right", share(two, lambda r: all(r["diagnosis"]["right"])), "80 %"),
+        ("uneven pairs: explained, the weaker one (twice the noise) missing", share(uneven, swallowed), "0"),
+        ("uneven pairs: both right", share(uneven, lambda r: all(r["diagnosis"]["right"])), ""),
         ("two effects: ladder monotone", share(two, lambda r: r["diagnosis"]["monotone"]), "100 %"),
     ]
     times = [r["timings_s"]["diagnose"] for r in rows if r.get("timings_s", {}).get("diagnose") is not None and r["check"]]

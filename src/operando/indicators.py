@@ -11,6 +11,9 @@ from operando.data.modal import phase_collinearity
 
 __all__ = ["mac", "mean_phase_deviation", "phase_collinearity"]
 
+INTERVAL = 1.96
+"""Standard deviations in the 95 % interval, which is what ± stands for wherever people read it."""
+
 
 def mac(first: ArrayLike, second: ArrayLike | None = None) -> NDArray[np.float64]:
     """Modal assurance criterion |aᴴb|²/((aᴴa)(bᴴb)) (Shen & Lu 2024, Eq 1).

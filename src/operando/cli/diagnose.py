@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def text_of(name: str, document: dict[str, Any]) -> str:
     lines += [intro] if intro else []
     lines += [f"  {sentence}" for sentence in words.found]
     lines += [*words.sentences, *words.decide]
-    parts = ["\n".join(lines), ladder_table(document["ladder"])]
+    parts = ["\n".join(lines), ladder_table(document["ladder"], document.get("judged_on"))]
     if words.ladder.decibel and words.ladder.floor is not None:
         parts[-1] += f"\nnoise floor {words.ladder.floor:.4g} dB"
     if document.get("notes"):
@@ -62,11 +63,14 @@ def text_of(name: str, document: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def ladder_table(ladder: list[dict[str, Any]]) -> str:
-    """The error before and after each step, on all lines and on those that nothing was fitted to."""
+def ladder_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | None = None) -> str:
+    """The error before and after each step, on all lines and on those that nothing was fitted to; these are named."""
+    from operando.report.words_diagnosis import lines_words
+
     rows = []
     for row in ladder:
         added = row["added"]
         label = "idle model" if added is None else f"+ {added['kind']} {', '.join(added['location'])}".strip()
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
-    return table(rows, ["step", "model", "error dB", "held-out dB", "misfit", "held-out misfit"])
+    said = lines_words(judged_on or {})
+    return table(rows, ["step", "model", "error dB", "held-out dB", "misfit", "held-out misfit"]) + (f"\nheld out: {said}" if said else "")

@@ -116,7 +116,7 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
 def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
     from operando.compare import with_effect
-    from operando.diagnose import Model, apply_effects
+    from operando.diagnose import apply_effects
     from operando.diagnose.from_records import apply_levels, need_records, with_levels
     from operando.pipeline.outputs import LADDER_OUTPUTS
 
@@ -125,7 +125,8 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     assert idle is not None  # present() saw to it
     runs, band = judging(results)
     applied: Applied
-    if need_records(effects):
+    before = results.diagnosis or {}
+    if need_records(effects, before.get("data") or ()):
         applied = apply_levels(
             idle,
             effects,
@@ -145,22 +146,22 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
             progress=lambda message: say("refit", message),
         )
     done = applied.to_dict()
-    before = results.diagnosis or {}
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
     more = {key: done[key] for key in ("picture", "simulation") if key in done}
     if "picture" in more:
         more["picture"], notes = with_levels(more["picture"], idle, applied.effects, runs, band or idle.band_hz)
         by_hand["words"] = [*done["words"], *notes]
-    results.diagnosis = before | {"effects": done["effects"], "ladder": done["ladder"], "by_hand": by_hand} | more
+    results.diagnosis = (
+        before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | more
+    )
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
     if results.comparison is not None:
-        made = replace(applied.model.idle, covariance=None, std=None)  # the idle model's variance judges
-        shown = Model(made, applied.model.effects, applied.model.geometry) if applied.effects else None
-        results.comparison = with_effect(results.comparison, idle, shown, runs, band or idle.band_hz)
+        shown = applied.model if applied.effects else None
+        results.comparison = with_effect(results.comparison, shown, runs, band or idle.band_hz)
     for output in LADDER_OUTPUTS:
         if output.name != "comparison.json" or results.comparison is not None:
             folder.stage(output.name, None, output.of(results))
     folder.commit()
     words = list(applied.words) or ["the idle model alone"]
-    return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", ladder_table(done["ladder"])]))
+    return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", ladder_table(done["ladder"], done["judged_on"])]))

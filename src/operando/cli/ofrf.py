@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from operando.cli.answer import Answer, answers, apart_from_runs, table
+from operando.cli.answer import Answer, answers, apart_from_runs, say, table
 
 if TYPE_CHECKING:
+    from operando.compare import Route
     from operando.data import Frf
 
 UNITS = {"accelerance": "(m/s2)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
@@ -28,9 +29,8 @@ MOST_VALUES = 2_000_000
 @click.option(
     "--route",
     type=click.Choice(["hybrid", "effect"]),
-    default="hybrid",
-    show_default=True,
-    help="hybrid: scaled operational modes; effect: idle model + accepted effects.",
+    default=None,
+    help="hybrid: scaled operational modes; effect: idle model + accepted effects (default: the one that the results recommend).",
 )
 @click.option(
     "--level",
@@ -53,7 +53,7 @@ def ofrf(
     references: str | None,
     frequencies: str | None,
     quantity: str,
-    route: str,
+    route: str | None,
     level: float | None,
     changes: tuple[str, ...],
     output: str | None,
@@ -75,6 +75,14 @@ def ofrf(
     apart_from_runs(output, "ofrf")
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
+    advised = advice(folder)
+    warning = why = None
+    if route is None:
+        why = None if advised is None else f"Route {advised.name}, as the results recommend: {advised.reason}."
+        route = advised.name if advised is not None else "hybrid"
+    elif advised is not None and advised.name != route and not changes and level is None:
+        warning = f"the results recommend --route {advised.name}: {advised.reason}"
+        say(f"warning: {warning}")
     names = ("idle_frf", "left_out", "settings", "geometry")
     more = ("idle", "diagnosis", "effect_idle", "effect_covariance") if route == "effect" else ("hybrid",)
     results = load_results(folder, only=(*names, *more))
@@ -109,6 +117,8 @@ def ofrf(
         "schema": "operando/ofrf/1",
         "route": route,
         "method": method,
+        "recommended": None if advised is None else advised.to_dict(),
+        "warning": warning,
         "level_n": level,
         "changed": [{"step": step, "parameter": name, "value": value} for step, name, value in values],
         "settings": results.settings,
@@ -126,7 +136,17 @@ def ofrf(
     else:
         data = np.stack([frf.data.real, frf.data.imag], axis=-1)
         document |= {"frequencies_hz": frf.frequencies_hz, "data": data, "std": None if frf.variance is None else np.sqrt(frf.variance)}
-    return Answer(document, _text(frf, method, output))
+    text = _text(frf, method, output)
+    return Answer(document, text if why is None else f"{text}\n{why}")
+
+
+def advice(folder: str) -> Route | None:
+    """The route that the results of a folder recommend."""
+    from operando.compare import recommended
+    from operando.store import load_results
+
+    results = load_results(folder, only=("comparison", "diagnosis", "hybrid"))
+    return recommended(results.comparison, results.diagnosis, results.hybrid is not None)
 
 
 def _dofs(text: str | None, option: str) -> Any:
@@ -248,6 +268,8 @@ def write_frf(frf: Frf, path: Path) -> None:
 def _text(frf: Frf, method: str, output: str | None) -> str:
     import numpy as np
 
+    from operando.indicators import INTERVAL
+
     f, count = frf.frequencies_hz, len(frf.responses) * len(frf.references)
     head = (
         f"{count} operational FRFs ({frf.quantity}, {UNITS[frf.quantity]}, method {method}), {f[0]:.6g} … {f[-1]:.6g} Hz, {f.size} lines."
@@ -259,9 +281,10 @@ def _text(frf: Frf, method: str, output: str | None) -> str:
                 break
             size = np.abs(frf.data[i, j])
             top = int(np.nanargmax(size))
-            std = None if frf.variance is None else float(8.686 * np.median(np.sqrt(frf.variance[i, j] / 2) / np.maximum(size, 1e-300)))
+            own = None if frf.variance is None else np.sqrt(frf.variance[i, j] / 2) / np.maximum(size, 1e-300)
+            std = None if own is None else float(8.686 * INTERVAL * np.median(own))
             rows.append([str(response), str(reference), f"{f[top]:.4f}", f"{size[top]:.4g}", "" if std is None else f"{std:.2g}"])
-    parts = [head, table(rows, ["response", "reference", "peak Hz", "peak", "± dB (median)"])]
+    parts = [head, table(rows, ["response", "reference", "peak Hz", "peak", "± dB (95 %, median)"])]
     if count > len(rows):
         parts.append(f"… and {count - len(rows)} more pairs")
     parts.append(f"{output} written." if output else "Nothing written: -o FILE keeps them, --json prints the values.")

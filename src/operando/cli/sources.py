@@ -54,7 +54,7 @@ def load_model(path: str) -> Source:
     """
     results = _results(path)
     if results is not None:
-        from operando.pipeline.scale import no_scale
+        from operando.scaling.no_scale import no_scale
 
         band = results.settings.get("band") or (None if results.idle is None else results.idle.band_hz)
         band = None if band is None else (float(band[0]), float(band[1]))
@@ -64,7 +64,7 @@ def load_model(path: str) -> Source:
         if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
             return Source(results.idle, "idle modes", band, without)
         cause = None if results.idle is None else no_scale(results.idle, results.findings)
-        text, hint = cause or ("there are no idle modes", "`operando run` the test to the stage ema or further")
+        text, hint = cause[:2] if cause else ("there are no idle modes", "`operando run` the test to the stage ema or further")
         raise MissingError(f"holds no model of unit modal mass: {text}", where=path, hint=hint)
     content = _read(path)
     if content.frfs:

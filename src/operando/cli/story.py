@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from operando.cli.answer import Answer, say, table
 from operando.errors import IdentificationError, OperandoError
+from operando.indicators import INTERVAL
 
 if TYPE_CHECKING:
     from operando.results import Results
@@ -33,9 +34,12 @@ class Clock:
 
 def run_answer(results: Results, out: Path, until: str | None) -> Answer:
     """Answer of a run: ``summary.json`` with the folder and the comparison, tables, and an error if a stage failed."""
+    from operando.compare import recommended
     from operando.pipeline import summary
 
     document = summary(results) | {"results": str(out), "until": until, "comparison": results.comparison, "timings_s": results.timings_s}
+    route = recommended(results.comparison, results.diagnosis, results.hybrid is not None)
+    document |= {"verdict": (results.diagnosis or {}).get("verdict"), "route": None if route is None else route.to_dict()}
     return Answer(document, run_text(results, out), failure(results, out))
 
 
@@ -59,7 +63,7 @@ def run_text(results: Results, out: Path) -> str:
     if results.comparison is not None:
         parts.append(comparison_table(results.comparison))
     if results.idle is not None:
-        parts.append(f"Idle modes ({_scaling(results.idle)}):\n" + mode_table(results.idle))
+        parts.append(f"Idle modes ({_scaling(results)}):\n" + mode_table(results.idle))
     if results.operating is not None:
         parts.append("Operational modes:\n" + mode_table(results.operating, results.hybrid))
     if results.diagnosis is not None:
@@ -76,21 +80,26 @@ def run_text(results: Results, out: Path) -> str:
 
 
 def headline(results: Results) -> str:
-    """One sentence: how well the operational FRFs predict the check."""
-    models = {} if results.comparison is None else results.comparison["models"]
-    ofrf, idle = models.get("ofrf"), models.get("idle")
-    if ofrf and idle and ofrf["error_db"] is not None and idle["error_db"] is not None:
-        floor = f"; the noise floor is {ofrf['noise_floor_db']:.2g} dB" if ofrf["noise_floor_db"] is not None else ""
-        return (
-            f"{results.name}: the operational FRFs miss the check measurement by {ofrf['error_db']:.2f} dB, "
-            f"the idle model by {idle['error_db']:.2f} dB{floor}."
-        )
+    """The answer first: verdict and recommended route where there is a diagnosis, else how far the run came."""
+    from operando.report.assessment import route_words
+
+    if results.diagnosis is not None:
+        from operando.report.words_diagnosis import diagnosis_words
+
+        words = diagnosis_words(results.diagnosis)
+        return f"{results.name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}. {route_words(results)}".strip()
     if results.hybrid is not None:
         count, method = len(results.hybrid.modal.dofs), results.hybrid.method
-        return f"{results.name}: operational FRFs of {count} DOFs by method {method}; no check measurement judged them."
+        judged = route_words(results) if results.comparison is not None else ""
+        made = f"{results.name}: operational FRFs of {count} DOFs by method {method}"
+        if judged:
+            return f"{made}. {judged}"
+        return f"{made}; no check measurement judged them."
     if results.operating is not None and results.idle is not None:
+        why = results.left_out.get("ofrf", "")
         return (
-            f"{results.name}: {_count(results.idle)} idle and {_count(results.operating)} operational modes in band; no operational FRFs."
+            f"{results.name}: {_count(results.idle)} idle and {_count(results.operating)} operational modes in band; no operational FRFs"
+            + (f" ({why})." if why else ".")
         )
     if results.idle is not None:
         return f"{results.name}: {_count(results.idle)} idle modes in band."
@@ -111,11 +120,20 @@ def comparison_table(comparison: dict[str, Any]) -> str:
             comparison["models"].items(), key=lambda item: list(MODEL_NAMES).index(item[0]) if item[0] in MODEL_NAMES else 99
         )
     ]
-    return table(rows, ["model", "error dB", "relative %", "misfit", "floor dB"])
+    on = comparison.get("judged_on") or {}
+    head = table(rows, ["model", "error dB", "relative %", "misfit", "floor dB"])
+    return head + (f"\nin operation, {', '.join(on['runs'])}, level {on['level']}, {_lines(comparison)}" if on else "")
+
+
+def _lines(comparison: dict[str, Any]) -> str:
+    band = comparison["judged_on"]["band_hz"]
+    counts = sorted({m["n_lines"] for m in comparison["models"].values()})
+    text = " … ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) + " complex values"
+    return text + (f" in {band[0]:.4g} … {band[1]:.4g} Hz" if band else "")
 
 
 def mode_table(model: Any, hybrid: Any = None) -> str:
-    """Frequency and damping with standard deviations; the idle partner of operational modes."""
+    """Frequency and damping with 95 % intervals (±); the idle partner of operational modes."""
     rows = []
     f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
     pairs = {p["operating"]: p for p in hybrid.to_dict()["pairing"]} if hybrid is not None else {}
@@ -123,9 +141,9 @@ def mode_table(model: Any, hybrid: Any = None) -> str:
         row: list[Any] = [
             i,
             f"{model.frequencies_hz[i]:.4f}",
-            "" if f_std is None else f"{f_std[i]:.2g}",
+            "" if f_std is None else f"{INTERVAL * f_std[i]:.2g}",
             f"{100 * model.damping_ratios[i]:.4f}",
-            "" if z_std is None else f"{100 * z_std[i]:.2g}",
+            "" if z_std is None else f"{100 * INTERVAL * z_std[i]:.2g}",
             "" if model.in_band[i] else "outside",
         ]
         if hybrid is not None:
@@ -158,8 +176,11 @@ def _count(model: Any) -> int:
     return int(model.in_band.sum())
 
 
-def _scaling(model: Any) -> str:
-    return "unit modal mass" if model.scaling == "unit_modal_mass" and model.si else "no mass scaling: units or drive point missing"
+def _scaling(results: Results) -> str:
+    from operando.scaling.no_scale import no_scale
+
+    cause = None if results.idle is None else no_scale(results.idle, results.findings)
+    return "unit modal mass" if cause is None else f"no mass scaling: {cause[0]}"
 
 
 def _fixed(value: float | None, digits: int) -> str:

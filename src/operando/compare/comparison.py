@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.compare.measures import Lines, band_edges, error_db, misfit, model_share, noise_floor_db, relative_error
+from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
 from operando.compare.peaks import by_mode, fit_peaks
 from operando.data import Frf
 from operando.dof import Dof, Node
@@ -39,7 +39,7 @@ class Comparison:
     relative_error : float or None
         Norm of the complex error over the norm of the measurement, all lines.
     misfit : float or None
-        Mean squared error over the variance of measurement and idle model; 1 is as good as the data allow.
+        Mean squared error over the variance of the measurement and of the model compared, of its own; 1 is as good as the data allow.
     noise_floor_db : float or None
         What ``error_db`` would be for a perfect model.
     model_share : float or None
@@ -50,6 +50,8 @@ class Comparison:
         Complex lines compared, all pairs together.
     notes : tuple of str
         What could not be judged, and why.
+    misfit_meas : float or None
+        As ``misfit``, by the variance of the measurement alone.
     """
 
     error_db: float | None
@@ -62,6 +64,7 @@ class Comparison:
     by_mode: tuple[dict[str, Any], ...]
     n_lines: int = 0
     notes: tuple[str, ...] = ()
+    misfit_meas: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """JSON object as in the contract."""
@@ -69,6 +72,7 @@ class Comparison:
             "error_db": self.error_db,
             "relative_error": self.relative_error,
             "misfit": self.misfit,
+            "misfit_meas": self.misfit_meas,
             "noise_floor_db": self.noise_floor_db,
             "model_share": self.model_share,
             "by_dof": [dict(d) for d in self.by_dof],
@@ -83,7 +87,6 @@ def compare(
     model: FrfModel | Frf,
     measured: Frf | Sequence[Frf],
     band_hz: tuple[float, float] | None = None,
-    variance_of: FrfModel | None = None,
 ) -> Comparison:
     """Error measures of a model against a measurement (contract, "Error measures").
 
@@ -95,8 +98,6 @@ def compare(
         Reference; without variance it is taken as exact. Several are pooled.
     band_hz : (float, float), optional
         Lines used; default all.
-    variance_of : model, optional
-        Take the model's part of var_total from this model instead (the contract judges misfits by the idle model's own variance).
 
     Raises
     ------
@@ -105,14 +106,14 @@ def compare(
     """
     runs = [measured] if isinstance(measured, Frf) else list(measured)
     with threadpool_limits(1, "blas"):
-        return _compare(model, runs, band_hz, variance_of)
+        return _compare(model, runs, band_hz)
 
 
-def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float] | None, variance_of: FrfModel | None) -> Comparison:
+def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float] | None) -> Comparison:
     labels: list[Dof] = []
     notes: list[str] = []
     pairs = [common_frfs(model, run, band_hz, notes) for run in runs]
-    lines = pool([collect(made, ref, labels, notes, variance_of) for made, ref in pairs])
+    lines = pool([collect(made, ref, labels, notes) for made, ref in pairs])
     if lines.model.size == 0:
         raise DataError("model and measurement share no finite line")
     low, high = float(lines.frequency_hz.min()), float(lines.frequency_hz.max())
@@ -138,6 +139,7 @@ def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float
         tuple(_modes(pairs, notes)),
         int(lines.model.size),
         tuple(dict.fromkeys(notes)),
+        misfit_meas(lines),
     )
 
 
@@ -199,7 +201,7 @@ def _available(model: FrfModel | Frf) -> tuple[set[tuple[Node, str]] | None, set
     return known, known
 
 
-def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str], variance_of: FrfModel | None = None) -> Lines:
+def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
     """Flat lines of one run; ``labels`` grows by DOFs not seen before."""
     known = {(d.node, d.axis): i for i, d in enumerate(labels)}
     for d in ref.responses:
@@ -210,8 +212,7 @@ def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str], variance_o
     shape = ref.data.shape
     zero = np.zeros(shape)
     var_meas = zero if ref.variance is None else ref.variance
-    source = made if variance_of is None else variance_of.frf(ref.frequencies_hz, ref.responses, ref.references, ref.quantity)
-    own = zero if source.variance is None else source.variance
+    own = zero if made.variance is None else made.variance
     good = np.isfinite(made.data) & np.isfinite(ref.data) & np.isfinite(var_meas) & np.isfinite(own)
     response = np.broadcast_to(which[:, None, None], shape)
     f = np.broadcast_to(ref.frequencies_hz, shape)
@@ -268,41 +269,36 @@ def compare_all(
     if not runs:
         raise DataError("no check run to compare with")
     judge = lowest_level(runs)
-    # var_total holds the idle model's own variance, for every model alike (contract, "Error measures").
-    base = models.get("idle")
-    own = None if base is None or isinstance(base, Frf) else _Once(base)
-    judged = [r.frf for r in runs if r.level == judge]
-    overall = {name: compare(m, judged, band_hz, own).to_dict() for name, m in models.items()}
+    judged = [r for r in runs if r.level == judge]
+    overall = {name: compare(m, [r.frf for r in judged], band_hz).to_dict() for name, m in models.items()}
     by_run = []
     for r in runs:
         alone = len(judged) == 1 and r.level == judge  # this run is all that judged: its errors are known
-        errors = overall if alone else {name: compare(m, r.frf, band_hz, own).to_dict() for name, m in models.items()}
+        errors = overall if alone else {name: compare(m, r.frf, band_hz).to_dict() for name, m in models.items()}
         by_run.append({"name": r.name, "level": r.level, "models": errors})
-    return {"schema": "operando/comparison/1", "judge_level": judge, "models": overall, "by_run": by_run}
+    on = {"runs": [r.name for r in judged], "level": judge, "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
+    return {"schema": "operando/comparison/1", "judge_level": judge, "judged_on": on, "models": overall, "by_run": by_run}
 
 
 def with_effect(
     comparison: dict[str, Any],
-    idle: FrfModel,
     effect: FrfModel | None,
     runs: Sequence[CheckRun],
     band_hz: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """``comparison.json`` with the idle model and its effects judged anew, all other models as they were.
+    """``comparison.json`` with the idle model and its effects judged anew, all models without them as they were.
 
     Parameters
     ----------
     comparison : dict
         As :func:`compare_all` gives it.
-    idle : model
-        Its variance judges.
     effect : model or None
         Idle model with effects; None where all have been taken back.
     runs : sequence of CheckRun
         Those of ``comparison``.
     band_hz : (float, float), optional
     """
-    judged = None if effect is None else compare_all({"idle": idle, "effect": effect}, runs, band_hz)
+    judged = None if effect is None else compare_all({"effect": effect}, runs, band_hz)
 
     def changed(models: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
         rest = {name: errors for name, errors in models.items() if name != "effect"}
@@ -313,22 +309,6 @@ def with_effect(
         for k, old in enumerate(comparison.get("by_run", []))
     ]
     return comparison | {"models": changed(comparison["models"], judged), "by_run": by_run}
-
-
-class _Once:
-    """A model that makes the same FRFs only once."""
-
-    def __init__(self, model: FrfModel) -> None:
-        self.model = model
-        self.made: dict[Any, Frf] = {}
-
-    def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
-        """FRFs at the lines asked for."""
-        f = np.asarray(frequencies, float)
-        key = (f.tobytes(), str(responses), str(references), quantity)
-        if key not in self.made:
-            self.made[key] = self.model.frf(f, responses, references, quantity)
-        return self.made[key]
 
 
 def lowest_level(runs: Sequence[CheckRun]) -> str:

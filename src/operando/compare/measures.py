@@ -77,6 +77,12 @@ def misfit(lines: Lines) -> float | None:
     return float(np.mean(np.abs(lines.model[k] - lines.measured[k]) ** 2 / total[k])) if np.any(k) else None
 
 
+def misfit_meas(lines: Lines) -> float | None:
+    """The same by the variance of the measurement alone."""
+    k = lines.var_meas > 0
+    return float(np.mean(np.abs(lines.model[k] - lines.measured[k]) ** 2 / lines.var_meas[k])) if np.any(k) else None
+
+
 def noise_floor_db(lines: Lines) -> float | None:
     """Rms of 8.686·sqrt(var_total/2)/|H_measured| over counted lines; None without a variance."""
     k = lines.counted

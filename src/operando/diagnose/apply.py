@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from operando.data import Geometry, ModalModel
-from operando.diagnose.diagnosis import effects_of, ladder, make_problem, with_what_was_learnt
+from operando.diagnose.diagnosis import effects_of, judged_on, ladder, make_problem, with_what_was_learnt
 from operando.diagnose.model import Model
 from operando.diagnose.predict import Term
 from operando.diagnose.problem import Problem, choose, scan, step
@@ -47,16 +47,24 @@ class Applied:
         One row a step, as in ``diagnosis.json``.
     words : tuple of str
         What each effect did to the error, and where the data do not support it.
+    judged_on : mapping
+        State, level and lines of the held-out figures.
     """
 
     model: Model
     effects: tuple[Effect, ...]
     ladder: tuple[dict[str, Any], ...]
     words: tuple[str, ...]
+    judged_on: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: effects, ladder, words."""
-        return {"effects": [e.to_dict() for e in self.effects], "ladder": [dict(r) for r in self.ladder], "words": list(self.words)}
+        """JSON object: effects, ladder, words, and what the held-out figures stand on."""
+        return {
+            "effects": [e.to_dict() for e in self.effects],
+            "ladder": [dict(r) for r in self.ladder],
+            "words": list(self.words),
+            "judged_on": dict(self.judged_on),
+        }
 
 
 def apply_effects(
@@ -128,7 +136,9 @@ def apply_effects(
                             f"the data speak for another one: {effects_of(best)[-1]} would lower it to {other:.4g}; "
                             f"`operando remove` takes step {k} back"
                         )
-        return Applied(model_of(problem, fits[-1], geometry), tuple(effects_of(fits[-1])), tuple(rows), tuple(words))
+        return Applied(
+            model_of(problem, fits[-1], geometry), tuple(effects_of(fits[-1])), tuple(rows), tuple(words), judged_on(problem, check)
+        )
 
 
 def best_start(problem: Problem, fit: Fit, term: Term, q: Array) -> tuple[Term, Array]:

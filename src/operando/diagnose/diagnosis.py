@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.compare import compare
 from operando.compare.measures import Lines, error_db, noise_floor_db
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
+from operando.compare.verdict import GOOD, verdict_of
+from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.diagnose.learn import learn, on_all_lines
@@ -21,21 +21,20 @@ from operando.diagnose.localise import localise
 from operando.diagnose.measurement import propose
 from operando.diagnose.model import Model
 from operando.diagnose.places import candidates as all_candidates
+from operando.diagnose.power import unseen, what_hides
 from operando.diagnose.problem import EARNED, Problem, Tried
 from operando.diagnose.refit import Fit, model_variance, predicted
 from operando.diagnose.result import effects_of, model_of
 from operando.diagnose.search import EXCUSED, MAX_EFFECTS, other_orders, search
 from operando.diagnose.sensor_mass import of_a_sensor, renamed
 from operando.diagnose.sets import JUDGE, LEVEL_LIMIT, CheckLines, split_lines
-from operando.diagnose.verdict import FURTHER_PART, GOOD, ambiguous_with, verdict_of
+from operando.diagnose.support import further, noise_alone, taken_out, weakest
+from operando.diagnose.verdict import FURTHER_PART, ambiguous_with, one_mode
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
 
 Array = NDArray[Any]
-
-WHERE_LINES = 600
-"""Lines of a run on which failure by DOF and band is judged."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Diagnosis:
 
     Parameters
     ----------
-    verdict : {"no_misfit", "explained", "partial", "unexplained", "ambiguous"}
+    verdict : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
     effects : tuple of Effect
         Accepted, in order, refitted together.
     ambiguous_with : tuple of Effect
@@ -67,6 +66,12 @@ class Diagnosis:
         As it was before.
     model : Model or None
         Idle model (shapes at the effects' places refitted), the accepted effects, and the covariance of both.
+    judged_on : mapping
+        State, level and lines of the held-out figures.
+    detectable : tuple of dict
+        The least change of each mode's frequency that would have been seen.
+    reason : str or None
+        What stands in the way of a better verdict.
     """
 
     verdict: str
@@ -82,11 +87,14 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     idle: ModalModel | None = None
     model: Model | None = None
+    judged_on: Mapping[str, Any] = field(default_factory=dict)
+    detectable: tuple[dict[str, Any], ...] = ()
+    reason: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
         return {
-            "schema": "operando/diagnosis/1",
+            "schema": "operando/diagnosis/2",
             "data": list(self.data),
             "verdict": self.verdict,
             "effects": [e.to_dict() for e in self.effects],
@@ -98,6 +106,13 @@ class Diagnosis:
             "noise_floor_db": self.noise_floor_db,
             "picture": self.picture,
             "notes": list(self.notes),
+            "judged_on": dict(self.judged_on),
+            "reason": self.reason,
+            "detectable": [dict(row) for row in self.detectable],
+            # not estimated yet, so null: what differs between the two measurements, the discrepancy, modes by level
+            "between": None,
+            "discrepancy": None,
+            "by_level": None,
         }
 
 
@@ -115,6 +130,7 @@ def diagnose(
     records: Sequence[TimeRecord] = (),
     idle_frf: Frf | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
+    compared: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
     """Name the physical effect that the idle model lacks, where it acts and how large it is.
 
@@ -142,6 +158,8 @@ def diagnose(
         FRFs at rest: how much of the responses is not proportional to the force there.
     exclude_bands : sequence of (float, float)
         Lines of the records left out [Hz].
+    compared : mapping, optional
+        Errors of the idle model against these runs, as :func:`operando.compare.compare_all` gives them; made where not given.
 
     Raises
     ------
@@ -155,7 +173,14 @@ def diagnose(
     if records:
         from operando.diagnose.from_records import diagnose_levels
 
-        asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band, "progress": progress}
+        asked: dict[str, Any] = {
+            "geometry": geometry,
+            "kinds": kinds,
+            "places": places,
+            "band": band,
+            "progress": progress,
+            "compared": compared,
+        }
         linear = (lambda: diagnose(idle, check=check, operating=operating, hybrid=hybrid, **asked)) if check else None
         return diagnose_levels(linear, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
     if not check:
@@ -168,7 +193,7 @@ def diagnose(
         )
     with threadpool_limits(1, "blas"):
         problem = make_problem(idle, check, kinds, places, band or idle.band_hz, progress)
-        return _search(problem, check, operating, geometry, band or idle.band_hz)
+        return _search(problem, check, operating, geometry, band or idle.band_hz, compared)
 
 
 def make_problem(
@@ -211,17 +236,19 @@ def _search(
     operating: ModalModel | None,
     geometry: Geometry | None,
     band: tuple[float, float] | None,
+    compared: Mapping[str, Any] | None,
 ) -> Diagnosis:
+    idle = problem.idle  # without the places between sensors that the search may add
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
     found = search(problem, MAX_EFFECTS if one_system else 1, lambda first: between_sensors(problem, geometry, first))
     if found.elsewhere is not None:
         problem, geometry, found = found.elsewhere
-    fits, history, before, last, further = found.fits, found.history, found.before, found.last, found.further
+    most = MAX_EFFECTS if one_system and not one_mode(idle) else 1
+    found, more = further(problem, found, most) if most > 1 else (found, None)
+    fits, history, before, last = found.fits, found.history, found.before, found.last
     final = [problem.settled(f) if f.terms else f for f in fits]
     sensors = of_a_sensor(problem, final[-1], operating, geometry)
     rows, final = ladder(problem, [renamed(f, sensors) for f in final])
-    if found.corrected:
-        rows, final = with_what_was_learnt(problem, rows, final)
     if one_system and rises(rows) and rows[-1]["heldout_misfit"] < GOOD:
         # Effects that make up for each other: told in an order in which each helps, if there is one.
         for other_fits, other_history in other_orders(problem, fits[-1], history):
@@ -230,46 +257,62 @@ def _search(
             if not rises(other_rows) and other_rows[-1]["heldout_misfit"] < GOOD:
                 fits, history, rows, final = other_fits, other_history, other_rows, again
                 break
+    notes = list(problem.lines.notes)
     kept = lowering([r["heldout_misfit"] for r in rows]) if one_system else len(rows)
+    dropped: list[Effect] = []
     if kept < len(rows):
         rows, final, fits, history = rows[:kept], final[:kept], fits[:kept], history[: kept - 1]
+        notes.append("an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse")
+    rows, final = with_what_was_learnt(problem, rows, final)
+    if kept < len(found.fits) and not noise_alone(problem, final[-1]):
+        more = "something more is missing, but not what was found: it left lines the fit had not seen worse predicted"
+    while (weak := weakest(final[-1])) is not None:
+        dropped.append(effects_of(final[-1])[weak])
+        notes.append(f"{dropped[-1].kind} at {dropped[-1].place or 'the whole'} is a candidate only: its 95 % interval holds zero")
+        fits, history = taken_out(problem, fits, history, weak)
+        rows, final = ladder(problem, [renamed(problem.settled(f) if f.terms else f, sensors) for f in fits])
+        rows, final = with_what_was_learnt(problem, rows, final)
+    if dropped and history and noise_alone(problem, final[-1]):
+        more = None  # what was found beyond these effects has no support, and nothing but noise is left
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
     judged = problem.sets[JUDGE]
-    notes = list(problem.lines.notes)
-    if kept < len(found.fits):
-        further = 0.0  # there is something, but not what was found
-        notes.append("an effect that fitted was taken back: with it, lines the fit had not seen were predicted worse")
     if history and rows[-1]["heldout_misfit"] >= GOOD:
         gain, odd = gain_by_free_law(problem, fits[-1])
         if odd is not None and gain < FURTHER_PART:
-            further = min(further, gain)
             place = ", ".join(map(str, odd.dofs)) or "the place found"
-            notes.append(
+            more = (
                 f"what acts at {place} does not follow the law of {odd.kind.plain}: "
                 f"free to bend over frequency it lowers the misfit by {1 - gain:.0%}"
             )
-    verdict = verdict_of([r["heldout_misfit"] for r in rows], bool(history), other, further)
-    alone = alone_by_free_law(problem, fits[-1], history[0][1]) if verdict == "explained" else None
-    if alone is not None:
-        verdict = "partial"
+    if not one_system:
+        more = "the runs of different level are not one linear system: a linear effect cannot explain both"
+    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
+    hidden, detectable = unseen(problem, floor, rows[0]["heldout_misfit"])
+    judge = [r["heldout_misfit"] for r in rows]
+    verdict, reason = verdict_of(judge, unseen=hidden, more=more, ambiguous=other)
+    if verdict == "explained" and (alone := alone_by_free_law(problem, fits[-1], history[0][1])) is not None:
         place = ", ".join(map(str, alone.dofs)) or "one place"
-        notes.append(f"one effect at {place}, of a law that is not in the catalogue, explains about as much as the effects named together")
-    if not one_system and verdict in ("explained", "ambiguous"):
-        verdict = "partial"
-        notes.append("the runs of different level are not one linear system: a linear effect cannot explain both")
-    if verdict in ("explained", "ambiguous"):
-        if not found.corrected:
-            rows, final = with_what_was_learnt(problem, rows, final)
+        more = f"one effect at {place}, of a law that is not in the catalogue, explains about as much as the effects named together"
+        verdict, reason = verdict_of(judge, unseen=hidden, more=more)
+    if verdict in ("explained", "ambiguous", "partial"):
         if final[-1].learnt is not None:
             notes.append(CORRECTED)
-        final[-1] = on_all_lines(problem, final[-1])
-        rows[-1]["added"] = effects_of(final[-1])[-1].to_dict()
-        notes.append(AFTERWARDS)
+        if verdict != "partial":
+            whole = on_all_lines(problem, final[-1])
+            if weakest(whole) is None:  # else the last fit has lost its way: the sizes that were judged stand
+                final[-1] = whole
+                rows[-1]["added"] = effects_of(whole)[-1].to_dict()
+                notes.append(AFTERWARDS)
+    elif history:
+        dropped += effects_of(final[-1], problem.idle.dofs)
+        rows, final, alternatives = rows[:1], final[:1], []
     effects = tuple(effects_of(final[-1], problem.idle.dofs))
-    ranked = tuple(candidate_row(t, before) for t in (found.history[0][1] if found.history else last))
-    proposal = propose(problem, final[-1], alternatives, verdict)
-    where = where_it_fails(problem.idle, check, band)
-    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
+    ranked = [
+        *(unsupported_row(e, judge) for e in dropped),
+        *(candidate_row(t, before) for t in (found.history[0][1] if found.history else last)),
+    ]
+    proposal = what_hides(problem) if verdict == "inconclusive" else propose(problem, final[-1], alternatives, verdict)
+    where = where_it_fails(idle, check, band, compared)
     picture = localise(problem, effects, final[-1])
     return Diagnosis(
         verdict,
@@ -277,7 +320,7 @@ def _search(
         tuple(effects_of(t.fit)[-1] for t in alternatives),
         proposal,
         tuple(rows),
-        ranked,
+        tuple(ranked),
         where,
         floor,
         ("check_frf",),
@@ -285,6 +328,9 @@ def _search(
         tuple(notes),
         problem.idle,
         model_of(problem, final[-1], geometry),
+        judged_on(problem, check),
+        tuple(detectable),
+        reason,
     )
 
 
@@ -383,33 +429,35 @@ def candidate_row(tried: Tried, before: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def where_it_fails(idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None) -> dict[str, Any]:
-    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level."""
+def unsupported_row(effect: Effect, judge: Sequence[float]) -> dict[str, Any]:
+    """An entry of ``candidates`` for what was found and is not supported."""
+    evidence = (
+        f"found, but not supported: reduced chi-square on the validation lines {judge[0]:.4g} → {judge[-1]:.4g} with all that was found"
+    )
+    return effect.to_dict() | {"selection_misfit": None, "evidence": evidence}
+
+
+def where_it_fails(
+    idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None, compared: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level: the figures of the comparison."""
+    from operando.compare import compare_all
+
+    made = compared or compare_all({"idle": idle}, check, band)["models"]["idle"]
+    return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
+
+
+def judged_on(problem: Problem, check: Sequence[CheckRun]) -> dict[str, Any]:
+    """State, level and lines of the ladder's figures on the judge set."""
     from operando.compare.comparison import lowest_level
 
-    judge = lowest_level(check)
-    runs = [run.frf for run in check if run.level == judge]
-    if band is not None:
-        runs = [frf.band(*band) for frf in runs]
-    # The idle model's variance of thousands of lines takes longer than the diagnosis; peaks need the lines but no variance.
-    few = [every(frf, max(1, len(frf.axis) // WHERE_LINES)) for frf in runs]
-    made = compare(idle, few).to_dict()
-    have = {(d.node, d.axis) for d in idle.dofs}
-    plain = []
-    for frf in runs:
-        shared = frf.select([d for d in frf.responses if (d.node, d.axis) in have], [d for d in frf.references if (d.node, d.axis) in have])
-        plain.append((idle.frf(shared.frequencies_hz, shared.responses, shared.references, shared.quantity, variance=False), shared))
-    by_mode = [row for model, frf in plain for row in compare(model, frf).to_dict()["by_mode"]]
-    return {"by_dof": made["by_dof"], "by_band": made["by_band"], "by_mode": by_mode}
-
-
-def every(frf: Frf, step: int) -> Frf:
-    """One line in ``step``."""
-    pick = slice(step // 2, None, step)
-    return replace(
-        frf,
-        data=frf.data[:, :, pick],
-        axis=FrequencyAxis(frf.frequencies_hz[pick]),
-        variance=None if frf.variance is None else frf.variance[:, :, pick],
-        coherence=None if frf.coherence is None else frf.coherence[:, :, pick],
-    )
+    judge = problem.sets[JUDGE]
+    return {
+        "state": "operating",
+        "measured": "FRF lines",
+        "runs": [judge.runs[k] for k in np.unique(judge.run)],
+        "level": lowest_level(check),
+        "band_hz": [float(problem.lines.hz.min()), float(problem.lines.hz.max())],
+        "n_lines": int(np.sum(np.isfinite(judge.variance))),
+        "whole_run": bool(np.all(problem.lines.group[np.isin(problem.lines.run, judge.run)] == JUDGE)),
+    }

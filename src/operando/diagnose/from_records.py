@@ -13,11 +13,18 @@ from operando.diagnose.apply import Applied, words_of
 from operando.diagnose.at_level import level_picture, levels_of
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
 from operando.diagnose.model import Model
-from operando.diagnose.verdict import GOOD
 from operando.dof import Node
 from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
-from operando.nonlinear import AppliedToRecords, NonlinearDiagnosis, apply_to_records, diagnose_records, linear_effects, measured_distortion
+from operando.nonlinear import (
+    AppliedToRecords,
+    NonlinearDiagnosis,
+    apply_to_records,
+    diagnose_records,
+    has_restoring_force,
+    linear_effects,
+    measured_distortion,
+)
 from operando.results import CheckRun
 
 DISTORTION, LOUDEST = 3.0, 0.75
@@ -46,7 +53,10 @@ class RecordsDiagnosis(Diagnosis):
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``, with ``detection`` and ``simulation`` beside."""
         out = super().to_dict()
-        return out if self.records is None else out | {"detection": self.records.detection, "simulation": self.records.simulation}
+        if self.records is None:
+            return out
+        said = self.records.to_dict()
+        return out | {key: said[key] for key in ("detection", "simulation", "discrepancy")}
 
 
 @dataclass(frozen=True)
@@ -67,9 +77,11 @@ class RecordsApplied(Applied):
         return out if self.records is None else out | {"picture": self.records.picture, "simulation": self.records.simulation}
 
 
-def need_records(effects: Sequence[Effect]) -> bool:
-    """Whether effects depend on the level, so that FRFs cannot tell their sizes."""
-    return any(e.definition.acts == "pseudo_force" for e in effects)
+def need_records(effects: Sequence[Effect], data: Sequence[str] = ()) -> bool:
+    """Whether effects depend on the level, so that FRFs cannot size them; or records made the diagnosis and can size these, too."""
+    if any(e.definition.acts == "pseudo_force" for e in effects):
+        return True
+    return "check_records" in data and all(has_restoring_force(e) for e in effects)
 
 
 def apply_levels(
@@ -114,7 +126,7 @@ def apply_levels(
             if step == k
         ]
     linear = standing({"effects": [e.to_dict() for e in seen.effects], "picture": seen.picture})
-    return RecordsApplied(Model(idle, tuple(linear), geometry), seen.effects, seen.ladder, (*words, *seen.notes), seen)
+    return RecordsApplied(Model(idle, tuple(linear), geometry), seen.effects, seen.ladder, (*words, *seen.notes), seen.judged_on, seen)
 
 
 def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | None:
@@ -174,6 +186,7 @@ def diagnose_levels(
     places: Sequence[Any] | None = None,
     band: tuple[float, float] | None = None,
     progress: Callable[[str], None] | None = None,
+    compared: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
     """The diagnosis from the records where something depends on the level, else the linear one.
 
@@ -189,7 +202,7 @@ def diagnose_levels(
         For how much noise there is at rest.
     exclude_bands : sequence of (float, float)
         Lines left out [Hz].
-    geometry, kinds, places, band, progress
+    geometry, kinds, places, band, progress, compared
         As in :func:`operando.diagnose.diagnose`.
     """
 
@@ -199,7 +212,7 @@ def diagnose_levels(
         )
 
     if linear is None:
-        return merged(look(), idle, check, geometry, band)
+        return merged(look(), idle, check, geometry, band, compared)
     reason, notes = suspicion(check, idle_frf), []
     levels = levels_disagree(check)
     seen: NonlinearDiagnosis | None = None
@@ -212,13 +225,15 @@ def diagnose_levels(
             notes.append(f"{reason}; the records cannot tell why: {error.message}")
         else:
             if seen.nonlinear:
-                return merged(seen, idle, check, geometry, band, (reason,))
+                return merged(seen, idle, check, geometry, band, compared, (reason,))
             notes.append(f"{reason}, but no level-dependent effect of the catalogue earns a place")
     found = linear()
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
-        doubt = found.verdict == "explained" and (seen is None or levels or found.ladder[-1]["heldout_misfit"] > GOOD)
-        return replace(found, verdict="partial" if doubt else found.verdict, notes=(*found.notes, *notes))
+        doubt = found.verdict == "explained" and (seen is None or levels)
+        if doubt:
+            found = replace(found, verdict="partial", reason=f"{reason}, and no effect found so far says why")
+        return replace(found, notes=(*found.notes, *notes))
     reason = f"the linear diagnosis is {found.verdict}"
     try:
         if found.verdict in SURE:
@@ -234,7 +249,7 @@ def diagnose_levels(
         return replace(found, notes=(*found.notes, f"the records were not looked at: {error.message}"))
     left = [row["heldout_misfit"] for row in seen.ladder]
     if seen.nonlinear and (seen.verdict in SURE or (found.verdict == "no_misfit" and left[-1] < 0.5 * left[0])):
-        return merged(seen, idle, check, geometry, band, (reason,) if found.verdict == "no_misfit" else ())
+        return merged(seen, idle, check, geometry, band, compared, (reason,) if found.verdict == "no_misfit" else ())
     return found
 
 
@@ -244,6 +259,7 @@ def merged(
     check: Sequence[CheckRun],
     geometry: Geometry | None,
     band: tuple[float, float] | None,
+    compared: Mapping[str, Any] | None = None,
     words: Sequence[str] = (),
 ) -> RecordsDiagnosis:
     """The diagnosis from the records, with where the idle model fails by the check FRFs."""
@@ -256,14 +272,16 @@ def merged(
         seen.proposed_measurement,
         seen.ladder,
         seen.candidates,
-        where_it_fails(idle, check, band or idle.band_hz) if check else seen.where,
+        where_it_fails(idle, check, band or idle.band_hz, compared) if check else seen.where,
         seen.noise_floor_db,
         ("check_frf", "check_records") if check else ("check_records",),
         picture,
         (*words, *seen.notes, *notes),
         idle,
         Model(idle, tuple(linear), geometry),
-        seen,
+        seen.judged_on,
+        reason=seen.reason,
+        records=seen,
     )
 
 

@@ -91,6 +91,22 @@ def learn(problem: Problem, fit: Fit) -> Fit:
     return there.learnt(x) if there.cost(x) < state.on(2).cost(state.start) else fit
 
 
+def cost_once_corrected(problem: Problem, fit: Fit) -> tuple[float, float]:
+    """2·Σ|e|²/var + |z|² (and the misfit by the noise alone) with the idle model free within its covariance beside the effects.
+
+    Of two sets of effects the difference is twice that of their log posteriors: what the errors of the idle model can make up for tells
+    nothing for either.
+    """
+    state = _Parameters.of(problem, fit, _telling(problem))
+    last, ends = state.on(2), []
+    for stages in (AT_ONCE, BY_DOUBT):
+        x = last.descend(state.found(state.start, stages), LAST)
+        ends.append((last.cost(x), last.misfit(x)))
+        if ends[-1][1] < AGREE:
+            break  # no other way ends lower by much
+    return min(ends)
+
+
 def on_all_lines(problem: Problem, fit: Fit) -> Fit:
     """The last fit once more, with the lines that judged, too: when nothing is left to choose, a mode among them is known by them as well.
 

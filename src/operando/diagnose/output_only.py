@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare.verdict import free_of_zero, shift_reason, verdict_of
 from operando.data import Geometry, ModalModel
-from operando.diagnose.diagnosis import Diagnosis
+from operando.diagnose.diagnosis import Diagnosis, unsupported_row
 from operando.diagnose.model import Model, joint_covariance
 from operando.diagnose.output_only_fit import Fit, counts, fit
 from operando.diagnose.output_only_forward import Action, Basis, action_of
@@ -18,16 +19,13 @@ from operando.diagnose.output_only_idle import settled
 from operando.diagnose.output_only_scan import REFINED, best_of, candidate_effects, refine, scan
 from operando.diagnose.output_only_sets import Sets, judge_rows, rows_of, sets_of
 from operando.diagnose.output_only_undecided import Undecided, undecided, words
-from operando.diagnose.verdict import spacing, verdict_of
+from operando.diagnose.verdict import spacing
 from operando.dof import Dof
 from operando.effects import Effect
 from operando.errors import DataError
 
 Real = NDArray[np.float64]
 Progress = Callable[[str], None]
-
-ENOUGH = 1.0
-"""Misfit of what chooses, or of what judges, at which nothing is left for a further effect."""
 
 TRIES = 4
 """Candidates shown to what judges, best first, until it accepts one."""
@@ -142,7 +140,7 @@ class _Search:
     ladder: list[dict[str, Any]]
     ranked: list[Fit] = field(default_factory=list)
     rivals: list[tuple[Effect, Effect]] = field(default_factory=list)
-    further: float = 1.0
+    more: str | None = None
 
 
 def _search(sets: Sets, basis: Basis, bare: Basis, actions: Sequence[Action], progress: Progress | None) -> _Search:
@@ -160,7 +158,6 @@ def _search(sets: Sets, basis: Basis, bare: Basis, actions: Sequence[Action], pr
         fits = refine(sets.choose, basis, current.actions, list(current.sizes), best_of(scanned, REFINED, 3), sets.use)
         if step == 1:
             out.ranked = fits
-        out.further = fits[0].misfit / current.misfit if fits else 1.0
         judge_before = float(out.ladder[-1]["heldout_misfit"])
         judge = [sets.misfit(basis, f) for f in fits]
         for place, found in enumerate(fits[:TRIES]):
@@ -179,10 +176,10 @@ def _search(sets: Sets, basis: Basis, bare: Basis, actions: Sequence[Action], pr
             break
         added = effects_of(found)[-1]
         out.rivals += [(added, effects_of(f)[-1]) for f in alike]
-        out.fit, out.further = found, 1.0
+        out.fit = found
         out.ladder.append(_step(step, added, found, heldout))
-        if min(found.misfit, heldout) < ENOUGH:
-            break
+    else:
+        out.more = f"no search for more than {MOST_EFFECTS} effects is made"
     return out
 
 
@@ -198,6 +195,42 @@ def likeliest(sets: Sets, basis: Basis, best: Fit, alike: Sequence[Fit]) -> tupl
         total.append(one.misfit * sets.rows + (np.inf if other is None else other.misfit * sets.held_rows))
     k = int(np.argmin(total))
     return every[k], every[:k] + every[k + 1 :]
+
+
+def _on_the_whole(sets: Sets, basis: Basis, found: Fit, everything: NDArray[np.bool_]) -> Fit:
+    """The same effects fitted to the whole record; as they stand where that fails."""
+    near = basis.touched(rows_of(found.actions, basis))
+    return fit(sets.whole, near, found.actions, list(found.sizes), everything) or found
+
+
+def _without(sets: Sets, basis: Basis, found: _Search, k: int) -> _Search:
+    """The search without one of its effects, the others fitted again step by step."""
+    gone = effects_of(found.fit)[k]
+    actions, sizes = ([v for i, v in enumerate(values) if i != k] for values in (found.fit.actions, found.fit.sizes))
+    rivals = [pair for pair in found.rivals if (pair[0].kind, pair[0].location) != (gone.kind, gone.location)]
+    out = _Search(found.first, found.first, found.ladder[:1], found.ranked, rivals, found.more)
+    for step in range(1, len(actions) + 1):
+        near = basis.touched(rows_of(actions[:step], basis))
+        again = fit(sets.choose, near, actions[:step], list(sizes[:step]), sets.use)
+        if again is None:
+            break
+        out.fit = again
+        out.ladder.append(_step(step, effects_of(again)[-1], again, sets.misfit(basis, again)))
+    return out
+
+
+def shifted(sets: Sets, basis: Basis, bare: Fit) -> dict[float, float]:
+    """Misfit of all values with each operating mode [Hz] moved by its half-power width: the least of up and down."""
+    whole, out = sets.whole, {}
+    every = np.ones((whole.n, whole.per_mode), bool)
+    for k, log_hz in enumerate(whole.log_hz):
+        seen = []
+        for way in (1, -1):
+            moved = np.array(whole.log_hz)
+            moved[k] += way * 2 * np.exp(whole.log_zeta[k])
+            seen.append(replace(sets, judge=replace(whole, log_hz=moved), held=every).misfit(basis, bare))
+        out[float(np.exp(log_hz))] = min(seen)
+    return out
 
 
 def _within(model: ModalModel, band: tuple[float, float]) -> ModalModel:
@@ -227,15 +260,23 @@ def _diagnose(
             found, sets = other, changed
         else:
             faint = undecided(sets, basis, found.first, other.first, found.ranked, other.ranked)
-    current, ladder, rivals = found.fit, found.ladder, found.rivals
     everything = np.ones((sets.whole.n, sets.whole.per_mode), bool)
-    near = basis.touched(rows_of(current.actions, basis))
-    full = fit(sets.whole, near, current.actions, list(current.sizes), everything) or current
+    unsupported: list[Effect] = []
+    full = _on_the_whole(sets, basis, found.fit, everything)
+    while (weak := next((k for k, e in enumerate(effects_of(full)) if not free_of_zero(e.values, e.std)), None)) is not None:
+        unsupported.append(effects_of(full)[weak])
+        found = _without(sets, basis, found, weak)
+        found.more = f"{unsupported[-1].kind} at {unsupported[-1].place or 'the whole'} is a candidate only: its 95 % interval holds zero"
+        full = _on_the_whole(sets, basis, found.fit, everything)
     before = fit(sets.whole, bare, (), (), everything) or found.first
-    effects = tuple(effects_of(full))
-    far = any(_far(one, other, geometry) for one, other in rivals)
-    verdict = verdict_of([float(row["heldout_misfit"]) for row in ladder], bool(effects), far, found.further)
-    candidates = tuple(_candidate(f, found.first.misfit) for f in found.ranked)
+    judge = [float(row["heldout_misfit"]) for row in found.ladder]
+    far = any(_far(one, other, geometry) for one, other in found.rivals)
+    verdict, reason = verdict_of(judge, unseen=shift_reason(shifted(sets, basis, found.first)), more=found.more, ambiguous=far)
+    if verdict not in ("explained", "ambiguous", "partial") and full.actions:
+        unsupported += effects_of(full)
+        found, full = replace(found, fit=found.first, ladder=found.ladder[:1], rivals=[]), before
+    ladder, rivals, effects = found.ladder, found.rivals, tuple(effects_of(full))
+    candidates = (*(unsupported_row(e, judge) for e in unsupported), *(_candidate(f, found.first.misfit) for f in found.ranked))
     by_mode = tuple(
         {
             "frequency_hz": float(np.exp(sets.whole.log_hz[k])),
@@ -261,6 +302,8 @@ def _diagnose(
         notes=(sets.note, *([words(faint, others)] if faint else [])),
         idle=given,
         model=_model(idle, basis, full, geometry) if effects else Model(given, (), geometry),
+        judged_on={"state": "operating", "measured": sets.note},
+        reason=reason,
     )
 
 
@@ -269,7 +312,7 @@ def effects_of(found: Fit) -> list[Effect]:
     out = []
     for action, size, std in zip(found.actions, found.sizes, found.std, strict=True):
         effect = action.sized(float(size))
-        out.append(effect.with_std({action.name: float(std)}) if np.isfinite(std) else effect)
+        out.append(effect.with_std({action.name: float(std)}))
     return out
 
 

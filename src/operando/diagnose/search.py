@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare.verdict import GOOD
 from operando.data import Geometry
 from operando.diagnose.afar import on_few_lines
 from operando.diagnose.learn import all_but_the_idle_model
@@ -19,7 +20,7 @@ from operando.diagnose.problem import EARNED, PARSIMONY, Problem, Tried, choose,
 from operando.diagnose.refit import POOR, Fit, refit
 from operando.diagnose.sets import FIT, SELECT
 from operando.diagnose.shapes import shape_prior
-from operando.diagnose.verdict import GOOD, one_mode, separates
+from operando.diagnose.verdict import one_mode, separates
 from operando.effects import catalogue
 
 Array = NDArray[Any]
@@ -217,7 +218,7 @@ def swap(problem: Problem, fits: list[Fit], history: History) -> tuple[list[Fit]
     for _ in range(2):
         moved = False
         for k in range(len(best.fit.terms)):
-            rest = problem.joint(*_without(best.fit, k))
+            rest = problem.joint(*without(best.fit, k))
             tried, _ = step(problem, rest)
             raw = [problem.tried(t.fit) for t in tried[:1]]
             if raw and raw[0].term.key != best.fit.terms[k].key and separates(raw[0].selection, best.selection, SWAPPED):
@@ -230,7 +231,7 @@ def swap(problem: Problem, fits: list[Fit], history: History) -> tuple[list[Fit]
     for k in reversed(range(len(best.fit.terms))):
         if len(best.fit.terms) < 2:
             break
-        rest = problem.joint(*_without(best.fit, k))
+        rest = problem.joint(*without(best.fit, k))
         if not separates(best.selection, problem.misfit(SELECT, rest), EARNED):
             best, changed = problem.tried(rest), True
     return in_order(problem, best.fit, alternatives) if changed else (fits, history)
@@ -273,7 +274,7 @@ def simplified(problem: Problem, found: Search) -> Search:
         small = [k for k, (t, q) in enumerate(zip(fit.terms, fit.q, strict=True)) if vanished(t, q)]
         if not small:
             break
-        fit = problem.joint(*_without(fit, small[0]))
+        fit = problem.joint(*without(fit, small[0]))
     for k, term in enumerate(fit.terms):
         for name in term.kind.contains:
             kind = catalogue().get(name)
@@ -318,7 +319,8 @@ def vanished(term: Term, q: Array) -> bool:
     return bool(q[term.moving.index(first.name)] <= term.bounds()[0][term.moving.index(first.name)] + 0.1)
 
 
-def _without(fit: Fit, k: int) -> tuple[list, list]:
+def without(fit: Fit, k: int) -> tuple[list, list]:
+    """Terms and sizes of a fit without one of its effects."""
     return [t for i, t in enumerate(fit.terms) if i != k], [v for i, v in enumerate(fit.q) if i != k]
 
 

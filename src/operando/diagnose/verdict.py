@@ -1,4 +1,4 @@
-"""Verdicts, and what the data cannot tell apart (contract, "Verdicts")."""
+"""What the data cannot tell apart (contract, "Verdicts")."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ from operando.diagnose.sets import SELECT
 if TYPE_CHECKING:
     from operando.diagnose.problem import Problem, Tried
     from operando.diagnose.refit import Fit
-
-GOOD = 1.5
-"""Judge misfit below which the data allow no better."""
 
 FURTHER_PART = 0.8
 """A further candidate that brings the selection misfit below this part of it says that something is still missing."""
@@ -38,31 +35,6 @@ poor fit, counts as alike."""
 def separates(new: float, old: float, part: float) -> bool:
     """Whether ``new`` lies below ``old`` by more than ``part`` of it."""
     return new < (1 - part) * old
-
-
-def verdict_of(judge: Sequence[float], accepted: bool, ambiguous: bool, further: float) -> str:
-    """Verdict of the contract.
-
-    Parameters
-    ----------
-    judge : sequence of float
-        Misfit on the judge set at each step, that of the idle model first.
-    accepted : bool
-        Whether an effect was accepted.
-    ambiguous : bool
-        Whether another kind or a far place does as well.
-    further : float
-        Selection misfit with the best further candidate over that without it.
-    """
-    if not accepted:
-        return "no_misfit" if judge[0] < GOOD else "unexplained"
-    now, fall = judge[-1], 1 - judge[-1] / judge[0]
-    done = now < GOOD or (fall > 0.99 and further > FURTHER_PART)
-    if done:
-        return "ambiguous" if ambiguous else "explained"
-    if fall > 0.8:
-        return "ambiguous" if ambiguous else "partial"
-    return "unexplained"
 
 
 def paired_z(one: np.ndarray, other: np.ndarray) -> float:

@@ -13,6 +13,7 @@ from operando.dof import Dof, parse_dofs
 from operando.effects.base import EffectKind
 from operando.effects.registry import kind_of
 from operando.errors import ConfigError
+from operando.indicators import INTERVAL
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class Effect:
 
     @property
     def size(self) -> str:
-        """How large, in words."""
+        """How large, in words; ± is the 95 % interval."""
         parts = []
         definition = self.definition
         for p in (*definition.parameters, *definition.constants):
@@ -135,7 +136,8 @@ class Effect:
                     continue
                 parts.append(", ".join(f"{v:.5g}" for v in value) + (f" {p.unit}" if p.unit else ""))
                 continue
-            number, spread = (100 * value, None if std is None else 100 * std) if p.name == "change" else (value, std)
+            scale = 100 if p.name == "change" else 1
+            number, spread = scale * value, None if std is None else scale * INTERVAL * std
             text = f"{number:.4g}" if not spread else _with_spread(number, spread)
             unit = "%" if p.name == "change" else p.unit
             text = f"{text} {unit}".strip()

@@ -6,7 +6,7 @@ from operando.nonlinear.levels import at_level
 from operando.nonlinear.periodic import PeriodicResponse, best_linear_approximation
 from operando.nonlinear.records import diagnose_records, measured_distortion
 from operando.nonlinear.result import NonlinearDiagnosis
-from operando.nonlinear.simulate import simulate
+from operando.nonlinear.simulate import has_restoring_force, simulate
 from operando.nonlinear.single import SingleFit, fit_single
 from operando.nonlinear.travel import LoopFit, fit_loop
 
@@ -22,6 +22,7 @@ __all__ = [
     "diagnose_records",
     "fit_loop",
     "fit_single",
+    "has_restoring_force",
     "linear_effects",
     "measured_distortion",
     "simulate",

@@ -15,7 +15,7 @@ from operando.effects import Effect
 from operando.errors import ConfigError, DataError
 from operando.nonlinear.conclude import effect_of, pictures_of, simulated
 from operando.nonlinear.forward import by_loop
-from operando.nonlinear.judge import ladder_row
+from operando.nonlinear.judge import judged_on, ladder_row
 from operando.nonlinear.laws import LawFit, fit_law
 from operando.nonlinear.place import Weighted
 from operando.nonlinear.polish import polished, std_of
@@ -47,6 +47,8 @@ class AppliedToRecords:
         As in :class:`operando.nonlinear.NonlinearDiagnosis`.
     noise_floor_db : float or None
     notes : tuple of str
+    judged_on : dict
+        State, level and lines of the held-out figures.
     """
 
     effects: tuple[Effect, ...]
@@ -56,6 +58,7 @@ class AppliedToRecords:
     simulation: dict[str, Any]
     noise_floor_db: float | None
     notes: tuple[str, ...]
+    judged_on: dict[str, Any]
 
 
 def apply_to_records(
@@ -129,6 +132,7 @@ def apply_to_records(
             simulated(first, steps, notes),
             rows[0].get("noise_floor_db"),
             tuple(notes),
+            judged_on(first),
         )
 
 

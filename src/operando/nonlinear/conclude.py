@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from operando.compare.verdict import GOOD, floor_reason, free_of_zero, verdict_of
 from operando.data import Geometry
 from operando.effects import Effect, kind_of
 from operando.errors import DataError
 from operando.nonlinear.equivalent import equivalents
-from operando.nonlinear.judge import ladder_row, verdict_of, where_it_fails
+from operando.nonlinear.judge import discrepancy, judged_on, ladder_row, where_it_fails
 from operando.nonlinear.laws import free_law
 from operando.nonlinear.place import Weighted
 from operando.nonlinear.polish import std_of
@@ -26,6 +27,10 @@ GOOD_LAW = 0.5
 
 TWICE = 2.0
 """Judge misfit, 3 dB above the floor, from which it is asked where the rest comes from."""
+
+DISCREPANCY = 0.03
+"""Part of the responses by which a law, exact but for its motion, may be off (contract, ``explained``): forces of contact amplify the
+errors of the motion, which no covariance carries."""
 
 SEEN_PART, SHARE = 0.8, 0.25
 """Motion above this part of the recorded band is left out; the records are too slow if that changes the misfit by this share of what
@@ -59,17 +64,27 @@ def candidate_row(case: Case, tried: Tried, base: float) -> dict[str, Any]:
     }
 
 
+def unsupported_row(effect: Effect, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """An entry of ``candidates`` for what was found and is not supported."""
+    evidence = f"found, but not supported by the validation records (reduced chi-square of the idle model {rows[0]['heldout_misfit']:.4g})"
+    return effect.to_dict() | {"selection_misfit": None, "evidence": evidence}
+
+
 def conclude(
     first: Case,
     steps: list[Step],
     accepted: list[Tried],
-    further: float,
+    more: str | None,
     detection: dict[str, Any],
     geometry: Geometry | None,
 ) -> NonlinearDiagnosis:
-    """Verdict, ladder and words."""
+    """Verdict, ladder and words; ``more``: why something may be missing still."""
     last = steps[-1].case
     notes: list[str] = []
+    weak = next((k for k, t in enumerate(accepted) if not free_of_zero((e := effect_of(first, t)).values, e.std)), len(accepted))
+    dropped, accepted = [effect_of(first, t) for t in accepted[weak:]], accepted[:weak]
+    if dropped:
+        more = f"{dropped[0].kind} at {dropped[0].place} is a candidate only: its 95 % interval holds zero"
     weighted = [Weighted.of(r) for r in (*last.fitted, *last.judged)]
     idle_errors = [r.error for r in (*first.fitted, *first.judged)]
     n = len(first.fitted)
@@ -90,19 +105,28 @@ def conclude(
                 alternatives.append(t)
                 other = other or t.law.kind != best.law.kind or not neighbours(first, best, t, geometry)
     judged = [r["heldout_misfit"] for r in rows]
-    verdict = verdict_of(judged, bool(accepted), other, further)
+    unseen = floor_reason(rows[0].get("noise_floor_db"))
+    judges = slice(n if len(weighted) > n else 0, None)
+    off = discrepancy(weighted[judges], errors[judges]) if accepted else 0.0
+    if any(kind_of(t.law.kind).level_dependent for t in accepted) and off <= DISCREPANCY:
+        judged[-1] = min(judged[-1], np.nextafter(GOOD, 0))
     picture = pictures_of(first, effects, accepted, notes)
+    verdict, reason = verdict_of(judged, unseen=unseen, more=more, ambiguous=other)
+    if verdict in ("explained", "ambiguous") and off > 0:
+        notes.append(f"what is left beyond the noise is {100 * off:.2g} % of the responses; {100 * DISCREPANCY:g} % are allowed")
     if len(accepted) == 1 and accepted[0].selection > 2.0:
         best = accepted[0]
         count = sum(m.along.weighted.error.size for m in best.spot.select)
         unnamed = free_law(best.spot.fit, best.spot.select) / count
         if unnamed < GOOD_LAW * best.selection and verdict in ("explained", "ambiguous"):
-            verdict = "partial"
-            notes.append(
+            more = (
                 f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
                 "the place is right, the law is none of the catalogue"
             )
-    notes += too_fast(effects, accepted, n, judged[-1])
+            verdict, reason = verdict_of(judged, unseen=unseen, more=more)
+    if verdict not in ("explained", "ambiguous", "partial") and effects:
+        dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], dict[str, Any]()
+    notes += too_fast(effects, accepted[: len(effects)], n, rows[-1]["heldout_misfit"])
     if not first.judged:
         notes.append("one level alone: a third of the blocks of lines judges; a second level would show what scales")
     step = steps[0]
@@ -112,13 +136,16 @@ def conclude(
         tuple(effect_of(first, t) for t in alternatives),
         proposal(effects, alternatives, first),
         tuple(rows),
-        tuple(candidate_row(first, t, step.base_select) for t in step.tried),
+        (*(unsupported_row(e, rows) for e in dropped), *(candidate_row(first, t, step.base_select) for t in step.tried)),
         where_it_fails(last, weighted, idle_errors),
         rows[0].get("noise_floor_db"),
         detection,
         picture,
-        simulated(steps[0].case, accepted, notes),
+        simulated(steps[0].case, accepted[: len(effects)], notes),
         tuple(notes),
+        judged_on(last),
+        None if not effects else off,
+        reason,
     )
 
 

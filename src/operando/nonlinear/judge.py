@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from operando.compare.verdict import GOOD
 from operando.effects import Effect
 from operando.nonlinear.laws import Motion
 from operando.nonlinear.place import Weighted
-from operando.nonlinear.run import Complex
+from operando.nonlinear.run import Complex, running_mean
 
 if TYPE_CHECKING:
     from operando.nonlinear.search import Case
 
-GOOD = 1.5
 SNR = 100.0
 """Lines whose power is above so many times the variance count for errors in dB."""
 
@@ -55,6 +55,26 @@ def figures(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str
     }
 
 
+def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> float:
+    """Part α of the responses to be allowed for, for the reduced chi-square to be good; 0 where it is.
+
+    (α|X|)² stands beside the variance, |X|² the mean over neighbouring lines: a random response dips at single lines for no reason.
+    """
+    parts = []
+    for w, error in zip(weighted, errors, strict=True):
+        rest = np.abs(decayed(w.with_error(error))) ** 2
+        parts.append((rest, running_mean(np.abs(w.run.responses[:, w.run.lines]) ** 2) / w.run.variance))
+    count = sum(rest.size for rest, _ in parts)
+    misfit = lambda part: sum(float(np.sum(rest / (1 + part**2 * power))) for rest, power in parts) / max(count, 1)  # noqa: E731
+    low, high = 0.0, 1.0
+    if misfit(low) < GOOD:
+        return 0.0
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (low, middle) if misfit(middle) < GOOD else (middle, high)
+    return high
+
+
 def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fitted: int, errors: Sequence[Complex]) -> dict[str, Any]:
     """One row of the ladder: all runs, and those that judge, which stand behind the ``fitted`` ones (all where there is one level)."""
     everything = figures(weighted, errors)
@@ -68,6 +88,21 @@ def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fi
         "misfit": number(everything["misfit"]),
         "heldout_misfit": number(held["misfit"]),
         "noise_floor_db": number(held["floor_db"]),
+    }
+
+
+def judged_on(case: Case) -> dict[str, Any]:
+    """State, level and lines of the ladder's figures on the judge set."""
+    runs = case.judged or case.fitted
+    levels = sorted({float(run.force_level) for run in runs})
+    return {
+        "state": "operating",
+        "measured": "spectra of records",
+        "runs": [run.name for run in runs],
+        "level": " … ".join(dict.fromkeys(f"{v:.4g}" for v in (levels[0], levels[-1]))) + " N rms",
+        "band_hz": [float(v) for v in case.band],
+        "n_lines": int(sum(run.rows.size * run.lines.size for run in runs)),
+        "whole_run": bool(case.judged),
     }
 
 
@@ -95,15 +130,3 @@ def where_it_fails(case: Case, weighted: Sequence[Weighted], errors: Sequence[Co
         ],
         "by_mode": [],
     }
-
-
-def verdict_of(judge: Sequence[float], accepted: bool, ambiguous: bool, further: float) -> str:
-    """Verdict of the contract from the judge misfits step by step (that of the idle model first)."""
-    if not accepted:
-        return "no_misfit" if judge[0] < GOOD else "unexplained"
-    now, fall = judge[-1], 1 - judge[-1] / judge[0]
-    if now < GOOD or (fall > 0.99 and further > 0.8):
-        return "ambiguous" if ambiguous else "explained"
-    if fall > 0.8:
-        return "ambiguous" if ambiguous else "partial"
-    return "unexplained"

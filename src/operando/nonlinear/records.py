@@ -18,7 +18,7 @@ from operando.nonlinear.forward import by_loop
 from operando.nonlinear.polish import polished
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case, make_case
-from operando.nonlinear.steps import EARNED, Step, Tried, choose, earns, search_step, with_law
+from operando.nonlinear.steps import Step, Tried, choose, earns, search_step, with_law
 
 MAX_EFFECTS = 3
 ONE_PLACE = 1.5
@@ -121,7 +121,7 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
     detection = detect(case)
     steps: list[Step] = []
     accepted: list[Tried] = []
-    further = 1.0
+    more: str | None = None
     while True:
         step = search_step(case, kinds, say, steps[0].base_select if steps else None)
         steps.append(step)
@@ -129,18 +129,16 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
         if not step.tried:
             break
         best = choose(step.tried)
-        further = best.selection / step.base_select
         if not earns(step, best, accepted):
-            further = max(further, 1 - EARNED)
             break
         best = by_loop(case, polished(case, best))
         accepted.append(best)
-        further = 1.0
-        if len(accepted) == MAX_EFFECTS or best.judge < 1.5:
+        if len(accepted) == MAX_EFFECTS:
+            more = f"no search for more than {MAX_EFFECTS} effects is made"
             break
         case = with_law(case, best)
         if best.spot.free < ONE_PLACE:
             case = replace(case, places=(best.spot.place,))
         if say:
             say(f"{best.law.kind} accepted, look for more")
-    return conclude(first, steps, accepted, further, detection, geometry)
+    return conclude(first, steps, accepted, more, detection, geometry)

@@ -14,7 +14,7 @@ class NonlinearDiagnosis:
 
     Parameters
     ----------
-    verdict : {"no_misfit", "explained", "partial", "unexplained", "ambiguous"}
+    verdict : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
         As in the contract.
     effects : tuple of Effect
         Accepted, in order; springs and dampers that turned out to be linear among them.
@@ -36,6 +36,12 @@ class NonlinearDiagnosis:
     simulation : dict
         The model with its effects in the closed loop against the judge record.
     notes : tuple of str
+    judged_on : dict
+        State, level and lines of the held-out figures.
+    discrepancy : float or None
+        Part of the responses that the effects leave beyond the noise.
+    reason : str or None
+        What stands in the way of a better verdict.
     """
 
     verdict: str
@@ -50,6 +56,9 @@ class NonlinearDiagnosis:
     picture: dict[str, Any] = field(default_factory=dict)
     simulation: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    judged_on: dict[str, Any] = field(default_factory=dict)
+    discrepancy: float | None = None
+    reason: str | None = None
 
     @property
     def nonlinear(self) -> tuple[Effect, ...]:
@@ -59,7 +68,7 @@ class NonlinearDiagnosis:
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
         return {
-            "schema": "operando/diagnosis/1",
+            "schema": "operando/diagnosis/2",
             "data": ["check_records"],
             "verdict": self.verdict,
             "effects": [e.to_dict() for e in self.effects],
@@ -73,4 +82,7 @@ class NonlinearDiagnosis:
             "picture": self.picture,
             "simulation": self.simulation,
             "notes": list(self.notes),
+            "judged_on": self.judged_on,
+            "reason": self.reason,
+            "discrepancy": None if self.discrepancy is None else {"value": self.discrepancy, "std": None},
         }

@@ -108,6 +108,12 @@ def from_rest(modes: Modes, drive: Complex, n: int, step: float) -> tuple[Real, 
     return x + more[0], v + more[1], a + more[2]
 
 
+def has_restoring_force(effect: Effect) -> bool:
+    """Whether an effect is a force of displacement and velocity, as records can be fitted with."""
+    linear = ("ground_spring", "ground_damper", "coupling_spring", "coupling_damper")
+    return effect.definition.acts == "pseudo_force" or effect.kind in linear
+
+
 def law_of(effect: Effect, idle: ModalModel) -> tuple[LawFit, Real]:
     """Restoring force of an effect, and the weights of the DOFs along which it acts.
 
@@ -117,7 +123,7 @@ def law_of(effect: Effect, idle: ModalModel) -> tuple[LawFit, Real]:
         If it has none.
     """
     kind = effect.definition
-    if kind.acts != "pseudo_force" and effect.kind not in ("ground_spring", "ground_damper", "coupling_spring", "coupling_damper"):
+    if not has_restoring_force(effect):
         raise ConfigError(f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time")
     if not effect.location:
         raise ConfigError(f"{effect.kind} stands at a place without a sensor: not simulated yet")

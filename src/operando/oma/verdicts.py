@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding
+from operando.indicators import INTERVAL
 from operando.oma.estimate import Estimate
 from operando.oma.harmonics import Harmonic
 from operando.stabilization import Stabilization
@@ -52,7 +53,9 @@ def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]
         excess_z = float(std[n + i]) / zeta * np.sqrt(zeta * cycles)
         doubtful = excess_f > UNCERTAIN and excess_z > UNCERTAIN and std[n + i] > 0.5 * zeta
         if doubtful and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
-            value = f"{hz:.4g} ± {float(std[i]):.2g} Hz, damping ratio {100 * zeta:.3g} ± {100 * float(std[n + i]):.3g} %"
+            value = (
+                f"{hz:.4g} ± {INTERVAL * float(std[i]):.2g} Hz, damping ratio {100 * zeta:.3g} ± {100 * INTERVAL * float(std[n + i]):.3g} %"
+            )
             out[i] = ("uncertain", f"{value}: {excess_f:.1f} and {excess_z:.1f} times the scatter of a resonance there in {seconds:.4g} s")
     return out
 
@@ -74,7 +77,7 @@ def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], sec
         return None
     needed = float(np.max(best**2 * seconds)) / 0.2**2
     if bad.size:
-        shown = ", ".join(f"{hz[i]:.4g} Hz (± {100 * best[i]:.0f} %)" for i in bad[:4])
+        shown = ", ".join(f"{hz[i]:.4g} Hz (± {100 * INTERVAL * best[i]:.0f} %)" for i in bad[:4])
         text = f"damping is uncertain by at least: {shown}" + (f" and {bad.size - 4} more modes" if bad.size > 4 else "")
     else:
         text = "modes of little damping cannot be told from noise"
@@ -85,7 +88,7 @@ def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], sec
         file=file,
         time_s=(0.0, seconds),
         consequence="damping ratios are rough, their standard deviations too, and weakly excited modes may be missing",
-        action=f"measure {max(needed, 100 / lowest):.2g} s or more for ± 20 % (one standard deviation), in one record or several",
+        action=f"measure {max(needed, 100 / lowest):.2g} s or more for ± 40 % (95 % interval), in one record or several",
     )
 
 

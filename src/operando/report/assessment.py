@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare import recommended
+from operando.compare.route import CLOSE_DB, Route, is_good
 from operando.data import Finding
 from operando.indicators import phase_collinearity
 from operando.report.derive import (
@@ -25,6 +27,7 @@ from operando.report.text import band_text, count, decibel, finite, fixed, listi
 from operando.report.words_diagnosis import effect_words, found_by_itself
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
+from operando.scaling.no_scale import no_scale
 
 MODEL_NAMES = {
     "ofrf": "operating FRFs (this method)",
@@ -90,19 +93,19 @@ def headline(results: Results) -> Headline:
     if by_level:
         sentences.append(by_level)
     idle = next((e for name, e in others if name == "idle"), None)
-    misfit = float(ofrf["misfit"]) if finite(ofrf.get("misfit")) else None
-    floor = float(ofrf["noise_floor_db"]) if finite(ofrf.get("noise_floor_db")) else None
-    if (misfit is not None and misfit < 1.5) or (floor is not None and error <= 1.2 * floor):
+    if is_good(ofrf) and error >= CLOSE_DB:
         verdict, grade = "The operating FRFs agree with the check as well as the data allow", "good"
+    elif error < CLOSE_DB:
+        verdict, grade = f"The operating FRFs agree with the check to within {CLOSE_DB:g} dB", "good"
     elif idle is not None and error > 0.95 * idle:
         judged = judge_run(results)
         where = f" at {judged.level}" if judged is not None and _levels_text(results) else ""
         verdict, grade = f"The operating FRFs are no better than the idle model{where}", "poor"
-    elif error < 1.0:
-        verdict, grade = "The operating FRFs agree with the check to within 1 dB", "good"
     else:
         against = f", the idle model by {decibel(idle)}" if idle is not None else ""
         verdict, grade = f"The operating FRFs are off by {decibel(error)}{against}", "fair"
+    if results.diagnosis:
+        grade = "none"  # one verdict on a page: the diagnosis and the route it recommends have it
     best = min(others, key=lambda item: item[1], default=None)
     if best is not None and 0.98 * error <= best[1] <= 1.02 * error:
         limits.append(f"A simpler model is as close here: {MODEL_NAMES.get(best[0], best[0])} is at {decibel(best[1])}.")
@@ -112,6 +115,36 @@ def headline(results: Results) -> Headline:
             f"the operating FRFs at {decibel(error)}."
         )
     return Headline(verdict, grade, tuple(sentences), tuple(limits))
+
+
+def route_of(results: Results) -> Route | None:
+    """The route to the operating FRFs that diagnosis and comparison recommend together."""
+    return recommended(results.comparison, results.diagnosis, results.hybrid is not None)
+
+
+def route_words(results: Results) -> str:
+    """The recommended route in one sentence."""
+    route = route_of(results)
+    if route is None:
+        return ""
+    text = f"Recommended operating FRFs: {MODEL_NAMES[route.model]} (`operando ofrf --route {route.name}`)"
+    on = (results.comparison or {}).get("judged_on") or {}
+    if route.error_db is not None:
+        level = f", level {on['level']}" if on.get("level") else ""
+        text += f", off by {decibel(route.error_db)} from the validation measurement in operation{level}"
+        if route.idle_error_db is not None and route.model != "idle":
+            text += f" (idle model: {decibel(route.idle_error_db)})"
+    return f"{text}; {route.reason}."
+
+
+def joint_grade(results: Results, grade: str) -> str:
+    """The colour class of the one verdict: of the diagnosis, no better and no worse than the FRFs by the recommended route allow."""
+    route = route_of(results)
+    if route is None or route.good is None or grade == "none":
+        return grade
+    if grade == "good" and not route.good:
+        return "fair"
+    return "fair" if grade == "poor" and route.good else grade
 
 
 def _what_they_are(results: Results) -> str:
@@ -193,8 +226,8 @@ def _without_hybrid(results: Results) -> tuple[str, ...]:
             text += f" ({results.left_out[stage].rstrip('.')})"
             break
     else:
-        if results.idle is not None and results.idle.scaling != "unit_modal_mass":
-            text += ", because the idle shapes have no mass scaling: force or acceleration units are not known (give them under [units])"
+        if results.idle is not None and (cause := no_scale(results.idle, results.findings)) is not None:
+            text += f", because the idle shapes have no mass scaling: {cause[0]} ({cause[1]})"
         elif results.operating is None:
             text += ", because there are no operating modes"
         elif results.idle is None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from operando.indicators import INTERVAL
 from operando.report.svg import GREEN, GREY, IDLE, MEASURED, SKY, dots, drawn, new_figure
 from operando.report.text import number
 
@@ -42,9 +43,7 @@ def _force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
         at, mean, spread = (np.asarray(rows.get(key) or [], float) for key in (name, "force", "force_std"))
         axes.axhline(0, color=GREY, lw=0.8)
         dots(axes, over / factor, force, SKY, 2.0, "from the records, sample by sample")
-        axes.errorbar(
-            at / factor, mean, 2 * spread, color=MEASURED, lw=0, elinewidth=0.9, marker="o", ms=3, label="mean, ± 2 standard errors"
-        )
+        axes.errorbar(at / factor, mean, INTERVAL * spread, color=MEASURED, lw=0, elinewidth=0.9, marker="o", ms=3, label="mean, ± 95 %")
         if rows.get("law"):
             axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted, mean")
         axes.set_xlabel(f"{name.capitalize()} [{prefix}{unit}]")

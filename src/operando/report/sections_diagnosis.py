@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from operando.report import derive, derive_diagnosis, figures_compare, figures_diagnosis, figures_frf, tables
+from operando.report.assessment import joint_grade, route_words
 from operando.report.parts import Numbering, left_out, missing, paragraph
 from operando.report.sections_records import restoring_forces
 from operando.report.text import decibel, esc, finite, fixed, listing, number
@@ -35,8 +36,8 @@ def answer(results: Results, numbering: Numbering) -> str:
     """The answer of the diagnosis first: verdict, effect with size and place, and the ladder of the error."""
     words = diagnosis_words(results.diagnosis or {})
     badge = tables.tag(kind_words(words.verdict), words.grade)
-    body = _found(words) + "".join(paragraph(s) for s in words.sentences)
-    out = [f'<div class="answer {words.grade}"><h2>{esc(words.title)} {badge}</h2>{body}</div>']
+    body = _found(words) + "".join(paragraph(s) for s in (*words.sentences, route_words(results)) if s)
+    out = [f'<div class="answer {joint_grade(results, words.grade)}"><h2>{esc(words.title)} {badge}</h2>{body}</div>']
     if words.ladder.rungs:
         svg = figures_diagnosis.ladder_figure(words.ladder, words.verdict, words.grade)
         out.append(numbering.figure(svg, esc(_ladder_caption(words))))
@@ -108,7 +109,9 @@ def _where(results: Results, numbering: Numbering, words: DiagnosisWords, model:
     if run is None or idle is None or band is None:
         return _by_mode(results, numbering)
     edges = derive.band_edges(band)
-    models = [("Idle model", idle)] + ([("With the effects", after)] if after is not None and words.effects else [])
+    # Of effects that depend on the level the FRFs are equivalents at one level: they say nothing of what the records show.
+    shown = after is not None and words.effects and not words.on_records
+    models = [("Idle model", idle)] + ([("With the effects", after)] if shown else [])
     if words.ladder.by_phase:  # levels would show nothing
         maps = [(t, derive_diagnosis.relative_by_dof_band(np.abs(m.data - run.frf.data) ** 2, run.frf, edges)) for t, m in models]
         noise = None if run.frf.variance is None else derive_diagnosis.relative_by_dof_band(run.frf.variance, run.frf, edges)

@@ -114,7 +114,7 @@ def mode_table(results: Results) -> str:
         "Operating damping<br>[%]",
     ]
     head += ["Frequency<br>change [%]", "MAC", "Class"]
-    caption = "<b>Modes at rest and running</b>; ± is one standard deviation. Numbers count from 0, as in the result files."
+    caption = "<b>Modes at rest and running</b>; ± is the 95 % interval. Numbers count from 0, as in the result files."
     return table(head, [row for _, row in entries], numeric=range(8), caption=caption, wide=True)
 
 
@@ -378,7 +378,7 @@ def evidence_table(linear: Any) -> str:
     ]
     head = ["Frequency [Hz]", "Damping [%]", "Evidence [lines]", "One shape [%]", "Collinearity", "Quadrature [%]", "Drift [%]", "Verdict"]
     body = table(head, rows, numeric=tuple(range(7)), wide=True)
-    title = f"Evidence of each pole in the linear stage ({len(rows)} poles; ± is one standard deviation)"
+    title = f"Evidence of each pole in the linear stage ({len(rows)} poles; ± is the 95 % interval)"
     return f"<details><summary>{title}</summary>{body}</details>"
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 from typing import Any
 
+from operando.indicators import INTERVAL
 from operando.printable import printable
 
 DASH = "–"
@@ -58,7 +59,7 @@ def decibel(value: Any) -> str:
 
 
 def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> str:
-    """Value ± standard deviation, the deviation with two significant digits and the value with as many decimals.
+    """Value ± its 95 % interval, the interval with two significant digits and the value with as many decimals.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> st
     x = float(value) * factor
     if not finite(std) or float(std) <= 0:
         return number(x, digits)
-    s = float(std) * factor
+    s = INTERVAL * float(std) * factor
     decimals = min(max(1 - math.floor(math.log10(s)), 0), 8)
     if float(f"{s:.{decimals}f}") >= 10.0 ** (2 - decimals) and decimals > 0:  # 0.0996 rounds to 0.10: one digit fewer
         decimals -= 1

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from operando.effects import Effect
 from operando.errors import OperandoError
+from operando.indicators import INTERVAL
 from operando.report.text import decibel, finite, listing, number
 
 VERDICTS: dict[str, tuple[str, str]] = {
     "no_misfit": ("Nothing is missing: the idle model predicts the running machine", "good"),
+    "inconclusive": ("The data cannot tell whether anything is missing", "fair"),
     "explained": ("What the idle model lacks is found", "good"),
     "ambiguous": ("Something is missing; the data cannot tell which of several effects it is", "fair"),
     "partial": ("Part of what the idle model lacks is found", "fair"),
@@ -28,9 +30,6 @@ FAINT = ("No effect is shown to be missing, yet one is not excluded", "fair")
 
 BY_HAND = ("changed_by_hand", "Effects were added or taken out by hand", "none")
 """What stands in the place of verdict, title and colour class then."""
-
-INTERVAL = 1.96
-"""Standard deviations in the 95 % interval."""
 
 MOST_NAMED = 4
 """Effects named one by one in a sentence; the rest are counted."""
@@ -131,6 +130,8 @@ class DiagnosisWords:
     effects : tuple of EffectWords
     output_only : bool
         Whether operating modes alone were judged by.
+    on_records : bool
+        Whether records of force judged.
     """
 
     verdict: str
@@ -142,6 +143,7 @@ class DiagnosisWords:
     ladder: Ladder
     effects: tuple[EffectWords, ...] = ()
     output_only: bool = False
+    on_records: bool = False
 
 
 def kind_words(kind: Any) -> str:
@@ -152,12 +154,11 @@ def kind_words(kind: Any) -> str:
 def effect_words(document: Mapping[str, Any]) -> EffectWords:
     """An effect of ``diagnosis.json`` in words, its sizes with 95 % intervals; as it stands where the kind is not known here."""
     try:
-        given = Effect.from_dict(document)
-        effect = replace(given, std={name: INTERVAL * s for name, s in given.std.items()})
+        effect = Effect.from_dict(document)
         sentence = _typeset(effect.definition.explain(effect.place, _marked(effect), effect.removed))
         sentence = sentence[:1].upper() + sentence[1:]
         names = effect.definition.names[:1]
-        sure = not names or names[0] not in effect.std or abs(effect.values[names[0]]) > effect.std[names[0]]
+        sure = not names or names[0] not in effect.std or abs(effect.values[names[0]]) > INTERVAL * effect.std[names[0]]
         return EffectWords(
             kind_words(effect.kind), effect.place, _typeset(effect.size), sentence, effect.confirm, effect.definition.group,
             effect.removed, bool(sure),
@@ -264,10 +265,31 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     ladder = ladder_of(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
-    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), *others)
+    judged_on = document.get("judged_on") or {}
+    where = f"Held out: {lines_words(judged_on)}." if judged_on and not output_only else ""
+    hidden = "" if by_hand else _hidden(document)
+    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), where, hidden, *others)
     found = tuple(_found(e) for e in effects)
     decide = _deciding(document, verdict, effects)
-    return DiagnosisWords(verdict, title, grade, found, tuple(s for s in sentences if s), decide, ladder, effects, output_only)
+    said = tuple(s for s in sentences if s)
+    return DiagnosisWords(verdict, title, grade, found, said, decide, ladder, effects, output_only, _on_records(document))
+
+
+def _on_records(document: Mapping[str, Any]) -> bool:
+    return "check_records" in (document.get("data") or ())
+
+
+def _hidden(document: Mapping[str, Any]) -> str:
+    """What would have been seen, where nothing was found; else why the verdict is no better."""
+    verdict, seen = document.get("verdict"), [row for row in document.get("detectable") or [] if finite(row.get("value"))]
+    if verdict == "no_misfit" and seen:
+        worst = max(seen, key=lambda row: float(row["value"]))
+        least = f"{number(worst['value'], 2)} {worst['unit']}"
+        return f"A mode that moves by {least} or more would have been seen (least well the {worst['parameter']})."
+    if verdict in ("inconclusive", "partial", "unexplained") and document.get("reason"):
+        text = str(document["reason"])
+        return f"{text[:1].upper()}{text[1:]}."
+    return ""
 
 
 def _found(effect: EffectWords) -> str:
@@ -333,6 +355,20 @@ def _errors(ladder: Ladder, output_only: bool) -> str:
         return text + (f"; noise and the model's own uncertainty explain {decibel(ladder.floor)}." if ladder.floor is not None else ".")
     text += f" (misfit {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 is as good as the data allow)"
     return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
+
+
+def lines_words(judged_on: Mapping[str, Any]) -> str:
+    """State, level and lines of the held-out figures."""
+    if not judged_on:
+        return ""
+    part = "whole runs" if judged_on.get("whole_run") else "held-out blocks of lines"
+    runs = listing([str(r) for r in judged_on.get("runs") or []], MOST_NAMED)
+    text = f"{judged_on['state']} state, {judged_on['measured']}"
+    text += f", {part} of {runs}" if runs else ""
+    text += f", level {judged_on['level']}" if judged_on.get("level") else ""
+    band, count = judged_on.get("band_hz"), judged_on.get("n_lines")
+    text += f", {number(band[0], 4)} … {number(band[1], 4)} Hz" if band else ""
+    return text + (f", {count} complex values" if count else "")
 
 
 def _deviations(misfit: float) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from operando.data import Finding
 from operando.errors import MissingError
-from operando.pipeline.stages.work import Lacking, Work, analysis_band
+from operando.pipeline.stages.work import Lacking, Work, analysis_band, scaled
 
 
 def comparison(work: Work) -> dict[str, Any]:
@@ -22,13 +22,14 @@ def comparison(work: Work) -> dict[str, Any]:
         named = {name: results.hybrid.alternative_models.get(name) for name in ("idle_shapes", "msf_all")} | {"ofrf": results.hybrid.modal}
         for name, model in named.items():
             if model is not None:
-                # the idle model's variance judges all models alike (contract), so that of the others is not worth its cost
-                models[name] = replace(model, covariance=None, std=None) if "idle" in models else model
+                models[name] = model
             else:
                 message = f"baseline {name} cannot be made from these modes"
                 findings.append(Finding("baseline_failed", message, "warning", consequence="it is not compared"))
     if not models:
-        raise Lacking("no scaled model to compare with the check", hint="the idle modes need units ([units]) and a drive point")
+        if results.idle is not None:
+            scaled(results.idle, results.findings, "no model predicts the validation measurement")
+        raise Lacking("there is no model to compare with the validation measurement")
     if not results.check:
         raise MissingError("no check FRF")
     band = analysis_band(work)

@@ -6,20 +6,18 @@ from dataclasses import replace
 from typing import Any
 
 from operando.data import Finding
-from operando.pipeline.scale import no_scale
 from operando.pipeline.stages.estimate import whole_records
-from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
+from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed, scaled
 
 
 def missing_physics(work: Work) -> dict[str, Any]:
     """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
-    from operando.compare import with_effect
+    from operando.compare import FOUND, gets_worse, with_effect
     from operando.diagnose import Model, diagnose
 
     results = work.results
     idle = needed(results.idle, "idle modes")
-    if (cause := no_scale(idle, work.results.findings)) is not None:
-        raise Lacking(f"the idle modes have no scale, so no effect has a size: {cause[0]}", hint=cause[1])
+    scaled(idle, work.results.findings, "no effect has a size")
     runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
         raise Lacking("there are neither check FRFs nor operational modes")
@@ -37,13 +35,17 @@ def missing_physics(work: Work) -> dict[str, Any]:
         records=whole_records(work, work.test.check, findings) if runs and work.test.check.records else (),
         idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(work.analysis.exclude_bands),
         exclude_bands=work.analysis.exclude_bands,
+        compared=None if results.comparison is None or not runs else results.comparison["models"].get("idle"),
     )
     document = found.to_dict()
     comparison = results.comparison
     model = found.model or Model(idle, tuple(found.effects), results.geometry)
     if runs and comparison is not None and found.effects:
-        bare = Model(replace(model.idle, covariance=None, std=None), model.effects, model.geometry)
-        comparison = with_effect(comparison, idle, bare, runs, analysis_band(work))
+        comparison = with_effect(comparison, model, runs, analysis_band(work))
+        # Of effects that depend on the level the comparison holds equivalents at one level: there the records judge.
+        worse = None if "check_records" in document["data"] else gets_worse(comparison["models"])
+        if document["verdict"] in FOUND and worse is not None:
+            document |= {"verdict": "partial", "reason": worse}
     made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from operando.pipeline.scale import no_scale
-from operando.pipeline.stages.work import Lacking, Work, needed
+from operando.pipeline.stages.work import Work, needed, scaled
 
 
 def hybrid(work: Work) -> dict[str, Any]:
@@ -14,8 +13,7 @@ def hybrid(work: Work) -> dict[str, Any]:
 
     idle = needed(work.results.idle, "idle modes")
     operating = needed(work.results.operating, "operational modes")
-    if (cause := no_scale(idle, work.results.findings)) is not None:
-        raise Lacking(f"the idle modes are not scaled to unit modal mass, so there is no scale to carry over: {cause[0]}", hint=cause[1])
+    scaled(idle, work.results.findings, "there is none to carry over")
     from operando.quality import check_shapes
 
     made = scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)

@@ -1,0 +1,70 @@
+"""Verdict of a diagnosis from its figures (contract, "Verdicts"): one rule for FRF lines, operating modes and records of force."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from operando.indicators import INTERVAL
+
+GOOD = 1.5
+"""Reduced chi-square on the validation lines below which the data allow no better (contract)."""
+
+PARTLY = 0.8
+"""Part of the idle model's chi-square that the effects of ``partial`` explain (contract)."""
+
+FLOOR_DB = 3.0
+"""Noise floor above which nothing can be said to be missing or not: FRFs that are known to a factor of √2 only."""
+
+
+def free_of_zero(values: Mapping[str, float], std: Mapping[str, float]) -> bool:
+    """Whether the 95 % interval of every fitted value of an effect leaves out the value at which it says nothing (gain 1, else 0)."""
+    return all(abs(float(values[name]) - (1.0 if name == "gain" else 0.0)) > INTERVAL * s for name, s in std.items())
+
+
+def verdict_of(
+    judge: Sequence[float], *, unseen: str | None = None, more: str | None = None, ambiguous: bool = False
+) -> tuple[str, str | None]:
+    """Verdict, and what stands in the way of a better one.
+
+    Parameters
+    ----------
+    judge : sequence of float
+        Reduced chi-square on the judge set at each step, that of the idle model first.
+    unseen : str, optional
+        Why a change that counts could have passed unseen; None where it could not.
+    more : str, optional
+        Why another effect may be missing beside those found; None where one was looked for and none earned its place.
+    ambiguous : bool
+        Whether another kind or a far place does as well.
+    """
+    if judge[0] < GOOD and unseen is not None:
+        return "inconclusive", unseen
+    if len(judge) < 2:
+        return ("no_misfit" if judge[0] < GOOD else "unexplained"), None
+    left = more or unseen
+    if judge[-1] < GOOD and left is None:
+        return ("ambiguous" if ambiguous else "explained"), None
+    left = left or f"the validation lines keep a reduced chi-square of {judge[-1]:.3g}, where less than {GOOD:g} is asked"
+    return ("partial" if judge[-1] < (1 - PARTLY) * judge[0] else "unexplained"), left
+
+
+def floor_reason(noise_floor_db: float | None) -> str | None:
+    """Why a noise floor hides what is looked for, or None."""
+    if noise_floor_db is None or noise_floor_db <= FLOOR_DB:
+        return None
+    floor = f"the noise floor (measurement and idle model together) is {noise_floor_db:.3g} dB"
+    return f"{floor}, and above {FLOOR_DB:g} dB an agreement says nothing"
+
+
+def shift_reason(left: Mapping[float, float]) -> str | None:
+    """Why a mode could have moved unseen, or None.
+
+    Parameters
+    ----------
+    left : mapping of float to float
+        Reduced chi-square that the idle model would have with a mode, at this frequency [Hz], moved by one half-power width.
+    """
+    hidden = [f"{hz:.4g}" for hz, value in left.items() if not value >= GOOD]
+    if not hidden:
+        return None
+    return f"a mode could move by its half-power width and the agreement would look as good: at {', '.join(hidden)} Hz"

@@ -1,0 +1,176 @@
+"""Verdicts need power, a search for one more effect and intervals free of zero; one route is recommended; one thing has one number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from operando.compare import compare_all, gets_worse, recommended
+from operando.compare.route import is_good
+from operando.compare.verdict import FLOOR_DB, GOOD, floor_reason, free_of_zero, shift_reason, verdict_of
+from operando.data import Finding, Frf, ModalModel
+from operando.diagnose import apply_effects, diagnose
+from operando.diagnose.diagnosis import make_problem
+from operando.diagnose.power import shifts, unseen
+from operando.results import CheckRun
+from operando.scaling.no_scale import no_scale
+from test_diagnose_check import DOFS, HZ, N, at, chain, idle, running  # noqa: F401  (fixtures and the hand-written chain)
+
+
+@pytest.mark.parametrize(
+    ("judge", "more", "ambiguous", "verdict"),
+    [
+        ([1.2], None, False, "no_misfit"),
+        ([5.0], None, False, "unexplained"),
+        ([50.0, 1.2], None, False, "explained"),
+        ([50.0, 1.2], None, True, "ambiguous"),
+        ([50.0, 1.2], "no search was made", False, "partial"),
+        ([5000.0, 5.9], None, False, "partial"),  # 99.9 % explained, and a second effect swallowed: not explained
+        ([5000.0, 5.9], None, True, "partial"),  # ambiguous is as explained, but for the place or kind
+        ([50.0, 20.0], None, False, "unexplained"),
+    ],
+)
+def test_verdicts_of_the_contract(judge, more, ambiguous, verdict):
+    assert verdict_of(judge, more=more, ambiguous=ambiguous)[0] == verdict
+
+
+def test_no_verdict_of_agreement_without_power():
+    assert verdict_of([0.9], unseen="noise") == ("inconclusive", "noise")
+    assert verdict_of([1.4, 0.9], unseen="noise") == ("inconclusive", "noise")  # effects in noise are candidates
+    assert verdict_of([50.0, 0.9], unseen="noise") == ("partial", "noise")  # something is missing for sure
+    assert floor_reason(FLOOR_DB) is None
+    assert "778 dB" in floor_reason(778.0)
+    assert shift_reason({10.0: 40.0, 20.0: GOOD}) is None
+    assert "at 20 Hz" in shift_reason({10.0: 40.0, 20.0: GOOD - 0.01})
+
+
+def test_every_interval_leaves_out_the_value_that_says_nothing():
+    assert free_of_zero({"mass": 0.2}, {"mass": 0.1})
+    assert not free_of_zero({"mass": 0.2}, {"mass": 0.11})
+    assert not free_of_zero({"gain": 1.1}, {"gain": 0.06})
+    assert not free_of_zero({"stiffness": 2e4, "loss_factor": 0.01}, {"stiffness": 10.0, "loss_factor": 0.01})
+    assert not free_of_zero({"mass": 0.2}, {"mass": np.inf})
+    assert free_of_zero({}, {})  # a polarity has no value
+
+
+def test_a_change_that_noise_would_hide_is_inconclusive(chain, idle):  # noqa: F811
+    """Noise of 200 % of each FRF's rms: the idle model agrees, and would with any mode anywhere."""
+    found = diagnose(idle, check=[running(chain, [0, 3], noise=2.0)])
+    assert found.verdict == "inconclusive"
+    assert found.effects == ()
+    assert "half-power" in found.reason or "noise floor" in found.reason
+    assert "noise of the validation measurement" in found.proposed_measurement
+
+
+def test_what_would_have_been_seen_is_said_and_true(chain, idle):  # noqa: F811
+    found = diagnose(idle, check=[running(chain, [0, 3])])
+    assert found.verdict == "no_misfit"
+    rows = found.to_dict()["detectable"]
+    assert len(rows) == N
+    # The first mode moved by three times its least shift lifts the misfit above the limit.
+    moved = np.array(chain.hz)
+    moved[0] += 3 * rows[0]["value"]
+    other = idle.with_terms(frequencies_hz=moved)
+    again = compare_all({"idle": other}, [running(chain, [0, 3])])["models"]["idle"]["misfit"]
+    assert again > GOOD
+
+
+def test_an_unknown_idle_model_is_named_as_what_hides(chain, idle):  # noqa: F811
+    vague = ModalModel(
+        idle.frequencies_hz, idle.damping_ratios, idle.shapes, DOFS, scaling="unit_modal_mass", covariance=idle.covariance * 1e10
+    )
+    problem = make_problem(vague, [running(chain, [0, 3])])
+    assert min(shifts(problem).values()) < 0.5
+    assert unseen(problem, 0.2, 0.01)[0] is not None
+    found = diagnose(vague, check=[running(chain, [0, 3])])
+    assert found.verdict == "inconclusive"
+    assert "idle model's own uncertainty" in found.proposed_measurement
+
+
+@pytest.mark.parametrize("weak", [8.0, 2.0, 0.8])
+def test_a_weak_effect_beside_a_strong_one_is_not_swallowed(chain, idle, weak):  # noqa: F811
+    """A mass of 0.15 kg and a damper of 8 N·s/m beside it, and weaker ones."""
+    found = diagnose(idle, check=[running(chain, [0, 3], mass=0.15 * at(4), damping=weak * at(4))])
+    kinds = {e.kind for e in found.effects}
+    assert found.verdict != "explained" or kinds == {"point_mass", "ground_damper"}
+    assert "point_mass" in kinds
+
+
+def test_effects_without_support_are_candidates_only(chain, idle):  # noqa: F811
+    """Every DOF's own random mass and damper: nothing in the catalogue explains more than a part."""
+    rng = np.random.default_rng(3)
+    many = np.diag(rng.uniform(0.05, 0.4, N))
+    found = diagnose(idle, check=[running(chain, [0, 3], mass=many, damping=np.diag(rng.uniform(2, 30, N)))])
+    assert found.verdict in ("partial", "unexplained")
+    if found.verdict == "unexplained":
+        assert found.effects == ()
+        assert len(found.ladder) == 1
+    assert all(free_of_zero(e.values, e.std) for e in found.effects)
+    assert found.reason or found.verdict == "unexplained"
+    assert found.candidates
+
+
+def test_one_comparison_has_one_number(chain, idle):  # noqa: F811
+    """Comparison, diagnosis, refit by hand: the idle model's figures agree to all digits, and name state, level and lines."""
+    run = running(chain, [0, 3], mass=0.15 * at(4))
+    errors = compare_all({"idle": idle}, [run])["models"]["idle"]
+    found, by_hand = diagnose(idle, check=[run]), apply_effects(idle, ["point_mass@5+Z"], check=[run])
+    for key in ("by_dof", "by_band", "by_mode"):
+        assert found.where[key] == errors[key]
+    assert by_hand.ladder[0] == found.ladder[0]
+    assert by_hand.judged_on == found.judged_on
+    assert found.judged_on["state"] == "operating"
+    assert found.judged_on["level"] == "1 N rms"
+    assert 0 < found.judged_on["n_lines"] < 2 * N * HZ.size
+
+
+def model(error, misfit=0.9, floor=0.2, by_dof=()):
+    return {"error_db": error, "misfit": misfit, "noise_floor_db": floor, "by_dof": [{"dof": d, "error_db": e} for d, e in by_dof]}
+
+
+def test_the_route_is_the_one_that_predicts_better():
+    models = {"ofrf": model(0.7), "idle": model(4.0, 900.0), "effect": model(0.2)}
+    said = {"verdict": "explained", "effects": [{"kind": "point_mass"}]}
+    route = recommended({"models": models}, said, hybrid=True)
+    assert (route.name, route.model, route.error_db, route.idle_error_db, route.good) == ("effect", "effect", 0.2, 4.0, True)
+    assert recommended({"models": models | {"effect": model(2.0)}}, said, True).name == "hybrid"
+    # As close as each other: the found cause decides, else the measured modes do.
+    alike = {"models": models | {"effect": model(0.75)}}
+    assert recommended(alike, said, True).name == "effect"
+    assert recommended(alike, said | {"verdict": "partial"}, True).name == "hybrid"
+    assert recommended({"models": models}, {"verdict": "no_misfit", "effects": []}, True).model == "ofrf"
+    assert recommended(None, said, True).name == "effect"
+    assert recommended(None, {"verdict": "unexplained", "effects": []}, True).name == "hybrid"
+    assert recommended(None, None, False) is None
+
+
+def test_no_red_for_a_fifth_of_a_decibel_and_no_green_above_a_high_floor():
+    assert is_good(model(0.20, 3.0, 0.10))
+    assert not is_good(model(2.0, 0.4, 778.0))
+    assert is_good(model(1.5, 1.2, 1.4))
+    assert is_good({}) is None
+
+
+def test_a_map_that_gets_worse_is_found():
+    before, after = model(3.0, by_dof=[("1+Z", 3.0), ("2+Z", 0.5)]), model(0.5, by_dof=[("1+Z", 0.3), ("2+Z", 0.9)])
+    assert "2+Z (0.50 → 0.90 dB)" in gets_worse({"idle": before, "effect": after})
+    after["by_dof"][1]["error_db"] = 0.69  # within the noise floor of 0.2 dB
+    assert gets_worse({"idle": before, "effect": after}) is None
+
+
+def test_the_true_cause_of_a_missing_scale():
+    shapes = np.eye(2)
+    bare = ModalModel(np.array([5.0, 9.0]), np.array([0.01, 0.01]), shapes, ("1+Z", "2+Z"))
+    swapped = Finding("swapped", "channels 1+Z and 2+Z are exchanged", "error", consequence="no drive point", action="exchange the labels")
+    text, advice, fault = no_scale(bare, [swapped])
+    assert "exchanged" in text
+    assert advice == "exchange the labels"
+    assert fault
+    assert "unit" not in advice
+    assert no_scale(bare, [])[2] is False
+
+
+def test_frfs_without_variance_are_exact(chain, idle):  # noqa: F811
+    run = running(chain, [0, 3])
+    plain = CheckRun("check", "as given", Frf(run.frf.data, HZ, DOFS, run.frf.references))
+    assert compare_all({"idle": idle}, [plain])["models"]["idle"]["misfit_meas"] is None
