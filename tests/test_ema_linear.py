@@ -10,6 +10,7 @@ from operando.dof import Dof
 from operando.ema import choose, fit_ema, linear
 from operando.ema.choose import SETTLE_ROUNDS, choose_modes
 from operando.ema.discrepancy import fit_variance
+from operando.ema.doubts import unknown_to
 from operando.ema.fit import model_dofs
 from operando.ema.linear import NOISE_LIMITED, SETTLED, fit_linear
 from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
@@ -397,3 +398,12 @@ def test_a_set_up_is_one_measurement_of_a_mode_that_drifts():
         alone.append(in_band(fit_ema(replace(frf, setups=None), band=BAND)).frequency_std_hz / scatter)
     assert 0.6 < np.median(ratios) < 1.6
     assert np.median(alone) < 0.8 * np.median(ratios)
+
+
+def test_modes_that_only_the_polish_needs_are_told_from_those_the_linear_stage_sees():
+    _, h = frfs()
+    pairs = frf_pairs(as_frf(h), model_dofs(as_frf(h)), BAND)
+    fit = choose_modes(pairs, Poles(HZ, np.full(N, 0.008)), BAND)[0]
+    seen = np.concatenate([HZ * (1 + 1e-3), [5.0, 140.0]])  # beyond the band nothing is asked
+    assert unknown_to(fit, seen, BAND) == []
+    assert unknown_to(fit, np.append(seen, 76.0), BAND) == [76.0]

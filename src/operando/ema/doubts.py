@@ -98,6 +98,16 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
     return out
 
 
+def unknown_to(fit: LinearFit, hz: Real, band: tuple[float, float]) -> list[float]:
+    """Modes in band where the linear stage has no pole, not even a doubtful one: within a half bandwidth or 0.2 %.
+
+    It leaves phases and scales of the pairs free; what it does not need makes up for what real modes cannot be, such as gains of sensors.
+    """
+    within = np.maximum(fit.poles.zeta, 0.002) * fit.poles.hz
+    inside = [float(h) for h in hz if band[0] <= h <= band[1]]
+    return [h for h in inside if not np.any((np.abs(fit.poles.hz - h) < within) | (np.abs(fit.mean_hz - h) < within))]
+
+
 def _dominance(fit: LinearFit) -> Real:
     """Share of the modes' power that each mode has at its resonance in the pairs where it shows best (upper tenth), (n,)."""
     out = np.empty(fit.n_modes)

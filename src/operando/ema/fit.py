@@ -15,7 +15,7 @@ from operando.ema.answers import LinearModes, heldout_misfit, linear_model, line
 from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.choose import ChoiceLog, choose_modes
-from operando.ema.doubts import judge_modes
+from operando.ema.doubts import judge_modes, unknown_to
 from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
 from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
@@ -335,6 +335,9 @@ def _polished(
         if not answer.misfit < linear:
             return None, f"polished, the reduced chi-square on unused lines is {answer.misfit:.3g}; by the linear stage it is {linear:.3g}"
     theta = answer.fit.parameters
+    if job.answer == "auto" and (new := unknown_to(fit, theta.hz, job.band)):
+        listed = ", ".join(f"{h:.4g}" for h in new)
+        return None, f"polished, real modes of one scale need {len(new)} more beside those that the linear stage sees ({listed} Hz)"
     drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
     scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
     said = fit_findings(job.frf, job.band, signs, answer.misfit)
