@@ -7,11 +7,12 @@ import pytest
 
 from operando.compare import compare_all, gets_worse, recommended
 from operando.compare.route import is_good
-from operando.compare.verdict import FLOOR_DB, GOOD, floor_reason, free_of_zero, shift_reason, verdict_of
+from operando.compare.verdict import FLOOR_DB, GOOD, floor_reason, shift_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
 from operando.diagnose import apply_effects, diagnose
 from operando.diagnose.diagnosis import make_problem
 from operando.diagnose.power import shifts, unseen
+from operando.effects import parse_effect
 from operando.results import CheckRun
 from operando.scaling.no_scale import no_scale
 from test_diagnose_check import DOFS, HZ, N, at, chain, idle, running  # noqa: F401  (fixtures and the hand-written chain)
@@ -45,12 +46,15 @@ def test_no_verdict_of_agreement_without_power():
 
 
 def test_every_interval_leaves_out_the_value_that_says_nothing():
-    assert free_of_zero({"mass": 0.2}, {"mass": 0.1})
-    assert not free_of_zero({"mass": 0.2}, {"mass": 0.11})
-    assert not free_of_zero({"gain": 1.1}, {"gain": 0.06})
-    assert not free_of_zero({"stiffness": 2e4, "loss_factor": 0.01}, {"stiffness": 10.0, "loss_factor": 0.01})
-    assert not free_of_zero({"mass": 0.2}, {"mass": np.inf})
-    assert free_of_zero({}, {})  # a polarity has no value
+    def effect(text, **std):
+        return parse_effect(text).with_std(std)
+
+    assert effect("point_mass@1+Z=mass:0.2", mass=0.1).supported
+    assert not effect("point_mass@1+Z=mass:0.2", mass=0.11).supported
+    assert not effect("sensor_gain@1+Z=gain:1.1", gain=0.06).supported
+    assert not effect("ground_hysteretic_spring@1+Z=stiffness:2e4,loss_factor:0.01", stiffness=10.0, loss_factor=0.01).supported
+    assert not effect("point_mass@1+Z=mass:0.2", mass=np.inf).supported
+    assert effect("coulomb_friction@1+Z=force:1.0,slip_speed:0.01", force=0.01, slip_speed=0.1).supported  # may be 0
 
 
 def test_a_change_that_noise_would_hide_is_inconclusive(chain, idle):  # noqa: F811
@@ -105,7 +109,7 @@ def test_effects_without_support_are_candidates_only(chain, idle):  # noqa: F811
     if found.verdict == "unexplained":
         assert found.effects == ()
         assert len(found.ladder) == 1
-    assert all(free_of_zero(e.values, e.std) for e in found.effects)
+    assert all(e.supported for e in found.effects)
     assert found.reason or found.verdict == "unexplained"
     assert found.candidates
 

@@ -186,10 +186,10 @@ def test_a_negative_size_is_the_effect_taken_away():
 
 def test_size_with_its_spread():
     effect = parse_effect("point_mass@272+Z=mass:0.2").with_std({"mass": 0.004})
-    assert effect.explanation == "A mass of 0.200 ± 0.004 kg sits on 272+Z"
+    assert effect.explanation == "A mass of 0.200 ± 0.008 kg sits on 272+Z"  # ± is the 95 % interval
     assert effect.with_values(mass=0.3).std == {}
-    assert parse_effect("global_stiffness=change:-0.08").with_std({"change": 0.0012}).size == "-8.0 ± 0.1 %"
-    assert parse_effect("ground_spring@3+Z=stiffness:1e6").with_std({"stiffness": 3e3}).size == "1000000 ± 3000 N/m"
+    assert parse_effect("global_stiffness=change:-0.08").with_std({"change": 0.0012}).size == "-8.0 ± 0.2 %"
+    assert parse_effect("ground_spring@3+Z=stiffness:1e6").with_std({"stiffness": 3e3}).size == "1000000 ± 5880 N/m"
 
 
 def test_a_kind_of_the_users_own():

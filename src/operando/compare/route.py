@@ -100,7 +100,8 @@ def recommended(comparison: Mapping[str, Any] | None, diagnosis: Mapping[str, An
         return Route(name, reason, key, errors.get(key), errors.get("idle"), is_good(models.get(key) or {}))
 
     if not hybrid:
-        return None if diagnosis is None else route("effect", "there are no scaled operational modes")
+        # an idle model that fails in operation is no route to it
+        return None if not effects and verdict != "no_misfit" else route("effect", "there are no scaled operational modes")
     if diagnosis is None:
         return route("hybrid", "no diagnosis was made")
     if "ofrf" in errors and second in errors:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from operando.indicators import INTERVAL
-
 GOOD = 1.5
 """Reduced chi-square on the validation lines below which the data allow no better (contract)."""
 
@@ -14,11 +12,6 @@ PARTLY = 0.8
 
 FLOOR_DB = 3.0
 """Noise floor above which nothing can be said to be missing or not: FRFs that are known to a factor of √2 only."""
-
-
-def free_of_zero(values: Mapping[str, float], std: Mapping[str, float]) -> bool:
-    """Whether the 95 % interval of every fitted value of an effect leaves out the value at which it says nothing (gain 1, else 0)."""
-    return all(abs(float(values[name]) - (1.0 if name == "gain" else 0.0)) > INTERVAL * s for name, s in std.items())
 
 
 def verdict_of(

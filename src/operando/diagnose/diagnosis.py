@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, error_db, noise_floor_db
-from operando.compare.verdict import GOOD, verdict_of
+from operando.compare.verdict import GOOD, floor_reason, verdict_of
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
@@ -240,6 +240,10 @@ def _search(
 ) -> Diagnosis:
     idle = problem.idle  # without the places between sensors that the search may add
     one_system = not problem.lines.disagreement > LEVEL_LIMIT
+    judged = problem.sets[JUDGE]
+    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
+    if floor_reason(floor) is not None and len(problem.templates) > MANY:
+        return _not_searched(problem, check, band, compared, floor)
     found = search(problem, MAX_EFFECTS if one_system else 1, lambda first: between_sensors(problem, geometry, first))
     if found.elsewhere is not None:
         problem, geometry, found = found.elsewhere
@@ -275,7 +279,6 @@ def _search(
     if dropped and history and noise_alone(problem, final[-1]):
         more = None  # what was found beyond these effects has no support, and nothing but noise is left
     alternatives, other = ambiguous_with(problem, history, geometry) if history else ([], False)
-    judged = problem.sets[JUDGE]
     if history and rows[-1]["heldout_misfit"] >= GOOD:
         gain, odd = gain_by_free_law(problem, fits[-1])
         if odd is not None and gain < FURTHER_PART:
@@ -286,7 +289,6 @@ def _search(
             )
     if not one_system:
         more = "the runs of different level are not one linear system: a linear effect cannot explain both"
-    floor = noise_floor_db(flat(judged, problem.owns[JUDGE], predicted(problem.arrays, judged, problem.empty())[0]))
     hidden, detectable = unseen(problem, floor, rows[0]["heldout_misfit"])
     judge = [r["heldout_misfit"] for r in rows]
     verdict, reason = verdict_of(judge, unseen=hidden, more=more, ambiguous=other)
@@ -331,6 +333,34 @@ def _search(
         judged_on(problem, check),
         tuple(detectable),
         reason,
+    )
+
+
+def _not_searched(
+    problem: Problem, check: Sequence[CheckRun], band: tuple[float, float] | None, compared: Mapping[str, Any] | None, floor: float | None
+) -> Diagnosis:
+    """The diagnosis where the noise floor hides what an effect does, and thousands of candidates would be fitted for nothing to believe."""
+    idle = problem.idle
+    rows, final = ladder(problem, [problem.empty()])
+    hidden, detectable = unseen(problem, floor, rows[0]["heldout_misfit"])
+    verdict, reason = verdict_of([rows[0]["heldout_misfit"]], unseen=hidden)
+    return Diagnosis(
+        verdict,
+        (),
+        (),
+        what_hides(problem),
+        tuple(rows),
+        (),
+        where_it_fails(idle, check, band, compared),
+        floor,
+        ("check_frf",),
+        localise(problem, (), final[-1]),
+        (*problem.lines.notes, f"no effect was looked for: {hidden}"),
+        idle,
+        model_of(problem, final[-1], None),
+        judged_on(problem, check),
+        tuple(detectable),
+        reason or hidden,
     )
 
 
@@ -392,6 +422,10 @@ def ladder(problem: Problem, fits: Sequence[Fit]) -> tuple[list[dict[str, Any]],
             }
         )
     return rows, told
+
+
+MANY = 1000
+"""Candidates beyond which a search is made only where it can be believed: 13 sensors have hundreds, 81 have 10 000 and take minutes."""
 
 
 CORRECTED = (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.compare.verdict import free_of_zero, shift_reason, verdict_of
+from operando.compare.verdict import shift_reason, verdict_of
 from operando.data import Geometry, ModalModel
 from operando.diagnose.diagnosis import Diagnosis, unsupported_row
 from operando.diagnose.model import Model, joint_covariance
@@ -263,7 +263,7 @@ def _diagnose(
     everything = np.ones((sets.whole.n, sets.whole.per_mode), bool)
     unsupported: list[Effect] = []
     full = _on_the_whole(sets, basis, found.fit, everything)
-    while (weak := next((k for k, e in enumerate(effects_of(full)) if not free_of_zero(e.values, e.std)), None)) is not None:
+    while (weak := next((k for k, e in enumerate(effects_of(full)) if not e.supported), None)) is not None:
         unsupported.append(effects_of(full)[weak])
         found = _without(sets, basis, found, weak)
         found.more = f"{unsupported[-1].kind} at {unsupported[-1].place or 'the whole'} is a candidate only: its 95 % interval holds zero"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from operando.compare.verdict import GOOD, free_of_zero
+from operando.compare.verdict import GOOD
 from operando.diagnose.learn import BEYOND_NOISE, cost_once_corrected
 from operando.diagnose.problem import EARNED, Problem, Tried, scan, shortlist, step, with_shapes
 from operando.diagnose.refit import Fit, mean_misfit, predicted
@@ -72,7 +72,7 @@ def further(problem: Problem, found: Search, most: int) -> tuple[Search, str | N
 def weakest(fit: Fit) -> int | None:
     """The effect whose 95 % interval reaches zero by most; None where none does."""
     effects = effects_of(fit)
-    weak = [k for k, e in enumerate(effects) if not free_of_zero(e.values, e.std)]
+    weak = [k for k, e in enumerate(effects) if not e.supported]
     if not weak:
         return None
     spread = [max(float(s) / max(abs(float(effects[k].values[n])), 1e-300) for n, s in effects[k].std.items()) for k in weak]

@@ -113,6 +113,15 @@ class Effect:
         return tuple(n for n in self.definition.names if n not in self.fixed)
 
     @property
+    def supported(self) -> bool:
+        """Whether the 95 % interval of every fitted value leaves out the value at which the effect says nothing: a gain of 1, else 0.
+
+        Values that may be 0 by the catalogue are not asked, as the speed below which friction is smoothed.
+        """
+        asked = [p.name for p in self.definition.parameters if p.low != 0.0 and p.name in self.std]
+        return all(abs(float(self.values[n]) - (1.0 if n == "gain" else 0.0)) > INTERVAL * self.std[n] for n in asked)
+
+    @property
     def sign(self) -> float:
         """−1 for an effect taken away."""
         return -1.0 if self.removed else 1.0

@@ -214,7 +214,13 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
 
 
 def project(
-    pairs: Pairs, poles: Poles, variance: Real, previous: Coefficients | None, ends_hz: tuple[float, float], least: float = np.inf
+    pairs: Pairs,
+    poles: Poles,
+    variance: Real,
+    previous: Coefficients | None,
+    ends_hz: tuple[float, float],
+    least: float = np.inf,
+    most: Real | None = None,
 ) -> Projection:
     """Linear fit of all pairs at given poles, and the normal equations of the poles.
 
@@ -230,6 +236,8 @@ def project(
         Bottom and top of the lines, where the tails begin.
     least : float
         Shift over ζ, squared, from which on shifts enter in full: what they add beyond the first order, as of the round before.
+    most : (P, n) array, optional
+        Spread of the prior on a; default: :func:`largest` at these poles.
     """
     columns = _columns(pairs, poles, ends_hz)
     amplitude = None
@@ -242,7 +250,7 @@ def project(
     if previous is not None and np.isfinite(least):
         curvature = shift_curvature(pairs.frequencies_hz, poles, previous, pairs.window_rate, least)
     flat = pairs.accelerance - curvature
-    most = _largest(pairs, poles, columns.g)
+    most = largest(pairs, poles) if most is None else most
     parts = []
     for start in range(0, pairs.accelerance.shape[0], CHUNK):
         rows = slice(start, start + CHUNK)
@@ -254,12 +262,13 @@ def project(
     return Projection(cost, a, b, shift, shifted, curvature, tails, error, normal, gradient, evidence, a_std, slope, sums)
 
 
-def _largest(pairs: Pairs, poles: Poles, g: Complex) -> Real:
+def largest(pairs: Pairs, poles: Poles) -> Real:
     """Spread of the prior on a, (P, n): no mode is much larger than the FRF at its resonance, so two do not stand against each other there.
 
     In a pair near a node of both, two poles within a bandwidth of each other otherwise trade places and grow to any size.
     """
     out = np.empty((pairs.accelerance.shape[0], poles.hz.size))
+    g = kernels(pairs.frequencies_hz, poles.hz, poles.zeta, pairs.window_rate)[0]
     for r, hz in enumerate(poles.hz):
         distance = np.abs(pairs.frequencies_hz - hz)
         near = distance <= max(PEAK_WIDTHS * poles.zeta[r] * hz, DRIFT_MOST * hz, np.partition(distance, PEAK_LINES)[PEAK_LINES])
@@ -396,7 +405,8 @@ def search_poles(
         Fall of the cost.
     """
     n = poles.hz.size
-    now = project(pairs, poles, variance, previous, ends_hz, least)
+    most = largest(pairs, poles)  # as it is here: a prior that moved with the poles would be no part of their gradient
+    now = project(pairs, poles, variance, previous, ends_hz, least, most)
     total, damping = float(now.cost.sum()), 1e-3
     at_start = total
     for _ in range(steps):
@@ -412,7 +422,7 @@ def search_poles(
             trial = replace(poles, hz=poles.hz * np.exp(step[:n]), zeta=zeta)
             # shifts are counted from the pole: it moves, they do the other way
             a, b, shift = now.coefficients
-            found = project(pairs, trial, variance, (a, b, shift - step[:n]), ends_hz, least)
+            found = project(pairs, trial, variance, (a, b, shift - step[:n]), ends_hz, least, most)
             if found.cost.sum() <= total * (1 + 1e-12):
                 better = found
                 break

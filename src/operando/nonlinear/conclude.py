@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.compare.verdict import GOOD, floor_reason, free_of_zero, verdict_of
+from operando.compare.verdict import GOOD, floor_reason, verdict_of
 from operando.data import Geometry
 from operando.effects import Effect, kind_of
 from operando.errors import DataError
@@ -81,7 +81,7 @@ def conclude(
     """Verdict, ladder and words; ``more``: why something may be missing still."""
     last = steps[-1].case
     notes: list[str] = []
-    weak = next((k for k, t in enumerate(accepted) if not free_of_zero((e := effect_of(first, t)).values, e.std)), len(accepted))
+    weak = next((k for k, t in enumerate(accepted) if not effect_of(first, t).supported), len(accepted))
     dropped, accepted = [effect_of(first, t) for t in accepted[weak:]], accepted[:weak]
     if dropped:
         more = f"{dropped[0].kind} at {dropped[0].place} is a candidate only: its 95 % interval holds zero"
