@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,7 +99,7 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
     return out
 
 
-def unknown_to(fit: LinearFit, hz: Real, band: tuple[float, float]) -> list[float]:
+def unknown_to(fit: LinearFit, hz: Sequence[float] | Real, band: tuple[float, float]) -> list[float]:
     """Modes in band where the linear stage has no pole, not even a doubtful one: within a half bandwidth or 0.2 %.
 
     It leaves phases and scales of the pairs free; what it does not need makes up for what real modes cannot be, such as gains of sensors.

@@ -19,6 +19,7 @@ from operando.ema.doubts import judge_modes, unknown_to
 from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
 from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
+from operando.ema.order import UnseenModesError
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
@@ -329,15 +330,19 @@ def _polished(
     if job.answer == "auto" and work > POLISH_WORK:
         minutes = 2 * work / POLISH_WORK
         return None, f'polishing would take about {minutes:.0f} minutes, two are allowed; ema = "polished" does it'
-    answer = polished_answer(runs, job.dofs, job.band, hz, zeta, progress=job.progress)
+    unseen = (lambda places: unknown_to(fit, places, job.band)) if job.answer == "auto" else None
+    try:
+        answer = polished_answer(runs, job.dofs, job.band, hz, zeta, progress=job.progress, unseen=unseen)
+        if unseen is not None and (new := unseen(answer.fit.parameters.hz)):
+            raise UnseenModesError(new)
+    except UnseenModesError as more:
+        listed = ", ".join(f"{h:.4g}" for h in more.hz)
+        return None, f"polished, real modes of one scale need others beside those that the linear stage sees (near {listed} Hz)"
     if job.answer == "auto" and pairs.noise_known and not answer.misfit < ACCEPTED_MISFIT:
         linear = heldout_misfit(pairs, fit, job.band, len(job.dofs))[0]
         if not answer.misfit < linear:
             return None, f"polished, the reduced chi-square on unused lines is {answer.misfit:.3g}; by the linear stage it is {linear:.3g}"
     theta = answer.fit.parameters
-    if job.answer == "auto" and (new := unknown_to(fit, theta.hz, job.band)):
-        listed = ", ".join(f"{h:.4g}" for h in new)
-        return None, f"polished, real modes of one scale need {len(new)} more beside those that the linear stage sees ({listed} Hz)"
     drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
     scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
     said = fit_findings(job.frf, job.band, signs, answer.misfit)

@@ -27,6 +27,14 @@ class OrderLog:
     unseen_hz: list[float] = field(default_factory=list)
 
 
+class UnseenModesError(Exception):
+    """The search needs modes that were not to be added."""
+
+    def __init__(self, hz: Sequence[float]) -> None:
+        super().__init__(hz)
+        self.hz = tuple(hz)
+
+
 def thin_lines(runs: Sequence[RunSpectra], hz: Real, zeta: Real, per_width: int = 12) -> list[RunSpectra]:
     """Fewer lines for the rounds of the search: all where resonances are narrow, a share elsewhere.
 
@@ -137,6 +145,7 @@ def search_order(
     max_modes: int = 200,
     log: OrderLog | None = None,
     progress: Callable[[str], None] | None = None,
+    unseen: Callable[[Sequence[float]], Sequence[float]] | None = None,
 ) -> tuple[Polished, OrderLog]:
     """Refine the candidate poles and settle the number of modes.
 
@@ -149,12 +158,19 @@ def search_order(
         Candidate poles.
     lower : bool
         Whether a pseudo-mode below the band is needed (rigid-body or suspension modes).
+    unseen : callable, optional
+        Which of these frequencies [Hz] are not to be added, however much they lower the cost.
 
     Returns
     -------
     Polished
         On thinned lines, without covariance: a start for the final fit.
     OrderLog
+
+    Raises
+    ------
+    UnseenModesError
+        If such a mode earns its place.
     """
     log = OrderLog() if log is None else log
     order = np.argsort(hz)
@@ -192,6 +208,8 @@ def search_order(
             if len(new) == 1:
                 break
             continue
+        if unseen is not None and (wrong := unseen([h for h, _ in new])):
+            raise UnseenModesError(wrong)
         log.rounds.append(f"round {number}: misfit {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
         fit = trial
     out = weak_modes(thinned, fit, log)

@@ -28,6 +28,10 @@ POLISH_STEPS = 60
 """Steps that the searches, the final fit and the one that judges it take together, about (30 … 90 on the practice cases)."""
 
 
+SCAN_STEPS = 5 * 3 * 1500 * 8
+"""Operations of the scans for missing modes, for each line, response and force: rounds, damping ratios, frequencies."""
+
+
 @dataclass(frozen=True)
 class PolishedAnswer:
     """What the maximum-likelihood fit says.
@@ -56,11 +60,12 @@ class PolishedAnswer:
 
 
 def polish_work(runs: Sequence[RunSpectra], n_dofs: int, n_modes: int) -> float:
-    """Floating-point operations of a polish, about: normal equations over the lines of each run, and their solution."""
+    """Floating-point operations of a polish, about: normal equations over the lines of each run, their solution, the search for more."""
     lines = sum(run.frequencies_hz.size * run.response_rows.size * (6 * n_modes + 12) ** 2 / 4 for run in runs)
     unknowns = n_modes * (2 + min(n_dofs, MAX_UNKNOWNS // max(n_modes, 1)))
+    scans = sum(SCAN_STEPS * run.frequencies_hz.size * run.responses.shape[0] * run.forces.shape[0] for run in runs)
     nuisance = sum(run.response_rows.size * (8 * run.forces.shape[0] + 7) for run in runs)
-    return float(POLISH_STEPS * (lines + unknowns**3 / 3 + unknowns**2 * nuisance))
+    return float(POLISH_STEPS * (lines + unknowns**3 / 3 + unknowns**2 * nuisance) + scans)
 
 
 def polished_answer(
@@ -71,8 +76,9 @@ def polished_answer(
     zeta: Real,
     *,
     progress: Callable[[str], None] | None = None,
+    unseen: Callable[[Sequence[float]], Sequence[float]] | None = None,
 ) -> PolishedAnswer:
-    """Maximum-likelihood fit from starting poles; the number of modes is settled by what they add."""
+    """Maximum-likelihood fit from starting poles; the number of modes is settled by what they add (``unseen``: :func:`search_order`)."""
     core = choose_core(runs, dofs, hz.size)
     core_runs = runs if core is None else [_reduced(run, core) for run in runs]
     n_dofs = len(dofs) if core is None else len(core)
@@ -81,7 +87,7 @@ def polished_answer(
     hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
     lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta)
     weighted = with_model_error(core_runs, theta, share)
-    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, log=log, progress=progress)
+    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, log=log, progress=progress, unseen=unseen)
     final = _final(weighted, n_dofs, fit, lower, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
     gone = make_up(core_runs, final)

@@ -161,11 +161,16 @@ def mode_gain(runs: Sequence[RunSpectra], errors: Sequence[Complex], hz: Real, z
     Free real residues in each response and run are allowed, so the figure is an upper bound with one unknown a response and force.
     """
     total = np.zeros(hz.size)
+    lines, g, power = np.zeros(0), np.zeros((0, 0), complex), np.zeros((0, 0))
     for run, error in zip(runs, errors, strict=True):
-        g = kernels(run.frequencies_hz, hz, np.full(hz.size, zeta), run.window_rate)[0]
+        if not np.array_equal(run.frequencies_hz, lines):  # runs mostly share their lines
+            lines = run.frequencies_hz
+            g = kernels(lines, hz, np.full(hz.size, zeta), run.window_rate)[0].T
+            power = np.abs(g) ** 2
+        weight = 1 / run.response_variance
         for force in run.forces:
-            basis = g * force
-            top = np.real((error / run.response_variance) @ basis.conj().T)
-            bottom = (1 / run.response_variance) @ (np.abs(basis) ** 2).T
+            pull = error * weight * force.conj()
+            top = pull.real @ g.real + pull.imag @ g.imag
+            bottom = (weight * np.abs(force) ** 2) @ power
             total += np.sum(top**2 / np.maximum(bottom, 1e-300), axis=0)
     return total

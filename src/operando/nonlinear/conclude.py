@@ -29,8 +29,8 @@ TWICE = 2.0
 """Judge misfit, 3 dB above the floor, from which it is asked where the rest comes from."""
 
 DISCREPANCY = 0.03
-"""Part of the responses by which a law, exact but for its motion, may be off (contract, ``explained``): forces of contact amplify the
-errors of the motion, which no covariance carries."""
+"""Part of the responses by which a law may be off (contract, ``explained``): forces follow from a motion whose errors no covariance
+carries, those of contacts above all."""
 
 SEEN_PART, SHARE = 0.8, 0.25
 """Motion above this part of the recorded band is left out; the records are too slow if that changes the misfit by this share of what
@@ -108,7 +108,7 @@ def conclude(
     unseen = floor_reason(rows[0].get("noise_floor_db"))
     judges = slice(n if len(weighted) > n else 0, None)
     off = discrepancy(weighted[judges], errors[judges]) if accepted else 0.0
-    if any(kind_of(t.law.kind).level_dependent for t in accepted) and off <= DISCREPANCY:
+    if accepted and off <= DISCREPANCY:
         judged[-1] = min(judged[-1], np.nextafter(GOOD, 0))
     picture = pictures_of(first, effects, accepted, notes)
     verdict, reason = verdict_of(judged, unseen=unseen, more=more, ambiguous=other)

@@ -7,7 +7,8 @@ from typing import Any
 
 from operando.data import Finding
 from operando.errors import MissingError
-from operando.pipeline.stages.work import Lacking, Work, analysis_band, scaled
+from operando.pipeline.stages.scale import scaled
+from operando.pipeline.stages.work import Lacking, Work, analysis_band
 
 
 def comparison(work: Work) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from typing import Any
 
 from operando.data import Finding
 from operando.pipeline.stages.estimate import whole_records
-from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed, scaled
+from operando.pipeline.stages.scale import scaled
+from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
 
 
 def missing_physics(work: Work) -> dict[str, Any]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from operando.pipeline.stages.work import Work, needed, scaled
+from operando.pipeline.stages.scale import scaled
+from operando.pipeline.stages.work import Work, needed
 
 
 def hybrid(work: Work) -> dict[str, Any]:

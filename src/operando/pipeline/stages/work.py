@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import inspect as introspection
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from operando.config import Analysis, Test
-from operando.data import Finding, ModalModel
-from operando.errors import IdentificationError, MissingError
+from operando.data import Finding
+from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
 from operando.results import Results
 
@@ -73,24 +73,6 @@ def offered(function: Callable[..., Any], findings: list[Finding], **keywords: A
             message = f"setting {key} has no effect on {function.__name__}"
             findings.append(Finding("setting_unused", message, "warning", consequence="this stage runs as if it were not set"))
     return {key: value for key, value in given.items() if key in known}
-
-
-def scaled(idle: ModalModel, findings: Sequence[Finding], what: str) -> None:
-    """Nothing, where the idle modes are of unit modal mass in SI.
-
-    Raises
-    ------
-    Lacking
-        If the data never had what gives the scale.
-    IdentificationError
-        If a fault of the measurement hides it.
-    """
-    from operando.scaling.no_scale import no_scale
-
-    cause = no_scale(idle, findings)
-    if cause is not None:
-        text = f"the idle modes have no scale, so {what}: {cause[0]}"
-        raise IdentificationError(text, hint=cause[1]) if cause[2] else Lacking(text, hint=cause[1])
 
 
 def needed(value: Any, what: str) -> Any:

@@ -1,0 +1,26 @@
+"""What the stages that need FRFs of unit modal mass ask of the idle modes first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from operando.data import Finding, ModalModel
+from operando.errors import IdentificationError
+from operando.pipeline.stages.work import Lacking
+from operando.scaling.no_scale import no_scale
+
+
+def scaled(idle: ModalModel, findings: Sequence[Finding], what: str) -> None:
+    """Nothing, where the idle modes are of unit modal mass in SI.
+
+    Raises
+    ------
+    Lacking
+        If the data never had what gives the scale.
+    IdentificationError
+        If a fault of the measurement hides it.
+    """
+    cause = no_scale(idle, findings)
+    if cause is not None:
+        text = f"the idle modes have no scale, so {what}: {cause[0]}"
+        raise IdentificationError(text, hint=cause[1]) if cause[2] else Lacking(text, hint=cause[1])
