@@ -112,8 +112,16 @@ def choose_modes(
         fit = _with_mode(fit, *new)
     if fit.n_modes == 0:
         raise IdentificationError("no mode is left that the FRFs speak for", hint="widen the band, or check the FRFs")
+    fit = _settled(fit)
+    # what was two modes by half-settled spreads may be one by settled ones
+    while (joined := _one_for_two(fit, merged, log)) is not None:
+        fit = _settled(joined)
+    return fit, log
+
+
+def _settled(fit: LinearFit) -> LinearFit:
     settled = fit.projection.coefficients
-    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=settled, before=fit.variance, rounds=SETTLE_ROUNDS), log
+    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=settled, before=fit.variance, rounds=SETTLE_ROUNDS)
 
 
 def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:
@@ -201,14 +209,16 @@ def two_peaks(fit: LinearFit, k: int) -> bool:
 def is_twin(fit: LinearFit, k: int) -> bool:
     """Whether modes k and k+1 have alike residues close together, with no dip between them, or nearly one frequency.
 
-    Two poles well within one bandwidth may as well be one mode that stands elsewhere in other pairs, whatever their residues.
+    Two poles well within one bandwidth may as well be one mode that stands elsewhere in other pairs, whatever their residues; so may two
+    that their drift between the pairs brings together, where residues are alike as far as a trade of places leaves them so.
     """
     width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
     gap = float((fit.poles.hz[k + 1] - fit.poles.hz[k]) / max(width))
     if gap < SAME_WIDTHS:
         return True
     mac = residue_mac(fit, k, k + 1)
-    alike = (mac > TWIN_MAC and gap < TWIN_WIDTHS) or (mac > CLOSE_TWIN_MAC and gap < NEAR_WIDTHS)
+    bridged = fit.poles.hz[k + 1] / fit.poles.hz[k] - 1 < fit.poles.drift[k : k + 2].sum()
+    alike = (mac > TWIN_MAC and gap < TWIN_WIDTHS) or (mac > CLOSE_TWIN_MAC and (gap < NEAR_WIDTHS or bridged))
     return alike and not two_peaks(fit, k)
 
 
@@ -243,7 +253,7 @@ def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], log: ChoiceLo
 
 
 def _merged(fit: LinearFit, k: int) -> tuple[LinearFit, float, float]:
-    """One mode for k and k+1, from their mean or from the stronger alone; what that loses, and the mode's evidence.
+    """One mode for k and k+1, from their mean, the stronger alone, or the peak of both; what that loses, and the mode's evidence.
 
     Asked on the lines around the two, with what the other modes add taken off: the tails follow what these would still adapt.
     """
@@ -271,7 +281,10 @@ def _merged(fit: LinearFit, k: int) -> tuple[LinearFit, float, float]:
     by_pair = start[0] ** 2 + start[1] ** 2
     centre = by_pair @ hz / np.maximum(by_pair.sum(axis=1), 1e-300) / (share @ hz) - 1
     strong = int(np.argmax(share))
-    ones = []
+    # where their sum stands, as if nothing were known of either: residues that stood against each other start no one mode
+    top = f[near][np.argmax(np.sum(np.abs(own) ** 2 / fit.variance.plain[:, near], axis=0))]
+    alone = Poles(np.array([top]), np.array([share @ zeta]), poles.quadrature.max(keepdims=True), np.array([drift]))
+    ones = [fit_linear(part, alone, ends, rounds=6, steps=2, hold=hold)]
     for weight, shift in ((share, centre), (np.eye(2)[strong], start[2][:, strong])):
         pole = Poles(np.array([weight @ hz]), np.array([weight @ zeta]), poles.quadrature.max(keepdims=True), np.array([drift]))
         a, b = (values @ (weight > 0)[:, None] for values in start[:2])

@@ -43,6 +43,9 @@ PEAK_MOST, PEAK_WIDTHS, PEAK_LINES = 3.0, 3.0, 3
 """Spread of a: so many times what the FRF has at most within three half bandwidths, the drift and three lines. Two modes of opposite
 sense 0.4 half bandwidths apart, which are one by the rule of twins, are five times their sum: a prior cost of three of several hundred."""
 
+LEAST_FALL = 0.02
+"""Fall of the cost worth a step: poles move by a tenth of their standard deviation."""
+
 PSEUDO_PAIRS = 2.0
 CHUNK = 256
 
@@ -194,7 +197,7 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
     rate : float
         Of the exponential window [1/s].
     least : float
-        Modes are left out whose rms shift over ζ, squared, is below this.
+        Modes are left out whose rms shift over ζ, squared, is below this, and lines so far off that it is a quarter of it there.
     """
     a, b, shift = coefficients
     out = np.zeros((a.shape[0], f.size), complex)
@@ -207,9 +210,10 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
     for r in np.flatnonzero((shares > least) & single):
         moved_by = np.clip(shift[:, r], -CURVED_MOST * poles.zeta[r], CURVED_MOST * poles.zeta[r])
         hz = poles.hz[r] * (1 + moved_by)
-        moved = kernels(f, hz, np.full(hz.size, poles.zeta[r]), rate)[0]
-        out += a[:, r, None] * (moved - g[r] - moved_by[:, None] * gf[r])
-        out += b[:, r, None] * (moved * s / (2 * np.pi * hz[:, None]) - h[r] - moved_by[:, None] * hf[r])
+        near = np.abs(f - poles.hz[r]) < 2 * CURVED_MOST / np.sqrt(max(least, 1e-300)) * poles.zeta[r] * poles.hz[r]
+        moved = kernels(f[near], hz, np.full(hz.size, poles.zeta[r]), rate)[0]
+        out[:, near] += a[:, r, None] * (moved - g[r, near] - moved_by[:, None] * gf[r, near])
+        out[:, near] += b[:, r, None] * (moved * s[near] / (2 * np.pi * hz[:, None]) - h[r, near] - moved_by[:, None] * hf[r, near])
     return out
 
 
@@ -418,6 +422,8 @@ def search_poles(
             step = np.linalg.solve(now.normal + np.diag(damping * diagonal + floor), pull)
             limit = np.concatenate([0.7 * poles.zeta, np.full(n, 0.6)])
             step = np.clip(step, -limit, limit)  # each on its own: a pole that runs away must not hold the others
+            if 2 * step @ pull - step @ now.normal @ step < max(LEAST_FALL, 1e-6 * total):
+                break  # even if all went as foreseen
             zeta = np.clip(poles.zeta * np.exp(step[n:]), 1e-5, max_damping * 1.02)
             trial = replace(poles, hz=poles.hz * np.exp(step[:n]), zeta=zeta)
             # shifts are counted from the pole: it moves, they do the other way
@@ -432,6 +438,6 @@ def search_poles(
         damping = max(damping / 10, 1e-9)
         fall = total - float(better.cost.sum())
         poles, now, total = trial, better, total - fall
-        if fall < max(0.02, 1e-6 * total):
+        if fall < max(LEAST_FALL, 1e-6 * total):
             break
     return poles, now, at_start - total
