@@ -259,6 +259,9 @@ def _sizes(found: dict | None, true: dict, check: bool) -> list[dict]:
 
 # Operating FRFs
 
+FRF = 4
+"""Function type of a UFF 58 set."""
+
 
 def read_frfs(path: Path) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
     """Lines [Hz] and FRFs of a file of evenly spaced complex 58b sets in double or single precision."""
@@ -272,6 +275,8 @@ def read_frfs(path: Path) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]
             position = end + 1
         size = int(lines[0].split()[4])
         dofs = lines[6]
+        if int(dofs[:5]) != FRF:  # the band stands in further sets
+            continue
         pair = (_dof(dofs[41:51], dofs[51:55]), _dof(dofs[66:76], dofs[76:80]))
         kind, count, _even, first, step = lines[7].split()[:5]
         data = np.frombuffer(content[position : position + size], {"5": "<c8", "6": "<c16"}[kind])
