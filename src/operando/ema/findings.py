@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding, Frf
 from operando.ema.answers import LinearModes
-from operando.ema.polish_model import Real
+from operando.ema.linear import LinearFit
 from operando.ema.unit_mass import SEEN, UnitMassShapes
 
 NOTABLE_DRIFT = 5e-4
@@ -20,6 +20,9 @@ NOTABLE_QUADRATURE = 0.15
 """A phase of 9°: real modes with 5 % errors of single pairs stay below 0.13 on a bridge and a plate."""
 
 NOTABLE_ERROR = 0.03
+
+NOTABLE_RESIDUE = 0.05
+"""A drive-point residue of less than this part of the mode's largest one stands near a node: a neighbour or a phase makes it negative."""
 
 
 def turned_finding(dof: str) -> Finding:
@@ -43,18 +46,20 @@ class DriveResidues:
     absent_hz : tuple of float
         No drive point moves in them by more than three standard deviations: as at a node.
     negative_hz : tuple of float
-        A drive-point residue is below zero by more than that: a negative modal mass.
+        A drive-point residue is below zero by more than that, and no small part of the mode: a negative modal mass.
     """
 
     absent_hz: tuple[float, ...] = ()
     negative_hz: tuple[float, ...] = ()
 
 
-def drive_residues(hz: Real, mass: UnitMassShapes, sure: NDArray[np.bool_]) -> DriveResidues:
+def drive_residues(fit: LinearFit, mass: UnitMassShapes, sure: NDArray[np.bool_]) -> DriveResidues:
     """What the drive points say of the modes that are no doubtful poles."""
     if not mass.drive:
         return DriveResidues()
-    negative = sure & np.any([t < -SEEN for _, t in mass.drive], axis=0)
+    hz, a = fit.mean_hz, fit.projection.a
+    notable = NOTABLE_RESIDUE * np.max(np.abs(a), axis=0)
+    negative = sure & np.any([(t < -SEEN) & (a[pair] < -notable) for pair, t in mass.drive], axis=0)
     absent = sure & ~mass.scaled & ~negative
     return DriveResidues(tuple(map(float, hz[absent])), tuple(map(float, hz[negative])))
 

@@ -284,7 +284,7 @@ def _answer(
     evidence = judge_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, evidence, mass.scaled)
-    signs = drive_residues(fit.mean_hz, mass, np.array([not e.doubts for e in evidence]))
+    signs = drive_residues(fit, mass, np.array([not e.doubts for e in evidence]))
     wanted, reason = _polish_wanted(job, fit)
     found: _Outcome | None = None
     if wanted:
