@@ -34,6 +34,10 @@ BACKGROUND_DAMPING, GOOD_COLLINEARITY, BACKGROUND_COLLINEARITY = 8.0, 0.8, 0.9
 MAX_LOG_DAMPING_STD = 0.15
 
 
+SAME_SHARE = 0.002
+"""Frequencies that differ by less are those of one mode, however sharp: roving tests drift by half of it at most (projection.DRIFT)."""
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What speaks for one pole.
@@ -100,13 +104,13 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
 
 
 def unknown_to(fit: LinearFit, hz: Sequence[float] | Real, band: tuple[float, float]) -> list[float]:
-    """Modes in band where the linear stage has no pole, not even a doubtful one: within a half bandwidth or 0.2 %.
+    """Modes in band where the linear stage has no pole, not even a doubtful one, within a half bandwidth or ``SAME_SHARE``.
 
     It leaves phases and scales of the pairs free; what it does not need makes up for what real modes cannot be, such as gains of sensors.
     """
-    within = np.maximum(fit.poles.zeta, 0.002) * fit.poles.hz
-    inside = [float(h) for h in hz if band[0] <= h <= band[1]]
-    return [h for h in inside if not np.any((np.abs(fit.poles.hz - h) < within) | (np.abs(fit.mean_hz - h) < within))]
+    within = np.maximum(fit.poles.zeta, SAME_SHARE) * fit.poles.hz
+    known = np.array([fit.poles.hz, fit.mean_hz])
+    return [float(h) for h in hz if band[0] <= h <= band[1] and not np.any(np.abs(known - h) < within)]
 
 
 def _dominance(fit: LinearFit) -> Real:

@@ -161,11 +161,11 @@ def mode_gain(runs: Sequence[RunSpectra], errors: Sequence[Complex], hz: Real, z
     Free real residues in each response and run are allowed, so the figure is an upper bound with one unknown a response and force.
     """
     total = np.zeros(hz.size)
-    lines, g, power = np.zeros(0), np.zeros((0, 0), complex), np.zeros((0, 0))
+    lines, rate, g, power = np.zeros(0), 0.0, np.zeros((0, 0), complex), np.zeros((0, 0))
     for run, error in zip(runs, errors, strict=True):
-        if not np.array_equal(run.frequencies_hz, lines):  # runs mostly share their lines
-            lines = run.frequencies_hz
-            g = kernels(lines, hz, np.full(hz.size, zeta), run.window_rate)[0].T
+        if rate != run.window_rate or not np.array_equal(run.frequencies_hz, lines):  # runs mostly share both
+            lines, rate = run.frequencies_hz, run.window_rate
+            g = kernels(lines, hz, np.full(hz.size, zeta), rate)[0].T
             power = np.abs(g) ** 2
         weight = 1 / run.response_variance
         for force in run.forces:

@@ -287,7 +287,10 @@ def _columns(kept: Sequence[RunEstimate], responses: Sequence[Dof], columns: Seq
 def measured_by(
     parts: Sequence[RunEstimate] | Sequence[Frf], responses: Sequence[Dof], references: Sequence[Dof]
 ) -> NDArray[np.int_] | None:
-    """Number of the part that alone measured each pair, −1 for more than one; None where all parts have the same responses."""
+    """Number of the part that alone measured each pair, −1 for more than one; None where no two parts measured pairs of their own.
+
+    So it is where all parts have the same responses, and where one of them only lost a channel.
+    """
     sensors = [{(d.node, d.axis) for d in part.responses} for part in parts]
     if all(s == sensors[0] for s in sensors):
         return None
@@ -298,7 +301,7 @@ def measured_by(
             having = [k for k in range(len(parts)) if (d.node, d.axis) in sensors[k] and (e.node, e.axis) in forces[k]]
             if len(having) == 1:
                 out[i, j] = having[0]
-    return out
+    return out if np.unique(out[out >= 0]).size > 1 else None
 
 
 def absent_pairs(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) -> list[Finding]:

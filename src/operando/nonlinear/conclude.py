@@ -108,6 +108,7 @@ def conclude(
     unseen = floor_reason(rows[0].get("noise_floor_db"))
     judges = slice(n if len(weighted) > n else 0, None)
     off = discrepancy(weighted[judges], errors[judges]) if accepted else 0.0
+    # good by the measure of the contract: within the noise and so much of the responses
     if accepted and off <= DISCREPANCY:
         judged[-1] = min(judged[-1], np.nextafter(GOOD, 0))
     picture = pictures_of(first, effects, accepted, notes)
