@@ -9,7 +9,7 @@ import numpy as np
 
 from operando.data.modal import phase_collinearity
 from operando.ema.choose import is_twin, residue_mac, two_peaks
-from operando.ema.linear import LinearFit
+from operando.ema.linear import FEW_PLACES, LinearFit
 from operando.ema.pairs import Complex, Real
 from operando.ema.projection import basis
 
@@ -18,11 +18,13 @@ MIN_RANK_SHARE = 0.95
 
 MIN_COLLINEARITY = 0.6
 HALF, HALF_COLLINEARITY = 0.5, 0.8
-"""A pole that has less than half of the power at its own resonance must be in phase (0.8 is what automatic selections ask of a mode,
-e.g. Reynders, Houbrechts & De Roeck, MSSP 29, 2012): what is left of a mode that moves between rows is not."""
+"""A pole that has less than half of the power at its own resonance (median of the pairs) must be in phase (0.8 is what automatic
+selections ask of a mode, e.g. Reynders, Houbrechts & De Roeck, MSSP 29, 2012): what is left of a mode that moves between rows is not."""
 
 FLAG_WIDTHS, FLAG_MAC = 2.0, 0.7
-"""Neighbours within so many half bandwidths with residues so alike: too different for one pole, too alike for two modes to report."""
+"""Neighbours within so many half bandwidths with residues so alike: too different for one pole, too alike for two modes to report.
+At ``FEW_PLACES`` or more, shapes of different modes are so alike once in ten million pairs (Beta(1/2, 23/2)): neighbours of one shape are
+then one mode in several places, however far apart, unless they rule at their own resonance (half of the power there)."""
 
 HIDDEN_ERRORS, BEST_PAIRS = 5.0, 0.9
 """A mode must exceed so many model errors of all modes at its own resonance, in at least a tenth of the pairs: with an error of 9 % that
@@ -76,16 +78,18 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
     weights = np.minimum(weights, 10 * np.median(weights, axis=0))
     collinearity = np.array([phase_collinearity(residues[:, k] * np.sqrt(weights[:, k])) for k in range(n)])
     shares = [rank_share(fit, k) for k in range(n)]
-    dominance = _dominance(fit)
+    power = _power_shares(fit)
+    dominance, ruled = np.quantile(power, BEST_PAIRS, axis=0), np.median(power, axis=0)
     good = collinearity > GOOD_COLLINEARITY
     typical = float(np.median(zeta[good])) if good.any() else float(np.median(zeta))
     weaker = _weaker_twins(fit)
-    out = []
+    total, cost = fit.evidence.sum(axis=0), fit.penalty()
+    all_doubts: list[list[tuple[str, str]]] = []
     for k in range(n):
         doubts: list[tuple[str, str]] = []
         if shares[k] < MIN_RANK_SHARE:
             doubts.append(("not_one_shape", f"one shape explains {100 * shares[k]:.0f} % of its residues between all references"))
-        wanted = HALF_COLLINEARITY if dominance[k] < HALF else MIN_COLLINEARITY
+        wanted = HALF_COLLINEARITY if ruled[k] < HALF else MIN_COLLINEARITY
         if collinearity[k] < wanted and not fit.noise_limited:
             doubts.append(("complex_shape", f"its residues are not in phase (collinearity {collinearity[k]:.2f})"))
         if dominance[k] < (HIDDEN_ERRORS * fit.model_error) ** 2:
@@ -95,12 +99,17 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
             doubts.append(("background", f"its damping {100 * zeta[k]:.3g} % is {zeta[k] / typical:.0f} times that of the other modes"))
         if fit.log_damping_std[k] > MAX_LOG_DAMPING_STD:
             doubts.append(("uncertain", f"its damping is uncertain by {100 * fit.log_damping_std[k]:.0f} %"))
+        if total[k] < cost and not fit.noise_limited:
+            doubts.append(("few_pairs", "only a few pairs speak for it; by all of them it is a part of the model error"))
         if k in weaker:
             doubts.append(("twin", f"its shape is that of {weaker[k]:.5g} Hz: one mode in two places between the rows"))
-        evidence = float(fit.evidence[:, k].sum())
-        spreads = float(fit.poles.quadrature[k]), float(fit.poles.drift[k])
-        out.append(Evidence(evidence, shares[k], float(collinearity[k]), float(dominance[k]), *spreads, tuple(doubts)))
-    return out
+        all_doubts.append(doubts)
+    for k, strong in _split_modes(fit, [k for k in range(n) if not all_doubts[k]], total, ruled).items():
+        all_doubts[k].append(("twin", f"its shape is that of {fit.poles.hz[strong]:.5g} Hz: one mode in several places"))
+    return [
+        Evidence(float(total[k]), shares[k], float(collinearity[k]), float(dominance[k]), float(q), float(d), tuple(all_doubts[k]))
+        for k, (q, d) in enumerate(zip(fit.poles.quadrature, fit.poles.drift, strict=True))
+    ]
 
 
 def unknown_to(fit: LinearFit, hz: Sequence[float] | Real, band: tuple[float, float]) -> list[float]:
@@ -113,13 +122,13 @@ def unknown_to(fit: LinearFit, hz: Sequence[float] | Real, band: tuple[float, fl
     return [float(h) for h in hz if band[0] <= h <= band[1] and not np.any(np.abs(known - h) < within)]
 
 
-def _dominance(fit: LinearFit) -> Real:
-    """Share of the modes' power that each mode has at its resonance in the pairs where it shows best (upper tenth), (n,)."""
-    out = np.empty(fit.n_modes)
+def _power_shares(fit: LinearFit) -> Real:
+    """Share of the modes' power that each mode has at its own resonance in each pair, (P, n)."""
+    out = np.empty(fit.projection.a.shape)
     for k, h in enumerate(fit.poles.hz):
         g, quadrature = basis(np.array([h]), fit.poles, fit.pairs.window_rate)[:2]
         power = np.abs(fit.projection.a * g[:, 0] + fit.projection.b * quadrature[:, 0]) ** 2
-        out[k] = np.quantile(power[:, k] / np.maximum(power.sum(axis=1), 1e-300), BEST_PAIRS)
+        out[:, k] = power[:, k] / np.maximum(power.sum(axis=1), 1e-300)
     return out
 
 
@@ -133,6 +142,26 @@ def _weaker_twins(fit: LinearFit) -> dict[int, float]:
         if is_twin(fit, k) or (near and residue_mac(fit, k, k + 1) > FLAG_MAC and not two_peaks(fit, k)):
             weak, strong = (k, k + 1) if strength[k] < strength[k + 1] else (k + 1, k)
             out[weak] = float(fit.poles.hz[strong])
+    return out
+
+
+def _split_modes(fit: LinearFit, among: list[int], strength: Real, ruled: Real) -> dict[int, int]:
+    """Poles that repeat the shape of a stronger one of a row of neighbours of one shape, and rule nowhere: number → the stronger.
+
+    A mode that answers otherwise from hit to hit, or bends with level, takes several poles where the model error rules.
+    """
+    if fit.noise_limited or fit.projection.a.shape[0] < FEW_PLACES:
+        return {}
+    rows: list[list[int]] = []
+    for k in among:
+        if rows and residue_mac(fit, rows[-1][-1], k) > FLAG_MAC:
+            rows[-1].append(k)
+        else:
+            rows.append([k])
+    out: dict[int, int] = {}
+    for row in rows:
+        strong = max(row, key=lambda k: strength[k])
+        out |= {k: strong for k in row if k != strong and ruled[k] < HALF}
     return out
 
 
