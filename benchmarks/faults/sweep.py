@@ -135,7 +135,7 @@ def stages(base: Path) -> dict:
     points = {}
     for at, name in enumerate(steps, start=1):
         if name.startswith("write "):
-            points.setdefault(name.split(".")[1], at)
+            points.setdefault(name.removeprefix("write ").lstrip(".").split(".")[0], at)
     check = Check(test, base / "out", {}, new, kept)
     failed = {}
     for name, at in points.items():
