@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import warnings
 
 import numpy as np
 import pytest
 
 from operando.cli.demo import example_folder
 from operando.pipeline import run
-from test_io_uff_outputs import IN_BAND_DB, difference_db, pair_of, synthesised, wanted_functions
+from test_io_uff_outputs import IN_BAND_DB, assert_functions_of_pyuff, assert_functions_of_sdynpy, difference_db, read_by_pyuff, synthesised
 
 pytestmark = pytest.mark.slow
 
@@ -42,18 +41,9 @@ def assert_modes_make_the_frfs(results, lines, wanted, frequencies, damping, sha
 
 
 def test_pyuff_reads_the_same_numbers_of_the_example(example):
-    pyuff = pytest.importorskip("pyuff")
     folder, results = example
-    lines = results.idle_frf.frequencies_hz
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        sets = {name: pyuff.UFF(str(folder / name)).read_sets() for name in NAMES}
-    for name, wanted in wanted_functions(results).items():
-        found = {(d["func_type"], *pair_of(d["id1"])): d for d in sets[name] if d["type"] == 58}
-        assert set(found) == {key for key, values in wanted.items() if not np.all(np.isnan(values))}
-        for key, d in found.items():
-            np.testing.assert_array_equal(d["data"][: lines.size], wanted[key])
-            np.testing.assert_allclose(d["x"], lines, rtol=1e-5, atol=1e-9)
+    sets = read_by_pyuff(folder, NAMES)
+    assert_functions_of_pyuff(sets, results)
     modes = [d for d in sets["idle_modes.uff"] if d["type"] == 55]
     assert len(modes) == results.idle.n_modes + results.idle.n_residuals
     rows = {int(n): i for i, n in enumerate(modes[0]["node_nums"])}
@@ -67,19 +57,8 @@ def test_sdynpy_reads_the_same_numbers_of_the_example(example, monkeypatch):
     monkeypatch.setitem(os.environ, "QT_QPA_PLATFORM", "offscreen")
     sdpy = pytest.importorskip("sdynpy", reason="sdynpy is not installed")
     folder, results = example
-    lines = results.idle_frf.frequencies_hz
     unv = {name: sdpy.unv.readunv(str(folder / name)) for name in NAMES}
-    for name, wanted in wanted_functions(results).items():
-        arrays = sdpy.data.from_unv(unv[name])
-        seen = set()
-        for array in arrays if isinstance(arrays, list | tuple) else [arrays]:
-            for entry in np.ravel(array):
-                text = str(np.ravel(entry.comment1)[0])
-                key = ({"acc": 4, "coh": 6, "sta": 0}[text[:3]], *pair_of(text))
-                np.testing.assert_array_equal(np.ravel(entry.ordinate), wanted[key])
-                np.testing.assert_allclose(np.ravel(entry.abscissa), lines, rtol=1e-5, atol=1e-9)
-                seen.add(key)
-        assert seen == {key for key, values in wanted.items() if not np.all(np.isnan(values))}
+    assert_functions_of_sdynpy(sdpy, unv, results)
     found = sdpy.shape.from_unv(unv["idle_modes.uff"])
     nodes, directions = found[0].coordinate.node, found[0].coordinate.direction
     where = [int(np.flatnonzero((nodes == d.number) & (abs(directions) == abs(d.uff_code)))[0]) for d in results.idle.dofs]
