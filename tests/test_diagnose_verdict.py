@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from operando.compare import compare_all, gets_worse, recommended
-from operando.compare.route import is_good
-from operando.compare.verdict import FLOOR_DB, GOOD, floor_reason, shift_reason, verdict_of
+from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
+from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, shift_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
 from operando.diagnose import apply_effects, diagnose
 from operando.diagnose.diagnosis import make_problem
@@ -33,6 +33,11 @@ from test_diagnose_check import DOFS, HZ, N, at, chain, idle, running  # noqa: F
 )
 def test_verdicts_of_the_contract(judge, more, ambiguous, verdict):
     assert verdict_of(judge, more=more, ambiguous=ambiguous)[0] == verdict
+
+
+@pytest.mark.parametrize(("explained", "verdict"), [(PARTLY + 0.01, "partial"), (PARTLY - 0.01, "unexplained")])
+def test_effects_of_a_partial_verdict_explain_most_of_the_misfit(explained, verdict):
+    assert verdict_of([100.0, 100.0 * (1 - explained)])[0] == verdict
 
 
 def test_no_verdict_of_agreement_without_power():
@@ -153,6 +158,22 @@ def test_no_red_for_a_fifth_of_a_decibel_and_no_green_above_a_high_floor():
     assert not is_good(model(2.0, 0.4, 778.0))
     assert is_good(model(1.5, 1.2, 1.4))
     assert is_good({}) is None
+
+
+@pytest.mark.parametrize(("apart", "name"), [(0.99, "effect"), (1.01, "hybrid")])
+def test_a_route_that_is_as_close_gives_way_to_the_cause(apart, name):
+    """ALIKE_DB: by that the effect route may be farther off and is taken still, as the cause is known."""
+    models = {"ofrf": model(2.0), "effect": model(2.0 + apart * ALIKE_DB), "idle": model(5.0)}
+    said = {"verdict": "explained", "effects": [{"kind": "point_mass"}]}
+    assert recommended({"models": models}, said, hybrid=True).name == name
+
+
+def test_a_model_is_good_where_it_is_close_or_the_noise_allows_no_better():
+    far, high = 2 * GOOD, 0.8 * FLOOR_DB
+    assert is_good(model(CLOSE_DB - 0.01, far, 0.01))
+    assert not is_good(model(CLOSE_DB + 0.01, far, 0.01))
+    assert is_good(model((WITHIN - 0.01) * high, far, high))
+    assert not is_good(model((WITHIN + 0.01) * high, far, high))
 
 
 def test_a_map_that_gets_worse_is_found():
