@@ -44,6 +44,15 @@ def test_effects_of_a_partial_verdict_explain_most_of_the_misfit(explained, verd
     assert verdict_of([100.0, 100.0 * (1 - explained)])[0] == verdict
 
 
+def test_a_discrepancy_that_is_allowed_counts_as_agreement():
+    judge = [5000.0, 40.0]
+    assert verdict_of(judge, within=True) == ("explained", None)
+    assert verdict_of(judge, within=True, ambiguous=True) == ("ambiguous", None)
+    assert verdict_of(judge, within=True, more="no search was made") == ("partial", "no search was made")
+    assert verdict_of([50.0, 40.0], within=True, more="no search was made")[0] == "partial"
+    assert verdict_of([5.0, 4.0], within=True, more="no search was made")[0] == "unexplained"
+
+
 def test_no_verdict_of_agreement_without_power():
     assert verdict_of([0.9], unseen="noise") == ("inconclusive", "noise")
     assert verdict_of([1.4, 0.9], unseen="noise") == ("inconclusive", "noise")  # effects in noise are candidates
