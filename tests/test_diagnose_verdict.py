@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from operando.compare import compare_all, gets_worse, recommended
-from operando.compare.route import is_good
-from operando.compare.verdict import FLOOR_DB, GOOD, floor_reason, shift_reason, verdict_of
+from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
+from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, shift_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
-from operando.diagnose import apply_effects, diagnose
-from operando.diagnose.diagnosis import make_problem
+from operando.diagnose import apply_effects, diagnose, diagnosis, support
+from operando.diagnose.diagnosis import MANY, make_problem
 from operando.diagnose.power import shifts, unseen
+from operando.diagnose.problem import EARNED
+from operando.diagnose.support import LOOKED, one_more
 from operando.effects import parse_effect
 from operando.results import CheckRun
 from operando.scaling.no_scale import no_scale
@@ -33,6 +37,20 @@ from test_diagnose_check import DOFS, HZ, N, at, chain, idle, running  # noqa: F
 )
 def test_verdicts_of_the_contract(judge, more, ambiguous, verdict):
     assert verdict_of(judge, more=more, ambiguous=ambiguous)[0] == verdict
+
+
+@pytest.mark.parametrize(("explained", "verdict"), [(PARTLY + 0.01, "partial"), (PARTLY - 0.01, "unexplained")])
+def test_effects_of_a_partial_verdict_explain_most_of_the_misfit(explained, verdict):
+    assert verdict_of([100.0, 100.0 * (1 - explained)])[0] == verdict
+
+
+def test_a_discrepancy_that_is_allowed_counts_as_agreement():
+    judge = [5000.0, 40.0]
+    assert verdict_of(judge, within=True) == ("explained", None)
+    assert verdict_of(judge, within=True, ambiguous=True) == ("ambiguous", None)
+    assert verdict_of(judge, within=True, more="no search was made") == ("partial", "no search was made")
+    assert verdict_of([50.0, 40.0], within=True, more="no search was made")[0] == "partial"
+    assert verdict_of([5.0, 4.0], within=True, more="no search was made")[0] == "unexplained"
 
 
 def test_no_verdict_of_agreement_without_power():
@@ -79,16 +97,57 @@ def test_what_would_have_been_seen_is_said_and_true(chain, idle):  # noqa: F811
     assert again > GOOD
 
 
+def hardly_known(idle):  # noqa: F811
+    """The idle model with standard deviations 100 000 times as large."""
+    terms = idle.frequencies_hz, idle.damping_ratios, idle.shapes, DOFS
+    return ModalModel(*terms, scaling="unit_modal_mass", covariance=idle.covariance * 1e10)
+
+
 def test_an_unknown_idle_model_is_named_as_what_hides(chain, idle):  # noqa: F811
-    vague = ModalModel(
-        idle.frequencies_hz, idle.damping_ratios, idle.shapes, DOFS, scaling="unit_modal_mass", covariance=idle.covariance * 1e10
-    )
+    vague = hardly_known(idle)
     problem = make_problem(vague, [running(chain, [0, 3])])
     assert min(shifts(problem).values()) < 0.5
     assert unseen(problem, 0.2, 0.01)[0] is not None
     found = diagnose(vague, check=[running(chain, [0, 3])])
     assert found.verdict == "inconclusive"
     assert "idle model's own uncertainty" in found.proposed_measurement
+
+
+@pytest.mark.parametrize(("spare", "searched"), [(0, True), (-1, False)])
+def test_thousands_of_candidates_are_searched_only_where_one_could_be_believed(chain, idle, monkeypatch, spare, searched):  # noqa: F811
+    """MANY, here set to the candidates there are and to one fewer; at a low noise floor all are searched, however many."""
+    run = running(chain, [0, 3], mass=0.15 * at(4))
+    count = len(make_problem(idle, [run]).templates)
+    assert count < MANY
+    monkeypatch.setattr(diagnosis, "MANY", count + spare)
+    found = diagnose(hardly_known(idle), check=[run])
+    assert found.verdict == "inconclusive"
+    assert any("no effect was looked for" in note for note in found.notes) != searched
+    assert bool(found.candidates) == searched
+    assert diagnose(idle, check=[run]).verdict == "explained"
+
+
+@pytest.mark.parametrize("rank", [LOOKED - 1, LOOKED])
+def test_the_best_candidates_alone_are_held_against_the_errors_of_the_idle_model(monkeypatch, rank):
+    """LOOKED: the one that lowers the cost is found among the best so many, and not asked behind them."""
+
+    def costing(value):
+        return SimpleNamespace(fit=SimpleNamespace(covariance=np.eye(1), cost=value))
+
+    earns, others = costing(1 - 2 * EARNED), [costing(1.0) for _ in range(LOOKED)]
+    problem = SimpleNamespace(settled=lambda fit: fit, idle=SimpleNamespace(covariance=np.eye(1)), say=None)
+    monkeypatch.setattr(support, "_candidates", lambda *_: [*others[:rank], earns, *others[rank:]])
+    monkeypatch.setattr(support, "cost_once_corrected", lambda _, fit: (fit.cost, 1.0))
+    assert one_more(problem, SimpleNamespace(fits=[others[0].fit])) is (earns if rank < LOOKED else None)
+
+
+@pytest.mark.parametrize(("looked", "kinds"), [(LOOKED, {"point_mass", "ground_damper"}), (0, {"point_mass"})])
+def test_without_a_look_at_further_candidates_the_idle_model_excuses_a_weak_one(chain, idle, monkeypatch, looked, kinds):  # noqa: F811
+    std = np.r_[1e-5 * chain.hz, 1e-3 * chain.zeta, np.full(N * N, 1e-4)]
+    unsure = idle.with_terms(covariance=np.diag(std**2))
+    monkeypatch.setattr(support, "LOOKED", looked)
+    found = diagnose(unsure, check=[running(chain, [0, 3], mass=0.15 * at(4), damping=0.8 * at(4))])
+    assert {e.kind for e in found.effects} == kinds
 
 
 @pytest.mark.parametrize("weak", [8.0, 2.0, 0.8])
@@ -153,6 +212,22 @@ def test_no_red_for_a_fifth_of_a_decibel_and_no_green_above_a_high_floor():
     assert not is_good(model(2.0, 0.4, 778.0))
     assert is_good(model(1.5, 1.2, 1.4))
     assert is_good({}) is None
+
+
+@pytest.mark.parametrize(("apart", "name"), [(0.99, "effect"), (1.01, "hybrid")])
+def test_a_route_that_is_as_close_gives_way_to_the_cause(apart, name):
+    """ALIKE_DB: by that the effect route may be farther off and is taken still, as the cause is known."""
+    models = {"ofrf": model(2.0), "effect": model(2.0 + apart * ALIKE_DB), "idle": model(5.0)}
+    said = {"verdict": "explained", "effects": [{"kind": "point_mass"}]}
+    assert recommended({"models": models}, said, hybrid=True).name == name
+
+
+def test_a_model_is_good_where_it_is_close_or_the_noise_allows_no_better():
+    far, high = 2 * GOOD, 0.8 * FLOOR_DB
+    assert is_good(model(CLOSE_DB - 0.01, far, 0.01))
+    assert not is_good(model(CLOSE_DB + 0.01, far, 0.01))
+    assert is_good(model((WITHIN - 0.01) * high, far, high))
+    assert not is_good(model((WITHIN + 0.01) * high, far, high))
 
 
 def test_a_map_that_gets_worse_is_found():

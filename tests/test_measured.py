@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,11 @@ from operando.ema import fit_ema, rigid_body_mass
 from operando.frf import check_frf
 from operando.pipeline import run
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "benchmarks"))
+from measured_modes import PLATE_HZ  # noqa: E402
+
+DATA = ROOT.parent / "shared" / "data"
 UNITS = '[units]\nacceleration = "g"\nforce = "lbf"\n'
 
 
@@ -66,16 +71,6 @@ def test_bookcase_mass(bookcase_model):
     assert 24 < rigid_body_mass(bookcase_model, "8-Y").mass_kg < 31
 
 
-PLATE = {
-    # local fits at 81 points, ../shared/data/README.md; of the c100 mode at 755.79 Hz see test_plate_reference_is_wrong
-    "ref_1": (53.50, 122.89, 319.79, 386.08, 453.84, 781.68, 885.27),
-    "ref_2": (53.50, 122.89, 319.79, 386.08, 453.84, 781.68, 885.27),
-    "ref_3": (53.50, 122.89, 319.79, 386.08, 453.84, 781.68, 885.27),
-    "c40": (51.49, 122.28, 314.47, 381.13, 450.61, 773.92, 883.73),
-    "c100": (47.18, 121.55, 306.23, 374.11, 448.42, 752.25, 883.82),
-    "s1": (54.03, 123.80, 323.28, 387.06, 457.66, 785.31, 885.97),
-    "s5": (56.23, 123.95, 332.07, 386.35, 456.22, 788.66, 886.21),
-}
 REF_DAMPING = np.array([0.0042, 0.0014, 0.0031, 0.0016, 0.0009, 0.0016, 0.0006])
 
 
@@ -95,19 +90,19 @@ def assert_plate(model, wanted, tolerance=0.003):
     return modes
 
 
-@pytest.mark.parametrize("state", PLATE)
+@pytest.mark.parametrize("state", PLATE_HZ)
 def test_plate_below_500_hz(state):
     """81 roved hits, one accelerometer, no coherence: the five modes of each state, and nothing else without a doubt."""
-    wanted = [hz for hz in PLATE[state] if hz < 500]
+    wanted = [hz for hz in PLATE_HZ[state] if hz < 500]
     modes = assert_plate(fit_ema(plate(state), band=(40.0, 500.0)), wanted, 0.003 if state != "ref_3" else 0.004)
     assert modes.n_modes == len(wanted), modes.frequencies_hz
     if state.startswith("ref"):
         assert np.all(np.abs(np.log(modes.damping_ratios / REF_DAMPING[:5])) < np.log(1.5))
 
 
-@pytest.mark.parametrize("state", ["ref_1", *(pytest.param(s, marks=pytest.mark.slow) for s in list(PLATE)[1:])])
+@pytest.mark.parametrize("state", ["ref_1", *(pytest.param(s, marks=pytest.mark.slow) for s in list(PLATE_HZ)[1:])])
 def test_plate_below_950_hz(state):
-    assert_plate(fit_ema(plate(state), band=(20.0, 950.0)), PLATE[state], 0.003 if state != "ref_3" else 0.004)
+    assert_plate(fit_ema(plate(state), band=(20.0, 950.0)), PLATE_HZ[state], 0.003 if state != "ref_3" else 0.004)
 
 
 def test_plate_reference_is_wrong():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,6 @@ import click
 from operando.cli.answer import Answer, answers, apart_from_runs, say, table
 
 if TYPE_CHECKING:
-    from operando.compare import Route
     from operando.data import Frf
 
 UNITS = {"accelerance": "(m/s2)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
@@ -64,6 +64,7 @@ def ofrf(
     """
     import numpy as np
 
+    from operando.compare import recommended
     from operando.errors import DataError, MissingError
     from operando.store import load_results
 
@@ -75,7 +76,8 @@ def ofrf(
     apart_from_runs(output, "ofrf")
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
     lines = None if frequencies is None else parse_lines(frequencies)
-    advised = advice(folder)
+    results = load_results(folder, only=("comparison", "diagnosis", "hybrid", "idle_frf", "left_out", "settings", "geometry"))
+    advised = recommended(results.comparison, results.diagnosis, results.hybrid is not None)
     warning = why = None
     if route is None:
         why = None if advised is None else f"Route {advised.name}, as the results recommend: {advised.reason}."
@@ -83,10 +85,10 @@ def ofrf(
     elif advised is not None and advised.name != route and not changes and level is None:
         warning = f"the results recommend --route {advised.name}: {advised.reason}"
         say(f"warning: {warning}")
-    names = ("idle_frf", "left_out", "settings", "geometry")
-    more = ("idle", "diagnosis", "effect_idle", "effect_covariance") if route == "effect" else ("hybrid",)
-    results = load_results(folder, only=(*names, *more))
-    if route == "hybrid" and results.hybrid is None:
+    if route == "effect":
+        more = load_results(folder, only=("idle", "effect_idle", "effect_covariance"))
+        results = replace(results, idle=more.idle, effect_idle=more.effect_idle, effect_covariance=more.effect_covariance)
+    elif results.hybrid is None:
         reason = results.left_out.get("ofrf", "the run ended before it")
         raise MissingError(f"there are no operational FRFs: {reason}", where=folder, hint="run `operando run test.toml` to the stage ofrf")
     if lines is None:
@@ -138,15 +140,6 @@ def ofrf(
         document |= {"frequencies_hz": frf.frequencies_hz, "data": data, "std": None if frf.variance is None else np.sqrt(frf.variance)}
     text = _text(frf, method, output)
     return Answer(document, text if why is None else f"{text}\n{why}")
-
-
-def advice(folder: str) -> Route | None:
-    """The route that the results of a folder recommend."""
-    from operando.compare import recommended
-    from operando.store import load_results
-
-    results = load_results(folder, only=("comparison", "diagnosis", "hybrid"))
-    return recommended(results.comparison, results.diagnosis, results.hybrid is not None)
 
 
 def _dofs(text: str | None, option: str) -> Any:

@@ -15,7 +15,7 @@ FLOOR_DB = 3.0
 
 
 def verdict_of(
-    judge: Sequence[float], *, unseen: str | None = None, more: str | None = None, ambiguous: bool = False
+    judge: Sequence[float], *, unseen: str | None = None, more: str | None = None, ambiguous: bool = False, within: bool = False
 ) -> tuple[str, str | None]:
     """Verdict, and what stands in the way of a better one.
 
@@ -29,16 +29,19 @@ def verdict_of(
         Why another effect may be missing beside those found; None where one was looked for and none earned its place.
     ambiguous : bool
         Whether another kind or a far place does as well.
+    within : bool
+        Whether the last step leaves no more than the noise and the discrepancy allowed to it (contract), whatever its chi-square.
     """
     if judge[0] < GOOD and unseen is not None:
         return "inconclusive", unseen
     if len(judge) < 2:
         return ("no_misfit" if judge[0] < GOOD else "unexplained"), None
     left = more or unseen
-    if judge[-1] < GOOD and left is None:
+    if (within or judge[-1] < GOOD) and left is None:
         return ("ambiguous" if ambiguous else "explained"), None
     left = left or f"the validation lines keep a reduced chi-square of {judge[-1]:.3g}, where less than {GOOD:g} is asked"
-    return ("partial" if judge[-1] < (1 - PARTLY) * judge[0] else "unexplained"), left
+    remains = min(judge[-1], GOOD) if within else judge[-1]
+    return ("partial" if remains < (1 - PARTLY) * judge[0] else "unexplained"), left
 
 
 def floor_reason(noise_floor_db: float | None) -> str | None:

@@ -13,7 +13,7 @@ from operando.diagnose.search import History, Search, in_order, without
 from operando.diagnose.sets import JUDGE
 
 LOOKED = 3
-"""Best candidates beside the accepted effects that are held against the errors of the idle model."""
+"""Best candidates beside the accepted effects that are held against the errors of the idle model: each takes a fit of all its modes."""
 
 
 def one_more(problem: Problem, found: Search) -> Tried | None:

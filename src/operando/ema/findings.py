@@ -22,7 +22,8 @@ NOTABLE_QUADRATURE = 0.15
 NOTABLE_ERROR = 0.03
 
 NOTABLE_RESIDUE = 0.05
-"""A drive-point residue of less than this part of the mode's largest one stands near a node: a neighbour or a phase makes it negative."""
+"""A drive-point residue of less than this part of the mode's largest one stands near a node: a neighbour or a phase makes it negative, as
+of a close mode of the same size that is 3° out of phase (sin 3° = 0.05, projection.QUADRATURE_GUESS)."""
 
 
 def turned_finding(dof: str) -> Finding:

@@ -29,7 +29,8 @@ POLISH_STEPS = 60
 
 
 SCAN_STEPS = 5 * 3 * 1500 * 8
-"""Operations of the scans for missing modes, for each line, response and force: rounds, damping ratios, frequencies."""
+"""Operations of the scans for missing modes, for each line, response and force: rounds (about), damping ratios, frequencies (at most),
+three real products with their sums and the kernels (start.mode_gain)."""
 
 
 @dataclass(frozen=True)

@@ -40,11 +40,13 @@ DRIFT, DRIFT_GUESS, DRIFT_MOST = 1e-3, 2e-4, 1e-2
 """The same for δ: roving tests drift by 1e-4 … 1e-3."""
 
 PEAK_MOST, PEAK_WIDTHS, PEAK_LINES = 3.0, 3.0, 3
-"""Spread of a: so many times what the FRF has at most within three half bandwidths, the drift and three lines. Two modes of opposite
-sense 0.4 half bandwidths apart, which are one by the rule of twins, are five times their sum: a prior cost of three of several hundred."""
+"""Spread of a: so many times what the FRF has at most within three half bandwidths (a mode has a third of its peak there), the drift
+and three lines beside the nearest. Two modes of opposite sense 0.4 half bandwidths apart, which are one by the rule of twins, are five
+times their sum: a prior cost of three of several hundred."""
 
 LEAST_FALL = 0.02
-"""Fall of the cost worth a step: poles move by a tenth of their standard deviation."""
+"""Fall of the cost worth a step: t standard deviations of a pole cost t²/2, so poles stay by at most a fifth of one off their best (less
+where neighbouring lines err together: a tenth where four count as one)."""
 
 PSEUDO_PAIRS = 2.0
 CHUNK = 256

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.compare.verdict import GOOD, floor_reason, verdict_of
+from operando.compare.verdict import floor_reason, verdict_of
 from operando.data import Geometry
 from operando.effects import Effect, kind_of
 from operando.errors import DataError
@@ -108,11 +108,9 @@ def conclude(
     unseen = floor_reason(rows[0].get("noise_floor_db"))
     judges = slice(n if len(weighted) > n else 0, None)
     off = discrepancy(weighted[judges], errors[judges]) if accepted else 0.0
-    # good by the measure of the contract: within the noise and so much of the responses
-    if accepted and off <= DISCREPANCY:
-        judged[-1] = min(judged[-1], np.nextafter(GOOD, 0))
+    within = bool(accepted) and off <= DISCREPANCY
     picture = pictures_of(first, effects, accepted, notes)
-    verdict, reason = verdict_of(judged, unseen=unseen, more=more, ambiguous=other)
+    verdict, reason = verdict_of(judged, unseen=unseen, more=more, ambiguous=other, within=within)
     if verdict in ("explained", "ambiguous") and off > 0:
         notes.append(f"what is left beyond the noise is {100 * off:.2g} % of the responses; {100 * DISCREPANCY:g} % are allowed")
     if len(accepted) == 1 and accepted[0].selection > 2.0:
@@ -124,7 +122,7 @@ def conclude(
                 f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
                 "the place is right, the law is none of the catalogue"
             )
-            verdict, reason = verdict_of(judged, unseen=unseen, more=more)
+            verdict, reason = verdict_of(judged, unseen=unseen, more=more, within=within)
     if verdict not in ("explained", "ambiguous", "partial") and effects:
         dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], dict[str, Any]()
     notes += too_fast(effects, accepted[: len(effects)], n, rows[-1]["heldout_misfit"])

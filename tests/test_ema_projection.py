@@ -1,0 +1,90 @@
+"""Limits inside the projection and before the polish, on inputs of one or two modes: from where on each counts, and what it does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando.data import Frf
+from operando.dof import Dof
+from operando.ema import fit_ema
+from operando.ema.fit import model_dofs
+from operando.ema.pairs import Pairs
+from operando.ema.polished import SCAN_STEPS, polish_runs, polish_work
+from operando.ema.projection import DRIFT_MOST, LEAST_FALL, PEAK_LINES, PEAK_MOST, PEAK_WIDTHS, Poles, basis, largest, project, search_poles
+
+MODE = 100.0
+
+
+def pairs_of(f, h):
+    """Pairs of one reference with a known noise of 1."""
+    count = len(h)
+    at = np.arange(count)
+    return Pairs(f, h, np.ones(h.shape), True, at, np.zeros(count, int), np.c_[at, 0 * at], at)
+
+
+def spread_seen(zeta, steps, distance):
+    """Whether a lone line of 1, so far [Hz] above the mode, is seen by the prior on the residue; lines at ``steps`` Hz from the mode."""
+    f = MODE + np.sort(np.unique(np.r_[steps, distance]))
+    h = np.where(np.isclose(f, MODE + distance), 1.0 + 0j, 0j)[None]
+    most = largest(pairs_of(f, h), Poles(np.array([MODE]), np.array([zeta])))[0, 0]
+    assert most in (0.0, pytest.approx(PEAK_MOST * 2 * zeta, rel=0.01))  # over |s²/(2ζω²)| at the resonance
+    return most > 0
+
+
+@pytest.mark.parametrize("times", [0.99, 1.01])
+def test_the_size_of_a_mode_is_held_by_the_frf_within_its_width_its_drift_and_the_next_lines(times):
+    fine = np.arange(-10.0, 10.0, 0.05)
+    broad, sharp = 2 * DRIFT_MOST / PEAK_WIDTHS, 0.5 * DRIFT_MOST / PEAK_WIDTHS
+    assert spread_seen(broad, fine, times * PEAK_WIDTHS * broad * MODE) == (times < 1)
+    assert spread_seen(sharp, fine, times * DRIFT_MOST * MODE) == (times < 1)
+
+
+def test_the_size_of_a_mode_is_held_by_a_few_lines_where_they_are_coarse():
+    """PEAK_LINES beside the nearest, here all above the mode and each farther off than its width and its drift."""
+    coarse = 2.0 * np.arange(PEAK_LINES + 4)
+    assert spread_seen(1e-3, coarse, coarse[PEAK_LINES])
+    assert not spread_seen(1e-3, coarse, coarse[PEAK_LINES + 1])
+
+
+@pytest.mark.parametrize("times", [0.95, 1.05])
+def test_no_step_is_taken_for_less_than_a_fifth_of_a_standard_deviation(times):
+    """LEAST_FALL: damping off by t standard deviations costs t²/2; beyond that the search goes back to the best value."""
+    f, true = np.arange(30.0, 300.0, 0.2), Poles(np.array([MODE]), np.array([0.01]), np.array([0.05]), np.array([1e-6]))
+    h = np.array([[1.0], [0.5]]) * basis(f, true, 0.0)[0]
+    pairs, ends, variance = pairs_of(f, h), (30.0, 300.0), np.full(h.shape, 1e-4)
+    before = project(pairs, true, variance, None, ends).coefficients
+    now = project(pairs, true, variance, before, ends)
+    bent = np.linalg.solve(now.normal, now.gradient.sum(axis=0))  # the priors pull a little
+    std = np.sqrt(0.5 / now.normal[1, 1])
+    assert np.all(np.abs(bent) < 0.1 * std)
+    best = replace(true, hz=true.hz * np.exp(bent[0]), zeta=true.zeta * np.exp(bent[1]))
+    off = times * np.sqrt(2 * LEAST_FALL) * std
+    start = replace(best, zeta=best.zeta * np.exp(off))
+    found, _, fall = search_poles(pairs, start, variance, before, ends, steps=3, max_damping=0.15)
+    if times < 1:
+        assert found.zeta[0] == start.zeta[0]
+    else:
+        assert fall == pytest.approx(times**2 * LEAST_FALL, rel=0.02)
+        assert abs(np.log(found.zeta[0] / best.zeta[0])) < 0.02 * off
+
+
+def test_the_scans_for_missing_modes_count_as_work(monkeypatch):
+    """SCAN_STEPS: with few modes they are most of a polish; one that is too long for their sake is not begun."""
+    f = np.arange(60.0, 140.0, 0.1)
+    h = np.array([[1.0], [0.6]]) * basis(f, Poles(np.array([MODE]), np.array([0.01])), 0.0)[0]
+    rng = np.random.default_rng(0)
+    h = h + 0.01 * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    dofs = (Dof.parse("1+Z"), Dof.parse("2+Z"))
+    frf = Frf(h[:, None], f, dofs, dofs[:1], variance=np.full((2, 1, f.size), 2e-4))
+    runs, _ = polish_runs(frf, model_dofs(frf), (70.0, 130.0), None)
+    work = polish_work(runs, 2, 1)
+    scans = SCAN_STEPS * sum(run.frequencies_hz.size * run.responses.shape[0] * run.forces.shape[0] for run in runs)
+    monkeypatch.setattr("operando.ema.polished.SCAN_STEPS", 0)
+    assert polish_work(runs, 2, 1) == work - scans < 0.5 * work
+    monkeypatch.setattr("operando.ema.fit.POLISH_WORK", work - scans / 2)
+    assert fit_ema(frf, band=(70.0, 130.0)).details.answer == "polished"
+    monkeypatch.setattr("operando.ema.polished.SCAN_STEPS", SCAN_STEPS)
+    details = fit_ema(frf, band=(70.0, 130.0)).details
+    assert details.answer == "linear"
+    assert "two are allowed" in details.answer_reason
