@@ -36,7 +36,7 @@ SHIFT = (0.001, 0.003)  # rms of the relative shifts of the frequencies in band
 SOFTER = {"foot": 3.0, "bearing": 3.0, "mount": 5.0}  # change of stiffness a kelvin over that of steel
 UNEVEN_WARMTH = 0.6
 DAMPING = (0.07, 0.13)  # rms of the relative changes of the damping in band
-LEAST_LEFT = 0.3  # of the damping of a part
+OF_A_PART = (0.3, 2.0)  # the least and most it may have of the damping of day one
 SKEW_STEP, SKEW_STEPS = 1 / 51200, 3
 
 DASHPOT_ZETA = (0.05, 0.10)  # of the most damped mode in band
@@ -115,7 +115,7 @@ def draw_days(structure: Structure, references: tuple[int, ...], rng: np.random.
     for _ in range(200):
         joints = rng.standard_normal(len(lost))
         joints *= rng.uniform(*DAMPING) / _rms(lost.T @ joints)
-        if joints.min() > LEAST_LEFT - 1:
+        if joints.min() > OF_A_PART[0] - 1 and joints.max() < OF_A_PART[1] - 1:
             break
     else:
         raise RuntimeError("no change of the parts' damping gives the modes what they should have")
