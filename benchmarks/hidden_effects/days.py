@@ -3,16 +3,17 @@
 Day one is the structure at rest, day two its running state with the check. Every difference has a form of its own, taken from what
 causes it, not one number a channel or a mode, so that a diagnosis is not asked to find what it was built to allow for. Sizes:
 
-- Gain of accelerometers and force cells: σ 1 %, the uncertainty of a calibration in the field (ISO 16063-21 gives 1 to 2 %).
+- Gain of accelerometers and force cells: σ 1 %, what a calibration by comparison leaves (usually stated as 1 to 2 %).
 - Mounting: an accelerometer on a magnet or on wax is itself a resonator of 1.2 to 4 kHz, another one each time it is put back; at
   130 Hz the gains of two mountings differ by up to 1.1 %. Low end: a charge amplifier of 1 s (0.16 Hz), whose time constant another
   range or temperature changes by a fifth (σ); 0.6 degrees at 3 Hz.
 - Put back by hand: a sensor 0.3 to 1.5 degrees askew, so that 0.5 to 2.6 % of the motion across is seen, and 1 to 4 mm beside its
   place; the shaker 0.5 to 2 degrees askew and 1.5 to 2.5 % of the distance between neighbouring sensors (3 to 10 mm) beside its place.
-- Temperature: some kelvin; steel loses 0.04 % of its stiffness a kelvin, rubber mounts about 5 times as much, and bearings and clamped
-  feet, whose preload changes, about 3 times; no part is as warm as the next. Scaled so that the modes move by 0.1 to 0.3 % rms.
-- Damping: the share of each part (in the proportion of its strain energy) changes by itself, as joints settle; scaled so that the
-  damping of the modes changes by 7 to 13 % rms. Damping between the modes comes with it.
+- Temperature: 5 to 20 K; carbon steel loses 0.03 % of its stiffness a kelvin (203.4 GPa at 21 °C, 198.6 at 93 °C). Assumed: rubber
+  mounts 5 times as much, bearings and clamped feet, whose preload changes, 3 times, and no part as warm as the next (40 to 160 %
+  as a rule). Scaled so that the modes in band move by 0.1 to 0.3 % rms, which is 0.4 % of stiffness in the middle.
+- Damping: the share of each part (in the proportion of its strain energy) changes by itself, as joints settle, to between 0.3 and 2 of
+  what it was; scaled so that the damping of the modes in band changes by 7 to 13 % rms. Damping between the modes comes with it.
 - Clocks: the module with the force starts up to three steps of 20 µs (a converter of 51.2 kHz) before or after the one with the responses.
 
 Here is also the local damper of cases with complex modes, which stands there on both days. Shares no code with operando.
