@@ -268,7 +268,7 @@ def test_case_keeps_its_secret(tmp_path):
 def test_nothing_of_operando_is_imported():
     code = "import sys; sys.path.insert(0, sys.argv[1]); import generate; assert not [m for m in sys.modules if m.startswith('operando')]"
     subprocess.run([sys.executable, "-c", code, str(FOLDER)], check=True)
-    for name in ("beams", "families", "hidden", "records", "generate"):
+    for name in ("beams", "families", "hidden", "days", "records", "generate"):
         text = (FOLDER / f"{name}.py").read_text()
         assert "import operando" not in text
         assert "from operando" not in text

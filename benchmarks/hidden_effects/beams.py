@@ -71,29 +71,29 @@ class Mesh:
     """Nodes, elements, lumps and springs, assembled on demand."""
 
     points: list[np.ndarray] = field(default_factory=list)
-    _elements: list[tuple[int, int, Section]] = field(default_factory=list)
+    _elements: list[tuple[int, int, Section, str]] = field(default_factory=list)
     _lumps: list[tuple[int, float, tuple[float, float, float]]] = field(default_factory=list)
-    _springs: list[tuple[int, int | None, np.ndarray]] = field(default_factory=list)
+    _springs: list[tuple[int, int | None, np.ndarray, str]] = field(default_factory=list)
     _clamped: set[int] = field(default_factory=set)
 
     def node(self, *place: float) -> int:
         self.points.append(np.array(place, float))
         return len(self.points) - 1
 
-    def member(self, first: int, second: int, section: Section, count: int) -> list[int]:
-        """A straight member of ``count`` elements between two nodes: its nodes in order."""
+    def member(self, first: int, second: int, section: Section, count: int, part: str = "", foot: str = "") -> list[int]:
+        """A straight member of ``count`` elements between two nodes: its nodes in order; the first element belongs to ``foot`` if named."""
         a, b = self.points[first], self.points[second]
         inner = [self.node(*(a + (b - a) * i / count)) for i in range(1, count)]
         nodes = [first, *inner, second]
-        self._elements += [(nodes[i], nodes[i + 1], section) for i in range(count)]
+        self._elements += [(nodes[i], nodes[i + 1], section, (foot if i == 0 else "") or part) for i in range(count)]
         return nodes
 
     def lump(self, node: int, mass: float, rotary: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         self._lumps.append((node, mass, rotary))
 
-    def spring(self, first: int, second: int | None, stiffness: tuple[float, ...]) -> None:
+    def spring(self, first: int, second: int | None, stiffness: tuple[float, ...], part: str = "") -> None:
         """Springs along up to six axes from one node to another, or to ground where ``second`` is None."""
-        self._springs.append((first, second, np.array([*stiffness, *[0.0] * (6 - len(stiffness))])))
+        self._springs.append((first, second, np.array([*stiffness, *[0.0] * (6 - len(stiffness))]), part))
 
     def clamp(self, node: int) -> None:
         self._clamped.add(node)
@@ -101,11 +101,17 @@ class Mesh:
     def free_dofs(self) -> np.ndarray:
         return np.array([6 * n + d for n in range(len(self.points)) if n not in self._clamped for d in range(6)])
 
-    def assemble(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness and mass (6 nodes, 6 nodes) of everything, clamps not yet applied."""
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts, in the order they were built."""
+        return tuple(dict.fromkeys([*(e[3] for e in self._elements), *(s[3] for s in self._springs)]))
+
+    def assemble(self, part: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness and mass (6 nodes, 6 nodes) of everything, or of one part without lumps; clamps not yet applied."""
         size = 6 * len(self.points)
         stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
-        for first, second, section in self._elements:
+        for first, second, section, of in self._elements:
+            if part not in (None, of):
+                continue
             span = self.points[second] - self.points[first]
             length = float(np.linalg.norm(span))
             element_k, element_m = beam_element(length, section)
@@ -113,10 +119,12 @@ class Mesh:
             where = np.r_[6 * first : 6 * first + 6, 6 * second : 6 * second + 6]
             stiffness[np.ix_(where, where)] += turn.T @ element_k @ turn
             mass[np.ix_(where, where)] += turn.T @ element_m @ turn
-        for node, lump, rotary in self._lumps:
+        for node, lump, rotary in self._lumps if part is None else ():
             where = np.arange(6 * node, 6 * node + 6)
             mass[where, where] += (lump, lump, lump, *rotary)
-        for first, second, constants in self._springs:
+        for first, second, constants, of in self._springs:
+            if part not in (None, of):
+                continue
             a = np.arange(6 * first, 6 * first + 6)
             stiffness[a, a] += constants
             if second is not None:

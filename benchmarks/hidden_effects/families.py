@@ -6,7 +6,7 @@ A draw is repeated until the modes in band are a fair test: no two within 1.2 %,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -46,7 +46,9 @@ class Structure:
     wires: tuple[tuple[int, ...], ...]  # labels along the lines, for the drawing
     pairs: tuple[tuple[int, int], ...]  # sensors at one node in two directions
     band: tuple[float, float]
-    turning: dict[int, np.ndarray]  # rotations (3, kept) of some nodes, for effects outside the catalogue
+    turning: dict[int, np.ndarray]  # rotations (3, kept) of the sensors' nodes
+    parts: dict[str, np.ndarray] = field(default_factory=dict)  # modal stiffness (kept, kept) of each part; together diag(ω²)
+    dashpot: np.ndarray | None = None  # modal damping (kept, kept) of a local damper that stands there in every state
 
     @property
     def rows(self) -> np.ndarray:
@@ -74,14 +76,15 @@ def draw(family: str, seed: int) -> Structure:
         mesh, lines = build(rng)
         hz, shapes = mesh.modes(KEPT_MODES)
         # All stiffness scaled by one factor scales the frequencies alone: so many modes as drawn lie below the end of the band.
-        end, count = rng.uniform(115, 140), max(8 + seed % 3 - attempt // 100, 8)
+        end, count, drawn = rng.uniform(115, 140), max(8 + seed % 3 - attempt // 100, 8), hz
         hz = hz * end / np.sqrt(hz[count - 1] * hz[count])
         if hz[0] < 4.5 or np.any(hz[1 : count + 2] / hz[: count + 1] < CLOSEST) or hz[count] / hz[count - 1] < 1.03:
             continue
         for _ in range(8):
             structure = _measured(family, mesh, lines, hz, shapes, count, rng)
             if structure is not None:
-                return structure
+                scale = (hz[-1] / drawn[-1]) ** 2
+                return replace(structure, parts={p: scale * shapes.T @ mesh.assemble(p)[0] @ shapes for p in mesh.parts()})
     raise RuntimeError(f"no fair {family} in 300 draws for seed {seed}")
 
 
@@ -102,12 +105,13 @@ def _frame(rng: np.random.Generator) -> tuple[Mesh, list[Line]]:
     corners = [(0.0, 0.0), (length, 0.0), (length, width), (0.0, width)]
     feet = [mesh.node(x + dx, y + dy, 0.0) for (x, y), (dx, dy) in zip(corners, skew, strict=True)]
     tops = [mesh.node(x, y, height * (1 + 0.04 * (i % 2))) for i, (x, y) in enumerate(corners)]
-    legs = [mesh.member(f, t, sections[i], 6) for i, (f, t) in enumerate(zip(feet, tops, strict=True))]
-    ring = [mesh.member(tops[i], tops[(i + 1) % 4], sections[4 + i], 6 if i % 2 == 0 else 4) for i in range(4)]
+    # The lowest sixth of each leg stands for its clamp.
+    legs = [mesh.member(f, t, sections[i], 6, "legs", f"foot {i + 1}") for i, (f, t) in enumerate(zip(feet, tops, strict=True))]
+    ring = [mesh.member(tops[i], tops[(i + 1) % 4], sections[4 + i], 6 if i % 2 == 0 else 4, "ring") for i in range(4)]
     first, second = legs[leg_of_brace][3], legs[(leg_of_brace + 1) % 4][3]
-    brace = mesh.member(first, second, sections[8], 4)
+    brace = mesh.member(first, second, sections[8], 4, "brace")
     tip = mesh.node(length + arm, width * 0.6, height * 1.1)
-    cantilever = mesh.member(ring[1][2], tip, sections[8], 3)
+    cantilever = mesh.member(ring[1][2], tip, sections[8], 3, "arm")
     for foot in feet:
         mesh.clamp(foot)
     for i, mass in enumerate(lumps):
@@ -134,26 +138,27 @@ def _rotor(rng: np.random.Generator) -> tuple[Mesh, list[Line]]:
     mesh = Mesh()
 
     shaft_ends = mesh.node(0, 0, height), mesh.node(length, 0, height)
-    shaft = mesh.member(*shaft_ends, Section(diameter), 10)
+    shaft = mesh.member(*shaft_ends, Section(diameter), 10, "shaft")
     rails = []
     for side, section in ((-half, rail), (half, Section(rail.width * uneven, rail.height))):
-        rails.append(mesh.member(mesh.node(-0.05, side, 0), mesh.node(length + 0.05, side, 0), section, 8))
+        rails.append(mesh.member(mesh.node(-0.05, side, 0), mesh.node(length + 0.05, side, 0), section, 8, "rails"))
     stations = (2, 8)
     crossing = {2: 2, 8: 6}
     middles = []
     for number, station in enumerate(stations):
         middle = mesh.node(mesh.points[rails[0][crossing[station]]][0], 0, 0)
         for side in rails:
-            mesh.member(side[crossing[station]], middle, cross, 2)
+            mesh.member(side[crossing[station]], middle, cross, 2, "cross-members")
         head = mesh.node(mesh.points[middle][0], 0, height)
-        mesh.member(middle, head, post, 2)
+        mesh.member(middle, head, post, 2, "pedestals")
         ky, kz = bearings[number] * 2e6
         axial = 3e6 if number == 0 else 0.0
-        mesh.spring(shaft[station], head, (axial, ky, kz, 4e3 if number == 0 else 0.0))
+        mesh.spring(shaft[station], head, (axial, ky, kz, 4e3 if number == 0 else 0.0), f"bearing {number + 1}")
         middles.append(middle)
-    mesh.member(rails[0][0], rails[1][0], cross, 3)
-    for node, scale in zip((rails[0][0], rails[0][-1], rails[1][0], rails[1][-1]), mounts, strict=True):
-        mesh.spring(node, None, tuple(scale * np.array([0.8e5, 1.0e5, 1.6e5])))
+    mesh.member(rails[0][0], rails[1][0], cross, 3, "cross-members")
+    corners = (rails[0][0], rails[0][-1], rails[1][0], rails[1][-1])
+    for number, (node, scale) in enumerate(zip(corners, mounts, strict=True), start=1):
+        mesh.spring(node, None, tuple(scale * np.array([0.8e5, 1.0e5, 1.6e5])), f"mount {number}")
     for station, mass in discs:
         mesh.lump(shaft[station], mass, (0.008 * mass, 0.005 * mass, 0.005 * mass))
     mesh.lump(rails[1][engine_at], engine, (0.02 * engine,) * 3)

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from contacts import NONLINEAR, Contact, hide_contact
 from contacts import RESPONSE_NOISE as CONTACT_NOISE
+from days import Days, between_db, mode_shapes, some_days, told, with_dashpot
 from families import FAMILIES, Structure, draw
 from hidden import LINEAR, OUTSIDE, SENSOR, Hidden, change_db, hide, hide_between, idle
 from records import Logger, contact_runs, forced_run, geometry, operating_run, through_faults
@@ -52,10 +53,13 @@ class Spec:
     check: bool = True
     orders: bool = False
     rate: int = 512  # samples a second
+    days: bool = False  # running state and check on another day than the structure at rest
+    complex: bool = False  # a local damper in both states makes modes complex
 
     @property
     def name(self) -> str:
         ends = ("" if self.check else "-nocheck") + ("-orders" if self.orders else "") + ("" if self.rate == 512 else f"-{self.rate}Hz")
+        ends += ("-days" if self.days else "") + ("-complex" if self.complex else "")
         return f"{self.family}-{self.kind}-{self.seed}-r{self.references}-{self.excitation}{ends}"
 
 
@@ -63,7 +67,8 @@ def parse(name: str) -> Spec:
     """A Spec from its name."""
     family, kind, seed, references, excitation, *more = name.split("-")
     rate = next((int(m[:-2]) for m in more if m.endswith("Hz")), 512)
-    return Spec(family, kind, int(seed), int(references[1:]), excitation, "nocheck" not in more, "orders" in more, rate)
+    flags = ("nocheck" not in more, "orders" in more, rate, "days" in more, "complex" in more)
+    return Spec(family, kind, int(seed), int(references[1:]), excitation, *flags)
 
 
 @dataclass(frozen=True)
@@ -77,13 +82,19 @@ class Truth:
     orders: tuple[tuple[float, float], ...]
     contact: Contact | None = None
     weaker_than: Hidden | None = None  # of an uneven pair: the state with the stronger effect alone
+    days: Days | None = None
+    same_day: Hidden | None = None  # of two days: the state with what is hidden and no other difference
 
 
 def truth(spec: Spec) -> Truth:
     """The structure, its references, and what is hidden; deterministic in the Spec."""
     if spec.family not in FAMILIES or spec.kind not in KINDS or spec.excitation not in ("hammer", "shaker"):
         raise ValueError(f"no such case: {spec}")
+    if spec.kind in NONLINEAR and (spec.days or spec.complex):
+        raise ValueError(f"{spec.kind} is for one day and a structure with real modes")
     structure = draw(spec.family, spec.seed)
+    if spec.complex:
+        structure = with_dashpot(structure, np.random.default_rng([spec.seed, FAMILIES.index(spec.family), 33]))
     rng = np.random.default_rng([spec.seed, FAMILIES.index(spec.family), KINDS.index(spec.kind), 77])
     references = _references(structure, spec.references)
     band, contact, stronger = structure.band, None, None
@@ -114,7 +125,12 @@ def truth(spec: Spec) -> Truth:
     else:
         state = hide(spec.kind, structure, references, rng)
     orders = _orders(state, band, rng) if spec.orders or spec.kind == "orders" else ()
-    return Truth(structure, references, state, band, orders, contact, stronger)
+    if not spec.days:
+        return Truth(structure, references, state, band, orders, contact, stronger)
+    ways = (spec.references, spec.excitation == "hammer", 55)
+    rng = np.random.default_rng([spec.seed, FAMILIES.index(spec.family), KINDS.index(spec.kind), *ways])
+    days, after = some_days(structure, state, references, rng)
+    return Truth(structure, references, after, band, orders, contact, stronger, days, state)
 
 
 def _with_band(structure: Structure, band: tuple[float, float]) -> Structure:
@@ -219,8 +235,27 @@ def answer(spec: Spec, known: Truth) -> dict:
     values, vectors = state.system.poles()
     operating = np.abs(values) / 2 / np.pi
     keep = np.flatnonzero(operating < 250)
-    shapes = np.array([through_faults(state, state.rows @ vectors[:, k], operating[k]) for k in keep]).T
+    shapes = np.hstack([through_faults(state, state.seen @ vectors[:, [k]], operating[[k]]) for k in keep])
     shapes /= np.linalg.norm(shapes, axis=0)
+    rest = {
+        "frequency_hz": structure.hz[:inside].tolist(),
+        "damping_ratio": structure.zeta[:inside].tolist(),
+        "shapes_unit_modal_mass": np.round(structure.rows[:, :inside], 9).tolist(),
+    }
+    if spec.complex:
+        poles, complex_shapes = mode_shapes(idle(structure), structure.rows, inside)
+        rest = {
+            "frequency_hz": (np.abs(poles) / 2 / np.pi).tolist(),
+            "damping_ratio": (-poles.real / np.abs(poles)).tolist(),
+            "shapes_unit_modal_mass": np.round(complex_shapes.real, 9).tolist(),
+            "shapes_imaginary": np.round(complex_shapes.imag, 9).tolist(),
+        }
+    more: dict = {}
+    if known.days is not None:
+        seen = _with_band(structure, known.band)
+        differences = between_db(seen, known.references, known.days)
+        more = {**differences, "between": told(seen, known.references, known.days)}
+    alone = known.same_day or state
     return {
         "case": spec.name,
         "family": spec.family,
@@ -232,22 +267,19 @@ def answer(spec: Spec, known: Truth) -> dict:
         "effects": list(state.effects),
         "change_db": None
         if known.contact is not None
-        else change_db(_with_band(structure, known.band), state, known.references, system=state.check_system),
-        "weaker_db": None if known.weaker_than is None else change_db(structure, state, known.references, known.weaker_than),
+        else change_db(_with_band(structure, known.band), alone, known.references, system=alone.check_system),
+        "weaker_db": None if known.weaker_than is None else change_db(structure, alone, known.references, known.weaker_than),
         "band_hz": list(known.band),
         "sensor_spacing_m": structure.spacing,
         "dofs": [s.name for s in structure.sensors],
         "positions": {s.name: structure.points[s.node].tolist() for s in structure.sensors},
-        "idle": {
-            "frequency_hz": structure.hz[:inside].tolist(),
-            "damping_ratio": structure.zeta[:inside].tolist(),
-            "shapes_unit_modal_mass": np.round(structure.rows[:, :inside], 9).tolist(),
-        },
+        "idle": rest,
         "operating": {
             "frequency_hz": operating[keep].tolist(),
             "damping_ratio": (-values.real / np.abs(values))[keep].tolist(),
             "shapes_unit_norm": np.round([shapes.real, shapes.imag], 9).tolist(),
         },
+        **more,
     }
 
 
@@ -276,13 +308,25 @@ def main() -> None:
     parser.add_argument("--excitation", choices=("shaker", "hammer"), default="shaker")
     parser.add_argument("--no-check", action="store_true")
     parser.add_argument("--orders", action="store_true", help="two rotor orders in the operating record")
+    parser.add_argument("--days", action="store_true", help="running state and check on another day")
+    parser.add_argument("--complex", action="store_true", help="a local damper in both states")
     parser.add_argument("--list", action="store_true")
     options = parser.parse_intermixed_args()
     if options.list:
         print("\n".join(KINDS))
         return
     specs = [parse(name) for name in options.names] or [
-        Spec(family, kind, seed, options.references, options.excitation, not options.no_check, options.orders)
+        Spec(
+            family,
+            kind,
+            seed,
+            options.references,
+            options.excitation,
+            not options.no_check,
+            options.orders,
+            days=options.days,
+            complex=options.complex,
+        )
         for family in options.family or FAMILIES
         for kind in options.kind or KINDS
         for seed in options.seeds

@@ -8,10 +8,14 @@ Sizes are chosen so that the FRFs change by a given number of dB rms over lines 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from families import Sensor, Structure
 from scipy.linalg import eig
+
+if TYPE_CHECKING:
+    from days import Remounted
 
 ONE_PLACE = ("point_mass", "ground_spring", "ground_damper", "ground_hysteretic_spring", "ground_rubber", "tuned_absorber")
 TWO_PLACES = ("coupling_spring", "coupling_damper", "gyroscopic", "circulatory")
@@ -37,7 +41,7 @@ class System:
     stiffness: np.ndarray  # complex with a hysteretic spring: then for positive frequencies only
     rubber: tuple[np.ndarray, float, float, float] | None = None  # modal row, stiffness, exponent, ω0
 
-    def _fractions(self, stiffness: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fractions(self, stiffness: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         n = len(self.mass)
         inverse = np.linalg.inv(self.mass)
         k = self.stiffness if stiffness is None else stiffness
@@ -46,7 +50,7 @@ class System:
 
     def respond(self, hz: np.ndarray, forces: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Acceleration spectra (p, lines) at modal rows (p, n) to force spectra (q, lines) at modal rows (q, n)."""
-        return self._sum(self._fractions(), hz, forces, rows, columns)
+        return self._sum(self.fractions(), hz, forces, rows, columns)
 
     def _sum(self, fractions: tuple, hz: np.ndarray, forces: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         values, left, right = fractions
@@ -62,7 +66,7 @@ class System:
 
     def accelerance(self, hz: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Exact accelerance (p, q, lines)."""
-        values, left, right = self._fractions()
+        values, left, right = self.fractions()
         s = 2j * np.pi * hz
         each = 1 / (s - values[:, None])
         onto, into = rows @ left, right @ columns.T
@@ -77,7 +81,7 @@ class System:
 
     def poles(self) -> tuple[np.ndarray, np.ndarray]:
         """Poles of positive frequency, sorted, and their modal vectors (n, poles)."""
-        values, left, _ = self._fractions()
+        values, left, _ = self.fractions()
         keep = np.flatnonzero(values.imag > 0)
         keep = keep[np.argsort(np.abs(values[keep]))]
         values, left = values[keep], left[:, keep]
@@ -88,7 +92,7 @@ class System:
         for i, pole in enumerate(values[:16]):  # the law depends on the pole: a few fixed-point steps each
             for _step in range(5):
                 law = stiffness * (pole / omega) ** exponent
-                near, vectors, _ = self._fractions(self.stiffness + law * np.outer(place, place))
+                near, vectors, _ = self.fractions(self.stiffness + law * np.outer(place, place))
                 best = int(np.argsort(np.where(near.imag > 0, np.abs(near), np.inf))[i])
                 pole, left[:, i] = near[best], vectors[:, best]
             values[i] = pole
@@ -109,12 +113,21 @@ class Hidden:
     swap: tuple[int, int] | None = None
     force_gain: dict[int, float] = field(default_factory=dict)  # per sensor index of the reference, check runs
     force_delay: dict[int, float] = field(default_factory=dict)
+    remounted: Remounted | None = None  # sensors and shaker of the running set-up where they were put back on another day
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Modal rows (sensors, n) of the motions that the sensors of the running set-up see."""
+        return self.rows if self.remounted is None else self.remounted.rows
 
 
 def idle(structure: Structure) -> Hidden:
     """Nothing hidden."""
     omega = 2 * np.pi * structure.hz
-    system = System(np.eye(omega.size), np.diag(2 * structure.zeta * omega), np.diag(omega**2))
+    damping = np.diag(2 * structure.zeta * omega)
+    if structure.dashpot is not None:
+        damping = damping + structure.dashpot
+    system = System(np.eye(omega.size), damping, np.diag(omega**2))
     return Hidden(system, structure.rows, structure.shapes)
 
 
@@ -162,7 +175,7 @@ def _sized(
 
     def change(size: float) -> float:
         state = make(size)
-        if state is None or _least_damping(state.system) < ZETA_LEAST:
+        if state is None or least_damping(state.system) < ZETA_LEAST:
             return np.inf
         return change_db(structure, state, references, base)
 
@@ -183,7 +196,7 @@ def _sized(
     return make(low)
 
 
-def _least_damping(system: System) -> float:
+def least_damping(system: System) -> float:
     values, _ = system.poles() if system.rubber is None else replace(system, rubber=None).poles()
     return float((-values.real / np.abs(values)).min())
 

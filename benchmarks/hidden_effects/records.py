@@ -78,13 +78,13 @@ def steady(system: System, rows: np.ndarray, columns: np.ndarray, forces: np.nda
     return spectra
 
 
-def faults(state: Hidden, spectra: np.ndarray, period: int) -> np.ndarray:
-    """What the channels of the running set-up make of the true accelerations."""
-    out = spectra.copy()
+def through_faults(state: Hidden, spectra: np.ndarray, hz: np.ndarray) -> np.ndarray:
+    """What the channels of the running set-up make of the accelerations (sensors, lines) that its sensors see."""
+    out = spectra.astype(complex) if state.remounted is None else spectra * state.remounted.responses(hz)
     for i, gain in state.gain.items():
         out[i] *= gain
     for i, delay in state.delay.items():
-        out[i] *= np.exp(-2j * np.pi * lines(period) * delay)
+        out[i] *= np.exp(-2j * np.pi * hz * delay)
     if state.swap is not None:
         out[list(state.swap)] = out[list(state.swap)[::-1]]
     return out
@@ -126,13 +126,17 @@ def forced_run(
         forces = hammer_force(rng, period, seconds, 15 * level, rate)
     else:
         forces = random_force(rng, period, np.array([level]), 3.0, 190.0, rate)
-    system = state.check_system if check and state.check_system is not None else state.system
-    spectra = steady(system, state.rows, state.rows[[reference]], forces, period, rate)
-    measured = forces[0]
+    system, driven = state.system, state.rows[reference]
     if check:
-        spectra = faults(state, spectra, period)
-        delay = state.force_delay.get(reference, 0.0)
-        measured = measured * state.force_gain.get(reference, 1.0) * np.exp(-2j * np.pi * lines(period, rate) * delay)
+        system = state.check_system or state.system
+        driven = driven if state.remounted is None else state.remounted.columns[reference]
+    spectra = steady(system, state.seen if check else state.rows, driven[None], forces, period, rate)
+    measured, hz = forces[0], lines(period, rate)
+    if check:
+        spectra = through_faults(state, spectra, hz)
+        measured = measured * state.force_gain.get(reference, 1.0) * np.exp(-2j * np.pi * hz * state.force_delay.get(reference, 0.0))
+        if state.remounted is not None:
+            measured = measured * state.remounted.force(reference, hz)
     acceleration = fft.irfft(spectra, period)[:, :samples]
     return logger.run(acceleration, fft.irfft(measured, period)[:samples], reference, name)
 
@@ -146,20 +150,20 @@ def operating_run(logger: Logger, state: Hidden, seconds: float, orders: tuple[t
     size = np.abs(state.shapes).max(axis=1)
     places = rng.choice(np.flatnonzero(size > 0.05 * size.max()), 24, replace=False)
     forces = random_force(rng, period, rng.uniform(0.6, 1.8, places.size), 3.0, 190.0)
-    acceleration = fft.irfft(faults(state, steady(state.system, state.rows, state.shapes[places], forces, period), period), period)[
-        :, :samples
-    ]
+    spectra = through_faults(state, steady(state.system, state.seen, state.shapes[places], forces, period), lines(period))
+    acceleration = fft.irfft(spectra, period)[:, :samples]
     if orders:
         hz = np.array([f for f, _ in orders])
-        gains = state.system.accelerance(hz, state.rows, state.shapes[places[:1]])[:, 0]
+        gains = state.system.accelerance(hz, state.seen, state.shapes[places[:1]])[:, 0]
         time = np.arange(samples) / RATE
         power = (acceleration**2).mean(axis=1)
         waves = []
-        for gain, (f, share) in zip(gains.T, orders, strict=True):
+        measured = through_faults(state, gains, hz)
+        for gain, shown, (f, share) in zip(gains.T, measured.T, orders, strict=True):
             # The force is such that the order holds this share of the mean square of the channel that feels it most.
             amplitude = np.sqrt(share / np.max(np.abs(gain) ** 2 / 2 / power))
             phase = np.exp(2j * np.pi * (f * time + rng.uniform()))
-            waves.append(np.real(through_faults(state, gain, f)[:, None] * amplitude * phase))
+            waves.append(np.real(shown[:, None] * amplitude * phase))
         acceleration = acceleration + sum(waves)
     return logger.run(acceleration, None, None, "running")
 
@@ -195,18 +199,6 @@ def contact_runs(
         measured = fft.irfft(forces[0], period)[start : start + samples] if driven else None
         name = f"running state, shaker at {logger.structure.sensors[references[k]].name}" if driven else "running"
         out.append(logger.run(linear + more[k], measured, references[k] if driven else None, name))
-    return out
-
-
-def through_faults(state: Hidden, gain: np.ndarray, hz: float) -> np.ndarray:
-    """What the channels make of a vector of true accelerations at one frequency."""
-    out = gain.astype(complex)
-    for i, factor in state.gain.items():
-        out[i] *= factor
-    for i, delay in state.delay.items():
-        out[i] *= np.exp(-2j * np.pi * hz * delay)
-    if state.swap is not None:
-        out[list(state.swap)] = out[list(state.swap)[::-1]]
     return out
 
 

@@ -38,12 +38,19 @@ TIMEOUT = 900  # s a run
 
 
 def plan(name: str) -> list[Spec]:
-    """The cases of a plan; ``full``, ``short`` (one seed of each kind in turn), ``contacts`` (level-dependent kinds), ``uneven`` pairs."""
+    """The cases of a plan; ``full``, ``short`` (one seed of each kind in turn), ``contacts`` (level-dependent kinds), ``uneven`` pairs,
+    ``days`` (two days in a laboratory), ``complex`` (complex modes at rest), ``single`` (two effects seen from one reference).
+    """
+    if name == "days":
+        return _mixed([*_in_turn(60, 800, days=True), *_quiet(30, 900, days=True)])
+    if name == "complex":
+        return _mixed([*_in_turn(26, 1000, complex=True), *_quiet(8, 1050, complex=True)])
+    if name == "single":
+        return _mixed([Spec(f, kind, 1100 + i, 1, EXCITATIONS[i % 2]) for i in range(6) for f in FAMILIES for kind in ("two", "uneven")])
     if name == "uneven":
         return [Spec(family, "uneven", 700 + i, (3, 2)[i % 2]) for i in range(10) for family in FAMILIES]
     if name == "contacts":
-        specs = [Spec(family, kind, 500 + i, 2 + i % 2) for family in FAMILIES for kind in NONLINEAR for i in range(6)]
-        return sorted(specs, key=lambda s: hashlib.sha1(s.name.encode()).hexdigest())
+        return _mixed([Spec(family, kind, 500 + i, 2 + i % 2) for family in FAMILIES for kind in NONLINEAR for i in range(6)])
     seeds = {"full": 6, "short": 1}[name]
     nothing = {"full": 60, "short": 6}[name]
     specs: list[Spec] = []
@@ -60,8 +67,28 @@ def plan(name: str) -> list[Spec]:
             specs += [Spec(family, kind, 300 + i, (3, 2)[i % 2], EXCITATIONS[i % 2], check=False, orders=i % 3 == 2) for i in range(seeds)]
         for kind in ("unmeasured", "outside", "one_mode", "two"):
             specs += [Spec(family, kind, 400 + i, (3, 2)[i % 2], EXCITATIONS[(i // 2) % 2]) for i in range(max(seeds + 2, 2))]
-    # Families and kinds mixed, so that an early stop still shows everything.
+    return _mixed(specs)
+
+
+def _mixed(specs: list[Spec]) -> list[Spec]:
+    """Families and kinds mixed, so that an early stop still shows everything."""
     return sorted(specs, key=lambda s: hashlib.sha1(s.name.encode()).hexdigest())
+
+
+def _in_turn(count: int, seed: int, **more: bool) -> list[Spec]:
+    """Linear kinds in turn, so that each meets both families, three references and one, shaker and hammer."""
+    kinds = len(LINEAR)  # odd, so the families swap kinds each round
+    return [
+        Spec(
+            FAMILIES[n % 2], LINEAR[n % kinds], seed + n, (3, 1)[(n // kinds + n // 2) % 2], EXCITATIONS[(n // kinds + n // 4) % 2], **more
+        )
+        for n in range(count)
+    ]
+
+
+def _quiet(count: int, seed: int, **more: bool) -> list[Spec]:
+    """Nothing hidden, by turns as above."""
+    return [Spec(FAMILIES[n % 2], "none", seed + n, (3, 1)[n // 2 % 2], EXCITATIONS[n // 4 % 2], **more) for n in range(count)]
 
 
 def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None, library: bool) -> dict:
@@ -70,10 +97,12 @@ def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None
     case, results = work / "cases" / label, work / "runs" / label
     row: dict = {"case": spec.name, "family": spec.family, "kind": spec.kind, "seed": spec.seed, "references": spec.references}
     row |= {"excitation": spec.excitation, "check": spec.check, "orders": spec.orders or spec.kind == "orders", "folder": str(case)}
+    row |= {"days": spec.days, "complex": spec.complex}
     if not (case / "test.toml").exists():
         write(spec, work, case)
     answer = json.loads((work / "answers" / f"{spec.name}.json").read_text())
     row["truth"], row["change_db"], row["weaker_db"] = answer["effects"], answer["change_db"], answer.get("weaker_db")
+    row["between_db"] = answer.get("between_db")
     start = time.perf_counter()
     arguments = [command, "run", str(case / "test.toml"), "-o", str(results), *(["--until", until] if until else [])]
     environment = dict(os.environ, OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MPLBACKEND="Agg")
@@ -118,7 +147,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("names", nargs="*", help="names of cases, as generate.py writes them")
-    parser.add_argument("--plan", choices=("full", "short", "contacts", "uneven"))
+    parser.add_argument("--plan", choices=("full", "short", "contacts", "uneven", "days", "complex", "single"))
     parser.add_argument("--only", help="of the plan, cases whose name holds this text")
     parser.add_argument("--limit", type=int, help="stop after so many new runs")
     parser.add_argument("--processes", type=int, default=2)

@@ -42,8 +42,13 @@ def report(rows: list[dict]) -> str:
     aside = sum(r.get("diagnosed_by") == "library" for r in told)
     if aside:
         parts.append(f"{aside} of {len(told)} diagnoses came through the Python interface, not the command line.")
-    if told:
-        parts += [must_show(told), level_dependent(told), by_kind(told), sizes(told), routes(told), wrong(told)]
+    usual = [r for r in told if not r.get("days") and not r.get("complex")]
+    if usual:
+        parts += [must_show(usual), level_dependent(usual), by_kind(usual), sizes(usual), routes(usual), wrong(usual)]
+    for title, key in (("Two days in a laboratory", "days"), ("Complex modes at rest", "complex")):
+        group = [r for r in told if r.get(key)]
+        if group:
+            parts += [apart(title, group), by_kind(group), sizes(group), routes(group), wrong(group)]
     return "\n\n".join(parts)
 
 
@@ -53,6 +58,15 @@ def _top(row: dict) -> bool:
 
 def _set(row: dict) -> bool:
     return bool(row["diagnosis"].get("in_set"))
+
+
+def _kinds(row: dict) -> list[str]:
+    """Kinds of the effects named."""
+    return [e.split("@")[0].split("=")[0] for e in row["diagnosis"]["effects"]]
+
+
+def _structural(row: dict) -> bool:
+    return any(kind not in SENSOR for kind in _kinds(row))
 
 
 def swallowed(row: dict) -> bool:
@@ -106,7 +120,7 @@ def level_dependent(rows: list[dict]) -> str:
     """What is asked of the kinds that depend on the level, and that no such kind is named where there is none."""
     own = [r for r in rows if r["kind"] in NONLINEAR]
     others = [r for r in rows if r["kind"] not in NONLINEAR]
-    named = lambda r: any(e.split("@")[0].split("=")[0] in NONLINEAR for e in r["diagnosis"]["effects"])  # noqa: E731
+    named = lambda r: any(kind in NONLINEAR for kind in _kinds(r))  # noqa: E731
     sure, hard, quintic = ([r for r in own if r["kind"] in kinds] for kinds in (SURE, HARD, ("quintic",)))
     lines = [
         ("cubic, quadratic damping, clearance, contact, saturating", share(sure, _top), "90 %"),
@@ -144,6 +158,42 @@ def level_dependent(rows: list[dict]) -> str:
         seen = [g for g, shown in zip(gains, shows, strict=True) if shown > 11]
         lines.append(("  of those whose judge records show it by 11 dB over the floor", f"{sum(g >= 8 for g in seen)}/{len(seen)}", "all"))
     return "Level-dependent\n" + "\n".join(f"  {name:58s} {value:>22s}   asked: {wanted}" for name, value, wanted in lines)
+
+
+def apart(title: str, rows: list[dict]) -> str:
+    """Cases whose structure at rest is not quite the one that runs, or is not quite of the model's form: what is found, what is made up."""
+    hidden, quiet = [r for r in rows if r["truth"]], [r for r in rows if not r["truth"]]
+    one, two = ([r for r in hidden if (len(r["truth"]) == 1) == single] for single in (True, False))
+    lines = []
+    for name, some in (
+        ("3 references", [r for r in one if r["references"] == 3]),
+        ("1 reference", [r for r in one if r["references"] == 1]),
+    ):
+        lines.append((f"one effect, {name}: kind and place at the top", share(some, _top)))
+    beside = [len(r["diagnosis"]["effects"]) - sum(r["diagnosis"]["right"]) for r in one]
+    first = [s for r in one for s in r["diagnosis"]["sizes"] if s["primary"]]
+    known = [s for s in first if s["z"] is not None]
+    lines += [
+        ("one effect: right at any rank", share(one, lambda r: all(r["diagnosis"]["right"]))),
+        ("one effect: in the ambiguity set", share(one, _set)),
+        ("one effect: none named beside it", f"{sum(b == 0 for b in beside)}/{len(beside)}, {sum(beside)} in all"),
+        ("one effect: size inside its 95 % interval", f"{sum(abs(s['z']) < 1.96 for s in known)}/{len(known)}"),
+    ]
+    for name, kinds in (("dampers", (*DAMPERS, "global_damping")), ("other kinds", tuple(k for k in LINEAR if "damp" not in k))):
+        errors = np.abs([s["error"] for s in first if s["kind"] in kinds])
+        if errors.size:
+            lines.append((f"one effect: size error of {name}", f"{errors.size}: {spread(errors, 100)}"))
+    if two:
+        lines.append(("two effects: both right", share(two, lambda r: all(r["diagnosis"]["right"]))))
+    lines += [
+        ("nothing hidden: structural effects named", share(quiet, _structural)),
+        ("nothing hidden: sensor or force effects named", share(quiet, lambda r: any(kind in SENSOR for kind in _kinds(r)))),
+        ("nothing hidden: anything but no_misfit", share(quiet, lambda r: r["diagnosis"]["false_alarm"])),
+    ]
+    changes = [r["between_db"] for r in rows if r.get("between_db") is not None]
+    if changes:
+        lines.append(("change of the FRFs by the days alone, rms: median", f"{np.median(changes):.1f} dB"))
+    return f"{title} ({len(rows)} runs)\n" + "\n".join(f"  {name:58s} {value:>22s}" for name, value in lines)
 
 
 def by_kind(rows: list[dict]) -> str:
