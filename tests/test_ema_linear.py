@@ -348,6 +348,18 @@ def test_modes_that_differ_between_pairs_are_not_polished():
     assert_modes(model, c, f_tolerance=1e-3, z_tolerance=0.1)
 
 
+def test_a_shift_of_a_mode_outside_the_band_does_not_keep_from_polishing():
+    """Its flank alone is seen, and what else lies beyond looks like a shift."""
+    c, h = frfs()
+    pairs = frf_pairs(as_frf(h), model_dofs(as_frf(h)), BAND)
+    fit = fit_linear(pairs, Poles(c.hz, c.zeta, np.full(N, 0.05), np.full(N, 2e-4)), (float(F[0]), float(F[-1])))
+    shift = fit.projection.shift.copy()
+    shift[:, -1] = 0.05 * c.zeta[-1]
+    moved = replace(fit, projection=replace(fit.projection, shift=shift))
+    assert moved.shift_error(BAND) == pytest.approx(0.05, rel=0.1)
+    assert moved.shift_error((BAND[0], 100.0)) < NOISE_LIMITED
+
+
 def test_a_mode_at_whose_node_the_drive_point_stands_is_no_wrong_sign():
     """Its residue there is noise of either sign: a finding that says where the scale is uncertain, none that blames a sensor."""
     for seed in range(4):

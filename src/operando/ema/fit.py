@@ -411,8 +411,8 @@ def _polish_wanted(job: _Job, fit: LinearFit) -> tuple[bool, str]:
         return False, "the FRFs come without coherence: their noise is not known well enough to weigh every line by it"
     if not fit.noise_limited:
         return False, f"the model error is {error}: a likelihood of noise alone would bend the modes"
-    if fit.shift_error > NOISE_LIMITED:
-        shift = f"{100 * fit.shift_error:.2g} % of a half bandwidth"
+    if (moved := fit.shift_error(job.band)) > NOISE_LIMITED:
+        shift = f"{100 * moved:.2g} % of a half bandwidth"
         return False, f"modes differ between the pairs by {shift}: poles common to all would err by as much of the FRF at a resonance"
     return True, f"noise limits the fit (model error {error})"
 

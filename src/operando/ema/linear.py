@@ -81,12 +81,15 @@ class LinearFit:
         """Whether the noise rules: phases and weak modes can be believed then, and a likelihood of noise alone may polish."""
         return self.model_error < NOISE_LIMITED
 
-    @property
-    def shift_error(self) -> float:
-        """Largest error that poles common to all pairs would make at a resonance, as a share of the FRF: rms shift over ζ."""
+    def shift_error(self, band: tuple[float, float]) -> float:
+        """Largest error that poles common to all pairs would make at a resonance in band, as a share of the FRF: rms shift over ζ.
+
+        A mode outside shows its flank alone, and takes what other modes beyond leave there for a shift.
+        """
         power = self.projection.a**2 + self.projection.b**2
         squares = np.sum(power * self.projection.shift**2, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
-        return float(np.max(np.sqrt(squares) / self.poles.zeta, initial=0.0))
+        inside = (self.poles.hz >= band[0]) & (self.poles.hz <= band[1])
+        return float(np.max(np.sqrt(squares[inside]) / self.poles.zeta[inside], initial=0.0))
 
     @property
     def frequency_std_hz(self) -> Real:
