@@ -93,6 +93,16 @@ def test_one_shape_at_two_frequencies_stays_two_modes(places, error, strong):
     assert not any("twin" in found for found in codes(hz, zeta, (strong * first, second, third), error))
 
 
+def test_pairs_of_several_references_are_no_further_places():
+    rng = np.random.default_rng(2)
+    strong, weak = (np.outer(rng.standard_normal(6), rng.standard_normal(5)).ravel() for _ in range(2))
+    fit = fitted((100.0, 108.0, 112.0), (0.01,) * 3, (10 * strong, 0.8 * weak, weak), error=0.03)
+    assert fit.projection.a.shape[0] >= FEW_PLACES
+    assert doubts(fit) == [[], ["twin"], []]
+    grid = np.stack(np.unravel_index(np.arange(30), (6, 5)), axis=1)
+    assert doubts(replace(fit, pairs=replace(fit.pairs, grid=grid))) == [[], [], []]
+
+
 def test_shapes_less_alike_than_the_limit_are_two_modes():
     first, second, third = shapes(FEW_PLACES + 6)
     other = np.random.default_rng(5).standard_normal(second.size)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from kinds import GLOBAL, KINDS, LINEAR_SCALE, STRUCTURAL, TWO_PLACES, Effect, stiffness, with_one
+from kinds import GLOBAL, KINDS, LINEAR_SCALE, STRUCTURAL, Effect, stiffness, with_one
 
 CORRELATED = 6.0  # neighbouring lines of a local rational estimate that count as one
-FIT_LINES, JUDGE_LINES, BLOCKS = 100, 50, 18
+FIT_LINES, VALIDATION_LINES, BLOCKS = 100, 50, 18
 KEEP = 0.02  # directions of the idle model that move the FRFs by less than 0.14 σ in all are left out
 SPREADS = {
     "sensor": 0.01,  # log gain of each sensor
@@ -90,7 +90,7 @@ class Case:
         self._compress()
 
     def _choose_lines(self, frf: Any) -> None:
-        """Fit and judge lines where the FRFs change, in blocks of which each third judges; variance, level, correlated lines."""
+        """Lines to fit and to validate where the FRFs change, by blocks (each third validates); variance, level, correlated lines."""
         hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
         variance = (0.01 * np.abs(h)) ** 2 if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
         good = np.isfinite(h).all((1, 2)) & np.isfinite(variance).all((1, 2))
@@ -104,16 +104,16 @@ class Case:
         low, high = np.maximum(0, np.arange(hz.size) - half), np.minimum(hz.size, np.arange(hz.size) + half + 1)
         level = np.sqrt((total[high] - total[low]) / (high - low)[:, None, None])
         chosen, counts = [], []
-        for judges, number in ((False, FIT_LINES), (True, JUDGE_LINES)):
-            at = np.flatnonzero((block % 3 == 2) == judges)
+        for validates, number in ((False, FIT_LINES), (True, VALIDATION_LINES)):
+            at = np.flatnonzero((block % 3 == 2) == validates)
             share = np.cumsum(0.6 * density[at] / density[at].sum() + 0.4 / at.size)
             i = np.unique(at[np.searchsorted(share, (np.arange(number) + 0.5) / number * share[-1] * 0.999999)])
             gap = np.gradient(i.astype(float)) if i.size > 1 else np.ones(1)
             chosen.append(i)
             counts.append(np.maximum(1, CORRELATED / np.maximum(gap, 1)))
         i = np.concatenate(chosen)
-        self.judges = np.repeat([False, True], [c.size for c in chosen])
-        self.fit_lines, self.judge_lines = np.flatnonzero(~self.judges), np.flatnonzero(self.judges)
+        self.validation = np.repeat([False, True], [c.size for c in chosen])
+        self.fit_lines, self.validation_lines = np.flatnonzero(~self.validation), np.flatnonzero(self.validation)
         self.w, self.h, self.variance, self.level = 2 * np.pi * hz[i], h[i], variance[i], level[i]
         self.count = np.concatenate(counts)[:, None, None]
         self.band = float(hz[0]), float(hz[-1])
@@ -126,7 +126,7 @@ class Case:
         self.root = np.zeros((scale.size, int(keep.sum())))
         self.root[on] = scale[on][:, None] * vectors[:, keep] * np.sqrt(values[keep])
 
-    def _nuisance(self, references: int | None = None) -> None:
+    def _nuisance(self) -> None:
         """Slices and spreads of d."""
         n, dofs, driven = self.modes.size, self.n_dofs, self.references
         rest = np.setdiff1d(np.arange(self.n_terms), self.modes)
@@ -400,6 +400,6 @@ class Case:
             value += float(np.sum(-0.5 * ((x - mean) / std) ** 2 - np.log(std) - 0.5 * np.log(2 * np.pi)))
             if effect.kind in ("gyroscopic", "global_stiffness"):
                 value += np.log(0.5)
-            elif effect.kind in STRUCTURAL or effect.kind in TWO_PLACES:
+            elif effect.kind in STRUCTURAL:
                 value += np.log(0.85 if effect.sign > 0 else 0.15)
         return float(value)

@@ -1,4 +1,4 @@
-"""One state: idle parameters, nuisance, effects and a discrepancy; its Laplace evidence, the way to it, and what judge lines say."""
+"""One state: idle parameters, nuisance, effects and a discrepancy; its Laplace evidence, the way to it, and its validation lines."""
 
 from __future__ import annotations
 
@@ -264,7 +264,7 @@ def approach(
     return cost(problem.predict(x, False).h, x), x[:first], x[first : problem.fixed], problem.with_values(x)
 
 
-def learn_spreads(case: Case, state: State) -> tuple[np.ndarray, dict[str, float]]:
+def update_spreads(case: Case, state: State) -> tuple[np.ndarray, dict[str, float]]:
     """One turn of empirical Bayes over the spreads of the nuisance; d in the new ones, and their factors."""
     d, factors = state.d.copy(), {}
     inverse = solve_triangular(np.tril(state.factor), np.eye(state.x.size), lower=True)
@@ -279,9 +279,9 @@ def learn_spreads(case: Case, state: State) -> tuple[np.ndarray, dict[str, float
     return d, factors
 
 
-def judged(case: Case, state: State) -> tuple[float, float]:
-    """Chi-square of the judge lines under noise, discrepancy and posterior, per independent value; their error in dB (rms)."""
-    problem = Problem(case, state.effects, case.judge_lines)
+def on_validation_lines(case: Case, state: State) -> tuple[float, float]:
+    """Reduced chi-square of the validation lines under noise, discrepancy and posterior, per independent value; their error in dB (rms)."""
+    problem = Problem(case, state.effects, case.validation_lines)
     prediction = problem.predict(state.x)
     weights = weights_of(problem.noise(state.alpha))
     jacobian = real(prediction.jacobian) * weights[:, None]

@@ -24,7 +24,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "hidden_effects")]
 from kinds import KINDS  # noqa: E402
 from model import Case  # noqa: E402
-from posterior import judged, names  # noqa: E402
+from posterior import names, on_validation_lines  # noqa: E402
 from search import search  # noqa: E402
 
 from operando.store import load_results  # noqa: E402
@@ -38,7 +38,7 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
     case = Case(loaded.idle.terms, check.frf, tuple(loaded.settings["band"]))
     found = search(case, (lambda text: print("  ", text[:200], flush=True)) if talk else (lambda text: None))
     best = found.best
-    chi, db = judged(case, best)
+    chi, db = on_validation_lines(case, best)
     std = np.sqrt(np.diag(best.covariance)) if best.effects else np.zeros(0)
     effects, at = [], 0
     for effect in best.effects:
@@ -51,8 +51,8 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
         "text": names(case, best.effects),
         "discrepancy": best.alpha,
         "discrepancy_of_idle": found.empty.alpha,
-        "judge_chi_square": chi,
-        "judge_db": db,
+        "validation_chi_square": chi,
+        "validation_db": db,
         "stiffness": float(best.d[whole][0] * case.spread[whole][0]),
         "stiffness_std": float(best.std("stiffness")[0] * case.spread[whole][0]),
         "cpu_s": time.process_time() - started,
@@ -106,7 +106,7 @@ def of_plan(plan: str, work: Path, limit: int | None, operando: str, only: str) 
             row |= found | compared(found, answer["effects"])
         with rows.open("a") as stream:
             stream.write(json.dumps(row) + "\n")
-        said = ("text", "right", "missing", "beside", "discrepancy", "judge_chi_square", "cpu_s", "error")
+        said = ("text", "right", "missing", "beside", "discrepancy", "validation_chi_square", "cpu_s", "error")
         print(spec.name, {k: row[k] for k in said if k in row}, flush=True)
 
 

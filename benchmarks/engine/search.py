@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from kinds import GLOBAL, LINEAR_SCALE, STRUCTURAL, Effect, candidates, with_one
 from model import Case, Scannable
-from posterior import State, approach, fit, learn_spreads, names, real, weights_of
+from posterior import State, approach, fit, names, real, update_spreads, weights_of
 from scipy.linalg import cholesky, solve_triangular
 
 ROBUST_ALPHA, ROBUST = 0.02, 0.05
 """Above this discrepancy of a state the scan is robust, and about the idle model as it is: under a loose one a linear scan absorbs all."""
-SETTLED_ALPHA = 0.03  # below, spreads of the nuisance are learnt and further effects judged
+EXPLAINED_ALPHA = 0.03  # below, spreads of the nuisance are estimated and further effects on_validation_lines
 STRAINED = 4.0
 """Mean square of a part of the nuisance, in its spreads, from which it stands for something else: that state teaches no spreads."""
 FITTED, APPROACHED, BEAM = 3, 6, 3
@@ -221,10 +221,10 @@ def needed(case: Case, state: State) -> float:
 def search(case: Case, say: Callable[[str], None] = lambda text: None) -> Found:
     """To the first state that explains the lines; then with the spreads that it teaches."""
     found = _searched(case, say)
-    if found.best.alpha < SETTLED_ALPHA and not strained(case, found.best):
+    if found.best.alpha < EXPLAINED_ALPHA and not strained(case, found.best):
         best = found.best
         for _ in range(2):
-            d, factors = learn_spreads(case, best)
+            d, factors = update_spreads(case, best)
             best = fit(case, best.effects, best.z, d, best.alpha)
         say(f"spreads × {factors}, discrepancy {best.alpha:.4f}")
         case.priors = {}
@@ -290,7 +290,7 @@ def _searched(case: Case, say: Callable[[str], None], start: State | None = None
         grown = len(best().effects) > len(was.effects)
         if best() is was or (grown and best().log_evidence < was.log_evidence + needed(case, was)):
             break
-        if start is None and best().alpha < SETTLED_ALPHA and not strained(case, best()):
+        if start is None and best().alpha < EXPLAINED_ALPHA and not strained(case, best()):
             break
     now = best()
     for state in sorted(pool.values(), key=lambda s: -s.log_evidence)[:4]:  # the leaders again, from the best: no evidence by its path

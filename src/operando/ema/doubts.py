@@ -151,7 +151,9 @@ def _split_modes(fit: LinearFit, among: list[int], strength: Real, ruled: Real) 
 
     A mode that answers otherwise from hit to hit, or bends with level, takes several poles where the model error rules.
     """
-    if fit.noise_limited or fit.projection.a.shape[0] < FEW_PLACES:
+    grid = fit.pairs.grid
+    places = max(np.unique(grid[:, 0]).size, np.unique(grid[:, 1]).size)  # pairs of several references repeat the shape
+    if fit.noise_limited or places < FEW_PLACES:
         return {}
     rows: list[list[int]] = []
     for k in among:
