@@ -130,12 +130,16 @@ def outliers(values: Sequence[float], stds: Sequence[float | None]) -> list[int]
     stds : sequence of float or None
         Their standard deviations; the scatter counts as no smaller.
     """
-    x: NDArray[np.float64] = np.asarray(values, float)
-    if x.size < LEAST:
-        return []
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(x, 5), axis=1)
-    rest = np.abs(x[2:-2] - middle)
-    return [int(i) + 2 for i in np.flatnonzero(rest > BEYOND * _scatter(rest, stds, x))]
+    x: NDArray[np.float64] = np.array(values, float)
+    found: list[int] = []
+    while x.size >= LEAST and len(found) < x.size // 2:
+        rest = np.abs(x[2:-2] - np.median(np.lib.stride_tricks.sliding_window_view(x, 5), axis=1))
+        worst = int(np.argmax(rest))
+        if rest[worst] <= BEYOND * _scatter(rest, stds, x):
+            break
+        found.append(worst + 2)
+        x[worst + 2] = (x[worst + 1] + x[worst + 3]) / 2  # it moves the medians beside it, too: they are judged without it
+    return sorted(set(found))
 
 
 def steps(

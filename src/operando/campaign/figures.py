@@ -54,7 +54,7 @@ def mode_figure(
     over, label : str
         Of the axes.
     log : bool
-        Whether values stand on a logarithmic axis.
+        Whether values that spread over more than a factor of five stand on a logarithmic axis.
     baseline : float or None
         Place of the baseline.
     """
@@ -81,7 +81,8 @@ def _mode_figure(
         if not crowded and (spread := np.array([INTERVAL * (f[2] or 0.0) for f in found])).any():
             axes.errorbar(x, y, spread, fmt="none", ecolor=color, elinewidth=0.9, capsize=2)
         ends.append((x[-1], y[-1], t["track"], color))
-    if log and ends:
+    values = [v for t in tracks for p in t["points"] if (v := value(p)[0]) is not None and v > 0]
+    if log and values and max(values) > 5 * min(values):
         axes.set_yscale("log")
         _plain_log(axes)
     if baseline is not None:
