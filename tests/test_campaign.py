@@ -256,7 +256,7 @@ def small_document(hostile="<script>alert(1)</script>"):
     part = {"tracks": [{"track": 0, "seen": 1, "points": [point]}], "crossings": [{"words": hostile}], "steps": [{"words": hostile}]}
     return {
         "name": hostile, "parameters": [{"name": "speed", "unit": None}], "over": {"label": hostile, "kind": "number"},
-        "baseline": {"test": "a", "chosen": hostile},
+        "until": None, "baseline": {"test": "a", "chosen": hostile},
         "counts": {"done": 1, "incomplete": 0, "failed": 1, "run": 2, "unchanged": 0, "seconds": 1.0, "work_seconds": 1.0},
         "tests": [row, failed], "idle": part, "operating": part, "effects": [effect],
     }  # fmt: skip

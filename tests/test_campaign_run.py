@@ -6,9 +6,11 @@ import csv
 import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import types
 from contextlib import suppress
 
 import pytest
@@ -16,8 +18,10 @@ from click.testing import CliRunner
 
 from campaigns import SPEEDS, environment, holder, records_of, started, waited, write_campaign
 from operando.campaign import run_campaign
+from operando.campaign.cluster import start_cluster
+from operando.campaign.config import Workers
 from operando.cli import main
-from operando.errors import BusyError
+from operando.errors import BusyError, MissingError
 from operando.pipeline.folder import results_folder
 from operando.pipeline.lock import exclusive
 
@@ -229,6 +233,29 @@ def test_a_dask_cluster_that_loses_a_worker(tmp_path, short):
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+
+
+def test_clusters_are_started_with_the_options_given(monkeypatch):
+    """What dask-jobqueue and dask-kubernetes are asked for; their own modules are stood in for here."""
+
+    class Cluster:
+        def __init__(self, **options):
+            self.options = options
+
+        def scale(self, *counts, **jobs):
+            self.scaled = (counts, jobs)
+
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", types.SimpleNamespace(SLURMCluster=Cluster))
+    monkeypatch.setitem(sys.modules, "dask_kubernetes", types.ModuleType("dask_kubernetes"))
+    monkeypatch.setitem(sys.modules, "dask_kubernetes.operator", types.SimpleNamespace(KubeCluster=Cluster))
+    slurm = start_cluster(Workers(cluster="slurm", jobs=20, options={"queue": "short", "memory": "8GB"}))
+    assert slurm.options == {"cores": 1, "processes": 1, "memory": "8GB", "queue": "short"}
+    assert slurm.scaled == ((), {"jobs": 20})
+    kubernetes = start_cluster(Workers(cluster="kubernetes", jobs=3, options={"image": "lab/operando"}))
+    assert (kubernetes.options["image"], kubernetes.scaled) == ("lab/operando", ((3,), {}))
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
+    with pytest.raises(MissingError, match=re.escape("operando[slurm]")):
+        start_cluster(Workers(cluster="slurm"))
 
 
 def _address(path):

@@ -305,12 +305,16 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
     return section, key
 
 
-_SECTIONS = ("idle", "operating", "check", "geometry", "units", "channels", "analysis", "directions")
+_STATES = ("idle", "operating", "check")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "directions")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
     """Test of a parsed TOML table; ``path`` is the file it came from, ``given`` the line of each entry (see :func:`load_test`)."""
     where = Entry(str(path), given=given or {})
+    if not any(name in table for name in _STATES) and any(name in table for name in ("tests", "template", "rows")):
+        hint = f"run it with `operando campaign {path}`"
+        raise ConfigError("is a campaign file, expected a test file", where=str(path), hint=hint)
     check_keys(table, ("name", *_SECTIONS), where)
     for section in _SECTIONS:
         if section in table and not isinstance(table[section], Mapping):

@@ -78,7 +78,7 @@ def dask_pool(workers: Workers, say: Callable[[str], None]) -> Iterator[DaskPool
         from distributed import Client
     except ImportError:
         raise MissingError("Dask is not installed", where="workers", hint="pip install 'operando[dask]'") from None
-    cluster = None if workers.scheduler is not None else _started(workers)
+    cluster = None if workers.scheduler is not None else start_cluster(workers)
     try:
         try:
             client = Client(workers.scheduler if cluster is None else cluster, timeout=15)
@@ -94,7 +94,7 @@ def dask_pool(workers: Workers, say: Callable[[str], None]) -> Iterator[DaskPool
             cluster.close()
 
 
-def _started(workers: Workers) -> Any:
+def start_cluster(workers: Workers) -> Any:
     """A cluster of so many workers, each of one thread."""
     options = dict(workers.options)
     try:

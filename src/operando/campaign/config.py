@@ -5,11 +5,11 @@ from __future__ import annotations
 import glob
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from operando.campaign.parameters import Row, Value, read_table, row_of, shown, value_of
+from operando.campaign.parameters import Row, Value, axis_of, read_table, row_of, shown, value_of
 from operando.config import Test, load_test, parse_text, text_of, toml_table
 from operando.entries import Entry, lines_of
 from operando.errors import ConfigError
@@ -78,20 +78,13 @@ class Member:
             return None
         return _HOLE.sub(lambda m: self.row.texts.get(m[1], m[0]), self.template)
 
-    def load(self, changes: Sequence[str] = ()) -> Test:
-        """The test.
 
-        Raises
-        ------
-        ConfigError
-            If its file is wrong.
-        """
-        return load_member(self.path, self.text, (*self.row.changes, *changes))
-
-
-def load_member(path: Path, text: str | None, changes: Sequence[str]) -> Test:
-    """The test of a file, or of a template's text filled in."""
-    return load_test(path, changes) if text is None else parse_text(text, path, changes)
+def load_member(path: Path, text: str | None, title: str, changes: Sequence[str]) -> Test:
+    """The test of a file, or of a template's text filled in; the tests of one template are told apart by their titles."""
+    if text is None:
+        return load_test(path, changes)
+    test = parse_text(text, path, changes)
+    return replace(test, name=f"{test.name}, {title}")
 
 
 @dataclass(frozen=True)
@@ -298,8 +291,10 @@ def _named(found: Sequence[tuple[Path, str | None, Row]]) -> tuple[Member, ...]:
 def _over(value: Any, campaign: Campaign, where: Entry) -> str | None:
     columns = campaign.columns
     if value is None:
-        numeric = [c for c in columns if len({m.row.parameters.get(c) for m in campaign.members}) > 1]
-        return next(iter(numeric or columns), None)
+        parameters = [m.row.parameters for m in campaign.members]
+        vary = [c for c in columns if len({p.get(c) for p in parameters}) > 1]
+        measured = [c for c in vary if axis_of(c, parameters, {}).kind != "order"]
+        return next(iter(measured or vary or columns), None)
     if value not in columns:
         raise ConfigError(f"{value!r:.200} is no parameter", where=str(where), hint=nearest(str(value), columns))
     return str(value)

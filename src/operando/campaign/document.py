@@ -50,6 +50,7 @@ def document_of(campaign: Campaign, read: Reader, counts: Mapping[str, Any]) -> 
         "name": campaign.name,
         "parameters": [{"name": name, "unit": campaign.units.get(name)} for name in campaign.columns],
         "over": {"name": campaign.over if axis.kind != "order" else None, "label": axis.label, "kind": axis.kind},
+        "until": campaign.until,
         "baseline": None if base is None else {"test": rows[states[base]]["name"], "chosen": chosen},
         "counts": {s: sum(row["state"] == s for row in rows) for s in ("done", "incomplete", "failed")} | dict(counts),
         "tests": rows,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from operando.campaign.cluster import dask_pool
-from operando.campaign.config import Campaign, Member, Workers, load_campaign
+from operando.campaign.config import Campaign, Member, Workers, load_campaign, load_member
 from operando.campaign.document import document_of
 from operando.campaign.local import local_pool
 from operando.campaign.outputs import write_outputs
@@ -157,7 +157,8 @@ class _Run:
         for member in self.campaign.members:
             record = self._record_file(member)
             try:
-                test = member.load(self.changes)
+                changes = (*member.row.changes, *self.changes)
+                test = load_member(member.path, member.text, self.campaign.title(member), changes)
                 self.fingerprints[member.name] = mark = fingerprint(test, self.campaign.until)
             except (OperandoError, OSError) as error:
                 self._not_begun(member, record, error)
@@ -181,7 +182,10 @@ class _Run:
     def _task(self, member: Member, mark: str, idle_from: str | None) -> Task:
         changes = (*member.row.changes, *self.changes)
         path, record = str(member.path.absolute()), str(self._record_file(member))
-        return Task(member.name, path, member.text, changes, self._folder(member), record, self.campaign.until, mark, idle_from)
+        return Task(
+            member.name, path, member.text, self.campaign.title(member), changes, self._folder(member), record, self.campaign.until, mark,
+            idle_from,
+        )  # fmt: skip
 
     def _folder(self, member: Member) -> str:
         return str(self.out / "tests" / member.name)

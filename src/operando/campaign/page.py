@@ -101,7 +101,7 @@ def _answer(document: Mapping[str, Any], numbering: Numbering) -> str:
         html.append(paragraph(f"{len(said) - 8} more below."))
     html.append("</div>")
     if failed:
-        rows = [[_link(r), tag(*STATE_WORDS[r["state"]]), esc(r["reason"] or DASH)] for r in failed]
+        rows = [[_link(document, r), tag(*STATE_WORDS[r["state"]]), esc(r["reason"] or DASH)] for r in failed]
         html.append(
             table(
                 ["Test", "State", "Reason"],
@@ -111,7 +111,7 @@ def _answer(document: Mapping[str, Any], numbering: Numbering) -> str:
             )
         )
     if out:
-        rows = [[_link(r), "<br>".join(esc(t) for t in r["stands_out"]), _own_findings(r, tests)] for r in out]
+        rows = [[_link(document, r), "<br>".join(esc(t) for t in r["stands_out"]), _own_findings(r, tests)] for r in out]
         head = ["Test", "What stands out", "What its own data show that few others do"]
         html.append("<h3>Tests that stand out</h3>" + table(head, rows, wide=True))
     elif len(tests) < 7:
@@ -130,10 +130,11 @@ def _title(document: Mapping[str, Any], name: str) -> str:
     return f"test {row['number']} ({row['title']})"
 
 
-def _link(row: Mapping[str, Any]) -> str:
-    """Number and name of a test, linked to its own report."""
+def _link(document: Mapping[str, Any], row: Mapping[str, Any]) -> str:
+    """Number and name of a test, linked to its own report, or to its folder where the campaign ends before the report."""
     text = f"{row['number']}. {esc(row['title'])}"
-    return text if row["state"] == "failed" else f'<a href="{quote(row["results"])}/report.html">{text}</a>'
+    file = "report.html" if document["until"] in (None, "report") else ""
+    return text if row["state"] == "failed" else f'<a href="{quote(row["results"])}/{file}">{text}</a>'
 
 
 def _modes(document: Mapping[str, Any], numbering: Numbering, kind: str) -> str:
@@ -253,7 +254,7 @@ def _tests(document: Mapping[str, Any], numbering: Numbering) -> str:
         idle = (errors.get("idle") or {}).get("error_db")
         best = min((e["error_db"] for k in ("ofrf", "effect") if (e := errors.get(k)) and e.get("error_db") is not None), default=None)
         rows.append([
-            _link(r), tag(*STATE_WORDS[r["state"]]), esc(r["scaling"] or DASH), decibel(idle), decibel(best),
+            _link(document, r), tag(*STATE_WORDS[r["state"]]), esc(r["scaling"] or DASH), decibel(idle), decibel(best),
             tag(verdict.replace("_", " "), VERDICT_GRADES.get(verdict, "fair")) if verdict else DASH,
             "<br>".join(esc(m) for m in r["missing"][:4]) or DASH, DASH if r["seconds"] is None else f"{r['seconds']:.1f}",
         ])  # fmt: skip

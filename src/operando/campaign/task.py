@@ -37,6 +37,8 @@ class Task:
         Test file, or template.
     text : str or None
         The template filled in.
+    title : str
+        The test by its parameters.
     changes : tuple of str
         Entries changed, as ``--set`` takes them.
     folder : str
@@ -53,6 +55,7 @@ class Task:
     name: str
     path: str
     text: str | None
+    title: str
     changes: tuple[str, ...]
     folder: str
     record: str
@@ -138,7 +141,7 @@ def _told(document: dict[str, Any]) -> dict[str, Any]:
 def _run(task: Task) -> dict[str, Any]:
     from operando.pipeline import run
 
-    test = load_member(Path(task.path), task.text, task.changes)
+    test = load_member(Path(task.path), task.text, task.title, task.changes)
     if task.idle_from is not None:
         adopt(task.idle_from, task.folder, ("frf", "automatic", "ema"))
     until = time.monotonic() + PATIENCE_S

@@ -15,8 +15,8 @@ from operando.errors import DofError
 SAME_SHAPE = 0.5
 """MAC above which a mode may be the one before: of orthogonal shapes only one can have a MAC above one half with a given shape."""
 STEP = 0.1
-"""Relative change of frequency from state to state that halves nothing yet decides: of two candidates with like shapes the nearer in
-frequency is taken, its MAC weighted by exp(−(ln(f/f₀)/STEP)²/2)."""
+"""Relative change of frequency from state to state that weighs as much as a MAC of 0.6: of candidates with like shapes the nearest in
+frequency is taken (MAC times exp(−(ln(f/f₀)/STEP)²/2)); it excludes none."""
 FAR = 0.3
 """Largest relative change from state to state: beyond it, few sensors alone make shapes look alike (spatial aliasing)."""
 SURE = 1.96
