@@ -145,7 +145,10 @@ class _Teller:
         what = f"{words.label}" + (f", {size}" if size else "")
         first = f"{self.span(s.states, s.open)}: "
         if s.what == "appears":
-            text = f"{first}{what}, is missing in the idle model; it is not in the baseline"
+            known = told(self.row(base)["diagnosis"])
+            text = f"{first}{what}, is missing in the idle model; " + (
+                "it is not in the baseline" if known else "the baseline is not diagnosed"
+            )
         elif s.what == "is gone":
             text = f"{first}{what}, which the baseline has, is gone"
         elif s.what == "everywhere":
