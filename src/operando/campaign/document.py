@@ -153,7 +153,7 @@ class _Teller:
             text = f"{first}{what}, which the baseline has, is gone"
         elif s.what == "everywhere":
             diagnosed = sum(told(self.row(i)["diagnosis"]) for i in range(len(self.states)))
-            text = f"in {len(s.states)} of {diagnosed} diagnosed tests, the baseline among them: {what}"
+            text = f"in {len(s.states)} of {diagnosed} diagnosed tests, the baseline among them: {what}, is missing in the idle model"
         else:
             named = ", ".join(str(self.row(i)["number"]) for i in s.states[:12]) + (" …" if len(s.states) > 12 else "")
             text = f"in {len(s.states)} tests, not in one stretch (tests {named}): {what}"

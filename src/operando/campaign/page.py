@@ -59,14 +59,17 @@ def headline(document: Mapping[str, Any]) -> str:
 
 def said_of(document: Mapping[str, Any]) -> list[str]:
     """What changes, most telling first: effects against the baseline, steps, crossings, frequencies."""
-    first = [e["words"] for e in document["effects"] if e["what"] in ("appears", "is gone")]
-    rest = [e["words"] for e in document["effects"] if e["what"] not in ("appears", "is gone")]
+    said = [e["words"] for e in document["effects"] if e["what"] in ("appears", "is gone")]
+    lasting = [e["words"] for e in document["effects"] if e["what"] not in ("appears", "is gone")]
+    modes = []
     for kind in ("operating", "idle"):
-        rest += [s["words"] for s in document[kind]["steps"]]
-        rest += [f"{KIND_WORDS[kind].lower()}, {c['words']}" for c in document[kind]["crossings"]]
+        modes += [s["words"] for s in document[kind]["steps"]]
+        modes += [f"{KIND_WORDS[kind].lower()}, {c['words']}" for c in document[kind]["crossings"]]
         if (widest := _widest(document[kind])) is not None:
-            rest.append(widest.replace("*", KIND_WORDS[kind].lower()))
-    return [text[:1].upper() + text[1:] for text in (*first, *rest)]
+            modes.append(widest.replace("*", KIND_WORDS[kind].lower()))
+    if not (said or modes) and document["counts"]["done"] + document["counts"]["incomplete"] > 1:
+        said = ["no mode and no effect differs from the baseline by more than its 95 % interval"]
+    return [text[:1].upper() + text[1:] for text in (*said, *lasting, *modes)]
 
 
 def _widest(part: Mapping[str, Any]) -> str | None:
@@ -92,11 +95,7 @@ def _answer(document: Mapping[str, Any], numbering: Numbering) -> str:
     html = [f'<div class="answer {grade}"><h2>{esc(title)}</h2>']
     if base is not None:
         html.append(paragraph(f"Every state is compared with the baseline {_title(document, base['test'])} ({base['chosen']})."))
-    html.append(
-        "<ul>" + "".join(f"<li>{esc(text)}.</li>" for text in said[:8]) + "</ul>"
-        if said
-        else paragraph("Nothing changes against the baseline.")
-    )
+    html.append("<ul>" + "".join(f"<li>{esc(text)}.</li>" for text in said[:8]) + "</ul>")
     if len(said) > 8:
         html.append(paragraph(f"{len(said) - 8} more below."))
     html.append("</div>")
