@@ -126,6 +126,17 @@ def test_one_measurement_at_rest_is_analysed_once(tmp_path):
     assert len({e[".stages/oma.h5"]["sha256"] for e in entries}) == 3
 
 
+def test_where_the_first_of_those_that_share_a_measurement_fails_the_next_begins(tmp_path):
+    file = write_campaign(tmp_path, until="frf", shared_idle=True)
+    file.write_text(file.read_text().replace("{speed = 600}", "{speed = 600, analysis = {band = [1e5, 2e5]}}"))
+    code, document, _ = called(file, "-o", tmp_path / "out", "-p", 2)
+    assert code == 0
+    assert [t["state"] for t in document["tests"]] == ["failed", "done", "done"]
+    assert "1e+05" in document["tests"][0]["reason"] or "200000" in document["tests"][0]["reason"]
+    assert document["baseline"]["test"] == "speed-900"
+    assert "speed-600, the first test, failed" in document["baseline"]["chosen"]
+
+
 def test_a_killed_worker_is_replaced_and_its_test_goes_on(tmp_path, short):
     out = tmp_path / "out"
     run = started(short, "-o", out, "-p", 1, "--json")

@@ -91,13 +91,13 @@ def run_campaign(
         return document
 
 
-@dataclass
+@dataclass(slots=True)
 class _Group:
     """Tests with the same files at rest: one runs first, the others take its stages at rest over."""
 
     first: str | None = None
     folder: str | None = None
-    waiting: deque[tuple[Member, str]] = field(default_factory=deque)
+    waiting: list[tuple[Member, str]] = field(default_factory=list)
 
 
 class _Run:
@@ -201,7 +201,7 @@ class _Run:
         state, reason = answer["state"], answer.get("reason")
         if state == "failed":
             self.failed += 1
-            if read_record(task.record, task.fingerprint) is None:  # the worker could not write it
+            if (read_record(task.record, task.fingerprint) or {}).get("reason") != reason:  # a lost worker writes none
                 self._keep(Path(task.record), task.name, task.fingerprint, str(reason))
         seconds = f" in {answer['seconds']:.1f} s" if answer.get("seconds") is not None else ""
         count = len(self.campaign.members)
@@ -213,10 +213,10 @@ class _Run:
         group = self._groups[key]
         if group.folder is None:
             group.first, group.folder = None, None if state == "failed" else task.folder
-        while group.waiting and (group.folder is not None or group.first is None):
-            member, mark = group.waiting.popleft()
-            group.first = member.name
-            self._freed.append((member, mark, group.folder))
+        free = len(group.waiting) if group.folder is not None else min(1, len(group.waiting))
+        self._freed.extend((member, mark, group.folder) for member, mark in group.waiting[:free])
+        group.first = group.waiting[0][0].name if free else group.first
+        del group.waiting[:free]
 
     def _left(self, count: int) -> str:
         if count < 1 or self.ended < 3:
