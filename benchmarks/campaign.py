@@ -1,11 +1,12 @@
 """A campaign of many simulated tests: speed-up on two processes, growth, the driver's memory, and what is left after kills.
 
-    python benchmarks/campaign.py FOLDER [--tests 200] [--json FILE] [--no-kills]
+    python benchmarks/campaign.py [FOLDER] [--tests 200] [--json FILE] [--no-kills]
 
 Each test is a chain of four masses at rest, 8 s of random force at 256 Hz, run up to the idle modes: one second or so. The same campaign
 runs on one process and on two, then once more on two with a worker killed after a quarter of the tests and the driver after a half.
 Other programs on the machine are counted (processors they used meanwhile); `busy` is the share of the time that the workers were at work,
-which does not hang on them.
+which does not hang on them. Where they used more than a tenth of a processor, the clock compares nothing: the ratio in the row is then what two
+free processors would give, by `busy` and the processor time of the tests, and the row says so.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -27,6 +29,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 GOAL = 1.85
+QUIET = 0.1
 
 
 def write_tests(folder: Path, count: int) -> Path:
@@ -163,31 +166,43 @@ def killed(campaign: Path, out: Path, count: int, answers: list) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", help="where tests and results are kept (default: a temporary folder)")
     parser.add_argument("--tests", type=int, default=200)
     parser.add_argument("--json", type=Path, help="rows for benchmarks/bench.py")
     parser.add_argument("--no-kills", action="store_true")
     given = parser.parse_args()
-    campaign = write_tests(given.folder, given.tests)
-    one, two = (measured(campaign, given.folder / f"out-{p}", p) for p in (1, 2))
+    if given.folder is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return compare(Path(folder), given)
+    compare(given.folder, given)
+
+
+def compare(folder: Path, given: argparse.Namespace) -> None:
+    """All runs, printed and written."""
+    campaign = write_tests(folder, given.tests)
+    one, two = (measured(campaign, folder / f"out-{p}", p) for p in (1, 2))
     same = one["answers"] == two["answers"]
     report: dict = {"one": one, "two": two, "same answers": same}
     if not given.no_kills:
-        report["kills"] = killed(campaign, given.folder / "out-kills", given.tests, one["answers"])
+        report["kills"] = killed(campaign, folder / "out-kills", given.tests, one["answers"])
     for part in (one, two):
         part.pop("answers")
     ratio = one["wall_s"] / two["wall_s"]
     # what two free processors would give: the share of time the workers work, and what a test costs beside another one
     free = 2 * two["busy"] / one["busy"] * one["tests_cpu_s"] / two["tests_cpu_s"]
+    quiet = max(one["others_processors"], two["others_processors"]) < QUIET
     report |= {"speed-up": ratio, "speed-up on free processors": free}
-    (given.folder / "campaign-benchmark.json").write_text(json.dumps(report, indent=1))
+    (folder / "campaign-benchmark.json").write_text(json.dumps(report, indent=1))
     print(json.dumps(report, indent=1))
     how = (
         f"{'the same' if same else 'OTHER'} answers; workers busy {two['busy']:.3f}; others used {two['others_processors']:.2f} processors"
     )
     row = {"stage": "campaign", "size": f"{given.tests} tests on 2 processes", "ours_s": two["wall_s"], "peer": "one process"}
-    row |= {"peer_s": one["wall_s"], "ratio": ratio, "goal": GOAL, "ours_mb": two["driver_mb"]["with the report"]}
-    row |= {"peer_mb": one["driver_mb"]["with the report"], "accuracy": f"{how}; {free:.2f} x on free processors"}
+    row |= {"peer_s": one["wall_s"], "ratio": ratio if quiet else free, "goal": GOAL, "ours_mb": two["driver_mb"]["with the report"]}
+    row |= {
+        "peer_mb": one["driver_mb"]["with the report"],
+        "accuracy": f"{how}; ratio {'by the clock' if quiet else f'reckoned for free processors, by the clock {ratio:.2f}'}",
+    }
     if given.json:
         given.json.write_text(json.dumps([row], indent=1))
 

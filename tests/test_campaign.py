@@ -9,8 +9,9 @@ import pytest
 
 from operando.campaign import load_campaign
 from operando.campaign.changes import outliers, size_change, steps, stretches
+from operando.campaign.document import document_of
 from operando.campaign.outputs import rows_of
-from operando.campaign.page import render
+from operando.campaign.page import render, said_of
 from operando.campaign.parameters import axis_of, read_table
 from operando.campaign.tracks import crossings, follow
 from operando.errors import ConfigError
@@ -239,6 +240,37 @@ def test_false_alarms_are_rare():
     series = rng.normal(size=(700, 30))
     found = sum(len(outliers(100 + row, [1.0] * 30)) + len(steps(100 + row, [1.0] * 30, range(30))) for row in series)
     assert found <= 7
+
+
+# --- everything together
+
+
+def test_thirty_states_of_which_the_last_eight_hold_a_spring(tmp_path):
+    """Records as tests leave them: a crossing near 1433 rpm, a spring from test 23 on, a spike, a mode not seen, a test that failed."""
+    rows = ", ".join(f"{{speed = {100 * i}}}" for i in range(1, 31))
+    file = campaign_file(tmp_path, f'name = "rotor"\ntemplate = "test.toml"\nunits = {{speed = "rpm"}}\nrows = [{rows}]')
+    campaign, shape, rng, records = load_campaign(file), shapes(4, 8, noise=0.1), np.random.default_rng(2), {}
+    for i, member in enumerate(campaign.members):
+        hz = [10 + 0.1 * i, 12 - 0.05 * i, 20 + 0.3 * (i >= 22), 31 + 2.0 * (i == 12)]
+        modes = [mode(k, hz[k] + 0.01 * rng.normal(), shape(k), std=0.01) for k in range(3 if i == 5 else 4)]
+        found = diagnosis(spring(12e3)) if i >= 22 else diagnosis(verdict="no_misfit")
+        records[member.name] = {"state": "done", "operating": modes, "diagnosis": found, "seconds": 1.0}
+    records["speed-1800"] = {"state": "failed", "reason": "no such file"}
+    counts = {"run": 30, "unchanged": 0, "seconds": 1.0, "work_seconds": 1.0}
+    document = document_of(campaign, lambda members: (records[m.name] for m in members), counts)
+    said = said_of(document)
+    assert said[0].startswith("From test 23 (speed 2300 rpm) on: ground spring at 7+Z, 12000 ± 20 N/m, is missing in the idle model")
+    assert said[1].startswith("Operating mode 2 goes from ")
+    assert "from test 22 (speed 2200 rpm) to test 23 (speed 2300 rpm)" in said[1]
+    assert re.search(r"modes 0 and 1 cross near speed 14[1-5]\d(\.\d)? rpm, at 11\.3", said[2])
+    odd = {t["number"]: t["stands_out"] for t in document["tests"] if t["stands_out"]}
+    assert list(odd) == [6, 13]
+    assert (len(odd[6]), len(odd[13])) == (1, 1)
+    assert [t["seen"] for t in document["operating"]["tracks"]] == [29, 29, 29, 28]
+    assert document["counts"]["failed"] == 1
+    page = render(document)
+    assert "no such file" in page
+    assert page.count("<figure>") == 3
 
 
 # --- the page

@@ -9,7 +9,7 @@ import numpy as np
 
 from operando.campaign.changes import Stretch, outliers, size_change, steps, stretches, told
 from operando.campaign.config import Campaign, Member
-from operando.campaign.parameters import Axis, axis_of
+from operando.campaign.parameters import Axis, axis_of, shown
 from operando.campaign.tracks import Track, crossings, follow
 from operando.indicators import INTERVAL
 from operando.jsonable import jsonable
@@ -56,7 +56,7 @@ def document_of(campaign: Campaign, read: Reader, counts: Mapping[str, Any]) -> 
         "tests": rows,
     }
     named = [members[i] for i in states]
-    tell = _Teller(rows, states, places, axis)
+    tell = _Teller(rows, states, places, campaign, axis)
     for kind in ("idle", "operating"):
         modes = lambda kind=kind: (record.get(kind) or [] for record in read(named))  # noqa: E731
         tracks = follow(modes(), modes(), -1 if base is None else base)
@@ -118,8 +118,16 @@ def _baseline(campaign: Campaign, rows: Sequence[Mapping[str, Any]], states: Seq
 class _Teller:
     """Puts states into words."""
 
-    def __init__(self, rows: list[dict[str, Any]], states: Sequence[int], places: Sequence[float], axis: Axis) -> None:
+    def __init__(self, rows: list[dict[str, Any]], states: Sequence[int], places: Sequence[float], campaign: Campaign, axis: Axis) -> None:
         self.rows, self.states, self.places, self.axis = rows, states, places, axis
+        self._campaign = campaign
+
+    def place(self, value: float) -> str:
+        """A place on the axis: ``speed 1430 rpm``."""
+        rounded = float(f"{value:.4g}")
+        if self.axis.kind == "number" and self._campaign.over is not None:
+            return shown(self._campaign.over, rounded, self._campaign.units)
+        return f"{self.axis.label} {rounded:g}"
 
     def row(self, state: int) -> dict[str, Any]:
         """The test of a state."""
@@ -205,7 +213,7 @@ def _mode_part(tracks: Sequence[Track], places: Sequence[float], base: int | Non
             "between": [tell.row(c.after)["name"], tell.row(c.before)["name"]],
             "place": c.place,
             "frequency_hz": c.frequency_hz,
-            "words": f"modes {c.first} and {c.second} cross near {tell.axis.label} {c.place:.4g}, at {c.frequency_hz:.4g} Hz, "
+            "words": f"modes {c.first} and {c.second} cross near {tell.place(c.place)}, at {c.frequency_hz:.4g} Hz, "
             f"between {tell.test(c.after)} and {tell.test(c.before)}",
         }
         for c in crossings(tracks, places)

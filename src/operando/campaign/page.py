@@ -65,23 +65,23 @@ def said_of(document: Mapping[str, Any]) -> list[str]:
     for kind in ("operating", "idle"):
         modes += [s["words"] for s in document[kind]["steps"]]
         modes += [f"{KIND_WORDS[kind].lower()}, {c['words']}" for c in document[kind]["crossings"]]
-        if (widest := _widest(document[kind])) is not None:
-            modes.append(widest.replace("*", KIND_WORDS[kind].lower()))
+        if (widest := _widest(document, kind)) is not None:
+            modes.append(widest)
     if not (said or modes) and document["counts"]["done"] + document["counts"]["incomplete"] > 1:
         said = ["no mode and no effect differs from the baseline by more than its 95 % interval"]
     return [text[:1].upper() + text[1:] for text in (*said, *lasting, *modes)]
 
 
-def _widest(part: Mapping[str, Any]) -> str | None:
+def _widest(document: Mapping[str, Any], kind: str) -> str | None:
     """The mode whose frequency differs most from the baseline."""
-    if part.get("same_everywhere"):
-        return None
+    part = document[kind]
     changes = [(p, t) for t in part["tracks"] for p in t["points"] if p["change_percent"] is not None and p["changed"]]
-    if not changes:
+    if part.get("same_everywhere") or not changes:
         return None
     point, track = max(changes, key=lambda item: abs(item[0]["change_percent"]))
     change = f"{point['change_percent']:+.2f}".replace("-", "−")
-    return f"*, mode {track['track']} differs most from the baseline: {change} % in {point['test']}, at {point['frequency_hz']:.5g} Hz"
+    where = f"{change} % in {_title(document, point['test'])}, at {point['frequency_hz']:.5g} Hz"
+    return f"{KIND_WORDS[kind].lower()}, mode {track['track']} differs most from the baseline: {where}"
 
 
 def _answer(document: Mapping[str, Any], numbering: Numbering) -> str:
@@ -258,7 +258,10 @@ def _tests(document: Mapping[str, Any], numbering: Numbering) -> str:
             "<br>".join(esc(m) for m in r["missing"][:4]) or DASH, DASH if r["seconds"] is None else f"{r['seconds']:.1f}",
         ])  # fmt: skip
     head = ["Test", "State", "Scaling", "Error of<br>idle model", "Error of<br>operating FRFs", "Verdict", "Missing in the idle model", "s"]
-    return table(head, rows, numeric=(3, 4, 7), caption="<b>All tests</b>, each linked to its own report.", wide=True)
+    base = (document["baseline"] or {}).get("test")
+    mine = [i for i, r in enumerate(document["tests"]) if r["name"] == base]
+    caption = "<b>All tests</b>, each linked to its own results; the baseline is set off."
+    return table(head, rows, numeric=(3, 4, 7), caption=caption, wide=True, mine=mine)
 
 
 def _how(document: Mapping[str, Any], numbering: Numbering) -> str:
