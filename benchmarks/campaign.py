@@ -4,9 +4,9 @@
 
 Each test is a chain of four masses at rest, 8 s of random force at 256 Hz, run up to the idle modes: one second or so. The same campaign
 runs on one process and on two, then once more on two with a worker killed after a quarter of the tests and the driver after a half.
-Other programs on the machine are counted (processors they used meanwhile); `busy` is the share of the time that the workers were at work,
-which does not hang on them. Where they used more than a tenth of a processor, the clock compares nothing: the ratio in the row is then what two
-free processors would give, by `busy` and the processor time of the tests, and the row says so.
+Other programs on the machine are counted (processors they used meanwhile); `busy` is the share of the time that the workers were at
+work, which does not hang on them. Where they used more than a tenth of a processor, the clock compares nothing: the ratio in the row is
+then what two free processors would give, by `busy` and the processor time of the tests, and the row says so.
 """
 
 from __future__ import annotations
