@@ -36,6 +36,23 @@ def compliance(s: NDArray[np.complex128], w0: NDArray[np.float64], zeta: NDArray
     return out
 
 
+def combined(weights: NDArray[Any], rows: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Σ_k weights_ik rows_k: for real weights one real product over real and imaginary parts side by side."""
+    if np.iscomplexobj(weights):
+        return np.asarray(weights @ rows)
+    return np.asarray(weights @ np.ascontiguousarray(rows).view(float)).view(complex)
+
+
+def real_inner(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Re Σ_l a_il b̄_jl, (i, j), as one real product."""
+    return np.asarray(np.ascontiguousarray(a).view(float) @ np.ascontiguousarray(b).view(float).T)
+
+
+def power_of(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """|values|², without the root that ``abs`` takes."""
+    return np.asarray(values.real**2 + values.imag**2)
+
+
 def modal_kernel(
     frequencies_hz: ArrayLike, mode_hz: ArrayLike, damping_ratios: ArrayLike, quantity: str, rate: float = 0.0
 ) -> NDArray[np.complex128]:
@@ -114,9 +131,7 @@ def synthesise(
     residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(
         len(response_shapes) * len(reference_shapes), kernel.shape[0]
     )
-    # for real residues one real product over real and imaginary parts side by side, written where the result stays
-    out = residues @ kernel if np.iscomplexobj(residues) else (residues @ kernel.view(float)).view(complex)
-    return out.reshape(response_shapes.shape[0], reference_shapes.shape[0], kernel.shape[1])
+    return combined(residues, kernel).reshape(response_shapes.shape[0], reference_shapes.shape[0], kernel.shape[1])
 
 
 def synthesis_variance(

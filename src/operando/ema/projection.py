@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.pairs import Complex, Pairs, Real
-from operando.ema.polish_model import OUTSIDE_DAMPING, kernels
+from operando.ema.polish_model import OUTSIDE_DAMPING
 from operando.ema.start import OUTSIDE_FACTORS
+from operando.synthesis import combined, kernel_derivatives, modal_kernel, power_of, real_inner
 
 Coefficients = tuple[Real, Real, Real]
 """Residues a, quadrature parts b and shifts δ, each (P, n)."""
@@ -144,7 +145,7 @@ class _Columns:
 
 def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
     """Columns g, h (quadrature) and their derivatives by ln f and ln ζ: g, h, gf, hf, gz, hz, each (n, L)."""
-    g, gf, gz = kernels(f, poles.hz, poles.zeta, rate)
+    g, gf, gz = kernel_derivatives(f, poles.hz, poles.zeta, rate)
     c = (2j * np.pi * f[None, :] + rate) / (2 * np.pi * poles.hz[:, None])
     return g, g * c, gf, (gf - g) * c, gz, gz * c
 
@@ -152,7 +153,7 @@ def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex
 def tail_columns(f: Real, top_hz: float, bottom_hz: float, rate: float) -> Complex:
     """Kernels above the band and one below, a constant (free mass), 1/s and 1/s² (offset and drift under the window), (t, L)."""
     outside = np.array([factor * top_hz for factor in OUTSIDE_FACTORS] + [LOWER_FACTOR * bottom_hz])
-    kernel = kernels(f, outside, np.full(outside.size, OUTSIDE_DAMPING), rate)[0]
+    kernel = modal_kernel(f, outside, np.full(outside.size, OUTSIDE_DAMPING), "accelerance", rate)
     s = (2j * np.pi * f + rate) / (2 * np.pi * bottom_hz)
     return np.concatenate([kernel, np.ones((1, f.size)), 1 / s[None], 1 / s[None] ** 2])
 
@@ -167,14 +168,16 @@ def _columns(pairs: Pairs, poles: Poles, ends_hz: tuple[float, float]) -> _Colum
 def modal_power(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Real:
     """Σ_r|mode r in pair p|² + |tails|², (P, L): what a proportional model error is proportional to."""
     c = _columns(pairs, poles, ends_hz)
-    power = fit.a**2 @ np.abs(c.g) ** 2 + fit.b**2 @ np.abs(c.h) ** 2 + 2 * (fit.a * fit.b) @ (c.g * c.h.conj()).real
-    return np.asarray(np.maximum(power, 0) + np.abs(fit.tails @ c.tails) ** 2)
+    cross = c.g.real * c.h.real + c.g.imag * c.h.imag
+    power = fit.a**2 @ power_of(c.g) + fit.b**2 @ power_of(c.h) + 2 * (fit.a * fit.b) @ cross
+    return np.asarray(np.maximum(power, 0) + power_of(combined(fit.tails, c.tails)))
 
 
 def synthesis(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Complex:
     """FRFs of the fitted pairs on the lines of ``pairs``, (P, L)."""
     c = _columns(pairs, poles, ends_hz)
-    return np.asarray(fit.a @ c.g + fit.b @ c.h + fit.tails @ c.tails + fit.shifted @ np.concatenate([c.gf, c.hf]))
+    amounts = np.concatenate([fit.a, fit.b, fit.tails, fit.shifted], axis=1)
+    return combined(amounts, np.concatenate([c.g, c.h, c.tails, c.gf, c.hf]))
 
 
 CURVED_SHARE, CURVED_MOST = 0.1, 1.5
@@ -213,7 +216,7 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
         moved_by = np.clip(shift[:, r], -CURVED_MOST * poles.zeta[r], CURVED_MOST * poles.zeta[r])
         hz = poles.hz[r] * (1 + moved_by)
         near = np.abs(f - poles.hz[r]) < 2 * CURVED_MOST / np.sqrt(max(least, 1e-300)) * poles.zeta[r] * poles.hz[r]
-        moved = kernels(f[near], hz, np.full(hz.size, poles.zeta[r]), rate)[0]
+        moved = modal_kernel(f[near], hz, np.full(hz.size, poles.zeta[r]), "accelerance", rate)
         out[:, near] += a[:, r, None] * (moved - g[r, near] - moved_by[:, None] * gf[r, near])
         out[:, near] += b[:, r, None] * (moved * s[near] / (2 * np.pi * hz[:, None]) - h[r, near] - moved_by[:, None] * hf[r, near])
     return out
@@ -274,7 +277,7 @@ def largest(pairs: Pairs, poles: Poles) -> Real:
     In a pair near a node of both, two poles within a bandwidth of each other otherwise trade places and grow to any size.
     """
     out = np.empty((pairs.accelerance.shape[0], poles.hz.size))
-    g = kernels(pairs.frequencies_hz, poles.hz, poles.zeta, pairs.window_rate)[0]
+    g = modal_kernel(pairs.frequencies_hz, poles.hz, poles.zeta, "accelerance", pairs.window_rate)
     for r, hz in enumerate(poles.hz):
         distance = np.abs(pairs.frequencies_hz - hz)
         near = distance <= max(PEAK_WIDTHS * poles.zeta[r] * hz, DRIFT_MOST * hz, np.partition(distance, PEAK_LINES)[PEAK_LINES])
@@ -304,17 +307,13 @@ def _grams(columns: Complex, weight: Real) -> Real:
     return out
 
 
-def _against(weighted: Complex, columns: Complex) -> Real:
-    """Re Σ_l w h c̄, (P, K)."""
-    return np.asarray(weighted.real @ columns.real.T + weighted.imag @ columns.imag.T)
-
-
 def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, most: Real, before: _Before | None) -> tuple[Any, ...]:
     """One chunk of pairs: what :class:`Projection` holds, sums last."""
     n, t = c.g.shape[0], c.tails.shape[0]
     core = 2 * n + t
     by_f, by_hf = slice(core, core + n), slice(core + 2 * n, core + 3 * n)
     weight = 1 / variance
+    shift_columns = np.concatenate([c.gf, c.hf])
     gram = _grams(stack, weight)
     if before is None:
         matrix = gram[:, :core, :core].copy()
@@ -344,21 +343,22 @@ def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles
     error = h
     for _ in range(2):  # refined once: next to strong peaks rounding is more than what pulls the poles
         rest = error * weight
-        pull = _against(rest, stack)
+        pull = real_inner(rest, stack)
         pulls = pull[:, :core]
         if before is not None:
             by_shifts = pull[:, by_f] * before[0] + pull[:, by_hf] * before[1]
             pulls = np.concatenate([pulls, by_shifts], axis=1)
         x += np.einsum("pij,pj->pi", inverse, pulls / scale - prior * scale * x) / scale
-        error = h - x[:, :core] @ stack[:core]
+        error = h - combined(x[:, :core], stack[:core])
         if before is not None:
-            error -= (x[:, core:] * before[0]) @ c.gf + (x[:, core:] * before[1]) @ c.hf
+            shifts = x[:, core:]
+            error -= combined(np.concatenate([shifts * before[0], shifts * before[1]], axis=1), shift_columns)
     coefficients = x * scale
     a, b, tails = x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core]
     shift = x[:, core:] if before is not None else np.zeros_like(a)
     shifted = np.zeros((a.shape[0], 2 * n)) if before is None else np.concatenate([shift * before[0], shift * before[1]], axis=1)
     # from the residuals: as a difference of sums over strong peaks it would be lost in rounding
-    cost = np.sum(np.abs(error) ** 2 * weight, axis=1) + np.sum(prior * coefficients**2, axis=1)
+    cost = np.sum(power_of(error) * weight, axis=1) + np.sum(prior * coefficients**2, axis=1)
     # Jacobian columns a·gf + b·hf, a·gz + b·hz, against the fitted columns and each other; gradient by the envelope theorem
     moved_by = np.concatenate([a, a, b, b], axis=1)
     against = gram[:, :core, core:] * moved_by[:, None, :]
@@ -371,7 +371,7 @@ def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles
     scaled = against / scale[:, :, None]
     solved = inverse @ scaled
     normal = own - np.tensordot(scaled, solved, axes=([0, 1], [0, 1]))
-    pull = moved_by * _against(error * weight, stack[core:])
+    pull = moved_by * real_inner(error * weight, stack[core:])
     gradient = pull[:, : 2 * n] + pull[:, 2 * n :]
     posterior = np.einsum("pii->pi", inverse)
     # evidence of the mode's two columns: cᵀ (inverse block)⁻¹ c
