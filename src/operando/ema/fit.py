@@ -446,7 +446,7 @@ def _right_quantity(pairs: Pairs, start: Poles) -> tuple[Pairs, list[Finding]]:
     thinned = pairs.lines(informative_lines(pairs.frequencies_hz, start.hz, start.zeta))
     ends = float(pairs.frequencies_hz[0]), float(pairs.frequencies_hz[-1])
     variance = thinned.noise + 0.05**2 * np.abs(thinned.accelerance) ** 2
-    fit = project(thinned, start, variance, None, ends)
+    fit = project(thinned, start, variance, None, ends, with_slopes=False)
     residues = fit.a + 1j * fit.b
     strength = fit.evidence.sum(axis=0)
     clear = strength > 0.01 * strength.max()

@@ -181,7 +181,7 @@ def fit_linear(
     known = hold or before
     first = pairs.noise + START_SHARE**2 * np.abs(pairs.accelerance) ** 2 if known is None else known.total
     least = np.inf if known is None else CURVED_SHARE * float(np.median(known.alpha))
-    now = project(pairs, poles, first, start, ends_hz, least)
+    now = project(pairs, poles, first, start, ends_hz, least, with_slopes=False)
     for number in range(rounds):
         variance = hold or fit_variance(now.error, modal_power(pairs, poles, now, ends_hz), pairs.noise, pairs.noise_known)
         least = CURVED_SHARE * float(np.median(variance.alpha))
