@@ -196,7 +196,8 @@ def fit_linear(
         bent = float(np.sum(np.abs(now.curvature - last) ** 2 / variance.total))
         if number >= 2 and max(fall, bent) < SETTLED * last.size:
             break
-    now = project(pairs, poles, variance.total, now.coefficients, ends_hz, least)
+    else:
+        now = project(pairs, poles, variance.total, now.coefficients, ends_hz, least)
     nu = line_correlation(now.error, variance.total)
     return _sorted(LinearFit(pairs, poles, now, variance, _covariance(pairs, now, nu), nu, ends_hz))
 

@@ -199,14 +199,23 @@ def _noise(runs: Sequence[RunSpectra], fit: Polished, f: Real) -> Real:
     g = _outside_kernel(f, fit.parameters.outside_hz)
     parts = []
     for run, (_, information) in zip(runs, fit.local_estimates, strict=True):
-        b = information.shape[0] // run.response_rows.size
-        d = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        inverse = np.linalg.inv(information / np.outer(d, d) + 1e-10 * np.eye(d.size)) / np.outer(d, d)
-        for j in range(run.response_rows.size):
+        m = run.response_rows.size
+        # of all responses together, or of each apart where nothing joins them
+        blocks = _inverses(information if information.ndim == 3 else information[None])
+        b = blocks.shape[1] * blocks.shape[0] // m
+        for j in range(m):
+            block, first = (blocks[j], 0) if information.ndim == 3 else (blocks[0], j * b)
             for k in range(run.forces.shape[0]):
-                at = j * b + k * q + np.arange(q)
-                parts.append(np.einsum("ql,qp,pl->l", g, inverse[np.ix_(at, at)], g, optimize=True))
+                at = first + k * q + np.arange(q)
+                parts.append(np.einsum("ql,ql->l", g, block[np.ix_(at, at)] @ g))
     return np.maximum(np.mean(parts, axis=0), 0)
+
+
+def _inverses(information: Real) -> Real:
+    """Inverses of several matrices, each scaled to a diagonal of 1."""
+    d = np.sqrt(np.maximum(np.einsum("kii->ki", information), 1e-300))
+    outer = d[:, :, None] * d[:, None, :]
+    return np.asarray(np.linalg.inv(information / outer + 1e-10 * np.eye(d.shape[1])) / outer)
 
 
 def _most_telling(target: Real, known: NDArray[np.bool_], count: int) -> list[int]:

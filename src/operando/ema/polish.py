@@ -47,8 +47,9 @@ class Polished:
     parameters : Parameters
     covariance : (p, p) array
         Of [ln f, ln ζ, shapes mode by mode].
-    local_estimates : tuple of (coefficients (m·b,), information (m·b, m·b))
-        For each run the local coefficients response by response and their information given the modes, transients eliminated.
+    local_estimates : tuple of (coefficients (m·b,), information (m·b, m·b) or (m, b, b))
+        For each run the local coefficients response by response and their information given the modes, transients eliminated; response
+        by response where nothing joins them.
     cost : float
         Σ eᴴC⁻¹e over runs and lines.
     n_data : int
@@ -99,7 +100,7 @@ class _Equations:
     normal, right : (p, p), (p,) arrays
     back : tuple of (base, slope, scale, gradient)
         For each run: its own unknowns are (base − slope·step)/scale.
-    local : tuple of (m·b, m·b) arrays
+    local : tuple of (m·b, m·b) or (m, b, b) arrays
         Normal matrix of the local coefficients of each run given the modes, transients eliminated.
     """
 
@@ -370,7 +371,9 @@ def _local_normal(run: RunSpectra, n: int, normal: Real, n_global: int) -> Real:
     first = n_global + (0 if run.step_s is None else 2 * n)
     block = normal[first:, first:]
     if first == n_global:
-        return block.copy()
+        m = run.response_rows.size
+        blocks = block.reshape(m, block.shape[0] // m, m, block.shape[0] // m)
+        return block.copy() if np.any(run.force_variance > 0) else np.array(blocks[np.arange(m), :, np.arange(m)])
     cross = normal[n_global:first, first:]
     inner = normal[n_global:first, n_global:first]
     d = np.sqrt(np.maximum(np.diag(inner), 1e-300))
