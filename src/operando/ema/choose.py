@@ -120,8 +120,7 @@ def choose_modes(
 
 
 def _settled(fit: LinearFit) -> LinearFit:
-    settled = fit.projection.coefficients
-    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=settled, before=fit.variance, rounds=SETTLE_ROUNDS)
+    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=fit.projection, before=fit.variance, rounds=SETTLE_ROUNDS)
 
 
 def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:

@@ -207,7 +207,9 @@ def parameter_map(run: RunSpectra, theta: Parameters, offset: int) -> tuple[NDAr
 
 def predict(run: RunSpectra, theta: Parameters, index: int, model: RunModel) -> Complex:
     """Modelled responses (m, L)."""
-    return combined(np.concatenate([theta.shapes[run.response_rows], theta.local[index]], axis=1), np.concatenate([model.modal, model.local]))
+    return combined(
+        np.concatenate([theta.shapes[run.response_rows], theta.local[index]], axis=1), np.concatenate([model.modal, model.local])
+    )
 
 
 def transfer(run: RunSpectra, theta: Parameters, index: int, model: RunModel) -> Complex:

@@ -11,7 +11,6 @@ from scipy import fft
 
 from operando.errors import IdentificationError
 
-
 CACHE_VALUES = 300_000
 """Samples of all channels transformed at a time: few enough that they and their spectra stay in the cache."""
 
