@@ -164,28 +164,29 @@ def synthesis_variance(
     n, m = mode_hz.size, shapes.shape[0]
     out_rows, in_rows = np.asarray(responses, int), np.asarray(references, int)
     kernel = modal_kernel(frequencies_hz, mode_hz, damping_ratios, quantity)
-    w = 2 * np.pi * np.asarray(frequencies_hz, float)[None, :]
+    w = 2 * np.pi * np.asarray(frequencies_hz, float)
     wr = 2 * np.pi * mode_hz[:, None]
     z = damping_ratios[:, None]
     # ∂/∂p of (iω)^a/D is −kernel/D·∂D/∂p.
-    over = -kernel / (wr**2 - w**2 + 2j * z * wr * w)
-    by_hz = over * (2 * wr + 2j * z * w) * 2 * np.pi
-    by_zeta = over * 2j * wr * w
+    over = -kernel * modal_kernel(frequencies_hz, mode_hz, damping_ratios, "receptance")
+    base = np.concatenate([over * (2 * wr + 2j * z * w) * 2 * np.pi, over * 2j * wr * w, kernel])
+    parts = base.view(float)
     mode = np.arange(n)
-    result = np.empty((out_rows.size, in_rows.size, w.shape[1]))
+    result = np.empty((out_rows.size, in_rows.size, w.size))
     done: dict[tuple[int, int], NDArray[np.float64]] = {}
     for a, i in enumerate(out_rows):
         for b, j in enumerate(in_rows):
             key = (min(i, j), max(i, j))
             if key not in done:
-                product = (shapes[i] * shapes[j])[:, None]
+                product = shapes[i] * shapes[j]
                 # On a drive point both terms act on the same row: the index stands twice and the terms add up.
-                gradient = np.concatenate([product * by_hz, product * by_zeta, shapes[j][:, None] * kernel, shapes[i][:, None] * kernel])
                 index = np.concatenate([mode, n + mode, 2 * n + mode * m + i, 2 * n + mode * m + j])
-                part = covariance[np.ix_(index, index)]
-                value = np.zeros(w.shape[1])
-                for g in (gradient.real, gradient.imag):
-                    value += np.einsum("kl,kl->l", g, part @ g)
-                done[key] = np.maximum(value, 0)
+                factor = np.concatenate([product, product, shapes[j], shapes[i]])
+                part = covariance[np.ix_(index, index)] * np.outer(factor, factor)
+                # both shape values come with the kernel
+                part[:, 2 * n : 3 * n] += part[:, 3 * n :]
+                part[2 * n : 3 * n] += part[3 * n :]
+                squares = np.einsum("kl,kl->l", parts, part[: 3 * n, : 3 * n] @ parts)
+                done[key] = np.maximum(squares[::2] + squares[1::2], 0)
             result[a, b] = done[key]
     return result
