@@ -22,6 +22,9 @@ RIDGE = 1e-9
 GRAM_BYTES, CACHE_BYTES = 2.5e8, 2e6
 """Gram matrices held at a time, and those of them that are worked on together."""
 
+GEMM_ROWS = 400
+"""Rows of a product over the lines."""
+
 Four = tuple[Real, Real, Real, Real]
 """Amounts of g, h, r and q of each mode, each (P, n)."""
 
@@ -251,17 +254,15 @@ def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
     re, im, w0 = np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag), np.tile(c.w0, len(kinds) // 2)
     by_omega, by_square, rate = weight * s.imag, weight * power_of(s), float(s.real[0])
     out = np.empty((weight.shape[0], k, k))
-    real, imag, more = np.empty_like(re), np.empty_like(re), np.empty_like(re)
+    sums = (np.zeros((0, 0, 0)),) * 3
+    begin = stop = 0
     for i in range(w0.size):
+        if i >= stop:  # a few rows at a time: a product of larger matrices is faster
+            begin, stop = i, min(w0.size, i + max(1, GEMM_ROWS // (w0.size - i)))
+            sums = _triple_sums(re, im, slice(begin, stop), (weight, by_omega, by_square))
+        plain, cross, square = (part[:, i - begin, i - begin :] for part in sums)
         rest = slice(i, None)
-        np.multiply(re[i], re[rest], out=real[rest])
-        np.multiply(im[i], im[rest], out=more[rest])
-        real[rest] += more[rest]
-        np.multiply(im[i], re[rest], out=imag[rest])
-        np.multiply(re[i], im[rest], out=more[rest])
-        imag[rest] -= more[rest]
-        plain, cross, square = weight @ real[rest].T, by_omega @ imag[rest].T, by_square @ real[rest].T
-        square /= w0[i] * w0[rest]
+        square = square / (w0[i] * w0[rest])
         plain_cross, cross_plain = (rate * plain + cross) / w0[rest], (rate * plain - cross) / w0[i]
         own, row = divmod(i, n)
         for other in range(own, len(kinds) // 2):
@@ -279,6 +280,17 @@ def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
         row_i = weight @ (re[i] * re + im[i] * im).T
         out[:, : i + 1, i], out[:, i, i:] = row_i[:, : i + 1], row_i[:, i:]
     return out
+
+
+def _triple_sums(re: Real, im: Real, rows: slice, weights: tuple[Real, Real, Real]) -> tuple[Real, Real, Real]:
+    """Σw Re z, Σw′ Im z and Σw″ Re z of z = u_i ū_j for some i and all j from the first of them on, each (P, i, j)."""
+    real = re[rows, None] * re[None, rows.start :]
+    real += im[rows, None] * im[None, rows.start :]
+    imag = im[rows, None] * re[None, rows.start :]
+    imag -= re[rows, None] * im[None, rows.start :]
+    shape, lines = (-1, *real.shape[:2]), real.shape[2]
+    plain, cross, square = (w @ z.reshape(-1, lines).T for w, z in zip(weights, (real, imag, real), strict=True))
+    return plain.reshape(shape), cross.reshape(shape), square.reshape(shape)
 
 
 def _mirrored(upper: Real) -> Real:
