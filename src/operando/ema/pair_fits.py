@@ -130,7 +130,8 @@ class PairFits:
 def modal_columns(f: Real, hz: Real, zeta: Real, tails: Complex, rate: float) -> Columns:
     """The columns of modes on lines f [Hz] of FRFs under an exponential window of this rate."""
     n, t = hz.size, tails.shape[0]
-    s, w0 = 2j * np.pi * f + rate, 2 * np.pi * hz
+    s: Complex = np.asarray(2j * np.pi * f + rate, complex)
+    w0 = 2 * np.pi * hz
     squared = s * s
     rows = np.empty((4 * n + t, f.size), complex)
     rows[2 * n : 2 * n + t] = tails
@@ -204,7 +205,8 @@ def fit_pairs(
         amounts = x[:, :core]
         if shifts is not None:
             moved = x[:, core:]
-            amounts = c.amounts(x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core], (*(moved * part for part in shifts),))
+            shifted = moved * shifts[0], moved * shifts[1], moved * shifts[2], moved * shifts[3]
+            amounts = c.amounts(x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core], shifted)
         error = data - combined(amounts, rows[: amounts.shape[1]])
     a, b, tails = x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core]
     shift = np.zeros_like(a) if shifts is None else x[:, core:]

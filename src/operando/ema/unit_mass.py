@@ -146,7 +146,7 @@ def _one_shape(
         if not scaled:
             pull -= prior * np.where(prior > 2 * prior.min(), phi - centre, 0.0)
         step = np.linalg.solve(normal, pull)
-        step *= min(1.0, 0.5 * np.linalg.norm(phi) / max(float(np.linalg.norm(step)), 1e-300))
+        step *= min(1.0, 0.5 * float(np.linalg.norm(phi)) / max(float(np.linalg.norm(step)), 1e-300))
         phi = phi + step
         if np.linalg.norm(step) < 1e-9 * np.linalg.norm(phi):
             break
