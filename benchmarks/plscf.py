@@ -30,7 +30,10 @@ from operando.synthesis import modal_kernel, synthesise  # noqa: E402
 
 
 def plate(n_resp: int, n_ref: int, n_modes: int, n_lines: int, noise: float, seed: int = 0):
-    """Random shapes, modes spread over the band with the even density of a plate; noise relative to the rms FRF."""
+    """Random shapes, modes spread over the band with the even density of a plate; noise relative to the rms FRF.
+
+    Returns lines, FRFs, frequencies, damping ratios, standard deviation of the noise, shapes.
+    """
     rng = np.random.default_rng(seed)
     f = np.linspace(10, 500, n_lines)
     hz = np.linspace(20, 490, n_modes) + rng.uniform(-2, 2, n_modes)
@@ -42,7 +45,7 @@ def plate(n_resp: int, n_ref: int, n_modes: int, n_lines: int, noise: float, see
     H = (residues @ kernel).reshape(n_resp, n_ref, n_lines)
     sigma = noise * np.sqrt(np.mean(np.abs(H) ** 2))
     H += sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
-    return f, H, hz, zeta, sigma
+    return f, H, hz, zeta, sigma, shapes
 
 
 def cpu(function, repeats: int):
@@ -138,7 +141,7 @@ def in_turn(ours, theirs, repeats):
 
 def pole_rows(quick):
     """Poles of all orders."""
-    f, H, hz, zeta, _ = plate(200, 4, 40, 2000, 0.01)
+    f, H, hz, zeta, *_ = plate(200, 4, 40, 2000, 0.01)
     theirs_now = (lambda: None) if quick else (lambda: polypy(f, H, range(2, 61)))
     ours, theirs, orders, peer = in_turn(lambda: plscf(f, H, max_order=30), theirs_now, 2)
     best = orders[-1]
@@ -172,12 +175,13 @@ def residue_rows(quick):
     """Residues for given poles."""
     out = []
     for n_resp, n_ref, n_lines, n_modes in [(200, 4, 2000, 40), (100, 4, 4000, 60)][: 1 if quick else 2]:
-        f, H, hz, zeta, _ = plate(n_resp, n_ref, n_modes, n_lines, 0.01)
+        f, H, hz, zeta, sigma, shapes = plate(n_resp, n_ref, n_modes, n_lines, 0.01)
         lam = 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        u = np.random.default_rng(0).standard_normal((n_ref, n_modes))  # any will do for the time, and for whether both fit alike
+        u = shapes[:n_ref]
         peer = lambda: None if quick else multireference(f, H, hz, zeta, u)  # noqa: B023, E731
         ours, theirs, found, other = in_turn(lambda: lsfd(f, H, lam, participation=u), peer, 3)  # noqa: B023
-        accuracy = None if other is None else f"fits equal to {np.max(np.abs(found.frf(f) - other[1])) / np.max(np.abs(other[1])):.1e}"
+        left = [float(np.sqrt(np.mean(np.abs(fit - H) ** 2)) / sigma) for fit in (found.frf(f), *(() if other is None else (other[1],)))]
+        accuracy = f"remainder {left[0]:.4f} of the noise" + ("" if other is None else f" (sdynpy {left[1]:.4f})")
         size = f"{n_resp} x {n_ref}, {n_lines} lines, {n_modes} modes"
         out.append(row("LSFD, shapes of all references", size, ours, "sdynpy compute_shapes_multireference", theirs, 15, accuracy))
     return out
