@@ -130,22 +130,23 @@ def large_row():
     return out | {"peer_mb": 500.0, "ratio": min(3.0 / seconds, 500.0 / max(memory, 1e-9))}
 
 
-ROWS, ORDER, BLOCKS = 15, 20, 50
+ROWS, ORDER, BLOCKS = 20, 30, 50
 
 
 def own_uncertainty(data):
     """Poles of all orders and their standard deviations: correlations in blocks, every pole of every order."""
     from operando.oma.correlation import correlate
     from operando.oma.subspace import factorise_weighted, poles_of_orders, realise
-    from operando.oma.uncertainty import covariance_of_mean, normalised_changes, perturb
+    from operando.oma.uncertainty import block_products, covariance_of_mean, normalised_changes, perturb
 
     references = np.arange(data.shape[0])
     correlations = correlate(data, references, 2 * ROWS, BLOCKS)
     factors = factorise_weighted(correlations.mean, references, ROWS, 2 * ORDER, data.shape[1], "none")
     realisation = realise(factors, data.shape[0])
+    products = block_products(correlations, factors, ROWS)
     out = []
     for poles in poles_of_orders(realisation, range(2, ORDER + 1), FS):
-        change = perturb(correlations, factors, realisation, poles, np.arange(poles.hz.size), ROWS, FS)
+        change = perturb(correlations, factors, realisation, poles, np.arange(poles.hz.size), ROWS, FS, products)
         changes = normalised_changes(np.log(poles.mu) * FS, poles.shapes, change)
         out.append((poles, np.sqrt(np.diag(covariance_of_mean(changes, correlations.weights)))[: 2 * poles.hz.size].reshape(2, -1)))
     return out
@@ -163,7 +164,7 @@ def pyoma_uncertainty(data):
 
 def uncertainty_row(draws):
     """Uncertainty of every pole of every order, and stated deviations over the scatter of fresh records."""
-    plate = Plate(n_sensors=6, n_forces=8)
+    plate = Plate(n_sensors=12, n_forces=8)
     true = plate.hz[plate.hz < 0.4 * FS]
     near = lambda hz: np.array([int(np.nanargmin(np.abs(hz - f))) for f in true])  # noqa: E731
     found, stated = [], []
@@ -185,7 +186,7 @@ def uncertainty_row(draws):
         at = near(other[0][:, -1])
         theirs = [np.median(other[i][at, -1] / scatter[k]) for k, i in enumerate((4, 5))]
         text += f" (pyOMA-2, one record: {theirs[0]:.2f}, {theirs[1]:.2f})"
-    size = f"6 x 60k, {ROWS} block rows, orders to {ORDER}, {BLOCKS} blocks"
+    size = f"12 x 60k, {ROWS} block rows, orders to {ORDER}, {BLOCKS} blocks"
     return row("SSI-cov, uncertainty of all poles", size, fast, "pyOMA-2 calc_unc", slow, 20.0, text)
 
 

@@ -11,8 +11,9 @@ from scipy import fft
 
 from operando.errors import IdentificationError
 
-CACHE_VALUES = 300_000
-"""Samples of all channels transformed at a time: few enough that they and their spectra stay in the cache."""
+CACHE_VALUES, MOST_VALUES = 300_000, 4_000_000
+"""Samples of all channels transformed at a time: few enough that they and their spectra stay in the cache, but as many pieces as there
+are channels within the second limit, so that the sum of cross spectra is not written more often than the pieces are."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def correlate(
     blocks = np.empty((n_blocks, n_lags + 1, r, q), np.float32) if keep_blocks else None
     step = -(-length // max(1, round(length / (chunk or max(1024, 8 * n_lags)))))
     size = fft.next_fast_len(step + n_lags, real=True)
-    group = max(1, CACHE_VALUES // (r * size))
+    group = max(1, CACHE_VALUES // (r * size), min(r, MOST_VALUES // (r * size)))
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
     offset = data.mean(axis=1, dtype=float)[:, None] if centre else 0.0
 
