@@ -58,7 +58,7 @@ class EmaDetails:
     fit_band_hz : (float, float)
         Lines that the fit used.
     misfit_by_dof : (n_dofs,) array
-        Held-out misfit of each response DOF; NaN where it was not measured.
+        Held-out misfit of each response DOF (of each hit point where a roving hammer is polished); NaN where it was not measured.
     fit_misfit : float
         Mean of eᴴC⁻¹e/m on the lines of the fit.
     converged : bool
