@@ -104,8 +104,6 @@ def perturb(
     ValueError
         If the correlations hold no blocks.
     """
-    if correlations.blocks is None:
-        raise ValueError("correlations of blocks are needed")
     products = block_products(correlations, factors, rows) if blocks is None else blocks
     n, r = poles.order, realisation.n_channels
     columns = np.asarray(modes, int)
