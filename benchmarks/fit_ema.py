@@ -22,6 +22,8 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from rows import report, row  # noqa: E402
+
 CASES = {
     "200 x 4, 4000 lines, 60 modes": (200, 4, 60, 4000, 60.0),
     "roving hammer, 3 x 100, 2000 lines, 40 modes": (3, 100, 40, 2000, 60.0),
@@ -85,16 +87,6 @@ def child(arguments):
     return text, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3
 
 
-def row(stage, size, seconds, limit, memory, memory_limit=None, accuracy=None):
-    """One row of the common form; the ratio is that of the limit which is nearer."""
-    ratios = [a / b for a, b in ((limit, seconds), (memory_limit, memory)) if a is not None]
-    return {
-        "stage": stage, "size": size, "ours_s": seconds, "peer": "limit" if ratios else None, "peer_s": limit,
-        "ratio": min(ratios) if ratios else None, "goal": 1.0 if ratios else None, "ours_mb": memory, "peer_mb": memory_limit,
-        "accuracy": accuracy,
-    }  # fmt: skip
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", metavar="FILE", help="write the rows here")
@@ -109,17 +101,14 @@ def main():
     for size, (*numbers, limit) in list(CASES.items())[2 if options.quick else 0 :]:
         text, _, memory = child([str(Path(__file__).resolve()), "--one", ",".join(map(str, numbers))])
         found = json.loads(text)
-        rows.append(row("EMA, FRFs to modes with σ", size, found["seconds"], limit, memory, None, found["accuracy"]))
+        peer = None if limit is None else "limit"
+        rows.append(row("EMA, FRFs to modes with σ", size, found["seconds"], peer, limit, None, found["accuracy"], memory))
     tests = [(EXAMPLE, 15.0), *((Path(p), 12.0) for p in options.case)]
     for path, limit in tests:
         with tempfile.TemporaryDirectory() as folder:
             _, seconds, memory = child(["-m", "operando", "run", str(path), "-o", str(Path(folder) / "out")])
-        rows.append(row("Whole run, raw files to report", path.parent.name, seconds, limit, memory, 500.0))
-    for r in rows:
-        limit = "" if r["peer_s"] is None else f" (limit {r['peer_s']:g} s)"
-        print(f"{r['stage']}, {r['size']}: {r['ours_s']:.1f} s{limit}, {r['ours_mb']:.0f} MB; {r['accuracy'] or ''}")
-    if options.json:
-        Path(options.json).write_text(json.dumps(rows, indent=1), encoding="utf-8")
+        rows.append(row("Whole run, raw files to report", path.parent.name, seconds, "limit", limit, None, None, memory, 500.0))
+    report(rows, options.json)
 
 
 if __name__ == "__main__":

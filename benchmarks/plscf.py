@@ -11,11 +11,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
-import json
 import os
 import time
 import warnings
-from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
@@ -27,6 +25,7 @@ import numpy as np  # noqa: E402
 from operando.ema.lsfd import lsfd  # noqa: E402
 from operando.ema.plscf import plscf  # noqa: E402
 from operando.synthesis import modal_kernel, synthesise  # noqa: E402
+from rows import report, row  # noqa: E402
 
 
 def plate(n_resp: int, n_ref: int, n_modes: int, n_lines: int, noise: float, seed: int = 0):
@@ -118,15 +117,6 @@ def errors(hz, zeta, found_hz, found_zeta):
     }
 
 
-def row(stage, size, ours, peer, theirs, goal, accuracy=None):
-    """One row of the common form."""
-    ratio = None if theirs is None else theirs / ours
-    return {
-        "stage": stage, "size": size, "ours_s": ours, "peer": peer, "peer_s": theirs, "ratio": ratio, "goal": goal,
-        "ours_mb": None, "peer_mb": None, "accuracy": accuracy,
-    }  # fmt: skip
-
-
 def in_turn(ours, theirs, repeats):
     """Median seconds of ours and theirs (None where it is not installed), one after the other, and both last results."""
     own, other, mine, peer = [], [], None, None
@@ -167,7 +157,7 @@ def pole_rows(quick):
         seconds, _ = cpu(lambda: plscf(f, H, max_order=order), 3)  # noqa: B023
         limit = 1.5 if order == 75 else None
         size = f"{n_resp} x {n_ref}, {n_lines} lines, {order * n_ref} poles"
-        out.append(row("pLSCF, growth", size, seconds, "limit" if limit else None, limit, 1 if limit else None))
+        out.append(row("pLSCF, growth", size, seconds, "limit" if limit else None, limit))
     return out
 
 
@@ -212,11 +202,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="without sdynpy and the large sizes")
     options = parser.parse_args()
     rows = [*synthesis_rows(), *residue_rows(options.quick), *pole_rows(options.quick)]
-    for r in rows:
-        theirs = "not installed" if r["peer_s"] is None else f"{r['peer_s']:.3f} s, ratio {r['ratio']:.1f}"
-        print(f"{r['stage']}, {r['size']}: {r['ours_s']:.4f} s; {r['peer']}: {theirs}; {r['accuracy'] or ''}")
-    if options.json:
-        Path(options.json).write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    report(rows, options.json)
 
 
 if __name__ == "__main__":

@@ -10,15 +10,14 @@ memory of 64 channels × 1 000 000 samples. pyOMA-2's uncertainty is right with 
 from __future__ import annotations
 
 import argparse
-import json
 import resource
 import time
-from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from coverage_oma import Plate
+from rows import report, row
 
 FS = 256.0
 
@@ -65,15 +64,6 @@ def cpu(function, *arguments):
     start = time.process_time()
     result = function(*arguments)
     return time.process_time() - start, result
-
-
-def row(stage, size, ours, peer, theirs, goal, accuracy=None, ours_mb=None):
-    """One row of the common form."""
-    ratio = None if theirs is None else theirs / ours
-    return {
-        "stage": stage, "size": size, "ours_s": ours, "peer": peer, "peer_s": theirs, "ratio": ratio, "goal": goal,
-        "ours_mb": ours_mb, "peer_mb": None, "accuracy": accuracy,
-    }  # fmt: skip
 
 
 def installed():
@@ -126,8 +116,7 @@ def large_row():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     seconds, _ = cpu(own, data, 30, 120)
     memory = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e3
-    out = row("SSI-cov, all orders", "64 x 1000k, 30 block rows, orders to 120", seconds, "limit", 3.0, 1.0, None, memory)
-    return out | {"peer_mb": 500.0, "ratio": min(3.0 / seconds, 500.0 / max(memory, 1e-9))}
+    return row("SSI-cov, all orders", "64 x 1000k, 30 block rows, orders to 120", seconds, "limit", 3.0, None, None, memory, 500.0)
 
 
 ROWS, ORDER, BLOCKS = 20, 30, 50
@@ -198,12 +187,7 @@ def main():
     own(np.random.default_rng(0).standard_normal((3, 4000)), 10, 10)
     rows = [] if options.quick else [large_row()]
     rows += [uncertainty_row(12 if options.quick else 60), *size_rows(options.quick)]
-    for r in rows:
-        theirs = "not installed" if r["peer_s"] is None else f"{r['peer_s']:.2f} s, ratio {r['ratio']:.1f}"
-        memory = "" if r["ours_mb"] is None else f", {r['ours_mb']:.0f} MB"
-        print(f"{r['stage']}, {r['size']}: {r['ours_s']:.3f} s{memory}; {r['peer']}: {theirs}; {r['accuracy'] or ''}")
-    if options.json:
-        Path(options.json).write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    report(rows, options.json)
 
 
 if __name__ == "__main__":
