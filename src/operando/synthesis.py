@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,58 @@ from operando.errors import DataError
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
-def modal_kernel(frequencies_hz: ArrayLike, mode_hz: ArrayLike, damping_ratios: ArrayLike, quantity: str) -> NDArray[np.complex128]:
-    """(iω)^p / (ω_r² − ω² + 2iζ_r ω_r ω) for each mode and line.
+_CACHE_VALUES = 4096
+"""Complex values worked on at a time (64 kB): temporaries then stay in the cache, which is five to seven times as fast."""
+
+
+def row_blocks(n_rows: int, n_lines: int) -> Iterator[slice]:
+    """Rows of an (n_rows, n_lines) array in blocks that stay in the cache."""
+    size = max(1, _CACHE_VALUES // max(n_lines, 1))
+    return (slice(start, start + size) for start in range(0, n_rows, size))
+
+
+def compliance(s: NDArray[np.complex128], w0: NDArray[np.float64], zeta: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """1 / (ω₀² + 2ζω₀s + s²) of each mode (rows) and line: in real arithmetic, a complex division costs several times as much."""
+    w0, zeta = w0[:, None], zeta[:, None]
+    squared = s * s
+    real = (w0 * w0 + squared.real) + 2 * zeta * w0 * s.real
+    imag = 2 * zeta * w0 * s.imag + squared.imag
+    size = real * real + imag * imag
+    out = np.empty(real.shape, complex)
+    np.divide(real, size, out=out.real)
+    np.divide(imag, -size, out=out.imag)
+    return out
+
+
+def combined(weights: NDArray[Any], rows: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Σ_k weights_ik rows_k: for real weights one real product over real and imaginary parts side by side."""
+    if np.iscomplexobj(weights):
+        return np.asarray(weights @ rows)
+    return np.asarray(weights @ np.ascontiguousarray(rows).view(float)).view(complex)
+
+
+def real_inner(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Re Σ_l a_il b̄_jl, (i, j), as one real product."""
+    return np.asarray(np.ascontiguousarray(a).view(float) @ np.ascontiguousarray(b).view(float).T)
+
+
+def power_of(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """|values|², without the root that ``abs`` takes."""
+    return np.asarray(values.real**2 + values.imag**2)
+
+
+def modal_kernel(
+    frequencies_hz: ArrayLike, mode_hz: ArrayLike, damping_ratios: ArrayLike, quantity: str, rate: float = 0.0
+) -> NDArray[np.complex128]:
+    """s^p / (ω_r² + 2ζ_r ω_r s + s²) for each mode and line.
+
+    Parameters
+    ----------
+    frequencies_hz : (n_lines,) array
+    mode_hz, damping_ratios : (n_modes,) arrays
+    quantity : {"accelerance", "mobility", "receptance"}
+    rate : float
+        β [1/s] of an exponential window: s = iω + β.
 
     Returns
     -------
@@ -27,10 +78,31 @@ def modal_kernel(frequencies_hz: ArrayLike, mode_hz: ArrayLike, damping_ratios: 
     """
     if quantity not in _POWER:
         raise DataError(f"quantity {quantity!r} is none of {', '.join(_POWER)}")
-    w = 2 * np.pi * np.asarray(frequencies_hz, float)[None, :]
-    wr = 2 * np.pi * np.asarray(mode_hz, float)[:, None]
-    z = np.asarray(damping_ratios, float)[:, None]
-    return (1j * w) ** _POWER[quantity] / (wr**2 - w**2 + 2j * z * wr * w)
+    s = 2j * np.pi * np.asarray(frequencies_hz, float) + rate
+    w0, zeta = 2 * np.pi * np.asarray(mode_hz, float), np.asarray(damping_ratios, float)
+    top = s ** _POWER[quantity]
+    out = np.empty((w0.size, s.size), complex)
+    for rows in row_blocks(*out.shape):
+        np.multiply(compliance(s, w0[rows], zeta[rows]), top, out=out[rows])
+    return out
+
+
+def kernel_derivatives(
+    frequencies_hz: ArrayLike, mode_hz: ArrayLike, damping_ratios: ArrayLike, rate: float = 0.0
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+    """The accelerance kernel g of each mode and line and its derivatives by ln f_r and ln ζ_r, each (n_modes, n_lines)."""
+    s = 2j * np.pi * np.asarray(frequencies_hz, float) + rate
+    w0, zeta = 2 * np.pi * np.asarray(mode_hz, float), np.asarray(damping_ratios, float)
+    squared = s * s
+    g, by_hz, by_zeta = (np.empty((w0.size, s.size), complex) for _ in range(3))
+    for rows in row_blocks(*g.shape):
+        inverse = compliance(s, w0[rows], zeta[rows])
+        np.multiply(inverse, squared, out=g[rows])
+        inverse *= -g[rows]
+        np.multiply(inverse, (2 * zeta[rows] * w0[rows])[:, None] * s, out=by_zeta[rows])
+        np.multiply(inverse, (2 * w0[rows] ** 2)[:, None], out=by_hz[rows])
+        by_hz[rows] += by_zeta[rows]
+    return g, by_hz, by_zeta
 
 
 def synthesise(
@@ -59,12 +131,7 @@ def synthesise(
     residues = (response_shapes[:, None, :] * reference_shapes[None, :, :]).reshape(
         len(response_shapes) * len(reference_shapes), kernel.shape[0]
     )
-    if np.iscomplexobj(residues):
-        out = residues @ kernel
-    else:
-        stacked = residues @ np.concatenate([kernel.real, kernel.imag], axis=1)
-        out = stacked[:, : kernel.shape[1]] + 1j * stacked[:, kernel.shape[1] :]
-    return out.reshape(response_shapes.shape[0], reference_shapes.shape[0], kernel.shape[1])
+    return combined(residues, kernel).reshape(response_shapes.shape[0], reference_shapes.shape[0], kernel.shape[1])
 
 
 def synthesis_variance(
@@ -97,28 +164,29 @@ def synthesis_variance(
     n, m = mode_hz.size, shapes.shape[0]
     out_rows, in_rows = np.asarray(responses, int), np.asarray(references, int)
     kernel = modal_kernel(frequencies_hz, mode_hz, damping_ratios, quantity)
-    w = 2 * np.pi * np.asarray(frequencies_hz, float)[None, :]
+    w = 2 * np.pi * np.asarray(frequencies_hz, float)
     wr = 2 * np.pi * mode_hz[:, None]
     z = damping_ratios[:, None]
     # ∂/∂p of (iω)^a/D is −kernel/D·∂D/∂p.
-    over = -kernel / (wr**2 - w**2 + 2j * z * wr * w)
-    by_hz = over * (2 * wr + 2j * z * w) * 2 * np.pi
-    by_zeta = over * 2j * wr * w
+    over = -kernel * modal_kernel(frequencies_hz, mode_hz, damping_ratios, "receptance")
+    base = np.concatenate([over * (2 * wr + 2j * z * w) * 2 * np.pi, over * 2j * wr * w, kernel])
+    parts = base.view(float)
     mode = np.arange(n)
-    result = np.empty((out_rows.size, in_rows.size, w.shape[1]))
+    result = np.empty((out_rows.size, in_rows.size, w.size))
     done: dict[tuple[int, int], NDArray[np.float64]] = {}
     for a, i in enumerate(out_rows):
         for b, j in enumerate(in_rows):
             key = (min(i, j), max(i, j))
             if key not in done:
-                product = (shapes[i] * shapes[j])[:, None]
+                product = shapes[i] * shapes[j]
                 # On a drive point both terms act on the same row: the index stands twice and the terms add up.
-                gradient = np.concatenate([product * by_hz, product * by_zeta, shapes[j][:, None] * kernel, shapes[i][:, None] * kernel])
                 index = np.concatenate([mode, n + mode, 2 * n + mode * m + i, 2 * n + mode * m + j])
-                part = covariance[np.ix_(index, index)]
-                value = np.zeros(w.shape[1])
-                for g in (gradient.real, gradient.imag):
-                    value += np.einsum("kl,kl->l", g, part @ g)
-                done[key] = np.maximum(value, 0)
+                factor = np.concatenate([product, product, shapes[j], shapes[i]])
+                part = covariance[np.ix_(index, index)] * np.outer(factor, factor)
+                # both shape values come with the kernel
+                part[:, 2 * n : 3 * n] += part[:, 3 * n :]
+                part[2 * n : 3 * n] += part[3 * n :]
+                squares = np.einsum("kl,kl->l", parts, part[: 3 * n, : 3 * n] @ parts)
+                done[key] = np.maximum(squares[::2] + squares[1::2], 0)
             result[a, b] = done[key]
     return result

@@ -21,6 +21,7 @@ from operando.ema.projection import tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
 from operando.ema.unit_mass import UnitMassShapes
+from operando.synthesis import real_inner
 
 FREQUENCY_FLOOR = 1e-6
 DAMPING_FLOOR = 1.3e-4
@@ -121,12 +122,15 @@ def _assemble(
     units = np.concatenate([np.ones(2 * n), np.repeat(sign, m)])
     rms = np.sqrt(np.mean(shapes**2, axis=0))
     floor = np.concatenate([FREQUENCY_FLOOR * hz, DAMPING_FLOOR * zeta, np.repeat(SHAPE_FLOOR * rms, m)]) ** 2
-    block = covariance * np.outer(units, units)
-    block[np.diag_indices_from(block)] += floor
     total = n + outside.hz.size
     whole = np.zeros((total * (2 + m), total * (2 + m)))
-    index = np.concatenate([np.arange(n), total + np.arange(n), 2 * total + np.arange(n * m)])
-    whole[np.ix_(index, index)] = block
+    # frequencies, damping ratios and shape values of the modes, and where they stand among those of all terms
+    places = [(slice(n), slice(n)), (slice(n, 2 * n), slice(total, total + n)), (slice(2 * n, None), slice(2 * total, 2 * total + n * m))]
+    for i, row in places:
+        for j, column in places:
+            np.multiply(covariance[i, j], units[j], out=whole[row, column])
+            whole[row, column] *= units[i, None]
+        whole[row, row][np.diag_indices(floor[i].size)] += floor[i]
     rest = 2 * total + n * m + np.arange(outside.hz.size * m)
     whole[np.ix_(rest, rest)] = outside.covariance
     in_band = (hz >= band[0]) & (hz <= band[1]) & ~residual
@@ -186,11 +190,7 @@ def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, floa
     physical = columns[: len(OUTSIDE_FACTORS) + len(LOWER_FACTORS)]
     estimates = []
     for run, local in zip(runs, parameters.local, strict=True):
-        size = physical.shape[0]
-        information = np.zeros((local.size, local.size))
-        for j, variance in enumerate(run.response_variance):
-            at = slice(j * size, (j + 1) * size)
-            information[at, at] = 2 * ((physical / variance) @ physical.conj().T).real
+        information = np.stack([2 * real_inner(physical / variance, physical) for variance in run.response_variance])
         estimates.append((local.ravel(), information))
     lines = fit.pairs.accelerance.size
     polished = Polished(parameters, mass.covariance, tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)

@@ -12,11 +12,11 @@ from scipy.ndimage import uniform_filter1d
 from operando.ema.discrepancy import line_correlation
 from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear, keep_modes
 from operando.ema.pairs import Pairs, Real, informative_lines
-from operando.ema.polish_model import kernels
 from operando.ema.projection import CURVED_SHARE, Poles, basis, shift_curvature
 from operando.errors import IdentificationError
 from operando.frf.leakage import lowest_towards_higher
 from operando.stabilization import RejectedPole
+from operando.synthesis import modal_kernel, power_of, real_inner
 
 MAX_ROUNDS = 14
 SEARCH_ROUNDS = 9
@@ -120,8 +120,7 @@ def choose_modes(
 
 
 def _settled(fit: LinearFit) -> LinearFit:
-    settled = fit.projection.coefficients
-    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=settled, before=fit.variance, rounds=SETTLE_ROUNDS)
+    return fit_linear(fit.pairs, fit.poles, fit.ends_hz, start=fit.projection, before=fit.variance, rounds=SETTLE_ROUNDS)
 
 
 def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:
@@ -334,12 +333,11 @@ def _missing_mode(
     typical = float(np.median(fit.poles.zeta))
     for zeta in np.unique(np.clip([typical / 3, typical, 3 * typical], 3e-4, 0.08)):
         grid = f[allowed]
-        g = kernels(f, grid, np.full(grid.size, zeta), fit.pairs.window_rate)[0]
+        g = modal_kernel(f, grid, np.full(grid.size, zeta), "accelerance", fit.pairs.window_rate)
         gain = np.zeros(grid.size)
         # a free complex residue in each pair
         for column in (g, g * 1j * f[None, :] / grid[:, None]):
-            top = weighted.real @ column.real.T + weighted.imag @ column.imag.T
-            gain += np.sum(top**2 / (weight @ (np.abs(column) ** 2).T), axis=0)
+            gain += np.sum(real_inner(weighted, column) ** 2 / (weight @ power_of(column).T), axis=0)
         k = int(np.argmax(gain))
         if gain[k] > best:
             best, best_hz, best_zeta = float(gain[k]), float(grid[k]), float(zeta)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from operando.ema.pairs import Complex, Real
+from operando.synthesis import power_of
 
 STUDENT_FREEDOM = 4.0
 """Degrees of freedom of the weights: heavy tails that still have a variance (Lange et al. 1989, Section 5)."""
@@ -24,6 +25,9 @@ POOLED_LINES = 30.0
 ALPHA_START, ALPHA_MOST = 1e-2, 0.5
 KAPPA_LEAST, KAPPA_MOST = 0.25, 1e8
 ROUNDS = 36
+
+CACHE_VALUES = 1 << 15
+"""Values of each array worked on at a time: a quarter of a megabyte."""
 
 
 @dataclass(frozen=True)
@@ -62,24 +66,31 @@ def fit_variance(error: Complex, power: Real, noise: Real, noise_known: bool) ->
     noise_known : bool
         Whether v comes from a measurement (coherence): κ is then at least 1.
     """
-    squares = np.abs(error) ** 2
+    squares = power_of(error)
     kappa, alpha2 = np.ones(error.shape[0]), np.full(error.shape[0], ALPHA_START**2)
     least = 1.0 if noise_known else KAPPA_LEAST
+    few = max(1, CACHE_VALUES // error.shape[1])
     for _ in range(ROUNDS):
-        variance = kappa[:, None] * noise + alpha2[:, None] * power
-        ratio = squares / variance
-        ratio *= (STUDENT_FREEDOM + 2) / (STUDENT_FREEDOM + 2 * ratio)
-        by_noise = kappa[:, None] * noise / variance
-        by_model = 1 - by_noise
-        total_noise, total_model = by_noise.sum(axis=1), by_model.sum(axis=1)
-        kappa = kappa * np.sqrt(np.sum(by_noise * ratio, axis=1) / np.maximum(total_noise, 1e-9))
-        kappa = np.clip(kappa, least, KAPPA_MOST)
-        level = np.exp(np.mean(np.log(alpha2)))
-        up = (np.sum(by_model * ratio, axis=1) + POOLED_LINES * level / alpha2) / (total_model + POOLED_LINES)
-        alpha2 = np.clip(alpha2 * np.sqrt(up), 1e-14, ALPHA_MOST**2)
+        level = float(np.exp(np.mean(np.log(alpha2))))
+        for first in range(0, kappa.size, few):
+            at = slice(first, first + few)
+            kappa[at], alpha2[at] = _updated(squares[at], power[at], noise[at], kappa[at], alpha2[at], least, level)
     plain = kappa[:, None] * noise + alpha2[:, None] * power
     pooled = np.minimum(kappa, np.median(kappa))[:, None] * noise + np.exp(np.mean(np.log(alpha2))) * power
     return Variance(plain * (STUDENT_FREEDOM + 2 * squares / plain) / (STUDENT_FREEDOM + 2), plain, pooled, kappa, np.sqrt(alpha2))
+
+
+def _updated(squares: Real, power: Real, noise: Real, kappa: Real, alpha2: Real, least: float, level: float) -> tuple[Real, Real]:
+    """κ and α² of some pairs after one round; ``level`` is the geometric mean of α² over all."""
+    by_noise = kappa[:, None] * noise
+    variance = by_noise + alpha2[:, None] * power
+    ratio = squares / variance
+    ratio *= (STUDENT_FREEDOM + 2) / (STUDENT_FREEDOM + 2 * ratio)
+    by_noise /= variance
+    told, total = np.einsum("pl,pl->p", by_noise, ratio), by_noise.sum(axis=1)
+    up = (ratio.sum(axis=1) - told + POOLED_LINES * level / alpha2) / (squares.shape[1] - total + POOLED_LINES)
+    kappa = np.clip(kappa * np.sqrt(told / np.maximum(total, 1e-9)), least, KAPPA_MOST)
+    return kappa, np.clip(alpha2 * np.sqrt(up), 1e-14, ALPHA_MOST**2)
 
 
 def line_correlation(error: Complex, variance: Real) -> float:

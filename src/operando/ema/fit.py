@@ -58,7 +58,7 @@ class EmaDetails:
     fit_band_hz : (float, float)
         Lines that the fit used.
     misfit_by_dof : (n_dofs,) array
-        Held-out misfit of each response DOF; NaN where it was not measured.
+        Held-out misfit of each response DOF (of each hit point where a roving hammer is polished); NaN where it was not measured.
     fit_misfit : float
         Mean of eᴴC⁻¹e/m on the lines of the fit.
     converged : bool
@@ -446,7 +446,7 @@ def _right_quantity(pairs: Pairs, start: Poles) -> tuple[Pairs, list[Finding]]:
     thinned = pairs.lines(informative_lines(pairs.frequencies_hz, start.hz, start.zeta))
     ends = float(pairs.frequencies_hz[0]), float(pairs.frequencies_hz[-1])
     variance = thinned.noise + 0.05**2 * np.abs(thinned.accelerance) ** 2
-    fit = project(thinned, start, variance, None, ends)
+    fit = project(thinned, start, variance, None, ends, with_slopes=False)
     residues = fit.a + 1j * fit.b
     strength = fit.evidence.sum(axis=0)
     clear = strength > 0.01 * strength.max()

@@ -155,7 +155,7 @@ def fit_linear(
     poles: Poles,
     ends_hz: tuple[float, float],
     *,
-    start: Coefficients | None = None,
+    start: Coefficients | Projection | None = None,
     rounds: int = 3,
     steps: int = 3,
     before: Variance | None = None,
@@ -169,8 +169,8 @@ def fit_linear(
     poles : Poles
         Start, by rising frequency.
     ends_hz : (float, float)
-    start : (a, b, δ), optional
-        From a fit of nearly the same poles; 0 for a mode that is new.
+    start : (a, b, δ) or Projection, optional
+        From a fit of nearly the same poles; 0 for a mode that is new. A projection is one of these lines and poles.
     rounds, steps : int
         Estimates of the variance, and steps on the poles after each.
     before : Variance, optional
@@ -181,7 +181,7 @@ def fit_linear(
     known = hold or before
     first = pairs.noise + START_SHARE**2 * np.abs(pairs.accelerance) ** 2 if known is None else known.total
     least = np.inf if known is None else CURVED_SHARE * float(np.median(known.alpha))
-    now = project(pairs, poles, first, start, ends_hz, least)
+    now = start if isinstance(start, Projection) else project(pairs, poles, first, start, ends_hz, least, with_slopes=False)
     for number in range(rounds):
         variance = hold or fit_variance(now.error, modal_power(pairs, poles, now, ends_hz), pairs.noise, pairs.noise_known)
         least = CURVED_SHARE * float(np.median(variance.alpha))
@@ -196,7 +196,8 @@ def fit_linear(
         bent = float(np.sum(np.abs(now.curvature - last) ** 2 / variance.total))
         if number >= 2 and max(fall, bent) < SETTLED * last.size:
             break
-    now = project(pairs, poles, variance.total, now.coefficients, ends_hz, least)
+    else:
+        now = project(pairs, poles, variance.total, now.coefficients, ends_hz, least)
     nu = line_correlation(now.error, variance.total)
     return _sorted(LinearFit(pairs, poles, now, variance, _covariance(pairs, now, nu), nu, ends_hz))
 

@@ -6,6 +6,7 @@ All unknowns are real and imaginary parts, one real least-squares problem on sta
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,12 @@ from operando.errors import DataError
 __all__ = ["Residues", "lsfd"]
 
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+
+CHUNK_VALUES = 1 << 15
+"""Complex values of the columns worked on at a time: half a megabyte."""
+
+CANCELLED = 1e-6
+"""What is left of a pair, as a share of the sums whose difference it is, below which it is added up line by line: nine digits are right."""
 
 
 @dataclass(frozen=True)
@@ -107,29 +114,26 @@ def lsfd(
     if u is not None and u.shape != (n_in, lam.size):
         raise DataError(f"participation {u.shape} does not fit {n_in} references and {lam.size} poles")
     w = _checked_weights(data, weights)
-    data = np.where(np.isfinite(data), data, 0)
-    terms = [k for k, use in zip(_residual_kernels(f, quantity), (lower, upper), strict=True) if use]
+    if w is not None:
+        data = np.where(np.isfinite(data), data, 0)
     with threadpool_limits(1, "blas"):
         if u is None:
             # every pair is a response of its own with one reference
             flat = None if w is None else w.reshape(-1, 1, f.size)
-            solved = _solve(data.reshape(-1, 1, f.size), flat, _kernels(f, lam, quantity), np.ones((1, lam.size), complex), terms)
+            problem = _Problem(f, lam, np.ones((1, lam.size), complex), quantity, lower, upper)
+            solved, error = problem.solve(data.reshape(-1, 1, f.size), flat)
             residues = (solved[:, : lam.size] + 1j * solved[:, lam.size : 2 * lam.size]).reshape(n_out, n_in, lam.size)
-            rest = solved[:, 2 * lam.size :].reshape(n_out, n_in, len(terms))
+            rest = solved[:, 2 * lam.size :].reshape(n_out, n_in, lower + upper)
             shapes = None
         else:
-            solved = _solve(data, w, _kernels(f, lam, quantity), u, terms)
+            solved, error = _Problem(f, lam, u, quantity, lower, upper).solve(data, w)
             shapes = solved[:, : lam.size] + 1j * solved[:, lam.size : 2 * lam.size]
             residues = shapes[:, None, :] * u[None]
-            rest = solved[:, 2 * lam.size :].reshape(n_out, len(terms), n_in).transpose(0, 2, 1)
-        zero = np.zeros((n_out, n_in))
-        low = rest[:, :, 0] if lower else zero
-        up = rest[:, :, -1] if upper else zero
-        out = Residues(lam, residues, low, up, zero, shapes)
-        amount = np.ones(data.shape) if w is None else w
-        left = np.linalg.norm(amount * (data - out.frf(f, quantity)), axis=2)
-        total = np.linalg.norm(amount * data, axis=2)
-    return Residues(lam, residues, low, up, np.divide(left, total, out=np.zeros_like(left), where=total > 0), shapes)
+            rest = solved[:, 2 * lam.size :].reshape(n_out, lower + upper, n_in).transpose(0, 2, 1)
+    zero = np.zeros((n_out, n_in))
+    low = rest[:, :, 0] if lower else zero
+    up = rest[:, :, -1] if upper else zero
+    return Residues(lam, residues, low, up, error.reshape(n_out, n_in), shapes)
 
 
 def _checked_weights(data: NDArray[np.complex128], weights: ArrayLike | None) -> NDArray[np.float64] | None:
@@ -148,10 +152,18 @@ def _checked_weights(data: NDArray[np.complex128], weights: ArrayLike | None) ->
 
 
 def _kernels(f: NDArray[np.float64], poles: NDArray[np.complex128], quantity: str) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """(iω)^p/(iω − λ) and (iω)^p/(iω − λ*), each (n, n_lines)."""
-    s = 2j * np.pi * f[None, :]
-    factor = s ** _POWER[quantity]
-    return factor / (s - poles[:, None]), factor / (s - poles.conj()[:, None])
+    """(iω)^p/(iω − λ) and (iω)^p/(iω − λ*), each (n, n_lines); in real arithmetic, a complex division costs several times as much."""
+    w, s = 2 * np.pi * f, (2j * np.pi * f) ** _POWER[quantity]
+    out = []
+    for sign in (1, -1):
+        distance = w - sign * poles.imag[:, None]
+        size = distance**2 + poles.real[:, None] ** 2
+        kernel = np.empty(distance.shape, complex)
+        np.divide(-poles.real[:, None], size, out=kernel.real)
+        np.divide(distance, -size, out=kernel.imag)
+        kernel *= s
+        out.append(kernel)
+    return out[0], out[1]
 
 
 def _residual_kernels(f: NDArray[np.float64], quantity: str) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -164,53 +176,113 @@ def _residual_kernels(f: NDArray[np.float64], quantity: str) -> tuple[NDArray[np
     return low, np.asarray(s**p, complex)
 
 
-def _solve(
-    data: NDArray[np.complex128],
-    w: NDArray[np.float64] | None,
-    kernels: tuple[NDArray[np.complex128], NDArray[np.complex128]],
-    u: NDArray[np.complex128],
-    terms: list[NDArray[np.complex128]],
-) -> NDArray[np.float64]:
-    """Unknowns of each response: Re ψ, Im ψ, then each residual term for each reference; (n_resp, 2n + n_terms·n_ref)."""
-    n_out, n_in, n_lines = data.shape
-    above, below = kernels
-    n = above.shape[0]
-    design = np.zeros((2 * n + len(terms) * n_in, n_in, n_lines), complex)
-    for j in range(n_in):
-        a, b = u[j][:, None] * above, u[j].conj()[:, None] * below
-        design[:n, j], design[n : 2 * n, j] = a + b, 1j * (a - b)
-        for t, term in enumerate(terms):
-            design[2 * n + t * n_in + j, j] = term
-    flat = _stack(design.reshape(design.shape[0], -1))
-    target = _stack(data.reshape(n_out, -1))
-    if w is None or np.all(w == w[:1]):
-        if w is not None:
-            once = _twice(w[:1].reshape(1, -1))
-            flat, target = flat * once, target * once
-        return _least_squares(flat, target)
-    rows = [_least_squares(flat * v, target[o : o + 1] * v)[0] for o in range(n_out) for v in (_twice(w[o].reshape(1, -1)),)]
-    return np.array(rows)
+@dataclass(frozen=True)
+class _Problem:
+    """The least-squares problem of all responses; real and imaginary parts of a line stand side by side, as complex arrays hold them.
+
+    The lines are taken in chunks: the columns of a chunk stay in the cache, and neither they nor the FRFs are ever held a second time.
+    """
+
+    f: NDArray[np.float64]
+    poles: NDArray[np.complex128]
+    participation: NDArray[np.complex128]
+    quantity: str
+    lower: bool
+    upper: bool
+
+    def columns(self, lines: slice | None = None) -> Iterator[tuple[int, slice, NDArray[np.float64]]]:
+        """Reference, lines, and what the FRFs of the reference consist of there: Re ψ, Im ψ, residual terms; (2n + n_terms, 2·lines)."""
+        n = self.poles.size
+        size = max(16, CHUNK_VALUES // (2 * n + 2))
+        for some in [slice(k, k + size) for k in range(0, self.f.size, size)] if lines is None else [lines]:
+            above, below = _kernels(self.f[some], self.poles, self.quantity)
+            terms = [k for k, use in zip(_residual_kernels(self.f[some], self.quantity), (self.lower, self.upper), strict=True) if use]
+            for j, u in enumerate(self.participation):
+                a, b = u[:, None] * above, u.conj()[:, None] * below
+                out = np.empty((2 * n + len(terms), a.shape[1]), complex)
+                np.add(a, b, out=out[:n])
+                a -= b
+                np.multiply(a, 1j, out=out[n : 2 * n])
+                for t, term in enumerate(terms):
+                    out[2 * n + t] = term
+                yield j, some, out.view(float)
+
+    def solve(self, data: NDArray[np.complex128], w: NDArray[np.float64] | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Unknowns of each response (n_resp, 2n + n_terms·n_ref), Re ψ, Im ψ, then each residual term for each reference, and the
+        norm of what is left of each pair over that of its FRF (n_resp, n_ref)."""
+        if w is not None and not np.all(w == w[:1]):
+            parts = [self.solve(data[o : o + 1], w[o : o + 1]) for o in range(data.shape[0])]
+            return np.concatenate([x for x, _ in parts]), np.concatenate([e for _, e in parts])
+        n_out, n_in, _ = data.shape
+        own = 2 * self.poles.size + self.lower + self.upper
+        grams, right = np.zeros((n_in, own, own)), np.zeros((n_in, own, n_out))
+        for j, columns, target in self._weighted(data, w):
+            grams[j] += columns @ columns.T
+            right[j] += columns @ target.T
+        # each reference has residual terms of its own
+        where = np.tile(np.arange(own), (n_in, 1))
+        where[:, 2 * self.poles.size :] = 2 * self.poles.size + np.arange(own - 2 * self.poles.size) * n_in + np.arange(n_in)[:, None]
+        gram, product = np.zeros((where.max() + 1,) * 2), np.zeros((where.max() + 1, n_out))
+        for j, at in enumerate(where):
+            gram[np.ix_(at, at)] += grams[j]
+            product[at] += right[j]
+        solution = _solved(gram, product)
+        if solution is None:
+            solution = self._by_svd(data, w, where)
+        total = np.stack([np.sum(np.abs(data[:, j] if w is None else w[:, j] * data[:, j]) ** 2, axis=1) for j in range(n_in)])
+        left, size = total.copy(), total.copy()
+        for j, at in enumerate(where):
+            x = solution[at]
+            left[j] += np.sum(x * (grams[j] @ x - 2 * right[j]), axis=0)
+            size[j] += np.sum(np.abs(x) * (np.abs(grams[j]) @ np.abs(x) + 2 * np.abs(right[j])), axis=0)
+        if np.any(left < CANCELLED * size):
+            left = self._left(data, w, solution, where)
+        error = np.sqrt(np.divide(left, total, out=np.zeros_like(left), where=total > 0))
+        return np.ascontiguousarray(solution.T), error.T
+
+    def _weighted(
+        self, data: NDArray[np.complex128], w: NDArray[np.float64] | None, lines: slice | None = None
+    ) -> Iterator[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
+        """Reference, columns and FRFs (n_resp, 2·lines), weighted, on chunks of the lines or on the lines given."""
+        for j, some, columns in self.columns(lines):
+            target = np.ascontiguousarray(data[:, j, some]).view(float)
+            if w is not None:
+                once = np.repeat(w[:1, j, some], 2, axis=1)
+                columns *= once
+                target = target * once
+            yield j, columns, target
+
+    def _left(
+        self, data: NDArray[np.complex128], w: NDArray[np.float64] | None, solution: NDArray[np.float64], where: NDArray[np.int_]
+    ) -> NDArray[np.float64]:
+        """Σ|w·remainder|² of each pair from the lines themselves, (n_ref, n_resp): where it is lost in rounding as a difference of sums."""
+        left = np.zeros((len(where), data.shape[0]))
+        for j, columns, target in self._weighted(data, w):
+            left[j] += np.sum((target - solution[where[j]].T @ columns) ** 2, axis=1)
+        return left
+
+    def _by_svd(self, data: NDArray[np.complex128], w: NDArray[np.float64] | None, where: NDArray[np.int_]) -> NDArray[np.float64]:
+        """The solution of smallest norm where the normal equations are singular."""
+        n_in, n_lines = data.shape[1:]
+        design = np.zeros((n_in, 2 * n_lines, where.max() + 1))
+        target = np.empty((n_in, 2 * n_lines, data.shape[0]))
+        for j, columns, rows in self._weighted(data, w, slice(None)):
+            design[j][:, where[j]], target[j] = columns.T, rows.T
+        flat = design.reshape(-1, design.shape[2])
+        scale = np.linalg.norm(flat, axis=0)
+        scale[scale == 0] = 1.0
+        solution = linalg.lstsq(flat / scale, target.reshape(flat.shape[0], -1), cond=1e-12, check_finite=False)[0]
+        return np.asarray(solution / scale[:, None])
 
 
-def _stack(z: NDArray[np.complex128]) -> NDArray[np.float64]:
-    return np.concatenate([z.real, z.imag], axis=1)
-
-
-def _twice(w: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([w, w], axis=1)
-
-
-def _least_squares(design: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """X of least ‖X·design − target‖, columns scaled; by normal equations, by SVD where they are singular."""
-    size = np.linalg.norm(design, axis=1)
-    size[size == 0] = 1.0
-    gram = (design @ design.T) / np.outer(size, size)
-    right = (design @ target.T) / size[:, None]
+def _solved(gram: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Solution of the normal equations, columns scaled; None where they are singular."""
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0] = 1.0
     try:
-        factor = linalg.cho_factor(gram, lower=True, check_finite=False)
-        if np.min(np.diag(factor[0])) < 1e-6:
-            raise linalg.LinAlgError
-        solution = linalg.cho_solve(factor, right, check_finite=False)
+        factor = linalg.cho_factor(gram / np.outer(scale, scale), lower=True, check_finite=False)
     except linalg.LinAlgError:
-        solution = linalg.lstsq((design / size[:, None]).T, target.T, cond=1e-12, check_finite=False)[0]
-    return np.asarray((solution / size[:, None]).T)
+        return None
+    if np.min(np.diag(factor[0])) < 1e-6:
+        return None
+    return np.asarray(linalg.cho_solve(factor, right / scale[:, None], check_finite=False) / scale[:, None])

@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from operando.ema.polish import residual
-from operando.ema.polish_model import Parameters, Real, run_basis
+from operando.ema.polish_model import Parameters, Real, run_model
 from operando.ema.spectra import RunSpectra
+from operando.synthesis import combined, power_of
 
 ACCEPTED_MISFIT = 3.0
 
@@ -23,11 +24,10 @@ def contributions(run: RunSpectra, theta: Parameters, index: int) -> Real:
 
     A model error is a share of what each mode adds, not of the sum: at an antiresonance large terms cancel, and so do not their errors.
     """
-    basis = run_basis(run, theta, index, run.forces)
+    model = run_model(run, theta, index, run.forces)
     phi = theta.shapes[run.response_rows]
     local = theta.local[index]
-    tail = local @ basis.stack[basis.stack.shape[0] - local.shape[1] :]
-    return np.asarray(phi**2 @ np.abs(basis.modal) ** 2 + np.abs(tail) ** 2)
+    return np.asarray(phi**2 @ power_of(model.modal) + power_of(combined(local, model.local)))
 
 
 def relative_model_error(runs: Sequence[RunSpectra], theta: Parameters) -> float:
@@ -35,9 +35,8 @@ def relative_model_error(runs: Sequence[RunSpectra], theta: Parameters) -> float
     error, power, variance = [], [], []
     for i, run in enumerate(runs):
         state = residual(run, theta, i)
-        noise = run.response_variance + np.einsum("kml,kl->ml", np.abs(state.transfer) ** 2, run.force_variance)
-        error.append((np.abs(state.error) ** 2).ravel())
-        variance.append(noise.ravel())
+        error.append(power_of(state.error).ravel())
+        variance.append(state.variance.ravel())
         power.append(contributions(run, theta, i).ravel())
     e, v, p = np.concatenate(error), np.concatenate(variance), np.concatenate(power)
     # Medians: a mode still missing from the candidates is no reason to distrust the rest.

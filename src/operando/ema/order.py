@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.polish import Polished, polish, residual, start_parameters
-from operando.ema.polish_model import Parameters, Real, run_basis
+from operando.ema.polish_model import Parameters, Real, run_model
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import linear_residues, mode_gain, outside_kernels, rank_one
 from operando.stabilization import RejectedPole
+from operando.synthesis import power_of
 
 FREE_PRIOR = 20.0
 MAX_DAMPING = 0.15
@@ -98,9 +99,9 @@ def mode_strength(runs: Sequence[RunSpectra], theta: Parameters) -> Real:
     """Share of each mode in the data in units of the noise: Σ |φ_jr Q_r|²/variance, (n,)."""
     out = np.zeros(theta.hz.size)
     for i, run in enumerate(runs):
-        basis = run_basis(run, theta, i, run.forces)
+        model = run_model(run, theta, i, run.forces)
         phi = theta.shapes[run.response_rows]
-        power = np.abs(basis.modal) ** 2
+        power = power_of(model.modal)
         out += np.sum(phi**2 * ((1 / run.response_variance) @ power.T), axis=0)
     return out
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.polish import Polished
-from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters, Real, kernels
+from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters, Real
 from operando.ema.spectra import RunSpectra
-from operando.synthesis import synthesise
+from operando.synthesis import modal_kernel, synthesise
 
 UPPER = (1.05, 1.12, 1.2, 1.3, 1.45, 1.7, 2.1, 2.8, 4.0, 8.0)
 LOWER = (0.02, 0.02, 0.02, 0.6)
@@ -125,7 +125,7 @@ def outside_modes(
     target, known, refs = _driven(runs, theta, f)
     if gone is not None and gone.size:
         part = moved.shapes[:, gone]
-        more = np.einsum("kp,jp,pl->kjl", part[refs], part, kernels(f, moved.hz[gone], moved.zeta[gone])[0].real)
+        more = np.einsum("kp,jp,pl->kjl", part[refs], part, modal_kernel(f, moved.hz[gone], moved.zeta[gone], "accelerance").real)
         target = target + np.where(known[:, :, None], more, 0.0)
     rms = float(np.median(np.sqrt(np.mean(theta.shapes**2, axis=0))))
     spacing = float((theta.hz.max() - theta.hz.min()) / max(n - 1, 1)) or top / max(n, 1)
@@ -135,7 +135,7 @@ def outside_modes(
     if lower:
         hz = np.concatenate([hz, np.array(LOWER) * bottom])
         std = np.concatenate([std, np.full(len(LOWER), 2 * rms)])
-    g = kernels(f, hz, np.full(hz.size, OUTSIDE_DAMPING))[0].real
+    g = _outside_kernel(f, hz)
     scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
     # The driven columns tell how much there is outside at all (products of two shape values, hence the root).
     expected = np.sqrt(np.sum((std[: len(UPPER), None] ** 2 * g[: len(UPPER)]) ** 2, axis=0))
@@ -170,10 +170,15 @@ def outside_modes(
     return _with_local(hz, shapes, covariance.reshape(size, size), refs, target, known, top, f)
 
 
+def _outside_kernel(f: Real, hz: Real) -> Real:
+    """Real part of the kernels that stand for modes outside, (q, L)."""
+    return modal_kernel(f, hz, np.full(hz.size, OUTSIDE_DAMPING), "accelerance").real
+
+
 def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Real, NDArray[np.bool_], list[int]]:
     """Out-of-band part of the driven columns on lines ``f``: (K, M, L), which of them are measured (K, M), and their rows."""
     q = theta.outside_hz.size
-    g = kernels(f, theta.outside_hz, np.full(q, OUTSIDE_DAMPING))[0].real
+    g = _outside_kernel(f, theta.outside_hz)
     refs = list(dict.fromkeys(int(row) for run in runs for row in run.force_rows))
     m_dofs = theta.shapes.shape[0]
     total = np.zeros((len(refs), m_dofs, f.size))
@@ -191,17 +196,26 @@ def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Rea
 def _noise(runs: Sequence[RunSpectra], fit: Polished, f: Real) -> Real:
     """Mean variance of the out-of-band part on lines ``f``, from the information of its coefficients."""
     q = fit.parameters.outside_hz.size
-    g = kernels(f, fit.parameters.outside_hz, np.full(q, OUTSIDE_DAMPING))[0].real
+    g = _outside_kernel(f, fit.parameters.outside_hz)
     parts = []
     for run, (_, information) in zip(runs, fit.local_estimates, strict=True):
-        b = information.shape[0] // run.response_rows.size
-        d = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        inverse = np.linalg.inv(information / np.outer(d, d) + 1e-10 * np.eye(d.size)) / np.outer(d, d)
-        for j in range(run.response_rows.size):
+        m = run.response_rows.size
+        # of all responses together, or of each apart where nothing joins them
+        blocks = _inverses(information if information.ndim == 3 else information[None])
+        b = blocks.shape[1] * blocks.shape[0] // m
+        for j in range(m):
+            block, first = (blocks[j], 0) if information.ndim == 3 else (blocks[0], j * b)
             for k in range(run.forces.shape[0]):
-                at = j * b + k * q + np.arange(q)
-                parts.append(np.einsum("ql,qp,pl->l", g, inverse[np.ix_(at, at)], g, optimize=True))
+                at = first + k * q + np.arange(q)
+                parts.append(np.einsum("ql,ql->l", g, block[np.ix_(at, at)] @ g))
     return np.maximum(np.mean(parts, axis=0), 0)
+
+
+def _inverses(information: Real) -> Real:
+    """Inverses of several matrices, each scaled to a diagonal of 1."""
+    d = np.sqrt(np.maximum(np.einsum("kii->ki", information), 1e-300))
+    outer = d[:, :, None] * d[:, None, :]
+    return np.asarray(np.linalg.inv(information / outer + 1e-10 * np.eye(d.shape[1])) / outer)
 
 
 def _most_telling(target: Real, known: NDArray[np.bool_], count: int) -> list[int]:
@@ -289,7 +303,7 @@ def _with_local(
     m_dofs = shapes.shape[0]
     rows = np.setdiff1d(np.arange(m_dofs), refs)
     local_hz = LOCAL * top
-    unit = kernels(f, np.array([local_hz]), np.array([OUTSIDE_DAMPING]))[0].real[0]
+    unit = _outside_kernel(f, np.array([local_hz]))[0]
     at_refs = [max(float(np.median(target[k, row] / unit)), 0.0) for k, row in enumerate(refs) if known[k, row]]
     amplitude = float(np.sqrt(np.median(at_refs))) if at_refs else 0.0
     extra = np.zeros((m_dofs, rows.size))

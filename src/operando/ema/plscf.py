@@ -5,7 +5,7 @@ The FRF matrix is a right matrix fraction H(ω) = B(z) A(z)⁻¹ in z = e^{iθ(�
 that all poles of the fit serve positive frequencies; or onto its upper half with real coefficients, the textbook form, which needs
 twice the order.
 The numerator keeps the largest order for every denominator order, so the normal matrices of the denominators are nested: one factor
-serves them all, and each order costs one triangular solve and the eigenvalues of one block companion matrix.
+serves them all, and each order costs one triangular solve and the roots of one matrix polynomial.
 """
 
 from __future__ import annotations
@@ -18,9 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 from threadpoolctl import threadpool_limits
 
+from operando.ema.matrix_roots import polynomial_values, roots_near
 from operando.errors import DataError, IdentificationError
 
 __all__ = ["OrderPoles", "plscf"]
+
+CACHE_VALUES = 1 << 16
+"""Complex values of the normal equations worked on at a time: a megabyte."""
 
 EDGE = 0.02
 """How far beyond the lines, in units of the width of the band, a pole may lie."""
@@ -150,18 +154,19 @@ def plscf(
         normal = _normal_matrix(theta, data, None if w is None else _response_weights(w), max_order, extra, real)
         scale, solved = _denominators(normal, n_in, range(min_order, max_order + 1, step), constraint)
         out = []
+        z: NDArray[np.complex128] | None = None
         for n, blocks in solved:
-            z = _roots(blocks)
+            z = roots_near(blocks, z)
             poles = np.log(z) / interval + 2j * np.pi * shift_hz
             keep = (poles.imag > 0) & ((z.imag > 0) if real else np.ones(z.size, bool))
-            z, poles = z[keep], poles[keep]
+            chosen, poles = z[keep], poles[keep]
             poles = poles + window_rate
             rising = np.argsort(np.abs(poles))
-            z, poles = z[rising], poles[rising]
+            chosen, poles = chosen[rising], poles[rising]
             hz, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
             edge = EDGE * (f[-1] - f[0])
             physical = (poles.real < 0) & (zeta < max_damping) & (hz >= f[0] - edge) & (hz <= f[-1] + edge)
-            out.append(OrderPoles(n, poles, _null_vectors(blocks, z, scale), side, physical))
+            out.append(OrderPoles(n, poles, _null_vectors(blocks, chosen, scale), side, physical))
     return out
 
 
@@ -216,23 +221,34 @@ def _normal_matrix(
     waves = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
     powers, numerator = np.arange(p), np.arange(q) - extra
 
-    def toeplitz(g: NDArray[Any], rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[Any]:
+    def lag_sums(g: NDArray[Any]) -> NDArray[Any]:
         sums = _lag_sums(g, waves)
-        lags = np.ascontiguousarray(sums.real) if real else sums
-        return lags[..., columns[None, :] - rows[:, None] + q - 1]
+        return np.ascontiguousarray(sums.real) if real else sums
 
     weighted = w2[:, None, :] * data
-    gram = toeplitz(w2, numerator, numerator)
+    gram = _toeplitz(lag_sums(w2), numerator, numerator)
+    inverse = [_inverse_factor(np.ascontiguousarray(g)) for g in gram]
     square = np.matmul(data.conj().transpose(2, 1, 0), weighted.transpose(2, 0, 1)).transpose(1, 2, 0)
-    total = toeplitz(square, powers, powers).transpose(2, 0, 3, 1).reshape(p * n_in, p * n_in)
-    # rows: powers of the numerator; columns: (power, input) of the denominator
-    cross = toeplitz(weighted, numerator, powers)
-    if same:
-        rows = (_inverse_factor(gram[0]) @ cross.transpose(2, 0, 3, 1).reshape(q, -1)).reshape(q * n_out, p * n_in)
-    else:
-        inverse = np.array([_inverse_factor(g) for g in gram])
-        rows = (inverse @ cross.transpose(0, 2, 3, 1).reshape(n_out, q, p * n_in)).reshape(n_out * q, p * n_in)
-    return np.asarray(total - _product(rows))
+    total = _toeplitz(lag_sums(square), powers, powers).transpose(2, 0, 3, 1).reshape(p * n_in, p * n_in)
+    # rows: powers of the numerator; columns: (power, input) of the denominator; a few responses at a time, as the cache holds them
+    lags = lag_sums(weighted)
+    few = max(1, CACHE_VALUES // (p * q * n_in)) if same else 1
+    taken = np.zeros((p * n_in, p * n_in), total.dtype, order="F")
+    for first in range(0, n_out, few):
+        part = _toeplitz(lags[first : first + few], numerator, powers)
+        cross = np.array(part.transpose(2, 0, 3, 1), order="C").reshape(q, -1)
+        factor = inverse[0 if same else first]
+        rows = _lower_times(factor, cross).reshape(-1, p * n_in)
+        taken = _add_product(rows, taken)
+    return np.asarray(total - _full(taken))
+
+
+def _toeplitz(lags: NDArray[Any], rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[Any]:
+    """Lag sums (…, 2n + 1) at the difference of two powers, (…, rows, columns): a view; both rise by one."""
+    start = lags.shape[-1] // 2 + int(columns[0]) - int(rows[0])
+    step = lags.strides[-1]
+    shape = (*lags.shape[:-1], rows.size, columns.size)
+    return np.lib.stride_tricks.as_strided(lags[..., start:], shape, (*lags.strides[:-1], -step, step), writeable=False)
 
 
 def _lag_sums(g: NDArray[Any], waves: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -251,11 +267,20 @@ def _lag_sums(g: NDArray[Any], waves: NDArray[np.float64]) -> NDArray[np.complex
     return out.reshape(*g.shape[:-1], -1)
 
 
-def _product(rows: NDArray[Any]) -> NDArray[Any]:
-    """rowsᴴ·rows, half of it computed."""
-    if not np.iscomplexobj(rows):
-        return np.asarray(rows.T @ rows)
-    upper = linalg.blas.zherk(1.0, rows.T)
+def _lower_times(factor: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+    """L·X for a lower triangle, half the work of a product; X is overwritten."""
+    trmm = linalg.blas.ztrmm if np.iscomplexobj(right) else linalg.blas.dtrmm
+    return np.asarray(trmm(1.0, factor.T, right.T, side=1, overwrite_b=1).T)
+
+
+def _add_product(rows: NDArray[Any], total: NDArray[Any]) -> NDArray[Any]:
+    """The upper triangle of the conjugate of rowsᴴ·rows added to ``total`` (in Fortran order, overwritten)."""
+    rank_k = linalg.blas.zherk if np.iscomplexobj(rows) else linalg.blas.dsyrk
+    return np.asarray(rank_k(1.0, rows.T, beta=1.0, c=total, overwrite_c=1))
+
+
+def _full(upper: NDArray[Any]) -> NDArray[Any]:
+    """The Hermitian matrix whose conjugate's upper triangle is given."""
     full = np.conj(upper)
     return np.asarray(full + np.triu(full, 1).conj().T)
 
@@ -303,31 +328,12 @@ def _denominators(
     return size, out
 
 
-def _roots(blocks: NDArray[Any]) -> NDArray[np.complex128]:
-    """z where A(z) = Σ α_k z^k is singular, by the companion matrix of the end that is the identity."""
-    n, n_in = blocks.shape[0] - 1, blocks.shape[1]
-    lowest = np.array_equal(blocks[0], np.eye(n_in))
-    monic = blocks[1:] if lowest else blocks[-2::-1]
-    k = n * n_in
-    companion = np.zeros((k, k), blocks.dtype, order="F")
-    companion[:n_in] = -monic.transpose(2, 0, 1).reshape(n_in, k)
-    companion[np.arange(n_in, k), np.arange(k - n_in)] = 1.0
-    roots = linalg.eigvals(companion, overwrite_a=True, check_finite=False)
-    roots = roots[np.abs(roots) > 1e-12]
-    return np.asarray(1 / roots if lowest else roots, complex)
-
-
 def _null_vectors(blocks: NDArray[Any], z: NDArray[np.complex128], size: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Participation vectors u of uᵀA(z) = 0, (n_in, n_poles): unit norm, principal axis along the real one, largest part positive."""
     n_in = size.size
     if n_in == 1:
         return np.ones((1, z.size), complex)
-    # spurious roots far outside the circle would overflow: there the polynomial in 1/z is used
-    far = np.abs(z) > 1
-    base = np.where(far, 1 / z, z)[:, None, None]
-    value = np.zeros((z.size, n_in, n_in), complex)
-    for up, down in zip(blocks[::-1], blocks, strict=True):
-        value = value * base + np.where(far[:, None, None], down, up)
+    value = polynomial_values(blocks, z)
     v = np.linalg.svd(value.transpose(0, 2, 1))[2][:, -1, :].conj().T * size[:, None]
     v = v / np.linalg.norm(v, axis=0)
     v = v * np.exp(-0.5j * np.angle(np.sum(v**2, axis=0)))

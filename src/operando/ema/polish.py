@@ -21,16 +21,17 @@ from operando.ema.polish_model import (
     Complex,
     Parameters,
     Real,
-    kernels,
+    jacobian_functions,
     n_local,
     n_nuisance,
     parameter_map,
     predict,
-    run_basis,
+    run_model,
     transfer,
 )
 from operando.ema.spectra import RunSpectra
 from operando.errors import IdentificationError
+from operando.synthesis import power_of, real_inner
 
 _BAND_GRAMS = 12
 MAX_STEP_WIDTHS = 2.0
@@ -46,8 +47,9 @@ class Polished:
     parameters : Parameters
     covariance : (p, p) array
         Of [ln f, ln ζ, shapes mode by mode].
-    local_estimates : tuple of (coefficients (m·b,), information (m·b, m·b))
-        For each run the local coefficients response by response and their information given the modes, transients eliminated.
+    local_estimates : tuple of (coefficients (m·b,), information (m·b, m·b) or (m, b, b))
+        For each run the local coefficients response by response and their information given the modes, transients eliminated; response
+        by response where nothing joins them.
     cost : float
         Σ eᴴC⁻¹e over runs and lines.
     n_data : int
@@ -66,13 +68,46 @@ class Polished:
 
 
 @dataclass(frozen=True)
-class _Residual:
-    error: Complex  # e (m, L)
-    whitened: Complex  # C⁻¹e (m, L)
-    clean_force: Complex  # (k, L)
-    common: Complex | None  # rows w_k (k, m, L): C⁻¹ = D⁻¹ − Σ_k w_kᴴ w_k
-    transfer: Complex  # H (k, m, L)
+class Residual:
+    """What the model leaves of one run, weighted by the full noise covariance of each line.
+
+    Parameters
+    ----------
+    error, whitened : (m, L) complex arrays
+        e and C⁻¹e.
+    clean_force : (k, L) complex array
+    common : (k, m, L) complex array or None
+        Rows w_k: C⁻¹ = D⁻¹ − Σ_k w_kᴴ w_k; None where the forces hold no noise.
+    variance : (m, L) array
+        Of each response line, the noise of the forces included.
+    cost : float
+    """
+
+    error: Complex
+    whitened: Complex
+    clean_force: Complex
+    common: Complex | None
+    variance: Real
     cost: float
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Normal equations of the global parameters, everything of single runs eliminated, and the way back to it.
+
+    Parameters
+    ----------
+    normal, right : (p, p), (p,) arrays
+    back : tuple of (base, slope, scale, gradient)
+        For each run: its own unknowns are (base − slope·step)/scale.
+    local : tuple of (m·b, m·b) or (m, b, b) arrays
+        Normal matrix of the local coefficients of each run given the modes, transients eliminated.
+    """
+
+    normal: Real
+    right: Real
+    back: tuple[tuple[Real, Real, Real, Real], ...]
+    local: tuple[Real, ...]
 
 
 def start_parameters(runs: Sequence[RunSpectra], hz: Real, zeta: Real, shapes: Real, outside_hz: Real) -> Parameters:
@@ -96,19 +131,20 @@ def signed(run: RunSpectra) -> RunSpectra:
     )
 
 
-def residual(run: RunSpectra, theta: Parameters, index: int) -> _Residual:
+def residual(run: RunSpectra, theta: Parameters, index: int) -> Residual:
     """Residuals of one run, weighted by the full noise covariance of each line."""
-    basis = run_basis(run, theta, index, run.forces)
-    error = run.responses - predict(run, theta, index, basis)
+    model = run_model(run, theta, index, run.forces)
+    error = run.responses - predict(run, theta, index, model)
     weighted = error / run.response_variance
-    h = transfer(run, theta, index, basis)  # (k, m, L)
     if not np.any(run.force_variance > 0):
-        return _Residual(error, weighted, run.forces, None, h, float(np.sum(np.real(error.conj() * weighted))))
+        return Residual(error, weighted, run.forces, None, run.response_variance, _inner(error, weighted))
+    h = transfer(run, theta, index, model)  # (k, m, L)
+    variance = run.response_variance + np.einsum("kml,kl->ml", power_of(h), run.force_variance)
     root = np.sqrt(run.force_variance)[:, None, :]
     scaled = h.conj() * root / run.response_variance  # σ_f hᴴ D⁻¹
     k = h.shape[0]
     if k == 1:
-        inner = np.sum(np.abs(h[0]) ** 2 / run.response_variance, axis=0) * run.force_variance[0]
+        inner = np.sum(power_of(h[0]) / run.response_variance, axis=0) * run.force_variance[0]
         rows = scaled / np.sqrt(1 + inner)
     else:
         inner = np.einsum("kml,jml->ljk", h * root, scaled, optimize=True)
@@ -117,13 +153,19 @@ def residual(run: RunSpectra, theta: Parameters, index: int) -> _Residual:
     projection = np.einsum("kml,ml->kl", rows, error)
     whitened = weighted - np.einsum("kml,kl->ml", rows.conj(), projection)
     clean = run.forces + run.force_variance * np.einsum("kml,ml->kl", h.conj(), whitened)
-    return _Residual(error, whitened, clean, rows, h, float(np.sum(np.real(error.conj() * whitened))))
+    return Residual(error, whitened, clean, rows, variance, _inner(error, whitened))
 
 
-def total_cost(runs: Sequence[RunSpectra], theta: Parameters, shape_std: Real | None = None) -> float:
-    """Σ eᴴC⁻¹e plus half the quadratic form of the shapes' prior."""
-    data = sum(residual(run, theta, i).cost for i, run in enumerate(runs))
-    return data + (0.0 if shape_std is None else 0.5 * float(np.sum((theta.shapes / shape_std) ** 2)))
+def _inner(a: Complex, b: Complex) -> float:
+    """Re Σ ā b."""
+    return float(np.sum(a.real * b.real) + np.sum(a.imag * b.imag))
+
+
+def _evaluated(runs: Sequence[RunSpectra], theta: Parameters, shape_std: Real | None) -> tuple[float, list[Residual]]:
+    """Σ eᴴC⁻¹e plus half the quadratic form of the shapes' prior, and the residuals of the runs."""
+    states = [residual(run, theta, i) for i, run in enumerate(runs)]
+    prior = 0.0 if shape_std is None else 0.5 * float(np.sum((theta.shapes / shape_std) ** 2))
+    return sum(state.cost for state in states) + prior, states
 
 
 def _band_grams(stack: Complex, variance: Real) -> NDArray[np.float64]:
@@ -147,13 +189,12 @@ def _band_grams(stack: Complex, variance: Real) -> NDArray[np.float64]:
 
 
 def _grams(run: RunSpectra, theta: Parameters, stack: Complex) -> NDArray[np.float64]:
-    """Gram matrices of the basis; an FRF column has Q = φ_k·G·F there beside G·F, and each function is used once."""
+    """Gram matrices of the Jacobian's functions; an FRF column has Q = φ_k·G·F there beside G·F, and each function is used once."""
     n = theta.hz.size
     if run.step_s is not None or run.forces.shape[0] != 1:
         return _band_grams(stack, run.response_variance)
     drive = theta.shapes[run.force_rows[0]]
-    g = kernels(run.frequencies_hz, theta.hz, theta.zeta, run.window_rate)
-    base = np.concatenate([part * run.forces for part in g])
+    base = np.concatenate([part * run.forces for part in theta.functions(run).kernels])
     of = np.concatenate([np.arange(3 * n), np.arange(n), np.arange(3 * n, stack.shape[0] - n)])
     factor = np.concatenate([drive, drive, drive, np.ones(stack.shape[0] - 3 * n)])
     grams = _band_grams(np.concatenate([base, stack[4 * n :]]), run.response_variance)
@@ -195,25 +236,55 @@ def _common_rows(run: RunSpectra, theta: Parameters, stack: Complex, rows: Compl
     return out.reshape(n_all, -1)
 
 
-def normal_equations(run: RunSpectra, theta: Parameters, index: int) -> tuple[Real, Real, float]:
-    """Re(JᴴC⁻¹J), Re(JᴴC⁻¹e) of one run over [global parameters, nuisance of the run], and its cost."""
-    state = residual(run, theta, index)
-    basis = run_basis(run, theta, index, state.clean_force)
+def normal_equations(run: RunSpectra, theta: Parameters, index: int, state: Residual | None = None) -> tuple[Real, Real]:
+    """Re(JᴴC⁻¹J), Re(JᴴC⁻¹e) of one run over [global parameters, nuisance of the run]."""
+    state = residual(run, theta, index) if state is None else state
+    stack = jacobian_functions(run, theta, index, state.clean_force)
     m_dofs, n = theta.shapes.shape
     n_global = 2 * n + m_dofs * n
     n_all = n_global + n_nuisance(run, n, theta.outside_hz.size)
     positions, factors = parameter_map(run, theta, n_global)
-    normal = np.zeros((n_all, n_all))
-    grams = _grams(run, theta, basis.stack)
-    for j in range(run.response_rows.size):
-        np.add.at(normal, (positions[j][:, None], positions[j][None, :]), grams[j] * np.outer(factors[j], factors[j]))
-    products = np.real(state.whitened @ basis.stack.conj().T)  # (m, K)
+    if state.common is None:
+        normal = np.zeros((n_all, n_all))
+    else:
+        v = _common_rows(run, theta, stack, state.common, n_all)
+        half = dsyrk(-1.0, v.T, trans=1)  # half the work of a product
+        normal = half + np.triu(half, 1).T
+    grams = _grams(run, theta, stack)
+    for at, factor, gram in zip(positions, factors, grams, strict=True):
+        _add_block(normal, at, gram * np.outer(factor, factor))
     gradient = np.zeros(n_all)
-    np.add.at(gradient, positions, products * factors)
-    if state.common is not None:
-        v = _common_rows(run, theta, basis.stack, state.common, n_all)
-        normal -= v @ v.T
-    return normal, gradient, state.cost
+    np.add.at(gradient, positions, real_inner(state.whitened, stack) * factors)
+    return normal, gradient
+
+
+def _add_block(normal: Real, at: NDArray[np.int_], block: Real) -> None:
+    """Add a block to the rows and columns ``at``; those that stand there twice (the response at the driven DOF) are added up first."""
+    once, place = np.unique(at, return_inverse=True)
+    if once.size < at.size:
+        joined = np.zeros((once.size, at.size))
+        joined[place, np.arange(at.size)] = 1
+        at, block = once, joined @ block @ joined.T
+    normal[at[:, None], at[None, :]] += block
+
+
+def _assembled(runs: Sequence[RunSpectra], theta: Parameters, states: Sequence[Residual], precision: Real) -> _Equations:
+    """Normal equations over all runs; those of a run are dropped once its own unknowns are eliminated."""
+    n = theta.hz.size
+    n_global = precision.size
+    total = np.diag(precision)
+    right = -precision * np.concatenate([np.zeros(2 * n), theta.shapes.T.ravel()])
+    back, local = [], []
+    for i, (run, state) in enumerate(zip(runs, states, strict=True)):
+        normal, gradient = normal_equations(run, theta, i, state)
+        local.append(_local_normal(run, n, normal, n_global))
+        base, slope, scale = _eliminated(normal, gradient, n_global)
+        cross, rest = normal[n_global:, :n_global] / scale[:, None], gradient[n_global:] / scale
+        total += normal[:n_global, :n_global]
+        total -= cross.T @ slope
+        right += gradient[:n_global] - cross.T @ base
+        back.append((base, slope, scale, rest))
+    return _Equations(total, right, tuple(back), tuple(local))
 
 
 def polish(
@@ -261,16 +332,18 @@ def polish(
     if hold_poles:
         precision[: 2 * n] = 1e30
     damping = 1e-4
-    cost = total_cost(runs, theta, shape_std)
+    cost, states = _evaluated(runs, theta, shape_std)
     converged = False
     iteration = 0
-    equations = [normal_equations(run, theta, i) for i, run in enumerate(runs)]
+    equations = _assembled(runs, theta, states, precision)
     for iteration in range(1, max_iterations + 1):
         trial, trial_cost, gain = None, np.inf, 0.0
         for _ in range(14):
-            step, nuisance, gain = _solve(equations, theta, precision, n_global, damping)
+            step, nuisance, gain = _step(equations, damping)
             trial = _moved(theta, step, nuisance, runs)
-            trial_cost = total_cost(runs, trial, shape_std) if trial is not None else np.inf
+            trial_cost = np.inf
+            if trial is not None:
+                trial_cost, states = _evaluated(runs, trial, shape_std)
             if np.isfinite(trial_cost) and trial_cost <= cost:
                 break
             trial = None
@@ -287,23 +360,25 @@ def polish(
         if fall < tolerance:
             converged = True
             break
-        equations = [normal_equations(run, theta, i) for i, run in enumerate(runs)]
-    covariance = _covariance(equations, precision, n_global) if want_covariance else np.zeros((0, 0))
-    estimates = tuple(_local_information(run, theta, i, eq[0], n_global) for i, (run, eq) in enumerate(zip(runs, equations, strict=True)))
+        equations = _assembled(runs, theta, states, precision)
+    covariance = _covariance(equations.normal) if want_covariance else np.zeros((0, 0))
+    estimates = tuple((local.ravel(), 2 * normal) for local, normal in zip(theta.local, equations.local, strict=True))
     return Polished(theta, covariance, estimates, cost, sum(run.responses.size for run in runs), iteration, converged)
 
 
-def _local_information(run: RunSpectra, theta: Parameters, index: int, normal: Real, n_global: int) -> tuple[Real, Real]:
-    """Local coefficients and twice their normal matrix with the transients eliminated."""
-    first = n_global + (0 if run.step_s is None else 2 * theta.hz.size)
+def _local_normal(run: RunSpectra, n: int, normal: Real, n_global: int) -> Real:
+    """Normal matrix of the local coefficients with the transients eliminated."""
+    first = n_global + (0 if run.step_s is None else 2 * n)
     block = normal[first:, first:]
-    if first > n_global:
-        cross = normal[n_global:first, first:]
-        inner = normal[n_global:first, n_global:first]
-        d = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        factor = _safe_factor(inner / np.outer(d, d))
-        block = block - (cross / d[:, None]).T @ cho_solve(factor, cross / d[:, None])
-    return theta.local[index].ravel(), 2 * block
+    if first == n_global:
+        m = run.response_rows.size
+        blocks = block.reshape(m, block.shape[0] // m, m, block.shape[0] // m)
+        return block.copy() if np.any(run.force_variance > 0) else np.array(blocks[np.arange(m), :, np.arange(m)])
+    cross = normal[n_global:first, first:]
+    inner = normal[n_global:first, n_global:first]
+    d = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    factor = _safe_factor(inner / np.outer(d, d))
+    return np.asarray(block - (cross / d[:, None]).T @ cho_solve(factor, cross / d[:, None]))
 
 
 def _safe_factor(matrix: Real) -> tuple[Real, bool]:
@@ -320,48 +395,29 @@ def _safe_factor(matrix: Real) -> tuple[Real, bool]:
                 raise IdentificationError("the normal equations of the fit are singular", hint="fewer modes, or more references") from None
 
 
-def _eliminate(normal: Real, gradient: Real, n_global: int) -> tuple[Real, Real, tuple[Real, Real, Real] | None]:
-    """Take the nuisance unknowns of one run out of its normal equations (Schur complement)."""
-    if normal.shape[0] == n_global:
-        return normal, gradient, None
-    nuisance = normal[n_global:, n_global:].copy()
-    d = np.sqrt(np.maximum(np.diag(nuisance), 1e-300))
-    nuisance /= np.outer(d, d)
-    factor = _safe_factor(nuisance)
-    cross = normal[n_global:, :n_global] / d[:, None]
-    rest = gradient[n_global:] / d
-    solved = cho_solve(factor, np.column_stack([cross, rest]))
-    reduced = normal[:n_global, :n_global] - cross.T @ solved[:, :-1]
-    return reduced, gradient[:n_global] - cross.T @ solved[:, -1], (solved[:, -1], solved[:, :-1], d)
+def _eliminated(normal: Real, gradient: Real, n_global: int) -> tuple[Real, Real, Real]:
+    """The unknowns of one run alone as base − slope·step, over the scale that is returned with them."""
+    d = np.sqrt(np.maximum(np.diag(normal)[n_global:], 1e-300))
+    if not d.size:
+        return np.zeros(0), np.zeros((0, n_global)), d
+    factor = _safe_factor(normal[n_global:, n_global:] / np.outer(d, d))
+    solved = cho_solve(factor, np.column_stack([normal[n_global:, :n_global] / d[:, None], gradient[n_global:] / d]))
+    return solved[:, -1], solved[:, :-1], d
 
 
-def _solve(
-    equations: Sequence[tuple[Real, Real, float]], theta: Parameters, precision: Real, n_global: int, damping: float
-) -> tuple[Real, list[Real], float]:
-    n = theta.hz.size
-    total = np.diag(precision)
-    right = -precision * np.concatenate([np.zeros(2 * n), theta.shapes.T.ravel()])
-    kept = []
-    for normal, gradient, _ in equations:
-        reduced, rest, back = _eliminate(normal, gradient, n_global)
-        total += reduced
-        right += rest
-        kept.append((back, gradient[n_global:]))
-    d = np.sqrt(np.maximum(np.diag(total), 1e-300))
+def _step(equations: _Equations, damping: float) -> tuple[Real, list[Real], float]:
+    """Levenberg step of the global parameters and of those of each run, and the fall of the cost it foresees."""
+    d = np.sqrt(np.maximum(np.diag(equations.normal), 1e-300))
     d[d < 1e-12 * d.max()] = d.max()  # a parameter without information stays where it is
-    scaled = total / np.outer(d, d)
+    scaled = equations.normal / np.outer(d, d)
     scaled[np.diag_indices_from(scaled)] += damping
     factor = _safe_factor(scaled)
-    step = cho_solve(factor, right / d) / d
-    gain = float(step @ right)
+    step = cho_solve(factor, equations.right / d) / d
+    gain = float(step @ equations.right)
     nuisance = []
-    for back, rest in kept:
-        if back is None:
-            nuisance.append(np.zeros(0))
-        else:
-            base, slope, scale = back
-            nuisance.append((base - slope @ step) / scale)
-            gain += float(base @ (rest / scale))
+    for base, slope, scale, rest in equations.back:
+        nuisance.append((base - slope @ step) / scale)
+        gain += float(base @ rest)
     return step, nuisance, gain
 
 
@@ -384,11 +440,8 @@ def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequen
     return replace(theta, hz=hz, zeta=zeta, shapes=shapes, transients=tuple(transients), local=tuple(local))
 
 
-def _covariance(equations: Sequence[tuple[Real, Real, float]], precision: Real, n_global: int) -> Real:
+def _covariance(total: Real) -> Real:
     """Inverse Fisher information of the global parameters; the information of complex data is twice the normal matrix."""
-    total = np.diag(precision)
-    for normal, gradient, _ in equations:
-        total += _eliminate(normal, gradient, n_global)[0]
     d = np.sqrt(np.maximum(np.diag(total), 1e-300))
     d[d < 1e-12 * d.max()] = d.max()
     values, vectors = np.linalg.eigh(total / np.outer(d, d))
@@ -408,8 +461,7 @@ def run_misfit(runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDA
             continue
         part = run.lines(mask)
         state = residual(part, theta, i)
-        variance = part.response_variance + np.einsum("kml,kl->ml", np.abs(state.transfer) ** 2, part.force_variance)
-        ratio = np.abs(state.error) ** 2 / variance
+        ratio = power_of(state.error) / state.variance
         total += float(ratio.sum())
         count += ratio.size
         np.add.at(by_row, part.response_rows, np.stack([ratio.sum(axis=1), np.full(ratio.shape[0], ratio.shape[1])], axis=1))

@@ -9,12 +9,14 @@ functions for their transients. Because it is linear and free in each response, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.spectra import RunSpectra
+from operando.synthesis import combined, kernel_derivatives, modal_kernel
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -22,6 +24,9 @@ Complex = NDArray[np.complex128]
 END_FACTORS = (1.06, 1.2)
 N_END = 2 * len(END_FACTORS) + 3
 OUTSIDE_DAMPING = 0.01
+
+KEPT = 2
+"""Sets of lines whose functions are kept: columns of one FRF matrix share one."""
 
 
 @dataclass(frozen=True)
@@ -48,30 +53,36 @@ class Parameters:
     outside_hz: Real
     transients: tuple[Real, ...]
     local: tuple[Real, ...]
+    _known: dict[tuple[Any, ...], LineFunctions] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def functions(self, run: RunSpectra) -> LineFunctions:
+        """What the poles make of the lines of a run; kept for the next one, because runs mostly share their lines."""
+        key = (run.window_rate, run.step_s, run.top_hz, run.frequencies_hz.tobytes())
+        if key not in self._known:
+            while len(self._known) >= KEPT:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = _line_functions(run, self)
+        return self._known[key]
 
 
 @dataclass(frozen=True)
-class RunBasis:
-    """Functions of frequency that model and Jacobian of one run are made of; rows of ``stack`` in the order of ``slices``."""
+class LineFunctions:
+    """Functions of frequency that depend on poles and lines alone."""
+
+    kernels: tuple[Complex, Complex, Complex]  # G and its derivatives by ln f and ln ζ, (n, L)
+    outside: Complex  # G_q (q, L)
+    decays: tuple[Complex, ...]  # see ``decays``; empty where there is no transient
+    ends: Complex  # (N_END or 0, L)
+
+
+@dataclass(frozen=True)
+class RunModel:
+    """What the responses of one run are a sum of."""
 
     kernel: Complex  # G (n, L)
     modal: Complex  # Q (n, L)
-    stack: Complex  # (K, L)
+    local: Complex  # (b, L)
     outside: Complex  # G_q (q, L)
-
-
-def kernels(f: Real, hz: Real, zeta: Real, rate: float = 0.0) -> tuple[Complex, Complex, Complex]:
-    """Accelerance kernels s²/(s² + 2ζω₀s + ω₀²) and their derivatives with respect to ln f_r and ln ζ_r, each (n, L).
-
-    s = iω + β: an exponential window of rate β moves the numerator with the poles.
-    """
-    s = 2j * np.pi * f[None, :] + rate
-    w0 = 2 * np.pi * hz[:, None]
-    damping = 2 * zeta[:, None] * w0 * s
-    denominator = w0**2 + s**2 + damping
-    g = s**2 / denominator
-    ratio = g / denominator
-    return np.asarray(g), np.asarray(-ratio * (2 * w0**2 + damping)), np.asarray(-ratio * damping)
 
 
 def decays(f: Real, hz: Real, zeta: Real, step: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
@@ -118,8 +129,18 @@ def n_nuisance(run: RunSpectra, n: int, n_outside: int) -> int:
     return (0 if run.step_s is None else 2 * n) + n_local(run, n_outside) * run.response_rows.size
 
 
-def run_basis(run: RunSpectra, theta: Parameters, index: int, forces: Complex) -> RunBasis:
-    """Basis functions of one run.
+def _line_functions(run: RunSpectra, theta: Parameters) -> LineFunctions:
+    f = run.frequencies_hz
+    return LineFunctions(
+        kernel_derivatives(f, theta.hz, theta.zeta, run.window_rate),
+        modal_kernel(f, theta.outside_hz, np.full(theta.outside_hz.size, OUTSIDE_DAMPING), "accelerance", run.window_rate),
+        () if run.step_s is None else decays(f, theta.hz, theta.zeta, run.step_s),
+        np.zeros((0, f.size), complex) if run.step_s is None else end_basis(f, run.top_hz, run.step_s),
+    )
+
+
+def run_model(run: RunSpectra, theta: Parameters, index: int, forces: Complex) -> RunModel:
+    """Modal accelerations and local functions of one run.
 
     Parameters
     ----------
@@ -129,28 +150,29 @@ def run_basis(run: RunSpectra, theta: Parameters, index: int, forces: Complex) -
         Number of the run.
     forces : (k, L) complex array
         Forces to use (measured, or cleaned of their noise by the model).
-
-    Returns
-    -------
-    RunBasis
-        stack rows: Q (n), ∂Q/∂ln f (n), ∂Q/∂ln ζ (n), G·F_k (k·n), t1 (n), t2 (n) where there is a transient, local functions.
     """
-    f = run.frequencies_hz
-    g, gf, gz = kernels(f, theta.hz, theta.zeta, run.window_rate)
-    drive = theta.shapes[run.force_rows].T @ forces  # (n, L)
-    modal, qf, qz = g * drive, gf * drive, gz * drive
-    parts = [modal, qf, qz, *(g * force for force in forces)]
-    outside = kernels(f, theta.outside_hz, np.full(theta.outside_hz.size, OUTSIDE_DAMPING), run.window_rate)[0]
-    local = [outside * force for force in forces]
-    if run.step_s is not None:
-        t1, t2, f1, f2, z1, z2 = decays(f, theta.hz, theta.zeta, run.step_s)
+    known = theta.functions(run)
+    g = known.kernels[0]
+    modal = g * combined(theta.shapes[run.force_rows].T, forces)
+    if known.decays:
         a, b = theta.transients[index][:, :, None]
-        modal += a * t1 + b * t2
-        qf += a * f1 + b * f2
-        qz += a * z1 + b * z2
-        parts += [t1, t2]
-        local.append(end_basis(f, run.top_hz, run.step_s))
-    return RunBasis(g, modal, np.concatenate(parts + local), outside)
+        modal += a * known.decays[0] + b * known.decays[1]
+    local = np.concatenate([*(known.outside * force for force in forces), known.ends])
+    return RunModel(g, modal, local, known.outside)
+
+
+def jacobian_functions(run: RunSpectra, theta: Parameters, index: int, forces: Complex) -> Complex:
+    """What the Jacobian of one run is made of, (K, L): Q (n), ∂Q/∂ln f (n), ∂Q/∂ln ζ (n), G·F_k (k·n), t1 (n), t2 (n) where there is a
+    transient, local functions."""
+    model, known = run_model(run, theta, index, forces), theta.functions(run)
+    drive = combined(theta.shapes[run.force_rows].T, forces)
+    g, gf, gz = known.kernels
+    qf, qz = gf * drive, gz * drive
+    if known.decays:
+        a, b = theta.transients[index][:, :, None]
+        qf += a * known.decays[2] + b * known.decays[3]
+        qz += a * known.decays[4] + b * known.decays[5]
+    return np.concatenate([model.modal, qf, qz, *(g * force for force in forces), *known.decays[:2], model.local])
 
 
 def parameter_map(run: RunSpectra, theta: Parameters, offset: int) -> tuple[NDArray[np.int_], Real]:
@@ -183,19 +205,18 @@ def parameter_map(run: RunSpectra, theta: Parameters, offset: int) -> tuple[NDAr
     return np.concatenate(index, axis=1), np.concatenate(factor, axis=1)
 
 
-def predict(run: RunSpectra, theta: Parameters, index: int, basis: RunBasis) -> Complex:
+def predict(run: RunSpectra, theta: Parameters, index: int, model: RunModel) -> Complex:
     """Modelled responses (m, L)."""
-    b = theta.local[index].shape[1]
-    out = theta.shapes[run.response_rows] @ basis.modal
-    return np.asarray(out + theta.local[index] @ basis.stack[basis.stack.shape[0] - b :])
+    return combined(
+        np.concatenate([theta.shapes[run.response_rows], theta.local[index]], axis=1), np.concatenate([model.modal, model.local])
+    )
 
 
-def transfer(run: RunSpectra, theta: Parameters, index: int, basis: RunBasis) -> Complex:
+def transfer(run: RunSpectra, theta: Parameters, index: int, model: RunModel) -> Complex:
     """FRFs of the run's responses and forces, (k, m, L)."""
     phi = theta.shapes[run.response_rows]
     q = theta.outside_hz.size
-    out = []
-    for i, row in enumerate(run.force_rows):
-        h = (phi * theta.shapes[row][None, :]) @ basis.kernel
-        out.append(h + theta.local[index][:, i * q : (i + 1) * q] @ basis.outside)
-    return np.stack(out)
+    functions = np.concatenate([model.kernel, model.outside])
+    local = theta.local[index]
+    parts = [np.concatenate([phi * theta.shapes[row], local[:, i * q : (i + 1) * q]], axis=1) for i, row in enumerate(run.force_rows)]
+    return np.stack([combined(part, functions) for part in parts])

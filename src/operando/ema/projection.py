@@ -21,18 +21,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.ema.pair_fits import Before, Columns, chunks, fit_pairs, modal_columns
 from operando.ema.pairs import Complex, Pairs, Real
-from operando.ema.polish_model import OUTSIDE_DAMPING, kernels
+from operando.ema.polish_model import OUTSIDE_DAMPING
 from operando.ema.start import OUTSIDE_FACTORS
+from operando.synthesis import combined, kernel_derivatives, modal_kernel, power_of
 
 Coefficients = tuple[Real, Real, Real]
 """Residues a, quadrature parts b and shifts δ, each (P, n)."""
 
-_Before = tuple[Real, Real, Real]
-"""Residues a and quadrature parts b of the round before, and the amplitude that sizes the prior on b, each (P, n)."""
-
 LOWER_FACTOR = 0.6
-RIDGE = 1e-9
 QUADRATURE, QUADRATURE_GUESS, QUADRATURE_MOST, QUADRATURE_FREE = 0.2, 0.05, 0.25, 2.0
 """Spread of b over a: at the start, two pseudo-pairs' worth of it (a phase of 3°), at most (14°), and at most where noise limits."""
 
@@ -49,7 +47,6 @@ LEAST_FALL = 0.02
 where neighbouring lines err together: a tenth where four count as one)."""
 
 PSEUDO_PAIRS = 2.0
-CHUNK = 256
 
 
 @dataclass(frozen=True)
@@ -122,29 +119,9 @@ class Projection:
         return self.a, self.b, self.shift
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Columns of the linear fit over the lines: g, h (quadrature), tails; derivatives of g and h by ln f and ln ζ."""
-
-    g: Complex
-    h: Complex
-    tails: Complex
-    gf: Complex
-    hf: Complex
-    gz: Complex
-    hz: Complex
-
-    def stack(self) -> Complex:
-        """All columns as rows of one array, (6n + t, L): what is fitted (g, h, tails), then the derivatives (gf, gz, hf, hz).
-
-        :func:`_solve` takes the products of all of them apart in this order.
-        """
-        return np.concatenate([self.g, self.h, self.tails, self.gf, self.gz, self.hf, self.hz])
-
-
 def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
     """Columns g, h (quadrature) and their derivatives by ln f and ln ζ: g, h, gf, hf, gz, hz, each (n, L)."""
-    g, gf, gz = kernels(f, poles.hz, poles.zeta, rate)
+    g, gf, gz = kernel_derivatives(f, poles.hz, poles.zeta, rate)
     c = (2j * np.pi * f[None, :] + rate) / (2 * np.pi * poles.hz[:, None])
     return g, g * c, gf, (gf - g) * c, gz, gz * c
 
@@ -152,29 +129,30 @@ def basis(f: Real, poles: Poles, rate: float) -> tuple[Complex, Complex, Complex
 def tail_columns(f: Real, top_hz: float, bottom_hz: float, rate: float) -> Complex:
     """Kernels above the band and one below, a constant (free mass), 1/s and 1/s² (offset and drift under the window), (t, L)."""
     outside = np.array([factor * top_hz for factor in OUTSIDE_FACTORS] + [LOWER_FACTOR * bottom_hz])
-    kernel = kernels(f, outside, np.full(outside.size, OUTSIDE_DAMPING), rate)[0]
+    kernel = modal_kernel(f, outside, np.full(outside.size, OUTSIDE_DAMPING), "accelerance", rate)
     s = (2j * np.pi * f + rate) / (2 * np.pi * bottom_hz)
     return np.concatenate([kernel, np.ones((1, f.size)), 1 / s[None], 1 / s[None] ** 2])
 
 
-def _columns(pairs: Pairs, poles: Poles, ends_hz: tuple[float, float]) -> _Columns:
-    g, h, gf, hf, gz, hz = basis(pairs.frequencies_hz, poles, pairs.window_rate)
+def _columns(pairs: Pairs, poles: Poles, ends_hz: tuple[float, float]) -> Columns:
     top = max(ends_hz[1], float(poles.hz.max(initial=0.0)))
     tails = tail_columns(pairs.frequencies_hz, top, ends_hz[0], pairs.window_rate)
-    return _Columns(g, h, tails, gf, hf, gz, hz)
+    return modal_columns(pairs.frequencies_hz, poles.hz, poles.zeta, tails, pairs.window_rate)
 
 
 def modal_power(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Real:
     """Σ_r|mode r in pair p|² + |tails|², (P, L): what a proportional model error is proportional to."""
     c = _columns(pairs, poles, ends_hz)
-    power = fit.a**2 @ np.abs(c.g) ** 2 + fit.b**2 @ np.abs(c.h) ** 2 + 2 * (fit.a * fit.b) @ (c.g * c.h.conj()).real
-    return np.asarray(np.maximum(power, 0) + np.abs(fit.tails @ c.tails) ** 2)
+    cross = c.g.real * c.h.real + c.g.imag * c.h.imag
+    power = fit.a**2 @ power_of(c.g) + fit.b**2 @ power_of(c.h) + 2 * (fit.a * fit.b) @ cross
+    return np.asarray(np.maximum(power, 0) + power_of(combined(fit.tails, c.tails)))
 
 
 def synthesis(pairs: Pairs, poles: Poles, fit: Projection, ends_hz: tuple[float, float]) -> Complex:
     """FRFs of the fitted pairs on the lines of ``pairs``, (P, L)."""
-    c = _columns(pairs, poles, ends_hz)
-    return np.asarray(fit.a @ c.g + fit.b @ c.h + fit.tails @ c.tails + fit.shifted @ np.concatenate([c.gf, c.hf]))
+    c, n = _columns(pairs, poles, ends_hz), poles.hz.size
+    moved = c.by_frequency(fit.shifted[:, :n], fit.shifted[:, n:])
+    return combined(c.amounts(fit.a, fit.b, fit.tails, moved), c.rows)
 
 
 CURVED_SHARE, CURVED_MOST = 0.1, 1.5
@@ -213,7 +191,7 @@ def shift_curvature(f: Real, poles: Poles, coefficients: Coefficients, rate: flo
         moved_by = np.clip(shift[:, r], -CURVED_MOST * poles.zeta[r], CURVED_MOST * poles.zeta[r])
         hz = poles.hz[r] * (1 + moved_by)
         near = np.abs(f - poles.hz[r]) < 2 * CURVED_MOST / np.sqrt(max(least, 1e-300)) * poles.zeta[r] * poles.hz[r]
-        moved = kernels(f[near], hz, np.full(hz.size, poles.zeta[r]), rate)[0]
+        moved = modal_kernel(f[near], hz, np.full(hz.size, poles.zeta[r]), "accelerance", rate)
         out[:, near] += a[:, r, None] * (moved - g[r, near] - moved_by[:, None] * gf[r, near])
         out[:, near] += b[:, r, None] * (moved * s[near] / (2 * np.pi * hz[:, None]) - h[r, near] - moved_by[:, None] * hf[r, near])
     return out
@@ -227,6 +205,7 @@ def project(
     ends_hz: tuple[float, float],
     least: float = np.inf,
     most: Real | None = None,
+    with_slopes: bool = True,
 ) -> Projection:
     """Linear fit of all pairs at given poles, and the normal equations of the poles.
 
@@ -244,28 +223,35 @@ def project(
         Shift over ζ, squared, from which on shifts enter in full: what they add beyond the first order, as of the round before.
     most : (P, n) array, optional
         Spread of the prior on a; default: :func:`largest` at these poles.
+    with_slopes : bool
+        False leaves out what the poles are searched by: the normal matrix, the gradient and the slopes are 0 then.
     """
     columns = _columns(pairs, poles, ends_hz)
-    amplitude = None
+    before = None
     if previous is not None:
         # a prior on b against the pair's own a and against what the mode has in the pairs at large: b may be there where a is not
-        size = np.sqrt(np.mean(np.abs(pairs.accelerance) ** 2, axis=1, keepdims=True))
+        size = np.sqrt(np.mean(power_of(pairs.accelerance), axis=1, keepdims=True))
         amplitude = np.sqrt(0.5 * (previous[0] ** 2 + np.mean((previous[0] / size) ** 2, axis=0) * size**2))
-    stack = columns.stack()
+        before = Before(previous[0], previous[1], amplitude)
     curvature = np.zeros_like(pairs.accelerance)
     if previous is not None and np.isfinite(least):
         curvature = shift_curvature(pairs.frequencies_hz, poles, previous, pairs.window_rate, least)
     flat = pairs.accelerance - curvature
     most = largest(pairs, poles) if most is None else most
     parts = []
-    for start in range(0, pairs.accelerance.shape[0], CHUNK):
-        rows = slice(start, start + CHUNK)
-        before = None if previous is None or amplitude is None else (previous[0][rows], previous[1][rows], amplitude[rows])
-        parts.append(_solve(flat[rows], variance[rows], columns, stack, poles, most[rows], before))
-    gather = [np.concatenate([p[k] for p in parts]) for k in range(11)]
-    cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope = gather
-    normal, sums = np.sum([p[11] for p in parts], axis=0), np.sum([p[12] for p in parts], axis=0)
-    return Projection(cost, a, b, shift, shifted, curvature, tails, error, normal, gradient, evidence, a_std, slope, sums)
+    for rows in chunks(flat.shape[0], columns.rows.shape[0]):
+        spreads = most[rows], poles.quadrature, poles.drift
+        parts.append(fit_pairs(flat[rows], variance[rows], columns, spreads, None if before is None else before.pairs(rows), with_slopes))
+    gather = lambda name: np.concatenate([getattr(part, name) for part in parts])  # noqa: E731
+    shift = gather("shift")
+    shifted = np.zeros((flat.shape[0], 2 * poles.hz.size))
+    if before is not None:
+        shifted = np.concatenate([shift * before.a, shift * before.b], axis=1)
+    return Projection(
+        gather("cost"), gather("a"), gather("b"), shift, shifted, curvature, gather("tails"), gather("error"),
+        np.sum([part.normal for part in parts], axis=0), gather("gradient"), gather("evidence"), gather("a_std"), gather("slope"),
+        np.sum([part.spread_sums for part in parts], axis=0),
+    )  # fmt: skip
 
 
 def largest(pairs: Pairs, poles: Poles) -> Real:
@@ -274,7 +260,7 @@ def largest(pairs: Pairs, poles: Poles) -> Real:
     In a pair near a node of both, two poles within a bandwidth of each other otherwise trade places and grow to any size.
     """
     out = np.empty((pairs.accelerance.shape[0], poles.hz.size))
-    g = kernels(pairs.frequencies_hz, poles.hz, poles.zeta, pairs.window_rate)[0]
+    g = modal_kernel(pairs.frequencies_hz, poles.hz, poles.zeta, "accelerance", pairs.window_rate)
     for r, hz in enumerate(poles.hz):
         distance = np.abs(pairs.frequencies_hz - hz)
         near = distance <= max(PEAK_WIDTHS * poles.zeta[r] * hz, DRIFT_MOST * hz, np.partition(distance, PEAK_LINES)[PEAK_LINES])
@@ -290,104 +276,6 @@ def updated_spreads(poles: Poles, sums: Real, most_quadrature: float) -> Poles:
     ):
         out.append(np.clip(np.sqrt((squares + 0.25 * PSEUDO_PAIRS * guess**2) / (count + PSEUDO_PAIRS)), 1e-7, most))
     return replace(poles, quadrature=out[0], drift=out[1])
-
-
-def _grams(columns: Complex, weight: Real) -> Real:
-    """Re Σ_l w_pl c_i c̄_j for all pairs: (P, K, K). Real and imaginary parts carry the same weight, so one real product does."""
-    k = columns.shape[0]
-    out = np.empty((weight.shape[0], k, k))
-    re, im = np.ascontiguousarray(columns.real), np.ascontiguousarray(columns.imag)
-    for i in range(k):
-        row = weight @ (re[i] * re[i:] + im[i] * im[i:]).T
-        out[:, i, i:] = row
-        out[:, i:, i] = row
-    return out
-
-
-def _against(weighted: Complex, columns: Complex) -> Real:
-    """Re Σ_l w h c̄, (P, K)."""
-    return np.asarray(weighted.real @ columns.real.T + weighted.imag @ columns.imag.T)
-
-
-def _solve(h: Complex, variance: Real, c: _Columns, stack: Complex, poles: Poles, most: Real, before: _Before | None) -> tuple[Any, ...]:
-    """One chunk of pairs: what :class:`Projection` holds, sums last."""
-    n, t = c.g.shape[0], c.tails.shape[0]
-    core = 2 * n + t
-    by_f, by_hf = slice(core, core + n), slice(core + 2 * n, core + 3 * n)
-    weight = 1 / variance
-    gram = _grams(stack, weight)
-    if before is None:
-        matrix = gram[:, :core, :core].copy()
-    else:
-        # the columns of the shifts, a·gf + b·hf, against all others
-        by_shift = gram[:, :, by_f] * before[0][:, None, :] + gram[:, :, by_hf] * before[1][:, None, :]
-        own = by_shift[:, by_f] * before[0][:, :, None] + by_shift[:, by_hf] * before[1][:, :, None]
-        matrix = np.empty((h.shape[0], core + n, core + n))
-        matrix[:, :core, :core] = gram[:, :core, :core]
-        matrix[:, :core, core:] = by_shift[:, :core]
-        matrix[:, core:, :core] = by_shift[:, :core].transpose(0, 2, 1)
-        matrix[:, core:, core:] = own
-    scale = np.sqrt(np.einsum("pii->pi", matrix))
-    scale[scale == 0] = 1
-    matrix /= scale[:, :, None] * scale[:, None, :]
-    diagonal = np.einsum("pii->pi", matrix)
-    diagonal += RIDGE
-    prior = np.zeros_like(scale)  # precision, in the scaled unknowns
-    prior[:, :n] = np.minimum(1e12, 0.5 / np.maximum(most * scale[:, :n], 1e-150) ** 2)
-    if before is not None:
-        spread_b = np.maximum(poles.quadrature * before[2], 1e-150)
-        prior[:, n : 2 * n] = np.minimum(1e12, 0.5 / np.maximum(spread_b * scale[:, n : 2 * n], 1e-150) ** 2)
-        prior[:, core:] = np.minimum(1e12, 0.5 / np.maximum(poles.drift * scale[:, core:], 1e-150) ** 2)
-    diagonal += prior
-    inverse = np.linalg.inv(matrix)
-    x = np.zeros_like(scale)
-    error = h
-    for _ in range(2):  # refined once: next to strong peaks rounding is more than what pulls the poles
-        rest = error * weight
-        pull = _against(rest, stack)
-        pulls = pull[:, :core]
-        if before is not None:
-            by_shifts = pull[:, by_f] * before[0] + pull[:, by_hf] * before[1]
-            pulls = np.concatenate([pulls, by_shifts], axis=1)
-        x += np.einsum("pij,pj->pi", inverse, pulls / scale - prior * scale * x) / scale
-        error = h - x[:, :core] @ stack[:core]
-        if before is not None:
-            error -= (x[:, core:] * before[0]) @ c.gf + (x[:, core:] * before[1]) @ c.hf
-    coefficients = x * scale
-    a, b, tails = x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core]
-    shift = x[:, core:] if before is not None else np.zeros_like(a)
-    shifted = np.zeros((a.shape[0], 2 * n)) if before is None else np.concatenate([shift * before[0], shift * before[1]], axis=1)
-    # from the residuals: as a difference of sums over strong peaks it would be lost in rounding
-    cost = np.sum(np.abs(error) ** 2 * weight, axis=1) + np.sum(prior * coefficients**2, axis=1)
-    # Jacobian columns a·gf + b·hf, a·gz + b·hz, against the fitted columns and each other; gradient by the envelope theorem
-    moved_by = np.concatenate([a, a, b, b], axis=1)
-    against = gram[:, :core, core:] * moved_by[:, None, :]
-    if before is not None:
-        more = by_shift[:, core:].transpose(0, 2, 1) * moved_by[:, None, :]
-        against = np.concatenate([against, more], axis=1)
-    own = np.einsum("pij,pi,pj->ij", gram[:, core:, core:], moved_by, moved_by, optimize=True)
-    against = against[:, :, : 2 * n] + against[:, :, 2 * n :]
-    own = own[: 2 * n, : 2 * n] + own[: 2 * n, 2 * n :] + own[2 * n :, : 2 * n] + own[2 * n :, 2 * n :]
-    scaled = against / scale[:, :, None]
-    solved = inverse @ scaled
-    normal = own - np.tensordot(scaled, solved, axes=([0, 1], [0, 1]))
-    pull = moved_by * _against(error * weight, stack[core:])
-    gradient = pull[:, : 2 * n] + pull[:, 2 * n :]
-    posterior = np.einsum("pii->pi", inverse)
-    # evidence of the mode's two columns: cᵀ (inverse block)⁻¹ c
-    i, j = np.arange(n), n + np.arange(n)
-    p, q, m = posterior[:, i], posterior[:, j], inverse[:, i, j]
-    u, v = coefficients[:, i], coefficients[:, j]
-    evidence = (q * u**2 - 2 * m * u * v + p * v**2) / np.maximum(p * q - m**2, 1e-300)
-    a_std = np.sqrt(0.5 * p) / scale[:, :n]
-    slope = -solved[:, :n, :] / scale[:, :n, None]
-    sums = np.zeros((4, n))
-    if before is not None:
-        known = np.clip(1 - 0.5 * q / scale[:, j] ** 2 / spread_b**2, 0, 1)
-        sums[:2] = np.sum(known * (b / np.maximum(before[2], 1e-150)) ** 2, axis=0), np.sum(known**2, axis=0)
-        known = np.clip(1 - 0.5 * posterior[:, core:] / scale[:, core:] ** 2 / poles.drift**2, 0, 1)
-        sums[2:] = np.sum(known * shift**2, axis=0), np.sum(known**2, axis=0)
-    return cost, a, b, shift, shifted, tails, error, gradient, evidence, a_std, slope, normal, sums
 
 
 def search_poles(

@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve, qr
 from operando.dof import Dof
 from operando.ema.outside import OutsideModes
 from operando.ema.polish import Polished
-from operando.ema.polish_model import n_local, run_basis
+from operando.ema.polish_model import run_model
 from operando.ema.spectra import RunSpectra
 
 MAX_UNKNOWNS = 1500
@@ -48,10 +48,8 @@ def remaining_rows(
     normal = {int(row): np.zeros((n, n)) for row in rest}
     right = {int(row): np.zeros(n) for row in rest}
     for i, run in enumerate(runs):
-        basis = run_basis(run, wide, i, run.forces)
-        local = basis.stack[basis.stack.shape[0] - n_local(run, theta.outside_hz.size) :]
-        tail = [local] if run.step_s is None else [local, basis.stack[-local.shape[0] - 2 * n : -local.shape[0]]]
-        stack = np.concatenate([basis.modal, *tail])
+        model = run_model(run, wide, i, run.forces)
+        stack = np.concatenate([model.modal, model.local, *wide.functions(run).decays[:2]])
         force_share = np.sum(run.force_variance, axis=0) / np.maximum(np.sum(np.abs(run.forces) ** 2, axis=0), 1e-300)
         for j, row in enumerate(run.response_rows):
             if int(row) not in normal:

@@ -230,6 +230,9 @@ def excited_limits(record: TimeRecord, band: tuple[float, float], share: float =
 def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> list[RunSpectra]:
     """The columns of an FRF matrix as runs with unit force and no transient.
 
+    With more references than responses (a roving hammer) the rows stand for them: by reciprocity the sensor that stays is what was driven,
+    and few runs of many responses need a fraction of the work of many runs of few.
+
     Raises
     ------
     IdentificationError
@@ -239,17 +242,21 @@ def frf_spectra(frf: Frf, dofs: Sequence[Dof], band: tuple[float, float]) -> lis
     f = part.frequencies_hz
     if f.size < LEAST_LINES:
         raise IdentificationError(f"only {f.size} lines within {band[0]:g}-{band[1]:g} Hz", hint="widen [analysis] band")
+    data, variances, responses, references = part.data, part.variance, part.responses, part.references
+    if len(references) > len(responses):
+        data, variances = data.transpose(1, 0, 2), None if variances is None else variances.transpose(1, 0, 2)
+        responses, references = references, responses
     out = []
-    for k, reference in enumerate(part.references):
-        column = part.data[:, k]
+    for k, reference in enumerate(references):
+        column = data[:, k]
         use = np.all(np.isfinite(column), axis=1) & np.any(column != 0, axis=1)
         if not use.any():
             continue
-        measured = tuple(d for d, u in zip(part.responses, use, strict=True) if u)
+        measured = tuple(d for d, u in zip(responses, use, strict=True) if u)
         rows, signs = match_dofs(measured, tuple(dofs))
         force_rows, force_signs = match_dofs((reference,), tuple(dofs))
         x = column[use]
-        variance = None if part.variance is None else np.array(part.variance[use, k])
+        variance = None if variances is None else np.array(variances[use, k])
         if variance is None or not np.all(np.isfinite(variance)) or not np.any(variance > 0):
             variance = local_variance(x)
         floor = 1e-8 * np.mean(np.abs(x) ** 2, axis=1, keepdims=True)

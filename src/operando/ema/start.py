@@ -8,14 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from operando.ema.polish_model import OUTSIDE_DAMPING, Complex, Real, decays, end_basis, kernels
+from operando.ema.polish_model import OUTSIDE_DAMPING, Complex, Real, decays, end_basis
 from operando.ema.spectra import RunSpectra
+from operando.synthesis import modal_kernel, power_of, real_inner
 
 OUTSIDE_FACTORS = (1.04, 1.1, 1.25, 1.6, 2.5, 5.0)
 """Frequencies of the fixed kernels for modes above the band, in units of the highest line."""
 
 LOWER_FACTORS = (0.02, 0.6)
 """The same below the band, in units of the lowest line: a mass line, and a suspension."""
+
+GRID = 64
+"""Frequencies asked at a time: their kernels on all lines are a few megabytes."""
 
 
 def outside_kernels(runs: Sequence[RunSpectra], hz: Real, lower: bool) -> Real:
@@ -38,7 +42,7 @@ def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside_hz
     for run in runs:
         f = run.frequencies_hz
         all_hz, all_zeta = np.concatenate([hz, outside_hz]), np.concatenate([zeta, np.full(outside_hz.size, OUTSIDE_DAMPING)])
-        g = kernels(f, all_hz, all_zeta, run.window_rate)[0]
+        g = modal_kernel(f, all_hz, all_zeta, "accelerance", run.window_rate)
         parts = [g[:n] * force for force in run.forces] + [g[n:] * force for force in run.forces]
         if run.step_s is not None:
             t1, t2 = decays(f, hz, zeta, run.step_s)[:2]
@@ -161,16 +165,22 @@ def mode_gain(runs: Sequence[RunSpectra], errors: Sequence[Complex], hz: Real, z
     Free real residues in each response and run are allowed, so the figure is an upper bound with one unknown a response and force.
     """
     total = np.zeros(hz.size)
-    lines, rate, g, power = np.zeros(0), 0.0, np.zeros((0, 0), complex), np.zeros((0, 0))
-    for run, error in zip(runs, errors, strict=True):
-        if rate != run.window_rate or not np.array_equal(run.frequencies_hz, lines):  # runs mostly share both
-            lines, rate = run.frequencies_hz, run.window_rate
-            g = kernels(lines, hz, np.full(hz.size, zeta), rate)[0].T
-            power = np.abs(g) ** 2
-        weight = 1 / run.response_variance
-        for force in run.forces:
-            pull = error * weight * force.conj()
-            top = pull.real @ g.real + pull.imag @ g.imag
-            bottom = (weight * np.abs(force) ** 2) @ power
-            total += np.sum(top**2 / np.maximum(bottom, 1e-300), axis=0)
+    columns = [
+        (i, error / run.response_variance * force.conj(), power_of(force) / run.response_variance)
+        for i, (run, error) in enumerate(zip(runs, errors, strict=True))
+        for force in run.forces
+    ]
+    for start in range(0, hz.size, GRID):
+        part = slice(start, start + GRID)
+        of, g, power = -1, np.zeros((0, 0), complex), np.zeros((0, 0))
+        for i, pull, weight in columns:
+            if of < 0 or not _same_lines(runs[of], runs[i]):  # runs mostly share them
+                g = modal_kernel(runs[i].frequencies_hz, hz[part], np.full(hz[part].size, zeta), "accelerance", runs[i].window_rate)
+                power = power_of(g)
+            of = i
+            total[part] += np.sum(real_inner(pull, g) ** 2 / np.maximum(weight @ power.T, 1e-300), axis=0)
     return total
+
+
+def _same_lines(a: RunSpectra, b: RunSpectra) -> bool:
+    return a.window_rate == b.window_rate and np.array_equal(a.frequencies_hz, b.frequencies_hz)

@@ -101,16 +101,14 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
         shapes[:, r] = shape
         by_poles[r * n_dofs : (r + 1) * n_dofs] = gain @ fit.projection.slope[:, r]
         own[r] = variance
-    size = 2 * n + n * n_dofs
-    covariance = np.zeros((size, size))
-    carry = np.concatenate([np.eye(2 * n), by_poles])
-    covariance[:] = carry @ stated_covariance(fit) @ carry.T
+    # poles in Hz and as ratios; what they do to the shapes, and what the residues leave by themselves
+    carry = np.concatenate([np.diag(poles), by_poles])
+    covariance = (carry @ stated_covariance(fit)) @ carry.T
     for r in range(n):
         at = slice(2 * n + r * n_dofs, 2 * n + (r + 1) * n_dofs)
         covariance[at, at] += own[r]
-    units = np.concatenate([poles, np.ones(n * n_dofs)])
     drive = tuple((int(p), fit.projection.a[p] / std[p]) for p in fit.pairs.drive_points)
-    return UnitMassShapes(shapes, scaled, drive, covariance * np.outer(units, units), chi)
+    return UnitMassShapes(shapes, scaled, drive, covariance, chi)
 
 
 def _one_shape(
@@ -135,22 +133,27 @@ def _one_shape(
         prior[held] = 1 / (UNSEEN_STD * abs(phi[held]) + 1e-300) ** 2
     centre = phi.copy()
     size = residue.size
+    # each residue changes with two shape values; at a drive point they are one
+    ends = np.stack([rows, columns])
+    cells = (ends[:, None] * n_dofs + ends[None, :]).ravel()
     for _ in range(rounds):
         rest = np.where(use, (residue - phi[rows] * phi[columns]) / std, 0.0)
         weight = use / np.sqrt(1 + rest**2)
-        jacobian = np.zeros((size, n_dofs))
-        np.add.at(jacobian, (np.arange(size), rows), phi[columns] / std)
-        np.add.at(jacobian, (np.arange(size), columns), phi[rows] / std)
-        normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
-        pull = jacobian.T @ (weight * rest)
+        slopes = np.stack([phi[columns], phi[rows]]) / std
+        products = (slopes[:, None] * slopes[None, :] * weight).ravel()
+        normal = np.bincount(cells, products, n_dofs**2).reshape(n_dofs, n_dofs) + np.diag(prior)
+        pull = np.bincount(ends.ravel(), (slopes * weight * rest).ravel(), n_dofs)
         if not scaled:
             pull -= prior * np.where(prior > 2 * prior.min(), phi - centre, 0.0)
         step = np.linalg.solve(normal, pull)
-        step *= min(1.0, 0.5 * np.linalg.norm(phi) / max(float(np.linalg.norm(step)), 1e-300))
+        step *= min(1.0, 0.5 * float(np.linalg.norm(phi)) / max(float(np.linalg.norm(step)), 1e-300))
         phi = phi + step
         if np.linalg.norm(step) < 1e-9 * np.linalg.norm(phi):
             break
     inverse = np.linalg.inv(normal)
+    jacobian = np.zeros((size, n_dofs))
+    for end, slope in zip(ends, slopes, strict=True):
+        jacobian[np.arange(size), end] += slope
     gain = inverse @ (jacobian * weight[:, None]).T / std
     freedom = int(use.sum()) - int(known.sum())
     chi = float(np.sum(weight * rest**2) / freedom) if freedom > 0 else float("nan")

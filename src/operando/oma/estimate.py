@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.oma.correlation import BlockCorrelations
 from operando.oma.subspace import Factors, Poles, Realisation
-from operando.oma.uncertainty import Perturbations, covariance_of_mean, normalised_changes, perturb
+from operando.oma.uncertainty import Perturbations, block_products, covariance_of_mean, normalised_changes, perturb
 from operando.stabilization import PoleTable, Stabilization
 
 
@@ -77,6 +77,7 @@ def estimate_modes(
     blocks = correlations.weights.size if correlations.blocks is not None else 0
     d_lam = np.zeros((blocks, n), complex)
     d_shapes = np.zeros((blocks, r, n), complex)
+    products = block_products(correlations, factors, rows) if blocks else None
     for order in np.unique(taken):
         of = poles[orders.index(int(order))]
         modes = np.flatnonzero(taken == order)
@@ -84,7 +85,7 @@ def estimate_modes(
         lam[modes] = np.log(of.mu[columns]) * rate
         shapes[:, modes] = of.shapes[:, columns]
         if blocks:
-            change = perturb(correlations, factors, realisation, of, columns, rows, rate)
+            change = perturb(correlations, factors, realisation, of, columns, rows, rate, products)
             d_lam[:, modes], d_shapes[:, :, modes] = change.lam, change.shapes
     covariance = None
     if blocks and n:

@@ -154,16 +154,23 @@ class Realisation:
     triangle, product : (n, n) arrays
         R and Qᵀ·(shifted part) of the QR factorisation of all but the last block row.
     n_channels : int
+    basis : ((block_rows − 1)·r, n) array
+        Q.
     """
 
     left: NDArray[np.float64]
     triangle: NDArray[np.float64]
     product: NDArray[np.float64]
     n_channels: int
+    basis: NDArray[np.float64]
 
     def state_matrix(self, order: int) -> NDArray[np.float64]:
         """A of one order (order, order): least-squares shift invariance."""
-        return solve_triangular(self.triangle[:order, :order], self.product[:order, :order])
+        return solve_triangular(self.triangle[:order, :order], self.product[:order, :order], check_finite=False)
+
+    def left_inverse(self, order: int) -> NDArray[np.float64]:
+        """Least-squares inverse of all but the last block row of one order."""
+        return solve_triangular(self.triangle[:order, :order], self.basis[:, :order].T, check_finite=False)
 
 
 def realise(factors: Factors, n_channels: int) -> Realisation:
@@ -171,7 +178,7 @@ def realise(factors: Factors, n_channels: int) -> Realisation:
     left = factors.observability
     up, down = left[:-n_channels], left[n_channels:]
     q, triangle = np.linalg.qr(up)
-    return Realisation(left, triangle, q.T @ down, n_channels)
+    return Realisation(left, triangle, q.T @ down, n_channels, q)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,9 @@ from scipy.special import stdtrit
 from operando.oma.correlation import BlockCorrelations, block_hankel
 from operando.oma.subspace import Factors, Poles, Realisation
 
+CACHE_VALUES = 1 << 17
+"""Values of the blocks' products worked on at a time: a megabyte."""
+
 NORMAL_95 = 1.959964
 """Standard deviations of the normal distribution that hold 95 % on both sides."""
 
@@ -34,26 +37,24 @@ class Perturbations:
     shapes: NDArray[np.complex128]
 
 
-def perturb(
-    correlations: BlockCorrelations,
-    factors: Factors,
-    realisation: Realisation,
-    poles: Poles,
-    modes: Sequence[int] | NDArray[np.int_],
-    rows: int,
-    sampling_hz: float,
-) -> Perturbations:
-    """Poles and shapes of one order perturbed by the correlations of each block.
-
-    The chain Hankel matrix → singular subspace → state matrix → eigenvalues is linearised as by Reynders, Pintelon & De Roeck (2008)
-    and Döhler & Mevel (2013), the residual of the shift equation and the coupling to the discarded singular vectors
-    included; whitening factors are held fixed (their change acts on the discarded part only). No covariance of the Hankel matrix is
-    formed: each block costs two products with the n leading singular vectors.
+@dataclass(frozen=True)
+class BlockProducts:
+    """Each block's change of the weighted Hankel matrix ΔH by the singular vectors: what the perturbations of all orders share.
 
     Parameters
     ----------
-    modes : sequence of int
-        Columns of ``poles`` wanted.
+    right : (n_blocks, a, n) array
+        Lf⁻¹ΔH Lp⁻ᵀ V without the Lf⁻¹.
+    inside : (n_blocks, n, n) array
+        Uᵀ Lf⁻¹ΔH Lp⁻ᵀ V.
+    """
+
+    right: NDArray[np.float32]
+    inside: NDArray[np.float32]
+
+
+def block_products(correlations: BlockCorrelations, factors: Factors, rows: int) -> BlockProducts:
+    """Products of each block's change of the Hankel matrix with all singular vectors kept.
 
     Raises
     ------
@@ -62,22 +63,58 @@ def perturb(
     """
     if correlations.blocks is None:
         raise ValueError("correlations of blocks are needed")
-    n, r = poles.order, realisation.n_channels
-    columns = np.asarray(modes, int)
     wl, vr = factors.left, factors.right
     if factors.left_factor is not None and factors.right_factor is not None:
         wl = solve_triangular(factors.left_factor, wl, lower=True, trans="T", check_finite=False)
         vr = solve_triangular(factors.right_factor, vr, lower=True, trans="T", check_finite=False)
     wl32, vr32 = wl.astype(np.float32), vr.astype(np.float32)
+    mean = correlations.mean.astype(np.float32)
+    right = np.empty((correlations.blocks.shape[0], wl.shape[0], vr.shape[1]), np.float32)
+    for y, block in zip(right, correlations.blocks, strict=True):
+        np.matmul(block_hankel(block - mean, rows, rows), vr32, out=y)
+    return BlockProducts(right, wl32.T @ right)
+
+
+def perturb(
+    correlations: BlockCorrelations,
+    factors: Factors,
+    realisation: Realisation,
+    poles: Poles,
+    modes: Sequence[int] | NDArray[np.int_],
+    rows: int,
+    sampling_hz: float,
+    blocks: BlockProducts | None = None,
+) -> Perturbations:
+    """Poles and shapes of one order perturbed by the correlations of each block.
+
+    The chain Hankel matrix → singular subspace → state matrix → eigenvalues is linearised as by Reynders, Pintelon & De Roeck (2008)
+    and Döhler & Mevel (2013), the residual of the shift equation and the coupling to the discarded singular vectors
+    included; whitening factors are held fixed (their change acts on the discarded part only). No covariance of the Hankel matrix is
+    formed: each block costs two products with the leading singular vectors, shared by all orders, and little for each mode.
+
+    Parameters
+    ----------
+    modes : sequence of int
+        Columns of ``poles`` wanted.
+    blocks : BlockProducts, optional
+        From :func:`block_products`, where several orders are asked.
+
+    Raises
+    ------
+    ValueError
+        If the correlations hold no blocks.
+    """
+    products = block_products(correlations, factors, rows) if blocks is None else blocks
+    n, r = poles.order, realisation.n_channels
+    columns = np.asarray(modes, int)
     s1, s2 = factors.s[:n], factors.s[n:]
     gap = s1[None, :] ** 2 - s2[:, None] ** 2
     gap = np.maximum(gap, 1e-6 * s1[None, :] ** 2)
     left = realisation.left
     up, down = left[:-r, :n], left[r:, :n]
     state = realisation.state_matrix(n)
-    shift_left = np.linalg.pinv(up)
+    shift_left = realisation.left_inverse(n)
     gram_inverse = shift_left @ shift_left.T
-    residual = down - up @ state
     mu, vectors = np.linalg.eig(state)
     inverse = np.linalg.inv(vectors)
     index = np.array([int(np.argmin(np.abs(mu - poles.mu[c]))) for c in columns], int)
@@ -87,24 +124,32 @@ def perturb(
     psi = vectors[:, index] * scale
     distance = mu[index][None, :] - mu[:, None]
     distance[index, np.arange(index.size)] = np.inf
-    mean = correlations.mean.astype(np.float32)
-    n_blocks = correlations.blocks.shape[0]
-    lam = np.empty((n_blocks, columns.size), complex)
-    shapes = np.empty((n_blocks, r, columns.size), complex)
-    for b in range(n_blocks):
-        delta = block_hankel(correlations.blocks[b] - mean, rows, rows)
-        y = delta @ vr32[:, :n]
-        z = wl32[:, :n].T @ delta
-        inside = wl32.T @ y
-        coupling = (inside[n:] * s1 + s2[:, None] * (z @ vr32[:, n:]).T) / gap
-        change = left[:, n:] @ coupling + (y - left @ inside) / s1
-        d_up, d_down = change[:-r], change[r:]
-        d_state = shift_left @ (d_down - d_up @ state) + gram_inverse @ (d_up.T @ residual)
-        turned = inverse @ (d_state @ psi)
-        lam[b] = turned[index, np.arange(index.size)] / scale / mu[index] * sampling_hz
-        d_psi = vectors @ (turned / distance)
-        shapes[b] = change[:r] @ psi + left[:r, :n] @ d_psi
+    # the change of the observability matrix acts on the few vectors wanted only, and on what the shift equation leaves of them
+    scaled = psi / s1[:, None]
+    rest = (down - up @ state) @ psi
+    through = left[:-r].T @ rest
+    lam = np.empty((products.inside.shape[0], columns.size), complex)
+    shapes = np.empty((lam.shape[0], r, columns.size), complex)
+    few = max(1, CACHE_VALUES // products.right[0].size)
+    for first in range(0, lam.shape[0], few):
+        at = slice(first, first + few)
+        own, inside = products.right[at, :, :n].astype(float), products.inside[at].astype(float)
+        coupling = (inside[:, n:, :n] * s1 + s2[:, None] * inside[:, :n, n:].transpose(0, 2, 1)) / gap
+        turned_in = -_by_real(inside[:, :, :n], scaled)
+        turned_in[:, n:] += _by_real(coupling, psi)
+        change = _by_real(own, scaled) + _by_real(left, turned_in)
+        shifted = change[:, r:] - change[:, :-r] * mu[index]
+        back = _by_real(own[:, :-r].transpose(0, 2, 1), rest) - _by_real(inside[:, :, :n].transpose(0, 2, 1), through)
+        back = _by_real(coupling.transpose(0, 2, 1), through[n:]) + back / s1[:, None]
+        turned = inverse @ (_by_real(shift_left, shifted) + _by_real(gram_inverse, back))
+        lam[at] = turned[:, index, np.arange(index.size)] / scale / mu[index] * sampling_hz
+        shapes[at] = change[:, :r] + _by_real(left[:r, :n], vectors @ (turned / distance))
     return Perturbations(lam, shapes)
+
+
+def _by_real(matrix: NDArray[np.float64], vectors: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """A real matrix times a few complex vectors, real and imaginary parts side by side."""
+    return np.asarray(matrix @ np.ascontiguousarray(vectors).view(float)).view(complex)
 
 
 def normalised_changes(

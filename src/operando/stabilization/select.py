@@ -71,6 +71,8 @@ def size_threshold(sizes: NDArray[np.int_], n_orders: int, low: float = 0.25, hi
 def centre(table: PoleTable, members: Members) -> tuple[float, float, NDArray[Any]]:
     """Median frequency, median damping, and the vector of the member most like all others."""
     unit = unit_vectors(table.vectors[:, members])
+    if unit.shape[1] == 1:
+        return float(table.frequency_hz[members][0]), float(table.damping_ratio[members][0]), unit[:, 0]
     likeness = (np.abs(unit.conj().T @ unit) ** 2).sum(axis=1)
     return float(np.median(table.frequency_hz[members])), float(np.median(table.damping_ratio[members])), unit[:, int(np.argmax(likeness))]
 

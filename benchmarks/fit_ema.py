@@ -1,0 +1,115 @@
+"""Processor time and memory of whole modal analyses: many sensors, roving hammers, and the packaged example from raw files to report.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/fit_ema.py [--json FILE] [--quick] [--case FOLDER …]
+
+FRFs are simulated: random shapes, modes spread evenly over the band, 1 % noise, variances stated. Each case runs in a process of its own.
+There is no peer that goes from FRFs to modes with uncertainty by itself: the limits are stated, ratio = limit/ours. Accuracy: distance from
+the truth in stated standard deviations (rms over the modes), and the worst modal assurance criterion.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from rows import report, row  # noqa: E402
+
+CASES = {
+    "200 x 4, 4000 lines, 60 modes": (200, 4, 60, 4000, 60.0),
+    "roving hammer, 3 x 100, 2000 lines, 40 modes": (3, 100, 40, 2000, 60.0),
+    "12 x 3, 2000 lines, 15 modes": (12, 3, 15, 2000, None),
+}
+EXAMPLE = Path(__file__).resolve().parents[1] / "data" / "example" / "test.toml"
+
+
+def simulated(n_resp, n_ref, n_modes, n_lines, noise=0.01, seed=0):
+    """FRFs with their variance, and the true frequencies, damping ratios and shapes."""
+    import numpy as np
+
+    from operando import Dof, Frf
+    from operando.data import FrequencyAxis
+    from operando.synthesis import synthesise
+
+    rng = np.random.default_rng(seed)
+    f = np.linspace(10, 500, n_lines)
+    hz = np.linspace(20, 490, n_modes) + rng.uniform(-2, 2, n_modes)
+    zeta = rng.uniform(0.002, 0.006, n_modes)
+    phi = rng.standard_normal((max(n_resp, n_ref), n_modes))
+    H = synthesise(f, hz, zeta, phi[:n_resp], phi[:n_ref])
+    sigma = noise * np.sqrt(np.mean(np.abs(H) ** 2))
+    H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    dofs = [tuple(Dof(i + 1, "Z") for i in range(count)) for count in (n_resp, n_ref)]
+    return Frf(H, FrequencyAxis(f), *dofs, "accelerance", variance=np.full(H.shape, sigma**2)), hz, zeta, phi
+
+
+def one(n_resp, n_ref, n_modes, n_lines):
+    """Seconds and accuracy of one case, in this process."""
+    import numpy as np
+
+    from operando import fit_ema
+    from operando.indicators import mac
+
+    frf, hz, zeta, phi = simulated(n_resp, n_ref, n_modes, n_lines)
+    start = time.process_time()
+    model = fit_ema(frf)
+    seconds = time.process_time() - start
+    at = np.array([int(np.argmin(np.abs(model.frequencies_hz - h))) for h in hz])
+    off = [
+        float(np.sqrt(np.mean(((found[at] - true) / std[at]) ** 2)))
+        for found, std, true in (
+            (model.frequencies_hz, model.frequency_std_hz, hz),
+            (model.damping_ratios, model.damping_ratio_std, zeta),
+        )
+    ]
+    like = float(np.min(np.diag(mac(phi, model.shapes[:, at]))))
+    text = f"{model.n_modes} of {n_modes} modes ({model.details.answer}), f {off[0]:.2f} σ, damping {off[1]:.2f} σ, MAC {like:.4f}"
+    return {"seconds": seconds, "accuracy": text}
+
+
+def child(arguments):
+    """Output of a call of this script or of operando, its processor seconds and peak memory [MB]."""
+    done = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    text = done.stdout.read()
+    _, status, used = os.wait4(done.pid, 0)
+    done.returncode = os.waitstatus_to_exitcode(status)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(arguments)} ended with {done.returncode}")
+    return text, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", metavar="FILE", help="write the rows here")
+    parser.add_argument("--quick", action="store_true", help="the small case only")
+    parser.add_argument("--one", help=argparse.SUPPRESS)
+    parser.add_argument("--case", nargs="*", default=[], metavar="FILE", help="further test files, with a limit of 12 s")
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(one(*(int(v) for v in options.one.split(",")))))
+        return
+    rows = []
+    for size, (*numbers, limit) in list(CASES.items())[2 if options.quick else 0 :]:
+        text, _, memory = child([str(Path(__file__).resolve()), "--one", ",".join(map(str, numbers))])
+        found = json.loads(text)
+        peer = None if limit is None else "limit"
+        rows.append(row("EMA, FRFs to modes with σ", size, found["seconds"], peer, limit, None, found["accuracy"], memory))
+    tests = [(EXAMPLE, 15.0), *((Path(p), 12.0) for p in options.case)]
+    for path, limit in tests:
+        with tempfile.TemporaryDirectory() as folder:
+            _, seconds, memory = child(["-m", "operando", "run", str(path), "-o", str(Path(folder) / "out")])
+        rows.append(row("Whole run, raw files to report", path.parent.name, seconds, "limit", limit, None, None, memory, 500.0))
+    report(rows, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,354 @@
+"""The linear least-squares problems of many pairs that share their columns and differ in their weights.
+
+Of each mode four columns are enough: with D = ω₀² + 2ζω₀s + s², g = s²/D and c = s/ω₀ these are g, h = cg, r = ω₀²g/D and q = cr, since
+c²r = g − r − 2ζq. Residue and quadrature part are fitted to g and h, and all derivatives by ln f and ln ζ are sums of the four, which
+saves more than half of the products of two columns that each pair is summed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from operando.ema.pairs import Complex, Real
+from operando.synthesis import combined, compliance, power_of, real_inner, row_blocks
+
+RIDGE = 1e-9
+
+GRAM_BYTES, CACHE_BYTES = 2.5e8, 2e6
+"""Gram matrices held at a time, and those of them that are worked on together."""
+
+GEMM_ROWS = 400
+"""Rows of a product over the lines."""
+
+Four = tuple[Real, Real, Real, Real]
+"""Amounts of g, h, r and q of each mode, each (P, n)."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns over the lines: g, h, tails, r, q one below the other, (4n + t, L).
+
+    Parameters
+    ----------
+    rows : (4n + t, L) complex array
+    zeta, w0 : (n,) arrays
+        Damping ratios, and ω₀ [rad/s].
+    s : (L,) complex array
+        iω + β of the lines.
+    """
+
+    rows: Complex
+    zeta: Real
+    w0: Real
+    s: Complex
+
+    @property
+    def n(self) -> int:
+        """Number of modes."""
+        return int(self.zeta.size)
+
+    @property
+    def core(self) -> int:
+        """Number of columns that are fitted freely: g, h, tails."""
+        return self.rows.shape[0] - 2 * self.n
+
+    @property
+    def four(self) -> tuple[slice, slice, slice, slice]:
+        """Where g, h, r and q stand."""
+        n, core = self.n, self.core
+        return slice(0, n), slice(n, 2 * n), slice(core, core + n), slice(core + n, core + 2 * n)
+
+    @property
+    def g(self) -> Complex:
+        """Kernels."""
+        return self.rows[self.four[0]]
+
+    @property
+    def h(self) -> Complex:
+        """Their quadrature parts."""
+        return self.rows[self.four[1]]
+
+    @property
+    def tails(self) -> Complex:
+        """What stands for all outside."""
+        return self.rows[2 * self.n : self.core]
+
+    def by_frequency(self, a: Real, b: Real) -> Four:
+        """a·∂g/∂ln f + b·∂h/∂ln f in the four columns."""
+        z = self.zeta
+        return -2 * z * b, -b, 2 * (z * b - a), (4 * z**2 - 2) * b - 2 * z * a
+
+    def by_damping(self, a: Real, b: Real) -> Four:
+        """a·∂g/∂ln ζ + b·∂h/∂ln ζ in the four columns."""
+        z = self.zeta
+        return -2 * z * b, np.zeros_like(b), 2 * z * b, 4 * z**2 * b - 2 * z * a
+
+    def amounts(self, a: Real, b: Real, tails: Real, moved: Four) -> Real:
+        """Amounts of all columns, (P, 4n + t)."""
+        out = np.concatenate([a, b, tails, np.zeros((a.shape[0], 2 * self.n))], axis=1)
+        for at, more in zip(self.four, moved, strict=True):
+            out[:, at] += more
+        return out
+
+
+@dataclass(frozen=True)
+class Before:
+    """Residues a and quadrature parts b of the round before, and the amplitude that sizes the prior on b, each (P, n)."""
+
+    a: Real
+    b: Real
+    amplitude: Real
+
+    def pairs(self, rows: slice) -> Before:
+        """Some of the pairs."""
+        return Before(self.a[rows], self.b[rows], self.amplitude[rows])
+
+
+@dataclass(frozen=True)
+class PairFits:
+    """What :class:`operando.ema.projection.Projection` is made of, for a chunk of pairs."""
+
+    cost: Real
+    a: Real
+    b: Real
+    shift: Real
+    tails: Real
+    error: Complex
+    evidence: Real
+    a_std: Real
+    gradient: Real
+    slope: Real
+    normal: Real
+    spread_sums: Real
+
+
+def modal_columns(f: Real, hz: Real, zeta: Real, tails: Complex, rate: float) -> Columns:
+    """The columns of modes on lines f [Hz] of FRFs under an exponential window of this rate."""
+    n, t = hz.size, tails.shape[0]
+    s: Complex = np.asarray(2j * np.pi * f + rate, complex)
+    w0 = 2 * np.pi * hz
+    squared = s * s
+    rows = np.empty((4 * n + t, f.size), complex)
+    rows[2 * n : 2 * n + t] = tails
+    out = Columns(rows, zeta, w0, s)
+    g, h, r, q = (rows[at] for at in out.four)
+    for at in row_blocks(n, f.size):
+        inverse, c = compliance(s, w0[at], zeta[at]), s / w0[at, None]
+        np.multiply(inverse, squared, out=g[at])
+        np.multiply(g[at], c, out=h[at])
+        inverse *= w0[at, None] ** 2
+        np.multiply(g[at], inverse, out=r[at])
+        np.multiply(r[at], c, out=q[at])
+    return out
+
+
+def chunks(n_pairs: int, n_columns: int) -> Iterator[slice]:
+    """Pairs whose Gram matrices are held at a time."""
+    size = max(16, int(GRAM_BYTES / (8 * n_columns**2)))
+    return (slice(k, k + size) for k in range(0, n_pairs, size))
+
+
+def fit_pairs(
+    data: Complex, variance: Real, c: Columns, spreads: tuple[Real, Real, Real], before: Before | None, with_slopes: bool
+) -> PairFits:
+    """Residues, quadrature parts, shifts and tails of each pair, and what they say of the poles.
+
+    Parameters
+    ----------
+    data, variance : (P, L) arrays
+    c : Columns
+    spreads : (most (P, n), quadrature (n,), drift (n,))
+        Of the priors.
+    before : Before, optional
+        What the columns of the shifts are made with; without it there are no shifts, and b has no prior.
+    with_slopes : bool
+        Whether normal equations and slopes by the poles are wanted; zeros without.
+    """
+    n, core, count = c.n, c.core, data.shape[0]
+    rows = c.rows if with_slopes or before is not None else c.rows[:core]
+    weight = 1 / variance
+    gram = _upper_grams(c, weight, rows.shape[0] == core)
+    parts = [slice(k, k + _few(rows.shape[0])) for k in range(0, count, _few(rows.shape[0]))]
+    shifts = None if before is None else c.by_frequency(before.a, before.b)
+    size = core if shifts is None else core + n
+    inverse = np.empty((count, size, size))
+    scale, prior = np.empty((count, size)), np.zeros((count, size))
+    most, quadrature, drift = spreads
+    spread_b = None if before is None else np.maximum(quadrature * before.amplitude, 1e-150)
+    for at in parts:
+        matrix = _matrix(_mirrored(gram[at]), c, None if shifts is None else _some(shifts, at))
+        own = np.sqrt(np.einsum("pii->pi", matrix))
+        own[own == 0] = 1
+        matrix /= own[:, :, None] * own[:, None, :]
+        diagonal = np.einsum("pii->pi", matrix)
+        diagonal += RIDGE
+        known = prior[at]  # precision, in the scaled unknowns
+        known[:, :n] = np.minimum(1e12, 0.5 / np.maximum(most[at] * own[:, :n], 1e-150) ** 2)
+        if spread_b is not None:
+            known[:, n : 2 * n] = np.minimum(1e12, 0.5 / np.maximum(spread_b[at] * own[:, n : 2 * n], 1e-150) ** 2)
+            known[:, core:] = np.minimum(1e12, 0.5 / np.maximum(drift * own[:, core:], 1e-150) ** 2)
+        diagonal += known
+        inverse[at], scale[at] = _inverted(matrix), own
+    x, error = np.zeros((count, size)), data
+    for _ in range(2):  # refined once: next to strong peaks rounding is more than what pulls the poles
+        pull = real_inner(error * weight, rows)
+        if shifts is None:
+            pulls = pull[:, :core]
+        else:
+            pulls = np.concatenate([pull[:, :core], _summed(pull, c, shifts)], axis=1)
+        x += np.matmul(inverse, (pulls / scale - prior * scale * x)[:, :, None])[:, :, 0] / scale
+        amounts = x[:, :core]
+        if shifts is not None:
+            moved = x[:, core:]
+            shifted = moved * shifts[0], moved * shifts[1], moved * shifts[2], moved * shifts[3]
+            amounts = c.amounts(x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core], shifted)
+        error = data - combined(amounts, rows[: amounts.shape[1]])
+    a, b, tails = x[:, :n], x[:, n : 2 * n], x[:, 2 * n : core]
+    shift = np.zeros_like(a) if shifts is None else x[:, core:]
+    # from the residuals: as a difference of sums over strong peaks it would be lost in rounding
+    cost = np.sum(power_of(error) * weight, axis=1) + np.sum(prior * (x * scale) ** 2, axis=1)
+    slope, normal, gradient = np.zeros((count, n, 2 * n)), np.zeros((2 * n, 2 * n)), np.zeros((count, 2 * n))
+    if with_slopes:
+        # Jacobian columns a·gf + b·hf, a·gz + b·hz; gradient by the envelope theorem
+        moves = c.by_frequency(a, b), c.by_damping(a, b)
+        pull = real_inner(error * weight, rows)
+        gradient = np.concatenate([_summed(pull, c, move) for move in moves], axis=1)
+        for at in parts:
+            own, against = _against_slopes(gram[at], c, [_some(m, at) for m in moves], None if shifts is None else _some(shifts, at))
+            scaled = against / scale[at, :, None]
+            solved = inverse[at] @ scaled
+            normal += own - scaled.reshape(-1, 2 * n).T @ solved.reshape(-1, 2 * n)
+            slope[at] = -solved[:, :n] / scale[at, :n, None]
+    evidence, a_std = _evidence(inverse, scale, x, n)
+    sums = np.zeros((4, n))
+    if before is not None and spread_b is not None:
+        posterior = np.einsum("pii->pi", inverse) / scale**2
+        known = np.clip(1 - 0.5 * posterior[:, n : 2 * n] / spread_b**2, 0, 1)
+        sums[:2] = np.sum(known * (b / np.maximum(before.amplitude, 1e-150)) ** 2, axis=0), np.sum(known**2, axis=0)
+        known = np.clip(1 - 0.5 * posterior[:, core:] / drift**2, 0, 1)
+        sums[2:] = np.sum(known * shift**2, axis=0), np.sum(known**2, axis=0)
+    return PairFits(cost, a, b, shift, tails, error, evidence, a_std, gradient, slope, normal, sums)
+
+
+def _few(n_columns: int) -> int:
+    return max(1, int(CACHE_BYTES / (8 * n_columns**2)))
+
+
+def _some(four: Four, at: slice) -> Four:
+    return four[0][at], four[1][at], four[2][at], four[3][at]
+
+
+def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
+    """Re Σ_l w_pl c_i c̄_j of all pairs, j ≥ i, (P, K, K); the other half is filled with :func:`_mirrored`.
+
+    Real and imaginary parts carry the same weight, so real products do. With u = g, r and z = u_i ū_j three of them serve the four
+    products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z.
+    """
+    n, core, s = c.n, c.core, c.s
+    k = core if core_only else core + 2 * n
+    kinds = c.four[:2] if core_only else c.four
+    u = np.concatenate([c.rows[at] for at in kinds[::2]])
+    re, im, w0 = np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag), np.tile(c.w0, len(kinds) // 2)
+    by_omega, by_square, rate = weight * s.imag, weight * power_of(s), float(s.real[0])
+    out = np.empty((weight.shape[0], k, k))
+    sums = (np.zeros((0, 0, 0)),) * 3
+    begin = stop = 0
+    for i in range(w0.size):
+        if i >= stop:  # a few rows at a time: a product of larger matrices is faster
+            begin, stop = i, min(w0.size, i + max(1, GEMM_ROWS // (w0.size - i)))
+            sums = _triple_sums(re, im, slice(begin, stop), (weight, by_omega, by_square))
+        plain, cross, square = (part[:, i - begin, i - begin :] for part in sums)
+        rest = slice(i, None)
+        square = square / (w0[i] * w0[rest])
+        plain_cross, cross_plain = (rate * plain + cross) / w0[rest], (rate * plain - cross) / w0[i]
+        own, row = divmod(i, n)
+        for other in range(own, len(kinds) // 2):
+            some = slice(other * n - i + (row if other == own else 0), (other + 1) * n - i)
+            first = row if other == own else 0
+            u_i, cu_i = kinds[2 * own].start + row, kinds[2 * own + 1].start + row
+            u_j, cu_j = (slice(at.start + first, at.stop) for at in kinds[2 * other : 2 * other + 2])
+            out[:, u_i, u_j], out[:, u_i, cu_j], out[:, cu_i, cu_j] = plain[:, some], plain_cross[:, some], square[:, some]
+            if other == own:
+                out[:, u_j, cu_i] = cross_plain[:, some]
+            else:
+                out[:, cu_i, u_j] = cross_plain[:, some]
+    re, im = np.ascontiguousarray(c.rows[:k].real), np.ascontiguousarray(c.rows[:k].imag)
+    for i in range(2 * n, core):
+        row_i = weight @ (re[i] * re + im[i] * im).T
+        out[:, : i + 1, i], out[:, i, i:] = row_i[:, : i + 1], row_i[:, i:]
+    return out
+
+
+def _triple_sums(re: Real, im: Real, rows: slice, weights: tuple[Real, Real, Real]) -> tuple[Real, Real, Real]:
+    """Σw Re z, Σw′ Im z and Σw″ Re z of z = u_i ū_j for some i and all j from the first of them on, each (P, i, j)."""
+    real = re[rows, None] * re[None, rows.start :]
+    real += im[rows, None] * im[None, rows.start :]
+    imag = im[rows, None] * re[None, rows.start :]
+    imag -= re[rows, None] * im[None, rows.start :]
+    shape, lines = (-1, *real.shape[:2]), real.shape[2]
+    plain, cross, square = (w @ z.reshape(-1, lines).T for w, z in zip(weights, (real, imag, real), strict=True))
+    return plain.reshape(shape), cross.reshape(shape), square.reshape(shape)
+
+
+def _mirrored(upper: Real) -> Real:
+    """The upper triangles copied to the lower ones, in place."""
+    for i in range(1, upper.shape[1]):
+        upper[:, i, :i] = upper[:, :i, i]
+    return upper
+
+
+def _inverted(matrix: Real) -> Real:
+    """Inverses of positive matrices, in place: by Cholesky factors, a third of the work of a general one."""
+    for i, one in enumerate(matrix):
+        factor, failed = dpotrf(one.T, lower=1, clean=0)
+        matrix[i] = np.linalg.inv(one) if failed else dpotri(factor, lower=1, overwrite_c=1)[0].T
+    return _mirrored(matrix)
+
+
+def _summed(values: Real, c: Columns, four: Four) -> Real:
+    """Sums over the four columns of each mode, along the last axis: (P, …, n)."""
+    shape = (values.shape[0], *(1,) * (values.ndim - 2), -1)
+    first, *others = (values[..., at] * part.reshape(shape) for at, part in zip(c.four, four, strict=True))
+    for other in others:
+        first += other
+    return np.asarray(first)
+
+
+def _matrix(gram: Real, c: Columns, shifts: Four | None) -> Real:
+    """Normal matrices of the fitted columns: core, then the shifts, a·gf + b·hf."""
+    core = c.core
+    if shifts is None:
+        return np.array(gram[:, :core, :core])
+    by_shift = _summed(gram, c, shifts)
+    out = np.empty((gram.shape[0], core + c.n, core + c.n))
+    out[:, :core, :core] = gram[:, :core, :core]
+    out[:, :core, core:] = by_shift[:, :core]
+    out[:, core:, :core] = by_shift[:, :core].transpose(0, 2, 1)
+    out[:, core:, core:] = _summed(by_shift.transpose(0, 2, 1), c, shifts).transpose(0, 2, 1)
+    return out
+
+
+def _against_slopes(gram: Real, c: Columns, moves: list[Four], shifts: Four | None) -> tuple[Real, Real]:
+    """Products of the Jacobian's columns with each other, summed over the pairs (2n, 2n), and with the fitted columns (P, size, 2n)."""
+    slopes = np.concatenate([_summed(gram, c, move) for move in moves], axis=2)
+    turned = slopes.transpose(0, 2, 1)
+    own = np.concatenate([_summed(turned, c, move).sum(axis=0) for move in moves], axis=1)
+    against = slopes[:, : c.core]
+    if shifts is not None:
+        against = np.concatenate([against, _summed(turned, c, shifts).transpose(0, 2, 1)], axis=1)
+    return own, against
+
+
+def _evidence(inverse: Real, scale: Real, x: Real, n: int) -> tuple[Real, Real]:
+    """Evidence of the two columns of each mode, cᵀ (inverse block)⁻¹ c, and the standard deviation of a."""
+    coefficients = x * scale
+    posterior: NDArray[np.float64] = np.einsum("pii->pi", inverse)
+    i, j = np.arange(n), n + np.arange(n)
+    p, q, m = posterior[:, i], posterior[:, j], inverse[:, i, j]
+    u, v = coefficients[:, i], coefficients[:, j]
+    return (q * u**2 - 2 * m * u * v + p * v**2) / np.maximum(p * q - m**2, 1e-300), np.sqrt(0.5 * p) / scale[:, :n]
