@@ -108,7 +108,7 @@ def _fit_text(model: ModalModel) -> str:
     if by_dof.shape == (len(model.dofs),) and np.any(np.isfinite(by_dof)):
         worst = int(np.nanargmax(by_dof))
         parts.append(
-            f"On unused lines the misfit by sensor is {number(np.nanmedian(by_dof), 3)} in the median and "
+            f"On unused lines the misfit by DOF is {number(np.nanmedian(by_dof), 3)} in the median and "
             f"{number(by_dof[worst], 3)} at worst, at {model.dofs[worst]}."
         )
     out = paragraph(" ".join(parts)) if parts else ""
