@@ -194,12 +194,13 @@ def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
     if length <= width + 1:
         return at
     while True:
-        text = np.frombuffer(bytes(buffer[at : at + LINES * length]), np.uint8)
-        lines = text[: text.size // length * length].reshape(-1, length)
+        text = bytes(buffer[at : at + LINES * length])
+        whole = text[: len(text) // length * length]
+        lines = np.frombuffer(whole, np.uint8).reshape(-1, length)
         other = np.flatnonzero(lines[:, -1] != _NEWLINE)[:1]
-        lines = lines[: other[0] if other.size else len(lines)]
-        returns = np.count_nonzero(lines == _RETURN)
-        equal = np.count_nonzero(lines == _NEWLINE) == len(lines) and returns == np.count_nonzero(lines[:, -2] == _RETURN)
+        if other.size:
+            lines, whole = lines[: other[0]], whole[: other[0] * length]
+        equal = whole.count(b"\n") == len(lines) and (b"\r" not in whole or whole.count(b"\r") == np.count_nonzero(lines[:, -2] == _RETURN))
         if not equal or np.any(lines[:, width] <= _BLANK_CHARACTER):
             return at
         at += lines.size
