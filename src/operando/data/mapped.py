@@ -1,0 +1,313 @@
+"""Samples that stay in their file: read where they are asked for, converted as they are read.
+
+A record longer than ``MAPPED_FROM`` is not held in memory. Its ``data`` behave as those of a memory map do: a part of rows and columns is
+a view that reads nothing, one row or anything that computes with them reads what it needs. What goes through a whole record does so in
+pieces (:func:`pieces`), so that its memory does not grow with the length.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import DTypeLike, NDArray
+
+from operando.errors import FormatError
+
+MAPPED_FROM = 1 << 28
+"""Bytes of samples from which a record stays in its file (256 MB): a quarter of the 1 GB that a run may take beside it."""
+PIECE = 1 << 16
+"""Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
+
+Reader = Callable[[Sequence[int], int, int], NDArray[Any]]
+"""Rows, first sample, one past the last → samples in SI (len(rows), last − first)."""
+
+
+class MappedSamples(NDArrayOperatorsMixin):
+    """Samples of several channels (n_channels, n_samples) in a file.
+
+    ``samples[i]`` and ``samples[i, a:b]`` are arrays. ``samples[rows]`` and ``samples[rows, a:b]`` with a step of one are views. Everything
+    else, NumPy's functions and the methods of arrays included, reads the view as a whole.
+
+    Parameters
+    ----------
+    read : Reader
+    shape : (int, int)
+    dtype : float dtype
+        Of what ``read`` gives.
+    """
+
+    ndim = 2
+
+    def __init__(self, read: Reader, shape: tuple[int, int], dtype: DTypeLike) -> None:
+        self._read = read
+        self._rows: NDArray[np.intp] = np.arange(shape[0])
+        self._span = (0, shape[1])
+        self.dtype = np.dtype(dtype)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Channels and samples."""
+        return self._rows.size, self._span[1] - self._span[0]
+
+    @property
+    def size(self) -> int:
+        """Number of samples in all."""
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the samples would take in memory."""
+        return self.size * self.dtype.itemsize
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"MappedSamples(shape={self.shape}, dtype={self.dtype})"
+
+    def __getitem__(self, key: Any) -> Any:
+        rows, columns = key if isinstance(key, tuple) and len(key) == 2 else (key, slice(None))
+        plain = isinstance(columns, slice) and columns.step in (None, 1)
+        if isinstance(rows, int | np.integer) and plain:
+            return self._view(self._rows[[rows]], columns).filled()[0]
+        if plain and (isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim == 1)):
+            return self._view(self._rows[rows], columns)
+        if isinstance(rows, int | np.integer):
+            return self[rows][columns]
+        return self.filled()[key]
+
+    def _view(self, rows: NDArray[np.intp], columns: slice) -> MappedSamples:
+        first, last, _ = columns.indices(self.shape[1])
+        out = object.__new__(MappedSamples)
+        out._read, out._rows, out.dtype = self._read, rows, self.dtype
+        out._span = (self._span[0] + first, self._span[0] + max(first, last))
+        return out
+
+    def filled(self, dtype: DTypeLike | None = None) -> NDArray[Any]:
+        """All samples as an array, read in pieces."""
+        kind = self.dtype if dtype is None else np.dtype(dtype)
+        first, last = self._span
+        step = max(PIECE, (1 << 24) // max(len(self), 1))
+        if self.size and last - first <= step and kind == self.dtype:
+            return self._read(self._rows.tolist(), first, last)
+        out = np.empty(self.shape, kind)
+        for start in range(first, last, step):
+            stop = min(start + step, last)
+            out[:, start - first : stop - first] = self._read(self._rows.tolist(), start, stop)
+        return out
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return self.filled(dtype)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        return getattr(ufunc, method)(*(x.filled() if isinstance(x, MappedSamples) else x for x in inputs), **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or not hasattr(np.ndarray, name):
+            raise AttributeError(f"MappedSamples has no attribute {name!r}")
+        return getattr(self.filled(), name)
+
+    def changed_by(self, change: Callable[[NDArray[Any], Sequence[int], int, int], NDArray[Any]], dtype: DTypeLike) -> MappedSamples:
+        """The samples as ``change(samples, rows, first, last)`` makes them, each time they are read; rows and samples of this view."""
+        base, span = self, self.shape
+
+        def read(rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
+            return change(base[list(rows), first:last].filled(), rows, first, last)
+
+        return MappedSamples(read, span, dtype)
+
+
+def pieces(data: Any, length: int = PIECE) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Consecutive stretches of all rows, (first sample, samples): arrays of at most ``length`` samples."""
+    for first in range(0, data.shape[1], length):
+        yield first, np.asarray(data[:, first : first + length])
+
+
+def mapped_memmap(data: np.memmap[Any, Any]) -> MappedSamples:
+    """A large read-only memory map, whose pages go when they are read: they would count as memory of the process."""
+    flags = getattr(mmap, "MADV_DONTNEED", None)
+    read_since = 0
+
+    def read(rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
+        nonlocal read_since
+        out = np.empty((len(rows), last - first), data.dtype.newbyteorder("="))
+        for i, row in enumerate(rows):
+            out[i] = data[row, first:last]
+        read_since += out.nbytes
+        if flags is not None and read_since > MAPPED_FROM // 8:
+            data._mmap.madvise(flags)  # type: ignore[attr-defined]
+            read_since = 0
+        return out
+
+    rows, samples = data.shape
+    return MappedSamples(read, (rows, samples), data.dtype.newbyteorder("="))
+
+
+@dataclass
+class StoredFile:
+    """A file whose samples are read later: the same one as now, or an error says that it was changed.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    path: Path
+    _stamp: tuple[int, int] = (0, 0)
+    _stream: IO[bytes] | None = field(default=None, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def __post_init__(self) -> None:
+        self._open()
+        self._stamp = self._now()
+
+    def _open(self) -> IO[bytes]:
+        if self._stream is None:
+            self._stream = open(self.path, "rb")  # noqa: SIM115  (it stays open as long as the record lives)
+        return self._stream
+
+    def _now(self) -> tuple[int, int]:
+        state = os.fstat(self._open().fileno())
+        return state.st_size, state.st_mtime_ns
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "_stamp": self._stamp, "_stream": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.Lock())
+
+    def read_into(self, offset: int, view: memoryview) -> None:
+        """Fill ``view`` with the bytes from ``offset`` on.
+
+        Raises
+        ------
+        FormatError
+            If the file was changed since it was opened.
+        """
+        with self._lock:
+            stream = self._open()
+            stream.seek(offset)
+            done = 0
+            while done < len(view):
+                got = stream.readinto(view[done:])  # type: ignore[attr-defined]
+                if not got:
+                    break
+                done += got
+            if done < len(view) or self._now() != self._stamp:
+                hint = "read it again; do not write to files that are being analysed"
+                raise FormatError("the file was changed while it was read", where=str(self.path), hint=hint)
+
+
+@dataclass(frozen=True)
+class StoredRow:
+    """One channel in a file: samples one after the other.
+
+    Parameters
+    ----------
+    offset : int
+        Byte of the first sample.
+    dtype : dtype
+        As stored.
+    factor : float
+        To SI.
+    """
+
+    offset: int
+    dtype: np.dtype[Any]
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class _RowReader:
+    file: StoredFile
+    rows: tuple[StoredRow, ...]
+    dtype: np.dtype[Any]
+
+    def __call__(self, wanted: Sequence[int], first: int, last: int) -> NDArray[Any]:
+        out = np.empty((len(wanted), last - first), self.dtype)
+        for i, k in enumerate(wanted):
+            row = self.rows[k]
+            raw = out[i] if row.dtype == self.dtype else np.empty(last - first, row.dtype)
+            self.file.read_into(row.offset + first * row.dtype.itemsize, memoryview(raw.view(np.uint8)))  # type: ignore[arg-type]
+            if row.dtype != self.dtype:
+                out[i] = raw
+            if row.factor != 1.0:
+                with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
+                    out[i] *= self.dtype.type(row.factor)
+        return out
+
+
+def mapped_rows(file: StoredFile, rows: Sequence[StoredRow], samples: int, dtype: DTypeLike) -> MappedSamples:
+    """Channels that lie one after the other in a file."""
+    return MappedSamples(_RowReader(file, tuple(rows), np.dtype(dtype)), (len(rows), samples), dtype)
+
+
+@dataclass(frozen=True)
+class RowStatistics:
+    """Statistics of each channel over its finite samples.
+
+    Parameters
+    ----------
+    finite : (n,) bool array
+        Whether all samples are finite.
+    mean, std, low, high : (n,) arrays
+        Standard deviation 0 where all samples are equal, or there is none.
+    """
+
+    finite: NDArray[np.bool_]
+    mean: NDArray[np.float64]
+    std: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @property
+    def flat(self) -> NDArray[np.bool_]:
+        """Whether all finite samples are equal."""
+        return ~(self.high > self.low)
+
+
+def row_statistics(data: Any) -> RowStatistics:
+    """Statistics of the rows of a record, in one pass.
+
+    Sums are taken about the mean of each row's beginning, which keeps the digits of a small signal on a large offset.
+    """
+    n, samples = data.shape
+    finite = np.ones(n, bool)
+    about, total, square, count = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    work = np.empty(PIECE)
+    for _, part in pieces(data) if isinstance(data, MappedSamples) else [(0, data)]:
+        for i, row in enumerate(part):
+            for first in range(0, row.size, PIECE):
+                raw = row[first : first + PIECE]
+                x = work[: raw.size]
+                x[:] = raw
+                if not np.isfinite(x.sum()):
+                    good = np.isfinite(x)
+                    finite[i] &= bool(good.all())
+                    x = x[good]
+                    raw = x
+                    if not x.size:
+                        continue
+                if not count[i]:
+                    about[i] = x.mean()
+                low[i], high[i] = min(low[i], float(raw.min())), max(high[i], float(raw.max()))
+                x -= about[i]
+                total[i] += x.sum()
+                square[i] += x @ x
+                count[i] += x.size
+    some = np.maximum(count, 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = np.maximum(square / some - (total / some) ** 2, 0)
+    return RowStatistics(finite, about + total / some, np.where(high > low, np.sqrt(variance), 0.0), low, high)
