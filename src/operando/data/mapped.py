@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import mmap
 import os
+import tempfile
 import threading
+import weakref
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -19,7 +22,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import DTypeLike, NDArray
 
-from operando.errors import FormatError
+from operando.errors import FormatError, WriteError
 
 MAPPED_FROM = 1 << 28
 """Bytes of samples from which a record stays in its file (256 MB): a quarter of the 1 GB that a run may take beside it."""
@@ -48,7 +51,7 @@ class MappedSamples(NDArrayOperatorsMixin):
 
     def __init__(self, read: Reader, shape: tuple[int, int], dtype: DTypeLike) -> None:
         self._read = read
-        self._rows: NDArray[np.intp] = np.arange(shape[0])
+        self._rows: NDArray[Any] = np.arange(shape[0])
         self._span = (0, shape[1])
         self.dtype = np.dtype(dtype)
 
@@ -80,14 +83,14 @@ class MappedSamples(NDArrayOperatorsMixin):
         rows, columns = key if isinstance(key, tuple) and len(key) == 2 else (key, slice(None))
         plain = isinstance(columns, slice) and columns.step in (None, 1)
         if isinstance(rows, int | np.integer) and plain:
-            return self._view(self._rows[[rows]], columns).filled()[0]
+            return self._view(self._rows[[int(rows)]], columns).filled()[0]
         if plain and (isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim == 1)):
             return self._view(self._rows[rows], columns)
         if isinstance(rows, int | np.integer):
             return self[rows][columns]
         return self.filled()[key]
 
-    def _view(self, rows: NDArray[np.intp], columns: slice) -> MappedSamples:
+    def _view(self, rows: NDArray[Any], columns: slice) -> MappedSamples:
         first, last, _ = columns.indices(self.shape[1])
         out = object.__new__(MappedSamples)
         out._read, out._rows, out.dtype = self._read, rows, self.dtype
@@ -169,7 +172,7 @@ class StoredFile:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def __post_init__(self) -> None:
-        self._open()
+        weakref.finalize(self, self._open().close)
         self._stamp = self._now()
 
     def _open(self) -> IO[bytes]:
@@ -186,6 +189,7 @@ class StoredFile:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _lock=threading.Lock())
+        weakref.finalize(self, self._open().close)
 
     def read_into(self, offset: int, view: memoryview) -> None:
         """Fill ``view`` with the bytes from ``offset`` on.
@@ -253,6 +257,55 @@ def mapped_rows(file: StoredFile, rows: Sequence[StoredRow], samples: int, dtype
     return MappedSamples(_RowReader(file, tuple(rows), np.dtype(dtype)), (len(rows), samples), dtype)
 
 
+class _Filled:
+    """Rows that are put together part by part: in memory, or in a temporary file where they are large."""
+
+    def __init__(self, shape: tuple[int, int], dtype: DTypeLike) -> None:
+        self.shape, self.dtype = shape, np.dtype(dtype)
+        large = shape[0] * shape[1] * self.dtype.itemsize >= MAPPED_FROM
+        self.stream: Any = tempfile.TemporaryFile() if large else None  # noqa: SIM115  (it stays as long as the samples do)
+        self.samples: Any = None if large else np.zeros(shape, self.dtype)
+
+    def __call__(self, row: int, first: int, values: NDArray[Any]) -> None:
+        if self.stream is None:
+            self.samples[row, first : first + values.size] = values
+            return
+        self.stream.seek((row * self.shape[1] + first) * self.dtype.itemsize)
+        self.stream.write(np.ascontiguousarray(values, self.dtype).view(np.uint8).data)
+
+    def finish(self) -> None:
+        """Make ``samples`` of what was put."""
+        if self.stream is None:
+            return
+        self.stream.flush()
+        self.stream.truncate(self.shape[0] * self.shape[1] * self.dtype.itemsize)
+        step = self.shape[1] * self.dtype.itemsize
+        rows = [StoredRow(i * step, self.dtype) for i in range(self.shape[0])]
+        self.samples = mapped_rows(StoredFile(Path("temporary file"), _stream=self.stream), rows, self.shape[1], self.dtype)
+
+
+@contextmanager
+def filling(shape: tuple[int, int], dtype: DTypeLike) -> Iterator[_Filled]:
+    """A function (row, first sample, values) that puts rows together part by part; ``samples`` of it holds them when the block ends.
+
+    What is larger than ``MAPPED_FROM`` lies in a temporary file (in the folder that TMPDIR names).
+
+    Raises
+    ------
+    WriteError
+        If the temporary file cannot be written.
+    """
+    try:
+        filled = _Filled(shape, dtype)
+        yield filled
+        filled.finish()
+    except OSError as error:
+        hint = "make room there, or name another folder by the environment variable TMPDIR"
+        raise WriteError(
+            f"a temporary file cannot be written: {error.strerror or error}", where=tempfile.gettempdir(), hint=hint
+        ) from error
+
+
 @dataclass(frozen=True)
 class RowStatistics:
     """Statistics of each channel over its finite samples.
@@ -282,7 +335,7 @@ def row_statistics(data: Any) -> RowStatistics:
 
     Sums are taken about the mean of each row's beginning, which keeps the digits of a small signal on a large offset.
     """
-    n, samples = data.shape
+    n = data.shape[0]
     finite = np.ones(n, bool)
     about, total, square, count = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     low, high = np.full(n, np.inf), np.full(n, -np.inf)

@@ -42,6 +42,9 @@ FINER = 4
 LONG = 2_000_000
 """Samples from which whole lags must do (memory)."""
 
+LONGEST = 4 * LONG
+"""Samples of a force in which a period is looked for: half as many are the longest period that is found. Its correlation takes 0.5 GB."""
+
 NEAR = 8
 """Lines of a group that shows a transient; and half the widest gap between lines of one multisine, at least."""
 
@@ -125,6 +128,8 @@ class PeriodicFrf:
 def period_of(force: Array) -> int:
     """Samples after which a force repeats itself; silence before and after it is passed over.
 
+    Of a force longer than ``LONGEST`` the part in the middle is looked at.
+
     Raises
     ------
     DataError
@@ -134,6 +139,8 @@ def period_of(force: Array) -> int:
     f = f - f.mean()
     loud = np.flatnonzero(np.abs(f) > QUIET * np.sqrt(np.mean(f**2)))
     f = f[loud[0] : loud[-1] + 1] if loud.size else f
+    if f.size > LONGEST:
+        f = f[(f.size - LONGEST) // 2 :][:LONGEST]
     n = f.size
     size = sfft.next_fast_len(2 * n, real=True)
     finer = FINER if n < LONG else 1

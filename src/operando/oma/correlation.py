@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from operando.data import row_statistics
 from operando.errors import IdentificationError
 
 
@@ -85,13 +86,15 @@ def correlate(
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
     ahead = np.zeros((min(group, pieces), r, size))
     now = np.zeros((min(group, pieces), q, size))
-    offset = data.mean(axis=1, dtype=float)[:, None] if centre else 0.0
+    offset = row_statistics(data).mean[:, None] if centre else 0.0
     for b in range(n_blocks):
         for first in range(0, pieces, group):
             count = min(group, pieces - first)
+            begin = b * length + edges[first]
+            stretch = np.asarray(data[:, begin : b * length + edges[first + count] + n_lags])
             for k in range(count):
                 start, stop = b * length + edges[first + k], b * length + edges[first + k + 1]
-                ahead[k, :, : stop - start + n_lags] = data[:, start : stop + n_lags] - offset
+                ahead[k, :, : stop - start + n_lags] = stretch[:, start - begin : stop - begin + n_lags] - offset
                 ahead[k, :, stop - start + n_lags :] = 0
                 now[k, :, : stop - start] = ahead[k][references, : stop - start]
                 now[k, :, stop - start :] = 0

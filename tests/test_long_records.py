@@ -1,0 +1,126 @@
+"""Records that stay in their file: the same numbers as in memory, read where they are asked for."""
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from operando.data import Channel, MappedSamples, TimeRecord, mapped, pieces
+from operando.dof import Dof
+from operando.errors import FormatError
+from operando.frf import estimate_frf
+from operando.io import read, write_hdf5, write_uff
+
+RATE = 1024.0
+
+
+def record(samples=20_000, dtype=np.float64):
+    rng = np.random.default_rng(5)
+    data = rng.standard_normal((4, samples)).astype(dtype)
+    data[1:] += data[0]
+    channels = [Channel(Dof(1, "Z"), "force", "N", "f")] + [Channel(Dof(i, "Z"), "acceleration", "m/s2", f"a{i}") for i in (1, 2, 3)]
+    return TimeRecord(data, RATE, tuple(channels))
+
+
+@pytest.fixture
+def everything_stays(monkeypatch):
+    monkeypatch.setattr(mapped, "MAPPED_FROM", 0)
+
+
+def written(tmp_path, kind, dtype):
+    path, made = tmp_path / f"r.{kind}", record(dtype=dtype)
+    if kind == "uff":
+        write_uff(path, made)
+    elif kind == "big.uff":
+        write_uff(path, made, big_endian=True)
+    elif kind == "h5":
+        write_hdf5(path, {"record": made})
+    elif kind == "wav":
+        wavfile.write(path, int(RATE), made.data.T)
+    else:
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(path) as writer:
+            for part in (slice(0, 8000), slice(8000, None)):
+                rows = zip(made.data, made.channels, strict=True)
+                writer.write_segment([nptdms.ChannelObject("g", c.name, r[part], {"wf_increment": 1 / RATE}) for r, c in rows])
+    return path
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("kind", ["uff", "big.uff", "h5", "wav", "tdms"])
+def test_stays_in_its_file_with_the_numbers_of_one_in_memory(tmp_path, monkeypatch, kind, dtype):
+    path = written(tmp_path, kind, dtype)
+    specs = {"ch2": {"quantity": "acceleration", "unit": "g", "sensitivity": 0.5}}
+    held = read(path, channels=specs)
+    monkeypatch.setattr(mapped, "MAPPED_FROM", 0)
+    stays = read(path, channels=specs)
+    a, b = held.records[0], stays.records[0]
+    assert isinstance(a.data, np.ndarray)
+    assert isinstance(b.data, MappedSamples)
+    assert b.data.dtype == a.data.dtype
+    assert a.channels == b.channels
+    assert a.sampling_hz == b.sampling_hz
+    np.testing.assert_array_equal(a.data, np.asarray(b.data))
+    assert [f.message for f in held.findings] == [f.message for f in stays.findings]
+
+
+def test_parts_are_those_of_an_array(tmp_path, everything_stays):
+    path = written(tmp_path, "uff", np.float64)
+    held, stays = record(), read(path).records[0]
+    x, y = held.data, stays.data
+    assert isinstance(y[1:, 10:500], MappedSamples)
+    assert isinstance(y[[2, 0]], MappedSamples)
+    for key in (
+        2, -1, (1, slice(5, 90)), (1, 7), (slice(None), slice(100, 300)), ([2, 0], slice(3, 9)), slice(1, 3),
+        np.array([True, False, True, False]),
+        (slice(None), slice(0, 900, 7)), (slice(None), 4), (slice(None), slice(-5, None)), (slice(None), slice(7, 3)),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(x[key], np.asarray(y[key]))
+    np.testing.assert_array_equal(x[1:, 50:500][[1, 0], 5:30], np.asarray(y[1:, 50:500][[1, 0], 5:30]))
+    np.testing.assert_array_equal(x.mean(axis=1), y.mean(axis=1))
+    np.testing.assert_array_equal(np.abs(x) - 1, np.abs(y) - 1)
+    np.testing.assert_array_equal(np.concatenate([part for _, part in pieces(y, 777)], axis=1), x)
+    np.testing.assert_array_equal(stays.cut(2.0, 5.5).data, held.cut(2.0, 5.5).data)
+    np.testing.assert_array_equal(stays.select([3, 1]).data, held.select([3, 1]).data)
+    with pytest.raises(AttributeError):
+        _ = y.no_such_thing
+
+
+def test_a_file_that_changes_is_an_error(tmp_path, everything_stays):
+    path = written(tmp_path, "uff", np.float64)
+    stays = read(path).records[0]
+    with open(path, "r+b") as stream:
+        stream.truncate(path.stat().st_size - 1)
+    with pytest.raises(FormatError, match="changed"):
+        stays.data[0]
+
+
+def test_a_large_read_only_map_gives_its_pages_back(tmp_path, everything_stays):
+    np.save(tmp_path / "x.npy", record().data)
+    labels = record().channels
+    stays = TimeRecord(np.load(tmp_path / "x.npy", mmap_mode="r"), RATE, labels)
+    assert isinstance(stays.data, MappedSamples)
+    np.testing.assert_array_equal(stays.data, record().data)
+    own = TimeRecord(np.load(tmp_path / "x.npy", mmap_mode="c"), RATE, labels)
+    assert isinstance(own.data, np.ndarray)  # pages that were written to would be lost
+
+
+def test_frfs_are_the_same(tmp_path, everything_stays):
+    path = written(tmp_path, "uff", np.float64)
+    a, b = estimate_frf(record()), estimate_frf(read(path).records[0])
+    np.testing.assert_array_equal(a.data, b.data)
+    np.testing.assert_array_equal(a.variance, b.variance)
+
+
+def test_statistics_are_those_of_numpy():
+    data = np.random.default_rng(0).standard_normal((5, 200_001)) * 1e-3 + 1e3
+    data[1, 70_000:90_000] = np.nan
+    data[2] = 7.3
+    data[3] = np.nan
+    labels = tuple(Channel(Dof(i, "Z"), "acceleration", "m/s2") for i in range(5))
+    found = TimeRecord(data, RATE, labels).statistics
+    assert found.finite.tolist() == [True, False, True, False, True]
+    assert found.flat.tolist() == [False, False, True, True, False]
+    assert found.std[2] == 0 == found.std[3]
+    for i in (0, 1, 4):
+        np.testing.assert_allclose([found.mean[i], found.std[i]], [np.nanmean(data[i]), np.nanstd(data[i])], rtol=1e-11)
+        assert (found.low[i], found.high[i]) == (np.nanmin(data[i]), np.nanmax(data[i]))
