@@ -105,6 +105,9 @@ class MappedSamples(NDArrayOperatorsMixin):
         if self.size and last - first <= step and kind == self.dtype:
             return self._read(self._rows.tolist(), first, last)
         out = np.empty(self.shape, kind)
+        if isinstance(self._read, _RowReader) and kind == self.dtype:
+            self._read.read_into(out, self._rows.tolist(), first, last)
+            return out
         for start in range(first, last, step):
             stop = min(start + step, last)
             out[:, start - first : stop - first] = self._read(self._rows.tolist(), start, stop)
@@ -240,6 +243,11 @@ class _RowReader:
 
     def __call__(self, wanted: Sequence[int], first: int, last: int) -> NDArray[Any]:
         out = np.empty((len(wanted), last - first), self.dtype)
+        self.read_into(out, wanted, first, last)
+        return out
+
+    def read_into(self, out: NDArray[Any], wanted: Sequence[int], first: int, last: int) -> None:
+        """Fill ``out`` straight from the file, without a copy where the format allows it."""
         for i, k in enumerate(wanted):
             row = self.rows[k]
             raw = out[i] if row.dtype == self.dtype else np.empty(last - first, row.dtype)
@@ -249,7 +257,6 @@ class _RowReader:
             if row.factor != 1.0:
                 with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
                     out[i] *= self.dtype.type(row.factor)
-        return out
 
 
 def mapped_rows(file: StoredFile, rows: Sequence[StoredRow], samples: int, dtype: DTypeLike) -> MappedSamples:

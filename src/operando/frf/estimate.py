@@ -151,6 +151,7 @@ def estimate_frf(
                 if not reason and block_seconds is None and peak is not None and not any(blocks for _, blocks, _ in cut):
                     averaged = _shorter_blocks(averaged, peak, length, options)
         if estimator == "lrm" or (automatic and reason):
+            averaged = []  # large, and not used
             lost = [f for f in lost if f.kind != "short_hits"]  # the whole record is used, however soon the next hit came
             lines, peak = choose_lines([c[0] for c in cut if usable(c[0])] or runs, band, line_spacing_hz, max_lines, window_lines)
             whole = _survivors(lambda c: rational_run(c[0], lines, window_lines, c[2]), cut, _name, lost)

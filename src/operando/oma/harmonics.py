@@ -66,6 +66,8 @@ def line_height(data: NDArray[Any], sampling_hz: float, segments: int) -> tuple[
     """
     n = data.shape[1]
     size = n // segments
+    if n > LONGEST:
+        size = fft.prev_fast_len(size, real=True)
     window = np.hanning(size + 1)[:-1]
     offsets = np.r_[-9:-2, 3:10]
     height = np.zeros(size // 2 + 1)
