@@ -2,9 +2,9 @@
 
     make bench        or        python benchmarks/bench.py [--only read_uff.py …]
 
-A stage is a script beside this one that takes ``--json FILE`` and writes a list of rows: stage, size, ours_s, peer, peer_s (processor time),
-ratio (how many times better than the peer), goal (least ratio), ours_mb, peer_mb (peak resident memory), accuracy; null where it does not
-apply. A peer that is not installed has no seconds and no ratio. Results are in ``results/bench.json`` and ``results/bench.md``.
+A stage is a script beside this one that takes ``--json FILE`` and writes a list of rows: stage, size, ours_s, peer, peer_s (processor
+time), ratio (how many times better than the peer), goal (least ratio), ours_mb, peer_mb (peak resident memory), accuracy; null where it
+does not apply. A peer that is not installed has no seconds and no ratio. Results are in ``results/bench.json`` and ``results/bench.md``.
 """
 
 from __future__ import annotations

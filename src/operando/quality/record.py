@@ -26,8 +26,9 @@ ORIGIN_BLOCKS = 8
 """Blocks of which the part of the response that follows the force is told: half overlapped Hann windows make 14 averages of them, and
 long blocks resolve the resonances (blocks of a thirtieth lose a tenth of the coherence to leakage)."""
 SHORTEST_BLOCK = 64
-LONGEST_BLOCK = 1 << 18
-"""Samples of a block at most: a quarter of a million resolve what resonates in a machine, and 64 channels of lines take 200 MB."""
+LONGEST_BLOCK = 1 << 17
+"""Samples of a block at most: 25 lines (``LINES_NEEDED``) are then 0.02 % of the sampling rate, narrower than most resonances, and the
+lines of 64 channels take 100 MB."""
 DRIVEN = 0.5
 """Part of the response power that must follow the force: 0.84 to 1.00 in 28 good records of four structures and the example, machines
 running in half."""
