@@ -8,7 +8,10 @@ from operando.data import Channel, MappedSamples, TimeRecord, mapped, pieces
 from operando.dof import Dof
 from operando.errors import FormatError
 from operando.frf import estimate_frf
+from operando.frf.periodic import period_of
 from operando.io import read, write_hdf5, write_uff
+from operando.oma import conditioning, fit_oma, harmonics
+from operando.quality import check_record
 
 RATE = 1024.0
 
@@ -124,3 +127,91 @@ def test_statistics_are_those_of_numpy():
     for i in (0, 1, 4):
         np.testing.assert_allclose([found.mean[i], found.std[i]], [np.nanmean(data[i]), np.nanstd(data[i])], rtol=1e-11)
         assert (found.low[i], found.high[i]) == (np.nanmin(data[i]), np.nanmax(data[i]))
+
+
+def test_checks_are_the_same(tmp_path, everything_stays):
+    held = record()
+    held.data.flags.writeable = True
+    held.data[2, 500:600] = 0.25
+    held.data[3] = np.clip(held.data[3], -1.2, 1.2)
+    write_uff(tmp_path / "r.uff", held)
+    stays = read(tmp_path / "r.uff").records[0]
+    found = [(f.kind, f.time_s, f.message) for f in check_record(held).findings]
+    assert {kind for kind, _, _ in found} >= {"dropout", "overload"}
+    assert [(f.kind, f.time_s, f.message) for f in check_record(stays).findings] == found
+
+
+def resonant(samples, seed=0):
+    """Two modes at three sensors, with a rotor order."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    data = 0.02 * rng.standard_normal((3, samples))
+    for hz, shape in ((60.0, [1, 0.7, -0.4]), (95.0, [0.5, -1, 0.8])):
+        pole = np.exp((-0.01 + 1j) * 2 * np.pi * hz / RATE)
+        data += np.outer(shape, lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], rng.standard_normal(samples)))
+    data += np.outer([3.0, 2.0, 1.0], np.sin(2 * np.pi * 77.3 * np.arange(samples) / RATE + 0.4))
+    labels = tuple(Channel(Dof(i, "Z"), "acceleration", "m/s2") for i in (1, 2, 3))
+    return TimeRecord(data, RATE, labels)
+
+
+def test_modes_are_the_same(tmp_path, monkeypatch):
+    held = resonant(60_000)
+    write_uff(tmp_path / "r.uff", held)
+    a = fit_oma(held, band=(40.0, 120.0))
+    monkeypatch.setattr(mapped, "MAPPED_FROM", 0)  # also what is resampled and cleaned of sinusoids then stays in files
+    b = fit_oma(read(tmp_path / "r.uff").records[0], band=(40.0, 120.0))
+    np.testing.assert_allclose(a.details.harmonics_hz, [77.3], atol=1e-3)
+    np.testing.assert_allclose(b.details.harmonics_hz, a.details.harmonics_hz, rtol=1e-9)
+    np.testing.assert_allclose(b.frequencies_hz, a.frequencies_hz, rtol=1e-8)
+    np.testing.assert_allclose(b.damping_ratios, a.damping_ratios, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(b.covariance), np.diag(a.covariance), rtol=1e-3)
+
+
+def test_a_record_taken_in_stretches_has_the_same_modes(tmp_path, everything_stays, monkeypatch):
+    held = resonant(300_000)
+    write_uff(tmp_path / "r.uff", held)
+    whole = fit_oma(held, band=(40.0, 120.0))
+    monkeypatch.setattr(conditioning, "STRETCH", 1 << 15)
+    monkeypatch.setattr(conditioning, "MARGIN", 1 << 12)
+    monkeypatch.setattr(harmonics, "LONGEST", 1 << 14)
+    parts = fit_oma(read(tmp_path / "r.uff").records[0], band=(40.0, 120.0))
+    np.testing.assert_allclose(parts.details.harmonics_hz, [77.3], atol=1e-3)
+    std = np.sqrt(np.diag(whole.covariance))[: 2 * whole.frequencies_hz.size]
+    change = np.concatenate([parts.frequencies_hz - whole.frequencies_hz, parts.damping_ratios - whole.damping_ratios])
+    assert np.all(np.abs(change) < 0.1 * std)
+
+
+def test_stretches_resample_as_the_whole(monkeypatch):
+    data = np.random.default_rng(1).standard_normal((2, 200_000)) + 3
+    monkeypatch.setattr(conditioning, "STRETCH", 1 << 15)
+    monkeypatch.setattr(conditioning, "MARGIN", 1 << 12)
+    parts, rate = conditioning.resample(data, 1000.0, 105.0, 250.0)
+    assert rate == 250.0
+    monkeypatch.setattr(conditioning, "STRETCH", 1 << 20)
+    whole, same = conditioning.resample(data, 1000.0, 105.0, 250.0)
+    assert same == rate
+    inside = slice(2000, -2000)
+    periods = conditioning.MARGIN / 1000.0 * 20.0  # of the flank's width, 105 to 125 Hz, in the margin
+    assert np.abs(parts - whole)[:, inside].max() < periods**-3 * whole.std()
+
+
+def test_the_envelope_of_bins_is_that_of_the_whole_spectrum(monkeypatch):
+    data = resonant(400_000).data
+    args = (data, RATE, 77.3, 32 * RATE / data.shape[1])
+    whole = harmonics.envelope(*args)
+    monkeypatch.setattr(harmonics, "LONGEST", 1000)
+    parts = harmonics.envelope(*args)
+    assert parts.shape == whole.shape
+    # what lies a bin rate away comes through by 16 lines over the number of bins
+    assert np.abs(parts - whole).max() < 16 / harmonics.ENVELOPE_BINS * np.abs(whole).max()
+
+
+def test_the_period_of_a_long_force_is_found_in_its_middle(monkeypatch):
+    from operando.frf import periodic
+
+    one = np.random.default_rng(2).standard_normal(700)
+    force = np.concatenate([np.zeros(5000), np.tile(one, 40), np.zeros(900)])
+    assert period_of(force) == 700
+    monkeypatch.setattr(periodic, "LONGEST", 4000)
+    assert period_of(force) == 700

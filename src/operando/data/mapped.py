@@ -14,7 +14,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,8 +24,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from operando.errors import FormatError, WriteError
 
-MAPPED_FROM = 1 << 28
-"""Bytes of samples from which a record stays in its file (256 MB): a quarter of the 1 GB that a run may take beside it."""
+MAPPED_FROM = 1 << 26
+"""Bytes of samples from which a record stays in its file (67 MB, 64 channels of 130 000 samples): so that a test of many such records stays
+far below the 1 GB that a run may take. What is read again comes from the cache of the system."""
 PIECE = 1 << 16
 """Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
 
@@ -53,6 +54,7 @@ class MappedSamples(NDArrayOperatorsMixin):
         self._read = read
         self._rows: NDArray[Any] = np.arange(shape[0])
         self._span = (0, shape[1])
+        self._statistics: RowStatistics | None = None
         self.dtype = np.dtype(dtype)
 
     @property
@@ -82,19 +84,19 @@ class MappedSamples(NDArrayOperatorsMixin):
     def __getitem__(self, key: Any) -> Any:
         rows, columns = key if isinstance(key, tuple) and len(key) == 2 else (key, slice(None))
         plain = isinstance(columns, slice) and columns.step in (None, 1)
-        if isinstance(rows, int | np.integer) and plain:
-            return self._view(self._rows[[int(rows)]], columns).filled()[0]
-        if plain and (isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim == 1)):
-            return self._view(self._rows[rows], columns)
         if isinstance(rows, int | np.integer):
-            return self[rows][columns]
+            return self._view([int(rows)], columns).filled()[0] if plain else self[rows][columns]
+        if plain and (isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim == 1)):
+            return self._view(rows, columns)
         return self.filled()[key]
 
-    def _view(self, rows: NDArray[Any], columns: slice) -> MappedSamples:
+    def _view(self, rows: Any, columns: slice) -> MappedSamples:
         first, last, _ = columns.indices(self.shape[1])
         out = object.__new__(MappedSamples)
-        out._read, out._rows, out.dtype = self._read, rows, self.dtype
+        out._read, out._rows, out.dtype = self._read, self._rows[rows], self.dtype
         out._span = (self._span[0] + first, self._span[0] + max(first, last))
+        known = self._statistics if out._span == self._span else None
+        out._statistics = None if known is None else RowStatistics(*(getattr(known, f.name)[rows] for f in fields(known)))
         return out
 
     def filled(self, dtype: DTypeLike | None = None) -> NDArray[Any]:
@@ -338,7 +340,16 @@ class RowStatistics:
 
 
 def row_statistics(data: Any) -> RowStatistics:
-    """Statistics of the rows of a record, in one pass.
+    """Statistics of the rows of a record, in one pass; made once for samples in a file."""
+    if not isinstance(data, MappedSamples):
+        return _row_statistics(data)
+    if data._statistics is None:
+        data._statistics = _row_statistics(data)
+    return data._statistics
+
+
+def _row_statistics(data: Any) -> RowStatistics:
+    """The same, made anew.
 
     Sums are taken about the mean of each row's beginning, which keeps the digits of a small signal on a large offset.
     """

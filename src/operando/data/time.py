@@ -65,7 +65,7 @@ class TimeRecord(ForOthers):
     Parameters
     ----------
     data : (n_channels, n_samples) float array
-        Samples, SI where the units are known. Made read-only. Samples of more than 256 MB that lie in a file, or in a read-only memory map,
+        Samples, SI where the units are known. Made read-only. Samples of more than 67 MB that lie in a file, or in a read-only memory map,
         stay there (:class:`operando.data.mapped.MappedSamples`).
     sampling_hz : float
         Sampling rate [Hz].

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from operando.data import MappedSamples
 from operando.errors import DataError
 
 Array = NDArray[Any]
@@ -74,7 +75,8 @@ def spectrum_lines(data: NDArray[np.floating[Any]], rows: ArrayLike, lines: NDAr
     rows = np.asarray(rows, int)
     out = np.empty((rows.size, lines.size), complex)
     for i, row in enumerate(rows):
-        x = np.array(data[row, :n_samples], float)
+        # what was read from a file is nobody else's
+        x = np.asarray(data[row, :n_samples], float) if isinstance(data, MappedSamples) else np.array(data[row, :n_samples], float)
         x -= x.mean()
         out[i] = fft.rfft(x, overwrite_x=True)[lines]
     return out

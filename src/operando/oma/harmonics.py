@@ -89,34 +89,32 @@ def envelope(data: NDArray[Any], sampling_hz: float, hz: float, width_hz: float)
     half = max(2, round(width_hz * n / sampling_hz / 2))
     low = max(round(centre) - half, 1)
     if n > 4 * LONGEST:
-        return _envelope_of_bins(data, sampling_hz, hz, half)
-    out = np.empty((data.shape[0], 2 * half + 1), complex)
-    for i, row in enumerate(data):
-        lines = fft.rfft(np.asarray(row, float))[low : low + 2 * half + 1]
-        out[i, : lines.size] = lines
-        out[i, lines.size :] = 0
+        out = _lines_by_bins(data, low + half, half)
+    else:
+        out = np.empty((data.shape[0], 2 * half + 1), complex)
+        for i, row in enumerate(data):
+            lines = fft.rfft(np.asarray(row, float))[low : low + 2 * half + 1]
+            out[i, : lines.size] = lines
+            out[i, lines.size :] = 0
     k = out.shape[1]
     t = np.arange(k) / k
-    return fft.ifft(out, axis=1) * k * 2 / n * np.exp(-2j * np.pi * (centre - low) * t)
+    return np.asarray(fft.ifft(out, axis=1) * k * 2 / n * np.exp(-2j * np.pi * (centre - low) * t))
 
 
-def _envelope_of_bins(data: NDArray[Any], sampling_hz: float, hz: float, half: int) -> NDArray[np.complex128]:
-    """The envelope of a long record: turned to zero frequency, averaged in bins, and cut to ``half`` lines on either side."""
+def _lines_by_bins(data: NDArray[Any], middle: int, half: int) -> NDArray[np.complex128]:
+    """DFT lines ``middle`` ± ``half`` of a long record, whose middle line is turned to zero frequency and averaged in bins."""
     r, n = data.shape
     edges = np.linspace(0, n, max(ENVELOPE_BINS, 32 * half) + 1).astype(int)
     bins = np.empty((r, edges.size - 1), complex)
     together = max(1, PIECE // int(np.diff(edges).max()))
     for first in range(0, edges.size - 1, together):
         last = min(first + together, edges.size - 1)
-        turned = np.asarray(data[:, edges[first] : edges[last]], float)
-        angle = (-2j * np.pi * hz / sampling_hz) * np.arange(edges[first], edges[last])
-        starts = edges[first:last] - edges[first]
-        bins[:, first:last] = np.add.reduceat(turned * np.exp(angle), starts, axis=1) / np.diff(edges[first : last + 1])
-    count, k = edges.size - 1, 2 * half + 1
+        part = np.asarray(data[:, edges[first] : edges[last]], float)
+        turning = np.exp((-2j * np.pi * middle / n) * np.arange(edges[first], edges[last]))
+        bins[:, first:last] = np.add.reduceat(part * turning, edges[first:last] - edges[first], axis=1)
     m = np.arange(-half, half + 1)
     # a mean belongs to the middle of its bin
-    lines = fft.fft(bins, axis=1)[:, m] * np.exp(-1j * np.pi * m / count)
-    return np.asarray(fft.ifft(fft.ifftshift(lines, axes=1), axis=1) * k * 2 / count)
+    return np.asarray(fft.fft(bins, axis=1)[:, m] * np.exp(-1j * np.pi * m / bins.shape[1]))
 
 
 def find_harmonics(
