@@ -84,8 +84,9 @@ def test_parts_are_those_of_an_array(tmp_path, everything_stays):
     np.testing.assert_array_equal(np.concatenate([part for _, part in pieces(y, 777)], axis=1), x)
     np.testing.assert_array_equal(stays.cut(2.0, 5.5).data, held.cut(2.0, 5.5).data)
     np.testing.assert_array_equal(stays.select([3, 1]).data, held.select([3, 1]).data)
-    with pytest.raises(AttributeError):
-        _ = y.no_such_thing
+    for name in ("strides", "sort", "no_such_thing"):
+        with pytest.raises(AttributeError, match="asarray"):
+            getattr(y, name)
 
 
 def test_a_file_that_changes_is_an_error(tmp_path, everything_stays):
@@ -215,3 +216,15 @@ def test_the_period_of_a_long_force_is_found_in_its_middle(monkeypatch):
     assert period_of(force) == 700
     monkeypatch.setattr(periodic, "LONGEST", 4000)
     assert period_of(force) == 700
+
+
+@pytest.mark.parametrize("samples", [6000, 5625, 4096])
+def test_lines_of_a_long_row_are_those_of_its_transform(monkeypatch, samples):
+    from operando.frf import rational
+
+    x = np.random.default_rng(3).standard_normal(samples)
+    lines = np.array([1, 2, 7, 400, 801, samples // 2 - 1, samples // 2])
+    whole = np.fft.rfft(x)[lines]
+    monkeypatch.setattr(rational, "LONGEST", 700)
+    found = rational.spectrum_lines((x - 0.5)[np.newaxis], [0], lines, samples)[0]
+    np.testing.assert_allclose(found, whole, rtol=1e-11)

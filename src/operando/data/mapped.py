@@ -30,6 +30,37 @@ far below the 1 GB that a run may take. What is read again comes from the cache 
 PIECE = 1 << 16
 """Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
 
+_METHODS = frozenset(
+    [
+        "T",
+        "all",
+        "any",
+        "argmax",
+        "argmin",
+        "astype",
+        "clip",
+        "copy",
+        "cumsum",
+        "dot",
+        "flatten",
+        "max",
+        "mean",
+        "min",
+        "nonzero",
+        "ravel",
+        "reshape",
+        "round",
+        "std",
+        "sum",
+        "swapaxes",
+        "tobytes",
+        "tolist",
+        "transpose",
+        "var",
+    ]
+)
+"""Methods of arrays that change nothing and ask nothing of how samples lie in memory."""
+
 Reader = Callable[[Sequence[int], int, int], NDArray[Any]]
 """Rows, first sample, one past the last → samples in SI (len(rows), last − first)."""
 
@@ -38,7 +69,7 @@ class MappedSamples(NDArrayOperatorsMixin):
     """Samples of several channels (n_channels, n_samples) in a file.
 
     ``samples[i]`` and ``samples[i, a:b]`` are arrays. ``samples[rows]`` and ``samples[rows, a:b]`` with a step of one are views. Everything
-    else, NumPy's functions and the methods of arrays included, reads the view as a whole.
+    else, NumPy's functions and the common methods of arrays included, reads the view as a whole.
 
     Parameters
     ----------
@@ -122,8 +153,8 @@ class MappedSamples(NDArrayOperatorsMixin):
         return getattr(ufunc, method)(*(x.filled() if isinstance(x, MappedSamples) else x for x in inputs), **kwargs)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or not hasattr(np.ndarray, name):
-            raise AttributeError(f"MappedSamples has no attribute {name!r}")
+        if name not in _METHODS:
+            raise AttributeError(f"MappedSamples has no attribute {name!r}; numpy.asarray makes an array of it")
         return getattr(self.filled(), name)
 
     def changed_by(self, change: Callable[[NDArray[Any], Sequence[int], int, int], NDArray[Any]], dtype: DTypeLike) -> MappedSamples:

@@ -12,6 +12,9 @@ from scipy import fft
 from operando.data import row_statistics
 from operando.errors import IdentificationError
 
+CACHE_VALUES = 300_000
+"""Samples of all channels transformed at a time: few enough that they and their spectra stay in the cache."""
+
 
 @dataclass(frozen=True)
 class BlockCorrelations:
@@ -79,28 +82,28 @@ def correlate(
     q = len(references)
     total = np.zeros((n_lags + 1, r, q))
     blocks = np.empty((n_blocks, n_lags + 1, r, q), np.float32) if keep_blocks else None
-    pieces = max(1, round(length / (chunk or max(1024, 8 * n_lags))))
-    edges = np.linspace(0, length, pieces + 1).astype(int)
-    size = fft.next_fast_len(int(np.diff(edges).max()) + n_lags, real=True)
-    group = max(1, int(2e6 / (r * size)))
+    step = -(-length // max(1, round(length / (chunk or max(1024, 8 * n_lags)))))
+    size = fft.next_fast_len(step + n_lags, real=True)
+    group = max(1, CACHE_VALUES // (r * size))
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
-    ahead = np.zeros((min(group, pieces), r, size))
-    now = np.zeros((min(group, pieces), q, size))
     offset = row_statistics(data).mean[:, None] if centre else 0.0
+
+    def add(start: int, count: int, samples: int) -> None:
+        """``count`` pieces one after the other, each with the lags beyond its end."""
+        part = np.asarray(data[:, start : start + count * samples + n_lags])
+        far, near = part.strides
+        window = np.lib.stride_tricks.as_strided(part, (count, r, samples + n_lags), (samples * near, far, near), writeable=False)
+        ahead = np.subtract(window, offset, dtype=float)
+        x = np.ascontiguousarray(fft.rfft(ahead, size, axis=2).transpose(2, 1, 0))
+        y = np.ascontiguousarray(fft.rfft(ahead[:, references, :samples], size, axis=2).transpose(2, 0, 1))
+        np.add(spectrum, x @ np.conj(y, out=y), out=spectrum)
+
     for b in range(n_blocks):
-        for first in range(0, pieces, group):
-            count = min(group, pieces - first)
-            begin = b * length + edges[first]
-            stretch = np.asarray(data[:, begin : b * length + edges[first + count] + n_lags])
-            for k in range(count):
-                start, stop = b * length + edges[first + k], b * length + edges[first + k + 1]
-                ahead[k, :, : stop - start + n_lags] = stretch[:, start - begin : stop - begin + n_lags] - offset
-                ahead[k, :, stop - start + n_lags :] = 0
-                now[k, :, : stop - start] = ahead[k][references, : stop - start]
-                now[k, :, stop - start :] = 0
-            x = fft.rfft(ahead[:count], axis=2).transpose(2, 1, 0)
-            y = fft.rfft(now[:count], axis=2).transpose(2, 0, 1)
-            spectrum += np.ascontiguousarray(x) @ np.ascontiguousarray(y.conj())
+        whole = length // step
+        for first in range(0, whole, group):
+            add(b * length + first * step, min(group, whole - first), step)
+        if whole * step < length:
+            add(b * length + whole * step, 1, length - whole * step)
         if blocks is not None:
             block = fft.irfft(spectrum, size, axis=0)[: n_lags + 1] / length
             blocks[b] = block
