@@ -30,35 +30,10 @@ far below the 1 GB that a run may take. What is read again comes from the cache 
 PIECE = 1 << 16
 """Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
 
-_METHODS = frozenset(
-    [
-        "T",
-        "all",
-        "any",
-        "argmax",
-        "argmin",
-        "astype",
-        "clip",
-        "copy",
-        "cumsum",
-        "dot",
-        "flatten",
-        "max",
-        "mean",
-        "min",
-        "nonzero",
-        "ravel",
-        "reshape",
-        "round",
-        "std",
-        "sum",
-        "swapaxes",
-        "tobytes",
-        "tolist",
-        "transpose",
-        "var",
-    ]
-)
+_METHODS = {
+    "T", "all", "any", "argmax", "argmin", "astype", "clip", "copy", "cumsum", "dot", "flatten", "max", "mean", "min", "nonzero",
+    "ravel", "reshape", "round", "std", "sum", "swapaxes", "tobytes", "tolist", "transpose", "var",
+}  # fmt: skip
 """Methods of arrays that change nothing and ask nothing of how samples lie in memory."""
 
 Reader = Callable[[Sequence[int], int, int], NDArray[Any]]
