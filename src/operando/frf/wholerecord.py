@@ -131,7 +131,7 @@ def choose_lines(
         coarse = (high - low) / max_lines
         pilots = [_beginning(run) for run in runs]
         seconds = min(float(fft.prev_fast_len(r.record.n_samples, real=True)) / r.record.sampling_hz for r in pilots)
-        peak = _sharpest_peak(pilots, max(low, (window_lines // 2) / seconds), high, seconds, window_lines)
+        peak = _sharpest_peak(pilots, max(low, 1 / seconds), high, seconds, window_lines)
         needed = coarse if peak is None else min(coarse, peak.bandwidth_hz / LINES_A_PEAK)
         spacing = max(needed, coarse / 3)
         step = 1 / duration
