@@ -22,7 +22,7 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
 RESULTS = FOLDER / "results"
-STAGES = ("read_uff.py", "estimate_frf.py", "long_record.py")
+STAGES = ("read_uff.py", "estimate_frf.py", "long_record.py", "plscf.py", "fit_ema.py", "ssi_cov.py")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SETTINGS = {"QT_QPA_PLATFORM": "offscreen", "MPLBACKEND": "Agg"}
 COLUMNS = ("stage", "size", "ours [s]", "peer", "peer [s]", "ratio", "goal", "ours [MB]", "peer [MB]", "accuracy")

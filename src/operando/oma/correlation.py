@@ -90,9 +90,9 @@ def correlate(
 
     def add(start: int, count: int, samples: int) -> None:
         """``count`` pieces one after the other, each with the lags beyond its end."""
-        part = np.asarray(data[:, start : start + count * samples + n_lags])
-        far, near = part.strides
-        window = np.lib.stride_tricks.as_strided(part, (count, r, samples + n_lags), (samples * near, far, near), writeable=False)
+        stretch = np.asarray(data[:, start : start + count * samples + n_lags])
+        far, near = stretch.strides
+        window = np.lib.stride_tricks.as_strided(stretch, (count, r, samples + n_lags), (samples * near, far, near), writeable=False)
         ahead = np.subtract(window, offset, dtype=float)
         x = np.ascontiguousarray(fft.rfft(ahead, size, axis=2).transpose(2, 1, 0))
         y = np.ascontiguousarray(fft.rfft(ahead[:, references, :samples], size, axis=2).transpose(2, 0, 1))
