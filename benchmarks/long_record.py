@@ -26,9 +26,7 @@ THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 GOAL_MB = 1000.0
 
 TEST = """name = "long"
-[idle]
-records = ["long.uff"]
-[operating]
+[STATE]
 records = ["long.uff"]
 [analysis]
 band = [5.0, 250.0]
@@ -38,12 +36,13 @@ STAGES = {
     "h1": "estimate_frf(read(file).records, estimator='h1', block_seconds=8192 / 2048)",
     "frf": "estimate_frf(read(file).records)",
     "oma": "fit_oma(read(file).records, band=(5.0, 250.0))",
-    "command frf": "main(['frf', toml, '-o', out, '-q'])",
-    "command oma": "main(['oma', toml, '-o', out, '-q'])",
+    "command frf": "main(['frf', folder + '/idle.toml', '-o', out])",
+    "command oma": "main(['oma', folder + '/operating.toml', '-o', out])",
 }
 CHILD = """
 import contextlib, io, os, sys, time
-file, toml, out = sys.argv[1:]
+folder, out = sys.argv[1:]
+file = folder + '/long.uff'
 sys.argv = ['operando']
 from operando.cli import main as command
 from operando.frf import estimate_frf
@@ -98,7 +97,7 @@ def write_record(path: Path, gigabytes: float) -> int:
 def run(stage: str, folder: Path) -> tuple[float, float, str]:
     """Processor seconds, peak memory [MB] and the modes found of one stage."""
     code = CHILD.replace("{stage}", STAGES[stage])
-    call = [sys.executable, "-c", code, str(folder / "long.uff"), str(folder / "test.toml"), str(folder / f"out-{stage.replace(' ', '-')}")]
+    call = [sys.executable, "-c", code, str(folder), str(folder / f"out-{stage.replace(' ', '-')}")]
     done = subprocess.run(call, capture_output=True, text=True, env={**os.environ, **THREADS})
     if done.returncode or ";" not in done.stdout:
         raise SystemExit(f"{stage}: {done.stderr[-2000:]}")
@@ -119,7 +118,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory(dir=options.folder) as name:
             folder = Path(name)
             samples = write_record(folder / "long.uff", size)
-            (folder / "test.toml").write_text(TEST)
+            for state in ("idle", "operating"):
+                (folder / f"{state}.toml").write_text(TEST.replace("STATE", state))
             for stage in options.stages:
                 seconds, peak, modes = run(stage, folder)
                 print(f"{size:6g} GB, {samples} samples: {stage:12s} {seconds:8.1f} s {peak:6.0f} MB {modes}", flush=True)

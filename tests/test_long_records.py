@@ -1,5 +1,7 @@
 """Records that stay in their file: the same numbers as in memory, read where they are asked for."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.io import wavfile
@@ -96,6 +98,23 @@ def test_a_file_that_changes_is_an_error(tmp_path, everything_stays):
         stream.truncate(path.stat().st_size - 1)
     with pytest.raises(FormatError, match="changed"):
         stays.data[0]
+
+
+def test_few_files_are_open_at_a_time(tmp_path, everything_stays, monkeypatch):
+    monkeypatch.setattr(mapped, "MOST_OPEN", 2)
+    for i in range(5):
+        write_uff(tmp_path / f"{i}.uff", record(2000))
+    stays = [read(tmp_path / f"{i}.uff").records[0] for i in range(5)]
+    for one in (*stays, *stays[::-1]):
+        np.testing.assert_array_equal(one.data, record(2000).data)
+        assert sum(ref()._stream is not None for ref in mapped.StoredFile._recent if ref() is not None) <= 3
+    again = pickle.loads(pickle.dumps(stays[0]))
+    np.testing.assert_array_equal(again.data[1], record(2000).data[1])
+    (tmp_path / "0.uff").unlink()
+    for one in stays[1:]:
+        _ = one.data[0]
+    with pytest.raises(FormatError, match="any more"):
+        pickle.loads(pickle.dumps(stays[0]))
 
 
 def test_a_large_read_only_map_gives_its_pages_back(tmp_path, everything_stays):

@@ -14,9 +14,9 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, ClassVar
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
@@ -29,6 +29,9 @@ MAPPED_FROM = 1 << 26
 far below the 1 GB that a run may take. What is read again comes from the cache of the system."""
 PIECE = 1 << 16
 """Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
+
+MOST_OPEN = 100
+"""Files of samples that are open at a time: systems let a process have 256 or 1024."""
 
 _METHODS = {
     "T", "all", "any", "argmax", "argmin", "astype", "clip", "copy", "cumsum", "dot", "flatten", "max", "mean", "min", "nonzero",
@@ -168,39 +171,65 @@ def mapped_memmap(data: np.memmap[Any, Any]) -> MappedSamples:
     return MappedSamples(read, (rows, samples), data.dtype.newbyteorder("="))
 
 
-@dataclass
+def _nothing() -> None:
+    """What there is to close of a file that was not opened."""
+
+
 class StoredFile:
     """A file whose samples are read later: the same one as now, or an error says that it was changed.
+
+    Of all these files ``MOST_OPEN`` at most are open at a time; one that is asked for again is opened again.
 
     Parameters
     ----------
     path : Path
+    stream : file, optional
+        A temporary file, which has no name to open it by.
     """
 
-    path: Path
-    _stamp: tuple[int, int] = (0, 0)
-    _stream: IO[bytes] | None = field(default=None, repr=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    _recent: ClassVar[list[weakref.ref[StoredFile]]] = []
+    _recent_lock: ClassVar[threading.Lock] = threading.Lock()
 
-    def __post_init__(self) -> None:
-        weakref.finalize(self, self._open().close)
-        self._stamp = self._now()
+    def __init__(self, path: Path, stream: IO[bytes] | None = None) -> None:
+        self.path, self._stream, self._lock = path, stream, threading.Lock()
+        self._reopens = stream is None
+        self._close: Callable[[], Any] = _nothing if stream is None else weakref.finalize(self, stream.close)
+        with self._lock:
+            self._stamp = self._now(self._open())
 
     def _open(self) -> IO[bytes]:
         if self._stream is None:
-            self._stream = open(self.path, "rb")  # noqa: SIM115  (it stays open as long as the record lives)
+            try:
+                self._stream = open(self.path, "rb")  # noqa: SIM115  (it stays open for the next piece)
+            except OSError as error:
+                raise FormatError(f"the file cannot be opened any more: {error.strerror}", where=str(self.path)) from error
+            self._close = weakref.finalize(self, self._stream.close)
+            self._close_others()
         return self._stream
 
-    def _now(self) -> tuple[int, int]:
-        state = os.fstat(self._open().fileno())
+    def _close_others(self) -> None:
+        """Note this file as open and close the one opened first, if they are too many and it is not being read."""
+        with StoredFile._recent_lock:
+            kept = [ref for ref in StoredFile._recent if ref() is not None and ref() is not self]
+            StoredFile._recent[:] = [*kept, weakref.ref(self)]
+            first = kept[0]() if len(kept) >= MOST_OPEN else None
+            if first is not None and first._lock.acquire(blocking=False):
+                try:
+                    first._close()
+                    first._stream = None
+                    StoredFile._recent.pop(0)
+                finally:
+                    first._lock.release()
+
+    @staticmethod
+    def _now(stream: IO[bytes]) -> tuple[int, int]:
+        state = os.fstat(stream.fileno())
         return state.st_size, state.st_mtime_ns
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "_stamp": self._stamp, "_stream": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _lock=threading.Lock())
-        weakref.finalize(self, self._open().close)
+    def __reduce__(self) -> tuple[Any, ...]:
+        if not self._reopens:
+            raise TypeError("samples in a temporary file belong to this process")
+        return StoredFile, (self.path,), {"_stamp": self._stamp}
 
     def read_into(self, offset: int, view: memoryview) -> None:
         """Fill ``view`` with the bytes from ``offset`` on.
@@ -208,7 +237,7 @@ class StoredFile:
         Raises
         ------
         FormatError
-            If the file was changed since it was opened.
+            If the file was changed since it was opened, or is not there any more.
         """
         with self._lock:
             stream = self._open()
@@ -219,7 +248,7 @@ class StoredFile:
                 if not got:
                     break
                 done += got
-            if done < len(view) or self._now() != self._stamp:
+            if done < len(view) or self._now(stream) != self._stamp:
                 hint = "read it again; do not write to files that are being analysed"
                 raise FormatError("the file was changed while it was read", where=str(self.path), hint=hint)
 
@@ -296,7 +325,7 @@ class _Filled:
         self.stream.truncate(self.shape[0] * self.shape[1] * self.dtype.itemsize)
         step = self.shape[1] * self.dtype.itemsize
         rows = [StoredRow(i * step, self.dtype) for i in range(self.shape[0])]
-        self.samples = mapped_rows(StoredFile(Path("temporary file"), _stream=self.stream), rows, self.shape[1], self.dtype)
+        self.samples = mapped_rows(StoredFile(Path("temporary file"), self.stream), rows, self.shape[1], self.dtype)
 
 
 @contextmanager
