@@ -154,11 +154,13 @@ def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet
     except FormatError as error:
         return _closed(buffer, bare, body, separator, error.message)
     if not header.binary:
-        closed = replace(_closed(buffer, bare, _after_equal_lines(buffer, data, len(separator)), separator, ""), header=header)
-        numbers, characters = header.points * header.numbers_per_point, closed.end - data
+        c = _closed(buffer, bare, _after_equal_lines(buffer, data, len(separator)), separator, "")
+        numbers, characters = header.points * header.numbers_per_point, c.end - data
         # A number takes a character at least: checked before memory is taken for what the header declares.
-        problem = f"the header declares {header.points} points ({numbers} numbers), the set holds {characters} characters"
-        return replace(closed, payload=(data, closed.end), problem=problem if numbers > characters else "")
+        problem = ""
+        if numbers > characters:
+            problem = f"the header declares {header.points} points ({numbers} numbers), the set holds {characters} characters"
+        return RawSet(c.index, c.number, c.binary, c.start, c.body, c.end, c.stop, (data, c.end), header, problem, c.notes)
     return _binary_set(buffer, bare, header, data, separator)
 
 
