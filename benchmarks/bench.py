@@ -49,7 +49,7 @@ def falls_short(row: dict[str, Any]) -> bool:
 def table(rows: list[dict[str, Any]], wrong: list[str]) -> str:
     """The rows as a Markdown table."""
     lines = [
-        f"# Speed and memory against peers\n\n`make bench`, {date.today().isoformat()}: processor time, one BLAS thread, "
+        f"# Speed and memory against peers\n\n`make bench`, last on {date.today().isoformat()}: processor time, one BLAS thread, "
         f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}. "
         "Ratio: how many times better than the peer; rows in bold miss their goal.\n",
         "| " + " | ".join(COLUMNS) + " |",
@@ -74,7 +74,7 @@ def _number(value: Any) -> str:
 def main() -> None:
     """Run the stages and say what falls short."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", metavar="SCRIPT", default=list(STAGES), help="some of " + ", ".join(STAGES))
+    parser.add_argument("--only", nargs="+", metavar="SCRIPT", choices=STAGES, default=list(STAGES), help="rows of the others are kept")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     wrong: list[str] = []
@@ -83,10 +83,11 @@ def main() -> None:
         found, problem = run(script)
         rows += [row | {"script": script} for row in found]
         wrong += [problem] if problem else []
-    if tuple(options.only) == STAGES:
-        RESULTS.mkdir(exist_ok=True)
-        (RESULTS / "bench.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        (RESULTS / "bench.md").write_text(table(rows, wrong), encoding="utf-8")
+    known = RESULTS / "bench.json"
+    before = json.loads(known.read_text(encoding="utf-8")) if known.exists() else []
+    every = sorted([*(row for row in before if row["script"] not in options.only), *rows], key=lambda row: STAGES.index(row["script"]))
+    known.write_text(json.dumps(every, indent=1) + "\n", encoding="utf-8")
+    known.with_suffix(".md").write_text(table(every, wrong), encoding="utf-8")
     print(table(rows, wrong))
     short = [f"{row['stage']}, {row['size']}: {row['ratio']:.3g}, goal {row['goal']:.3g}" for row in rows if falls_short(row)]
     if short or wrong:
