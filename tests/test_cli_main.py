@@ -46,6 +46,7 @@ def test_commands_of_the_contract_are_there():
         "remove",
         "convert",
         "report",
+        "campaign",
     ]
     assert all(name in done.output for name in COMMANDS)
 

@@ -36,7 +36,8 @@ LEVELS = {
     "states": 16,
     "config": 17, "scaffold": 17,
     "pipeline": 18,
-    "cli": 19,
+    "campaign": 19,
+    "cli": 20,
 }  # fmt: skip
 NUMERIC = (
     "dof",

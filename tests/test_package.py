@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import operando
+from operando.campaign import load_campaign
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "data" / "example"
@@ -244,11 +245,17 @@ def test_readme_names_commands_and_files_that_exist():
 def test_readme_test_file_is_understood(tmp_path):
     import shutil
 
-    (block,) = readme_blocks("toml")
+    block, campaign = readme_blocks("toml")
     shutil.copytree(EXAMPLE, tmp_path / "frame")
     (tmp_path / "frame" / "test.toml").write_text(block, encoding="utf-8")
     test = operando.load_test(tmp_path / "frame" / "test.toml")
     assert len(test.files) == 9
+    (tmp_path / "pump").mkdir()
+    (tmp_path / "pump" / "test.toml").write_text('[operating]\nrecords = ["operating/{speed}/*.uff"]\n', encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(campaign, encoding="utf-8")
+    found = load_campaign(tmp_path / "campaign.toml")
+    assert [found.title(member) for member in found.members] == ["speed 600 rpm", "speed 900 rpm", "speed 1200 rpm"]
+    assert found.baseline == "speed-600"
 
 
 @pytest.mark.slow

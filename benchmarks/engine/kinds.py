@@ -41,6 +41,11 @@ class Effect:
         return (1 if self.kind in FACTORS else self.sign) * float(np.exp(self.values[0]))
 
 
+def touched(effects: list[Effect]) -> list[int]:
+    """DOFs on which structural effects act."""
+    return sorted({i for e in effects if e.kind in STRUCTURAL for i in e.places})
+
+
 def moved(effects: list[Effect], values: np.ndarray) -> list[Effect]:
     """The effects with new values, one after the other."""
     out, i = [], 0
@@ -68,7 +73,9 @@ def stiffness(effect: Effect, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, li
         "coupling_damper": 1j * w * size,
         "gyroscopic": 1j * w * size,
     }[effect.kind].astype(complex)
-    pattern = np.ones((1, 1)) if len(effect.places) == 1 else np.array([[0, 1], [-1, 0]]) if effect.kind == "gyroscopic" else between
+    pattern = (
+        np.eye(len(effect.places)) if effect.kind in ONE_PLACE else np.array([[0, 1], [-1, 0]]) if effect.kind == "gyroscopic" else between
+    )
     return z, pattern, [z]
 
 
@@ -76,17 +83,23 @@ def with_one(columns: np.ndarray, h: np.ndarray, effect: Effect, w: np.ndarray) 
     """FRFs h (lines, DOFs, references) with one structural effect more, given all columns of the structure (lines, DOFs, DOFs)."""
     z, pattern, _ = stiffness(effect, w)
     b = list(effect.places)
+    if len(b) == 1:
+        i = b[0]
+        return h - columns[:, :, i, None] * (z / (1 + z * columns[:, i, i]))[:, None, None] * h[:, i, None]
     matrix = z[:, None, None] * pattern
     inner = np.linalg.solve(np.eye(len(b)) + matrix @ columns[:, b][:, :, b], matrix)
     return h - columns[:, :, b] @ (inner @ h[:, b])
 
 
-def candidates(count: int, effects: list[Effect]) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Kinds and places that are not there yet; an absorber may stand beside another."""
+def candidates(nodes: list[tuple[int, ...]], effects: list[Effect]) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Kinds and places that are not there yet; a mass acts on all DOFs of its node, an absorber may stand beside another."""
+    count = sum(len(node) for node in nodes)
     have = {effect.key for effect in effects}
     for kind in KINDS:
         if kind in GLOBAL:
             places: Iterator[tuple[int, ...]] = iter([()])
+        elif kind == "point_mass":
+            places = iter(nodes)
         elif kind in (*TWO_PLACES, "channel_swap"):
             places = combinations(range(count), 2)
         else:

@@ -22,10 +22,12 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "hidden_effects")]
+from idle import Idle  # noqa: E402
 from kinds import KINDS  # noqa: E402
 from model import Case  # noqa: E402
-from posterior import names, on_validation_lines  # noqa: E402
+from posterior import names  # noqa: E402
 from search import search  # noqa: E402
+from verdict import verdict  # noqa: E402
 
 from operando.store import load_results  # noqa: E402
 
@@ -34,11 +36,12 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
     """What the engine says of the check with the most lines of a results folder."""
     loaded = load_results(results / "model.h5")
     check = max(loaded.check, key=lambda c: c.frf.data.shape[2])
+    band = tuple(loaded.settings["band"])
     started = time.process_time()
-    case = Case(loaded.idle.terms, check.frf, tuple(loaded.settings["band"]))
+    case = Case(Idle.from_terms(loaded.idle.terms, band), check.frf, band)
     found = search(case, (lambda text: print("  ", text[:200], flush=True)) if talk else (lambda text: None))
     best = found.best
-    chi, db = on_validation_lines(case, best)
+    told = verdict(case, found)
     std = np.sqrt(np.diag(best.covariance)) if best.effects else np.zeros(0)
     effects, at = [], 0
     for effect in best.effects:
@@ -51,8 +54,13 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
         "text": names(case, best.effects),
         "discrepancy": best.alpha,
         "discrepancy_of_idle": found.empty.alpha,
-        "validation_chi_square": chi,
-        "validation_db": db,
+        "verdict": told.name,
+        "why": told.why,
+        "probability": told.probability,
+        "others": [names(case, effects) for effects in told.others],
+        "unseen_hz": told.unseen,
+        "validation_chi_square": told.chi_square,
+        "validation_db": told.validation_db,
         "stiffness": float(best.d[whole][0] * case.spread[whole][0]),
         "stiffness_std": float(best.std("stiffness")[0] * case.spread[whole][0]),
         "cpu_s": time.process_time() - started,
@@ -62,7 +70,7 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
 def place(kind: str, location: list[str]) -> tuple[str, tuple[str, ...]]:
     """A mass acts on all directions of its node."""
     nodes = [re.sub(r"[+-][XYZ]$", "", dof) for dof in location] if kind == "point_mass" else location
-    return kind, tuple(sorted(nodes))
+    return kind, tuple(sorted(set(nodes)))
 
 
 def compared(found: dict[str, Any], truth: list[dict[str, Any]]) -> dict[str, Any]:
@@ -74,7 +82,8 @@ def compared(found: dict[str, Any], truth: list[dict[str, Any]]) -> dict[str, An
         value = next(iter(want[key]["parameters"].values()))["value"] if want[key]["parameters"] else None
         size, std = got[key]["size"], got[key]["log_std"]
         if value and size and std and key[0] != "sensor_delay":
-            z.append([abs(size) / abs(value) - 1, float(np.log(abs(size) / abs(value)) / std)])
+            true = 1 + value if key[0] == "global_damping" else abs(value)  # told as a change, searched as a factor
+            z.append([abs(size) / true - 1, float(np.log(abs(size) / true) / std)])
     both = want.keys() & got.keys()
     return {"right": len(both), "missing": len(want.keys() - both), "beside": len(got.keys() - both), "z": z}
 
@@ -106,7 +115,7 @@ def of_plan(plan: str, work: Path, limit: int | None, operando: str, only: str) 
             row |= found | compared(found, answer["effects"])
         with rows.open("a") as stream:
             stream.write(json.dumps(row) + "\n")
-        said = ("text", "right", "missing", "beside", "discrepancy", "validation_chi_square", "cpu_s", "error")
+        said = ("text", "verdict", "others", "right", "missing", "beside", "discrepancy", "validation_chi_square", "cpu_s", "error")
         print(spec.name, {k: row[k] for k in said if k in row}, flush=True)
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from kinds import GLOBAL, LINEAR_SCALE, STRUCTURAL, Effect, candidates, with_one
+from kinds import GLOBAL, LINEAR_SCALE, ONE_PLACE, STRUCTURAL, TWO_PLACES, Effect, candidates, with_one
 from model import Case, Scannable
-from posterior import State, approach, fit, names, real, update_spreads, weights_of
+from posterior import Problem, State, approach, fit, names, update_spreads
 from scipy.linalg import cholesky, solve_triangular
 
 ROBUST_ALPHA, ROBUST = 0.02, 0.05
@@ -18,9 +18,10 @@ STRAINED = 4.0
 """Mean square of a part of the nuisance, in its spreads, from which it stands for something else: that state teaches no spreads."""
 FITTED, APPROACHED, BEAM = 3, 6, 3
 PROMOTED = 3.0  # standard deviations of a nuisance from which the effect of its name is tried
-EXTRA, EXTRA_OF_DISCREPANCY = 5.0, 150.0
-"""Nats that a further effect must earn: five where noise is all, and more where the discrepancy is, whose values are alike over the pairs
-and lines of a resonance (2200 values, of which some 80 are independent)."""
+EXTRA = 5.0  # nats that a further effect must earn
+SIMPLE = (*ONE_PLACE, *TWO_PLACES)
+SMALL = 6.0  # e-folds below the least size of a kind where the slope of its response is taken
+OTHERS, CLOSE = 5, 10.0  # of what may stand in the place of an effect: so many are fitted, where their scan is within so many nats
 
 
 @dataclass
@@ -69,15 +70,15 @@ def with_effect(case: Case, state: Scannable, columns: np.ndarray, effect: Effec
     return h
 
 
-def robust_scan(case: Case, effects: list[Effect], z: np.ndarray, d: np.ndarray) -> list[tuple[float, Effect, bool]]:
+def robust_scan(case: Case, effects: list[Effect], z: np.ndarray, d: np.ndarray, u: np.ndarray) -> list[tuple[float, Effect, bool]]:
     """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places."""
-    at = case.fit_lines
-    w, measured = case.w[at], case.h[at]
-    state = case.scannable(z, d, effects, at)
-    noise = case.variance[at] + ROBUST**2 * case.level[at] ** 2
+    at = case.lines.fit
+    w, measured = case.lines.w[at], case.lines.h[at]
+    state = case.scannable(z, d, u, effects, at)
+    noise = case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2
 
     def score(h: np.ndarray) -> float:
-        return -float(np.sum(np.log1p(np.abs(measured - h) ** 2 / noise) / case.count[at]))
+        return -float(np.sum(np.log1p(np.abs(measured - h) ** 2 / noise)))
 
     variants = [(False, state.columns)]
     if not effects and case.below.size:
@@ -88,14 +89,14 @@ def robust_scan(case: Case, effects: list[Effect], z: np.ndarray, d: np.ndarray)
         variants.append((True, state.columns - rest - own))
     out = []
     for cut, columns in variants:
-        for kind, places in candidates(case.n_dofs, effects):
+        for kind, places in candidates(case.nodes, effects):
             if cut and not (kind in STRUCTURAL and case.undriven[list(places)].all()):
                 continue
             best = (-np.inf, Effect(kind, places))
             for effect in at_size(case, kind, places, 24):
                 with np.errstate(all="ignore"):
                     h = with_effect(case, state, columns, effect, w)
-                    h = case.predict(z, d, [*effects, effect], at, derivatives=False).h if h is None else h
+                    h = case.predict(z, d, u, [*effects, effect], at, derivatives=False).h if h is None else h
                     value = score(h)
                 if value > best[0]:
                     best = value, effect
@@ -103,34 +104,51 @@ def robust_scan(case: Case, effects: list[Effect], z: np.ndarray, d: np.ndarray)
     return sorted(out, key=lambda row: -row[0])
 
 
-def linear_scan(case: Case, state: State, stride: int = 2, top: int = 24) -> tuple[list[tuple[float, Effect]], float]:
-    """Candidates by the evidence of one more effect with everything else free at first order, and the same of none."""
-    at = case.fit_lines[::stride]
-    w, measured = case.w[at], case.h[at]
-    prediction = case.predict(state.z, state.d, state.effects, at)
-    scannable = case.scannable(state.z, state.d, state.effects, at)
-    noise = case.count[at] * (case.variance[at] + state.alpha**2 * case.level[at] ** 2) / stride
-    weights = weights_of(noise)
-    jacobian = real(prediction.jacobian) * weights[:, None]
+@dataclass
+class Candidate:
+    """An effect by its evidence in a scan, and where z, d and u are to start with it."""
+
+    evidence: float
+    effect: Effect
+    fixed: np.ndarray
+
+
+def linear_scan(case: Case, state: State, *, fitted: bool = True, stride: int = 2, top: int = 24) -> tuple[list[Candidate], float]:
+    """Candidates by the evidence of one more effect with everything else free at first order, and the same of none.
+
+    Masses, springs, dampers and gyroscopic coupling by the slope of the response at size zero (score test): where nuisance stands for an
+    effect that moves a mode by its half-power width, the response to its size as it is does not undo that, but the slope exchanges one for
+    the other where the peaks are. Others by their responses to trial sizes, as all are about a state that was not fitted.
+    """
+    at = case.lines.fit[::stride]
+    w, measured = case.lines.w[at], case.lines.h[at]
+    prediction = case.predict(state.z, state.d, state.u, state.effects, at)
+    scannable = case.scannable(state.z, state.d, state.u, state.effects, at)
+    problem = Problem(case, state.effects, at)
+    weights = np.sqrt(2 * stride / problem.variance(state.alpha))
+    jacobian = problem.rows(prediction.jacobian) * weights[:, None]
     information = jacobian.T @ jacobian
-    fixed = case.n_z + case.n_d
+    fixed = state.fixed
     information[np.diag_indices_from(information)] += np.concatenate([np.ones(fixed), np.full(state.x.size - fixed, 1e-2)])
-    q = solve_triangular(cholesky(information, lower=True), jacobian.T, lower=True)
-    base = real(measured[..., None])[:, 0] * weights + jacobian[:, :fixed] @ state.x[:fixed]
+    lower = cholesky(information, lower=True)
+    q = solve_triangular(lower, jacobian.T, lower=True)
+    base = problem.rows(measured) * weights + jacobian[:, :fixed] @ state.x[:fixed]
     single = q.astype(np.float32)
 
     def residual(effect: Effect) -> np.ndarray:
         with np.errstate(all="ignore"):
             h = with_effect(case, scannable, scannable.columns, effect, w)
-            h = case.predict(state.z, state.d, [*state.effects, effect], at, derivatives=False).h if h is None else h
-        return base - real(h[..., None])[:, 0] * weights
+            h = case.predict(state.z, state.d, state.u, [*state.effects, effect], at, derivatives=False).h if h is None else h
+        return base - problem.rows(h) * weights
 
     def costs(effects: list[Effect]) -> np.ndarray:
         r = np.stack([residual(e) for e in effects], 1)
         return np.nan_to_num(0.5 * (np.sum(r**2, 0) - np.sum((single @ r.astype(np.float32)).astype(float) ** 2, 0)), nan=np.inf)
 
     found: list[tuple[float, Effect]] = []
-    for kind, places in candidates(case.n_dofs, state.effects):
+    for kind, places in candidates(case.nodes, state.effects):
+        if fitted and kind in SIMPLE:
+            continue
         grid = at_size(case, kind, places, 8)
         score = [case.log_prior(e) for e in grid] - costs(grid)
         order = np.argsort(-score)
@@ -144,9 +162,37 @@ def linear_scan(case: Case, state: State, stride: int = 2, top: int = 24) -> tup
         if len(chosen) < top or of_kind.get(effect.kind, 0) < 2:
             chosen.append(effect)
             of_kind[effect.kind] = of_kind.get(effect.kind, 0) + 1
-    refined = sorted((_refined(case, effect, residual, q) for effect in chosen), key=lambda row: -row[0])
-    r = base - real(scannable.h[..., None])[:, 0] * weights
-    return refined, -0.5 * float(r @ r - np.sum((q @ r) ** 2))
+    refined = [Candidate(*_refined(case, effect, residual, q), state.x[:fixed]) for effect in chosen]
+    r = base - problem.rows(scannable.h) * weights
+    rq = q @ r
+    none = -0.5 * float(r @ r - rq @ rq)
+    slopes = []
+    for kind, places in candidates(case.nodes, state.effects):
+        if not fitted or kind not in SIMPLE:
+            continue
+        low, high = case.size_range(kind, places)
+        unit = np.exp(low - SMALL)
+        h = with_effect(case, scannable, scannable.columns, Effect(kind, places, (low - SMALL,)), w)
+        slope = problem.rows(h - scannable.h) * weights / unit
+        along = q @ slope
+        information, gradient = float(slope @ slope - along @ along), float(slope @ r - along @ rq)
+        size = gradient / information if information > 0 else 0.0
+        if not low - 1 < np.log(abs(size) + 1e-300) < high + 1:
+            continue
+        effect = Effect(kind, places, (float(np.log(abs(size))),), int(np.sign(size)))
+        value = none + 0.5 * gradient**2 / information + case.log_prior(effect)
+        value += 0.5 * np.log(2 * np.pi) - 0.5 * np.log(information * size**2 + 1 / float(case.prior(effect)[1][0]) ** 2)
+        slopes.append((value, effect, size * along))
+    slopes.sort(key=lambda row: -row[0])
+    for value, effect, along in slopes[: top // 2]:
+        step = solve_triangular(lower, along, lower=True, trans="T")
+        refined.append(Candidate(float(value), effect, state.x[:fixed] - step[:fixed]))
+    best: dict[tuple, Candidate] = {}
+    for row in refined:
+        key = (*row.effect.key, round(row.effect.values[1], 1)) if row.effect.kind == "tuned_absorber" else row.effect.key
+        if key not in best or row.evidence > best[key].evidence:
+            best[key] = row
+    return sorted(best.values(), key=lambda row: -row.evidence), none
 
 
 def _refined(case: Case, effect: Effect, residual: Callable[[Effect], np.ndarray], q: np.ndarray) -> tuple[float, Effect]:
@@ -212,12 +258,6 @@ def strained(case: Case, state: State) -> bool:
     return any(float(np.mean(state.d[part] ** 2)) > STRAINED for part in case.parts.values() if part.stop - part.start > 1)
 
 
-def needed(case: Case, state: State) -> float:
-    """Nats that one effect more than this state has must earn."""
-    discrepancy = state.alpha**2 * case.level[case.fit_lines] ** 2
-    return EXTRA + EXTRA_OF_DISCREPANCY * float(np.median(discrepancy / (discrepancy + case.variance[case.fit_lines])))
-
-
 def search(case: Case, say: Callable[[str], None] = lambda text: None) -> Found:
     """To the first state that explains the lines; then with the spreads that it teaches."""
     found = _searched(case, say)
@@ -225,7 +265,7 @@ def search(case: Case, say: Callable[[str], None] = lambda text: None) -> Found:
         best = found.best
         for _ in range(2):
             d, factors = update_spreads(case, best)
-            best = fit(case, best.effects, best.z, d, best.alpha)
+            best = fit(case, best.effects, best.z, d, best.u, best.alpha)
         say(f"spreads × {factors}, discrepancy {best.alpha:.4f}")
         case.priors = {}
         found = _searched(case, say, best)
@@ -239,9 +279,9 @@ def _searched(case: Case, say: Callable[[str], None], start: State | None = None
     def best() -> State:
         return max(pool.values(), key=lambda s: s.log_evidence)
 
-    def put(effects: list[Effect], z: np.ndarray, d: np.ndarray, alpha: float) -> State | None:
+    def put(effects: list[Effect], z: np.ndarray, d: np.ndarray, u: np.ndarray | None, alpha: float) -> State | None:
         try:
-            state = fit(case, effects, z, d, alpha, floor=best().log_evidence if pool else -np.inf)
+            state = fit(case, effects, z, d, u, alpha, floor=best().log_evidence if pool else -np.inf)
         except np.linalg.LinAlgError:
             return None
         if np.isfinite(state.log_evidence) and (state.key not in pool or state.log_evidence > pool[state.key].log_evidence):
@@ -257,9 +297,9 @@ def _searched(case: Case, say: Callable[[str], None], start: State | None = None
 
     zero_z, zero_d = np.zeros(case.n_z), np.zeros(case.n_d)
     if start is not None and not start.effects:
-        put([], start.z, start.d, start.alpha)
+        put([], start.z, start.d, None, start.alpha)
     else:
-        put([], zero_z, zero_d, 0.1)
+        put([], zero_z, zero_d, None, 0.1)
     empty = best()
     if start is not None and start.effects:
         pool[start.key] = start
@@ -275,54 +315,93 @@ def _searched(case: Case, say: Callable[[str], None], start: State | None = None
             state.scanned = True
             for effects, d in promotions(case, state):
                 if once(effects):
-                    put(effects, state.z, d, state.alpha)
+                    put(effects, state.z, d, state.carried(effects), state.alpha)
             found, none = linear_scan(case, state)
-            say(f"scan of {names(case, state.effects)}: " + ", ".join(f"{names(case, [e])[0]} {v - none:+.0f}" for v, e in found[:4]))
-            for value, effect in found[: FITTED if rank == 0 else 1]:
-                if value > none - 20 and once([*state.effects, effect]):
-                    put([*state.effects, effect], state.z, state.d, state.alpha)
+            say(
+                f"scan of {names(case, state.effects)}: "
+                + ", ".join(f"{names(case, [c.effect])[0]} {c.evidence - none:+.0f}" for c in found[:4])
+            )
+            for row in found[: FITTED if rank == 0 else 1]:
+                if row.evidence > none - 20 and once([*state.effects, row.effect]):
+                    _put_candidate(put, state, row)
         now = best()
         if len(now.effects) > 1:
             for effect in now.effects:
                 rest = [e for e in now.effects if e is not effect]
                 if once(rest):
-                    put(rest, now.z, now.d, now.alpha)
+                    put(rest, now.z, now.d, now.carried(rest), now.alpha)
         grown = len(best().effects) > len(was.effects)
-        if best() is was or (grown and best().log_evidence < was.log_evidence + needed(case, was)):
+        if best() is was or (grown and best().log_evidence < was.log_evidence + EXTRA):
             break
         if start is None and best().alpha < EXPLAINED_ALPHA and not strained(case, best()):
             break
     now = best()
     for state in sorted(pool.values(), key=lambda s: -s.log_evidence)[:4]:  # the leaders again, from the best: no evidence by its path
         if state is not now and state.log_evidence > now.log_evidence - 40:
-            put(state.effects, now.z, now.d, now.alpha)
-    return Found(_fewest(case, pool, best()), empty, pool)
+            put(state.effects, now.z, now.d, now.carried(state.effects), now.alpha)
+    if start is not None:
+        _others(case, max(pool.values(), key=score), put, once, say)
+    return Found(max(pool.values(), key=score), empty, pool)
+
+
+def score(state: State) -> float:
+    """Log probability of a state but for a constant: a further effect must earn its place."""
+    beyond = abs(state.d[state.case.parts["stiffness"].start]) > PROMOTED if state.case.parts["stiffness"].stop else False
+    return state.log_evidence - EXTRA * (len(state.effects) + beyond)
+
+
+def _others(case: Case, best: State, put: Callable[..., State | None], once: Callable[..., bool], say: Callable[[str], None]) -> None:
+    """What could stand in the place of each effect: scanned about the state that has it, fitted where the scan is close."""
+    for effect in best.effects:
+        rest = [e for e in best.effects if e is not effect]
+        values = [v for e in rest for v in e.values]
+        about = replace(best, effects=rest, x=np.concatenate([best.z, best.d, best.carried(rest), values]))
+        found, _ = linear_scan(case, about, fitted=False)
+        say(
+            f"in the place of {names(case, [effect])[0]}: " + ", ".join(f"{names(case, [c.effect])[0]} {c.evidence:.0f}" for c in found[:6])
+        )
+        for simpler in contained(effect):
+            more = [*rest, simpler]
+            if once(more):
+                put(more, best.z, best.d, best.carried(more), best.alpha)
+        own = max((c.evidence for c in found if c.effect.key == effect.key), default=found[0].evidence)
+        for row in found[:OTHERS]:
+            if row.evidence > own - CLOSE and once([*rest, row.effect]):
+                _put_candidate(put, about, row)
+
+
+def contained(effect: Effect) -> list[Effect]:
+    """What a heavy absorber far above its resonance is: a spring or a damper to ground. (Far below it a mass, which the scan has.)"""
+    if effect.kind != "tuned_absorber":
+        return []
+    mass, wa, zeta = np.exp(effect.values[0]), 2 * np.pi * np.exp(effect.values[1]), np.exp(effect.values[2])
+    sizes = {"ground_spring": mass * wa**2, "ground_damper": 2 * zeta * mass * wa}
+    return [Effect(kind, effect.places, (float(np.log(size)),)) for kind, size in sizes.items()]
+
+
+def _listed(case: Case, rows: list[Candidate], zero: float) -> str:
+    return ", ".join(f"{names(case, [c.effect])[0]} {c.evidence - zero:+.0f}" for c in rows)
+
+
+def _put_candidate(put: Callable[..., State | None], state: State, row: Candidate) -> None:
+    """The fit of a state with a candidate more, from where the scan puts it."""
+    case, more = state.case, [*state.effects, row.effect]
+    z, d, u = np.split(row.fixed, [case.n_z, case.n_z + case.n_d])
+    known = {(o.place, o.other, o.below): v for o, v in zip(case.outside(state.effects), u, strict=True)}
+    put(more, z, d, np.array([known.get((o.place, o.other, o.below), 0.0) for o in case.outside(more)]), state.alpha)
 
 
 def _robust_stage(case: Case, state: State, put: Callable[..., State | None], say: Callable[[str], None]) -> None:
     """The robust scan and the neighbourhoods of its leaders; the nearest are fitted."""
     z, d = (state.z, state.d) if state.effects else (np.zeros(case.n_z), np.zeros(case.n_d))
-    rows = robust_scan(case, state.effects, z, d)
+    rows = robust_scan(case, state.effects, z, d, state.u)
     say("robust scan: " + ", ".join(f"{names(case, [e])[0]}{' (cut)' if cut else ''} {v:.0f}" for v, e, cut in rows[:6]))
     near = []
     for _, effect, cut in rows[:APPROACHED]:
-        start = d.copy()
-        for i in effect.places if cut else ():
-            for name in ("own_below", "row_below"):
-                start[case.parts[name].start + i] = -1
-        near.append(approach(case, [*state.effects, effect], z, start))
+        effects = [*state.effects, effect]
+        u = state.carried(effects) + (case.without_rest(effects, effect.places) if cut else 0)
+        near.append(approach(case, effects, z, d, u))
     near.sort(key=lambda row: row[0])
-    for cost, there, d_there, effects in near[:FITTED]:
+    for cost, there, d_there, u_there, effects in near[:FITTED]:
         if cost < 1.5 * near[0][0] + 20:
-            put(effects, there, d_there, 0.03)
-
-
-def _fewest(case: Case, pool: dict[tuple, State], best: State) -> State:
-    """The best state without effects that earn less than they must; a stiffness of the whole stands for a nuisance beyond its spread."""
-    for state in sorted(pool.values(), key=lambda s: -s.log_evidence):
-        extra = set(best.key) - set(state.key)
-        beyond = ("global_stiffness", ()) in extra and abs(state.d[case.parts["stiffness"].start]) > PROMOTED
-        fewer = set(state.key) < set(best.key) and not beyond
-        if fewer and state.log_evidence > best.log_evidence - needed(case, state) * len(extra):
-            return _fewest(case, pool, state)
-    return best
+            put(effects, there, d_there, u_there, 0.03)

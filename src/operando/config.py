@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -223,21 +223,43 @@ def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
             hint = "give the test file; `operando report`, `ofrf`, `diagnose` and `compare` take a results folder"
             raise ConfigError("is a results folder, expected a test file", where=str(path), hint=hint)
         path = path / "test.toml"
-    text = _text_of(path)
-    try:
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        line = re.search(r"at line (\d+)", str(error))
-        hint = "write Windows paths in single quotes or with /" if "escape" in str(error).lower() else _not_a_test(path)
-        where = f"{path}, line {line[1]}" if line else str(path)
-        raise ConfigError(f"not valid TOML: {error}", where=where, hint=hint) from None
+    return parse_text(text_of(path), path, changes)
+
+
+def parse_text(text: str, path: Path, changes: Sequence[str] = ()) -> Test:
+    """Test of the text of a test file that lies, or would lie, at ``path``; see :func:`load_test`."""
+    table = toml_table(text, path, lambda: _not_a_test(path))
     given = lines_of(text)
     for change in changes:
         given[_apply(table, change)] = "--set"
     return parse_test(table, path, given)
 
 
-def _text_of(path: Path) -> str:
+def toml_table(text: str, path: Path, hint: Callable[[], str]) -> dict[str, Any]:
+    """The table of a TOML text.
+
+    Raises
+    ------
+    ConfigError
+        If it is none: with the line, and what ``hint`` says.
+    """
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        line = re.search(r"at line (\d+)", str(error))
+        advice = "write Windows paths in single quotes or with /" if "escape" in str(error).lower() else hint()
+        where = f"{path}, line {line[1]}" if line else str(path)
+        raise ConfigError(f"not valid TOML: {error}", where=where, hint=advice) from None
+
+
+def text_of(path: Path) -> str:
+    """The text of a test file.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or it is no text.
+    """
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -283,12 +305,16 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
     return section, key
 
 
-_SECTIONS = ("idle", "operating", "check", "geometry", "units", "channels", "analysis", "directions")
+_STATES = ("idle", "operating", "check")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "directions")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
     """Test of a parsed TOML table; ``path`` is the file it came from, ``given`` the line of each entry (see :func:`load_test`)."""
     where = Entry(str(path), given=given or {})
+    if not any(name in table for name in _STATES) and any(name in table for name in ("tests", "template", "rows")):
+        hint = f"run it with `operando campaign {path}`"
+        raise ConfigError("is a campaign file, expected a test file", where=str(path), hint=hint)
     check_keys(table, ("name", *_SECTIONS), where)
     for section in _SECTIONS:
         if section in table and not isinstance(table[section], Mapping):

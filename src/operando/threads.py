@@ -16,10 +16,19 @@ MOST = 4
 """Threads at most: few pieces of work are more, and what stays in the interpreter runs one at a time."""
 
 _here = threading.local()
+_allowed: list[int] = []
+
+
+def limit(count: int) -> None:
+    """Let this process use no more than so many threads: where several processes share the machine, each has its own."""
+    _allowed[:] = [max(1, count)]
+    _pool.cache_clear()
 
 
 def cores() -> int:
     """Processors that this process may use."""
+    if _allowed:
+        return _allowed[0]
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "remove": ("remove", "Take an added effect back."),
     "convert": ("convert", "Convert between file formats."),
     "report": ("report", "Rebuild report.html of a results folder."),
+    "campaign": ("campaign", "Many tests: modes and missing effects over speed, load or date."),
 }
 
 

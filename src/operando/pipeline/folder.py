@@ -12,8 +12,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,6 +52,11 @@ class ResultsFolder:
         begun = list(self._aside.iterdir()) if self._aside.is_dir() else []
         for file in (*begun, *left_behind(self.path), *left_behind(self.hidden)):
             file.unlink(missing_ok=True)
+
+    @property
+    def holds_results(self) -> bool:
+        """Whether a run has kept anything here."""
+        return bool(self._entries)
 
     def entry(self, name: str, key: str) -> dict[str, Any] | None:
         """What the manifest says of a file that was made under this key and still holds the same, else None."""
@@ -155,6 +162,37 @@ def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Itera
         finally:
             with suppress(OSError):
                 folder.clear()
+
+
+def adopt(source: str | Path, target: str | Path, stages: Iterable[str]) -> None:
+    """Let a results folder that is still empty begin with kept stages of another; whether they fit its test is for the run to see.
+
+    Parameters
+    ----------
+    source, target : path
+        Results folders; where ``source`` has no such stage, or it is damaged, it is made in ``target``.
+    stages : iterable of str
+    """
+    source = Path(source)
+    entries = _read(source / HIDDEN / "manifest.json")
+    with results_folder(target, "campaign", make=True) as folder:
+        if folder.holds_results:
+            return
+        for name in (f"{HIDDEN}/{stage}.h5" for stage in stages):
+            entry = entries.get(name)
+            with suppress(OSError):
+                if entry is not None and file_hash(source / name) == entry.get("sha256"):
+                    more = {key: value for key, value in entry.items() if key not in ("key", "sha256")}
+                    folder.stage(name, entry["key"], partial(_same_file, source / name), **more)
+        folder.commit()
+
+
+def _same_file(source: Path, target: Path) -> None:
+    """One file under two names (files of a results folder are never changed in place); a copy where the file system has no such thing."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def apart_from_runs(path: str | Path, doing: str) -> AbstractContextManager[None]:

@@ -1,0 +1,6 @@
+"""Many tests: run on local processes or a Dask cluster, resumable, with one table and one report over all."""
+
+from operando.campaign.config import Campaign, load_campaign
+from operando.campaign.driver import run_campaign
+
+__all__ = ["Campaign", "load_campaign", "run_campaign"]

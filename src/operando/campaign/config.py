@@ -1,0 +1,340 @@
+"""The campaign file: which tests, their parameters, the baseline, and what they run on."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from operando.campaign.parameters import Row, Value, axis_of, read_table, row_of, shown, value_of
+from operando.config import Test, load_test, parse_text, text_of, toml_table
+from operando.entries import Entry, lines_of
+from operando.errors import ConfigError
+from operando.pipeline import STAGES
+from operando.values import check_keys, nearest
+
+_KEYS = ("name", "tests", "template", "table", "rows", "units", "over", "baseline", "until", "workers")
+_WORKER_KEYS = ("processes", "scheduler", "cluster", "jobs", "options")
+CLUSTERS = ("slurm", "kubernetes")
+_HOLE = re.compile(r"\{([A-Za-z_]\w*)\}")
+_GIVES = 'give tests = ["runs/{speed}/test.toml"], or template = "test.toml" with table = "runs.csv"'
+
+
+@dataclass(frozen=True)
+class Workers:
+    """What the tests run on.
+
+    Parameters
+    ----------
+    processes : int or None
+        Local processes (None: one a processor).
+    scheduler : str or None
+        Address of a Dask scheduler.
+    cluster : {"slurm", "kubernetes"} or None
+        A cluster to be started through dask-jobqueue or dask-kubernetes.
+    jobs : int
+        Its workers.
+    options : mapping
+        For the cluster's own constructor (queue, memory, image …).
+    """
+
+    processes: int | None = None
+    scheduler: str | None = None
+    cluster: str | None = None
+    jobs: int = 1
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Member:
+    """One test of a campaign.
+
+    Parameters
+    ----------
+    number : int
+        Its place in the campaign file, from 1.
+    name : str
+        Unique, and the name of its results folder.
+    path : Path
+        Test file, or the template.
+    template : str or None
+        Text of the template; None: the file as it is.
+    row : Row
+    """
+
+    number: int
+    name: str
+    path: Path
+    template: str | None
+    row: Row
+
+    @property
+    def text(self) -> str | None:
+        """The template filled in."""
+        if self.template is None:
+            return None
+        return _HOLE.sub(lambda m: self.row.texts.get(m[1], m[0]), self.template)
+
+
+def load_member(path: Path, text: str | None, title: str, changes: Sequence[str]) -> Test:
+    """The test of a file, or of a template's text filled in; the tests of one template are told apart by their titles."""
+    if text is None:
+        return load_test(path, changes)
+    test = parse_text(text, path, changes)
+    return replace(test, name=f"{test.name}, {title}")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Many tests and how they belong together.
+
+    Parameters
+    ----------
+    name : str
+    path : Path
+    members : tuple of Member
+    units : mapping
+        Parameter → unit.
+    over : str or None
+        Parameter that results are shown over (None: the order of the tests).
+    baseline : str
+        Name of the test that every state is compared against.
+    baseline_given : bool
+        Whether the campaign file names it; else it is the first.
+    until : str or None
+        Last stage of each test.
+    workers : Workers
+    """
+
+    name: str
+    path: Path
+    members: tuple[Member, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
+    over: str | None = None
+    baseline: str = ""
+    baseline_given: bool = False
+    until: str | None = None
+    workers: Workers = Workers()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return tuple(dict.fromkeys(name for member in self.members for name in member.row.parameters))
+
+    def title(self, member: Member) -> str:
+        """A test by its parameters, else by its name."""
+        words = ", ".join(shown(k, v, self.units) for k, v in member.row.parameters.items())
+        return words or member.name
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Read a campaign file.
+
+    Parameters
+    ----------
+    path : path
+        ``campaign.toml``, or a folder that holds one. Paths and globs inside are relative to the file.
+
+    Raises
+    ------
+    ConfigError
+        If the file is no TOML, a key is unknown (the nearest known one is named), a value is wrong, or it names no test.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "campaign.toml"
+    if not path.exists():
+        raise ConfigError("there is no such campaign file", where=str(path), hint=_GIVES)
+    text = text_of(path)
+    table = toml_table(text, path, lambda: "a campaign file is TOML text with lines such as " + _GIVES.removeprefix("give "))
+    where = Entry(str(path), given=lines_of(text))
+    if "idle" in table or "operating" in table:
+        hint = f'run it with `operando run {path}`, or name it in a campaign file: tests = ["{path.name}"]'
+        raise ConfigError("is a test file, expected a campaign file", where=str(path), hint=hint)
+    check_keys(table, _KEYS, where)
+    name = _text(table.get("name", path.absolute().parent.name), where.at("name"))
+    units = _table(table.get("units", {}), where.within("units"))
+    for key, unit in units.items():
+        _text(unit, where.within("units").at(key))
+    members, found_units = _members(table, path.parent, where)
+    campaign = Campaign(name, path, members, {**found_units, **units})
+    for key in units:
+        if key not in campaign.columns:
+            raise ConfigError(f"{key!r} is no parameter", where=str(where.within("units").at(key)), hint=nearest(key, campaign.columns))
+    until = table.get("until")
+    if until is not None and until not in STAGES:
+        hint = nearest(str(until), STAGES)
+        raise ConfigError(f"{until!r:.200} is no stage; stages: {', '.join(STAGES)}", where=str(where.at("until")), hint=hint)
+    over = _over(table.get("over"), campaign, where.at("over"))
+    return Campaign(
+        name, path, members, campaign.units, over, _baseline(table.get("baseline"), campaign, where.at("baseline")),
+        "baseline" in table, until, _workers(_table(table.get("workers", {}), where.within("workers")), where.within("workers")),
+    )  # fmt: skip
+
+
+def _text(value: Any, where: Entry) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise ConfigError(f"{value!r:.200} is not allowed; expected a text", where=str(where))
+    return value.strip()
+
+
+def _table(value: Any, where: Entry) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{value!r:.200} is not allowed; expected a table", where=str(where))
+    return value
+
+
+def _members(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[tuple[Member, ...], dict[str, str]]:
+    units: dict[str, str] = {}
+    rows: list[Row] = []
+    if "table" in table:
+        rows, units = read_table(folder / _text(table["table"], where.at("table")))
+    if "rows" in table:
+        given = table["rows"]
+        if not isinstance(given, list):
+            raise ConfigError("rows is no list", where=str(where.at("rows")), hint="write rows = [{speed = 600}, {speed = 900}]")
+        rows = [*rows, *(row_of(entry, f"{where.at('rows')}, row {i}") for i, entry in enumerate(given, 1))]
+    template = text = None
+    if "template" in table:
+        template = _test_file(folder / _text(table["template"], where.at("template")))
+        text = text_of(template)
+        if not rows:
+            hint = 'give table = "runs.csv", or rows = [{speed = 600}, {speed = 900}]'
+            raise ConfigError("a template needs rows to fill it in", where=str(where.at("template")), hint=hint)
+    found: list[tuple[Path, str | None, Row]] = []
+    for row in rows:
+        if row.test is not None:
+            found.append((_test_file(folder / row.test), None, row))
+        elif template is None or text is None:
+            hint = 'give template = "test.toml", or a column test with the test file of each row'
+            raise ConfigError("the rows name no test", where=str(where.at("table" if "table" in table else "rows")), hint=hint)
+        else:
+            _check_filled(template, text, row, len(rows))
+            found.append((template, text, row))
+    patterns = table.get("tests", [])
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        found += [(path, None, row) for path, row in _matches(_text(pattern, where.at("tests")), folder, where.at("tests"))]
+    if not found:
+        raise ConfigError("names no test", where=str(where), hint=_GIVES)
+    return _named(found), units
+
+
+def _test_file(path: Path) -> Path:
+    return path / "test.toml" if path.is_dir() else path
+
+
+def _check_filled(template: Path, text: str, row: Row, rows: int) -> None:
+    """Whether a row fills all holes of a template, and whether rows differ at all."""
+    holes = set(_HOLE.findall(re.sub(r"#.*", "", text)))
+    for hole in sorted(holes - set(row.texts)):
+        raise ConfigError(f"no column fills {{{hole}}}", where=str(template), hint=nearest(hole, row.texts))
+    for hole in holes:
+        if re.search(r'["\'\\\n]', row.texts[hole]):
+            raise ConfigError(f"{hole} is {row.texts[hole]!r:.200}: quotes cannot stand in a template", where=str(template))
+    if not holes and rows > 1 and not row.changes:
+        hint = "write {" + (next(iter(row.texts), "speed")) + '} where the value belongs, as in records = ["run{speed}/*.uff"]'
+        raise ConfigError("uses no column of the table: every row would be the same test", where=str(template), hint=hint)
+
+
+def _matches(pattern: str, folder: Path, where: Entry) -> list[tuple[Path, Row]]:
+    """Test files of a glob; ``{speed}`` in it matches like ``*`` and names what it matched."""
+    names = _HOLE.findall(pattern)
+    wild = _HOLE.sub("*", pattern)
+    files = sorted(Path(f) for f in glob.glob(str(folder / wild), recursive=True))
+    files = [_test_file(f) for f in files if f.is_file() or (f / "test.toml").is_file()]
+    if not files:
+        raise ConfigError(f"no test file matches {pattern!r:.200}", where=str(where), hint=f"looked in {folder.absolute()}")
+    reading = re.compile(_regex(pattern))
+    out = []
+    for file in files:
+        texts: dict[str, str] = {}
+        if names:
+            relative = file.relative_to(folder).as_posix() if file.is_relative_to(folder) else file.as_posix()
+            match = reading.fullmatch(relative) or reading.fullmatch(relative.removesuffix("/test.toml"))
+            texts = dict(match.groupdict()) if match else {}
+        out.append((file, Row(str(file), None, {k: value_of(v) for k, v in texts.items()}, texts)))
+    return sorted(out, key=lambda item: [(isinstance(v, str), v) for v in item[1].parameters.values()])
+
+
+def _regex(pattern: str) -> str:
+    parts = re.split(r"(\{[A-Za-z_]\w*\}|\*\*/|\*|\?)", pattern)
+    seen: set[str] = set()
+    out = []
+    for part in parts:
+        if (match := _HOLE.fullmatch(part)) is not None:
+            out.append(f"(?P={match[1]})" if match[1] in seen else f"(?P<{match[1]}>[^/]+?)")
+            seen.add(match[1])
+        else:
+            out.append({"**/": "(?:.*/)?", "*": "[^/]*", "?": "[^/]"}.get(part, re.escape(part)))
+    return "".join(out)
+
+
+def _named(found: Sequence[tuple[Path, str | None, Row]]) -> tuple[Member, ...]:
+    """Members with unique names that can be folders: the row's name, else its parameters, else the folder or file of the test."""
+    used: dict[str, int] = {}
+    out = []
+    for number, (path, template, row) in enumerate(found, 1):
+        own = path.stem if path.stem != "test" else path.absolute().parent.name
+        words = row.name or "_".join(f"{k}-{row.texts.get(k, v)}" for k, v in row.parameters.items()) or own
+        name = re.sub(r"[^\w.+-]+", "-", words).strip(".-")[:80] or f"test-{number}"
+        used[name.lower()] = again = used.get(name.lower(), 0) + 1
+        if again > 1:
+            name = f"{name}-{again}"
+            used[name.lower()] = 1
+        out.append(Member(number, name, path, template, row))
+    return tuple(out)
+
+
+def _over(value: Any, campaign: Campaign, where: Entry) -> str | None:
+    columns = campaign.columns
+    if value is None:
+        parameters = [m.row.parameters for m in campaign.members]
+        vary = [c for c in columns if len({p.get(c) for p in parameters}) > 1]
+        measured = [c for c in vary if axis_of(c, parameters, {}).kind != "order"]
+        return next(iter(measured or vary or columns), None)
+    if value not in columns:
+        raise ConfigError(f"{value!r:.200} is no parameter", where=str(where), hint=nearest(str(value), columns))
+    return str(value)
+
+
+def _baseline(value: Any, campaign: Campaign, where: Entry) -> str:
+    """Name of the baseline test: by name, or by its parameters."""
+    members = campaign.members
+    if value is None:
+        return members[0].name
+    if isinstance(value, str):
+        if value in (names := [m.name for m in members]):
+            return value
+        raise ConfigError(f"no test has the name {value!r:.200}", where=str(where), hint=nearest(value, names))
+    wanted = row_of(value, str(where)).parameters
+    for key in wanted:
+        if key not in campaign.columns:
+            raise ConfigError(f"{key!r} is no parameter", where=str(where), hint=nearest(key, campaign.columns))
+    for member in members:
+        if all(member.row.parameters.get(k) == v for k, v in wanted.items()):
+            return member.name
+    words = ", ".join(shown(k, v, campaign.units) for k, v in wanted.items())
+    raise ConfigError(f"no test has {words}", where=str(where), hint="tests: " + ", ".join(m.name for m in members[:12]))
+
+
+def _workers(table: Mapping[str, Any], where: Entry) -> Workers:
+    check_keys(table, _WORKER_KEYS, where)
+    for key in ("processes", "jobs"):
+        value = table.get(key, 1)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise ConfigError(f"{value!r:.200} is not allowed; expected a whole number of at least 1", where=str(where.at(key)))
+    cluster = table.get("cluster")
+    if cluster is not None and cluster not in CLUSTERS:
+        hint = nearest(str(cluster), CLUSTERS)
+        raise ConfigError(
+            f"{cluster!r:.200} is not allowed; expected one of {', '.join(CLUSTERS)}", where=str(where.at("cluster")), hint=hint
+        )
+    scheduler = None if table.get("scheduler") is None else _text(table["scheduler"], where.at("scheduler"))
+    options = _table(table.get("options", {}), where.at("options"))
+    return Workers(table.get("processes"), scheduler, cluster, table.get("jobs", 1), dict(options))
+
+
+__all__ = ["CLUSTERS", "Campaign", "Member", "Value", "Workers", "load_campaign", "load_member"]
