@@ -19,12 +19,13 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
-.PHONY: help demo test lint types tests slow wheel example paper clean
+.PHONY: help demo test lint types tests slow bench wheel example paper clean
 
 help:
 	@echo "make demo   install into $(VENV) and run the example, from raw files to the report in $(DEMO)/"
 	@echo "make test   install what development needs and run ruff, mypy and the tests"
 	@echo "make slow   the longer studies among the tests"
+	@echo "make bench  speed and memory of the stages against their peers; fails where one falls short of its goal"
 	@echo "make wheel  build dist/operando-*.whl"
 	@echo "make example  make data/example again from benchmarks/example_data/make.py"
 	@echo "make paper  reproduce the paper's simulation example: tables, figures and raw files through operando, in $(PAPER)/paper.html"
@@ -49,6 +50,9 @@ tests: $(VENV)/.installed-dev
 
 slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -q -n $(WORKERS) -m slow
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/bench.py
 
 wheel: $(VENV)/.installed
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .

@@ -5,6 +5,7 @@ from operando.data.findings import Finding, group_findings
 from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
+from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, StoredRow, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.provenance import Provenance, file_hash
@@ -20,16 +21,24 @@ __all__ = [
     "FrequencyAxis",
     "Frf",
     "Geometry",
+    "MappedSamples",
     "ModalModel",
     "ModalTerms",
     "Provenance",
     "ResidualTerms",
+    "RowStatistics",
+    "StoredFile",
+    "StoredRow",
     "TimeRecord",
     "complex_of",
     "direction_of",
     "file_hash",
+    "filling",
     "group_findings",
+    "mapped_rows",
     "node_motion",
     "one_level",
     "phase_collinearity",
+    "pieces",
+    "row_statistics",
 ]

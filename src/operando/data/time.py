@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import mapped
 from operando.data.arrays import frozen
 from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
+from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics
 from operando.data.provenance import Provenance
 from operando.dof import Dof
 from operando.errors import DataError
@@ -62,7 +65,8 @@ class TimeRecord(ForOthers):
     Parameters
     ----------
     data : (n_channels, n_samples) float array
-        Samples, SI where the units are known. Made read-only.
+        Samples, SI where the units are known. Made read-only. Samples of more than 67 MB that lie in a file, or in a read-only memory map,
+        stay there (:class:`operando.data.mapped.MappedSamples`).
     sampling_hz : float
         Sampling rate [Hz].
     channels : sequence of Channel
@@ -90,16 +94,18 @@ class TimeRecord(ForOthers):
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
-        data = np.asarray(self.data)
-        if not np.issubdtype(data.dtype, np.floating):
-            data = data.astype(float)
-        object.__setattr__(self, "data", frozen(data, ndim=2, name="record data"))
+        object.__setattr__(self, "data", _samples(self.data))
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "findings", tuple(self.findings))
         if self.data.shape[0] != len(self.channels):
             raise DataError(f"{self.data.shape[0]} rows but {len(self.channels)} channel labels", where=self.name or None)
         if not (np.isfinite(self.sampling_hz) and self.sampling_hz > 0):
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
+
+    @cached_property
+    def statistics(self) -> RowStatistics:
+        """Mean, standard deviation, extremes of each channel, and whether all its samples are finite: one pass, made once."""
+        return row_statistics(self.data)
 
     @property
     def n_samples(self) -> int:
@@ -169,3 +175,15 @@ class TimeRecord(ForOthers):
     def with_findings(self, findings: Sequence[Finding]) -> TimeRecord:
         """The record with more annotations."""
         return replace(self, findings=(*self.findings, *findings))
+
+
+def _samples(data: Any) -> Any:
+    """Samples as a record holds them: a read-only array of floats, or what stays in its file."""
+    if isinstance(data, MappedSamples):
+        return data
+    array = np.asarray(data)
+    if not np.issubdtype(array.dtype, np.floating):
+        array = array.astype(float)
+    elif isinstance(data, np.memmap) and data.ndim == 2 and data.mode == "r" and data.nbytes >= mapped.MAPPED_FROM:
+        return mapped_memmap(data)
+    return frozen(array, ndim=2, name="record data")

@@ -67,6 +67,7 @@ def averaged_run(
             window=window or "hann",
             lines=lines,
             bad=run.bad,
+            finite=bool(record.statistics.finite[[*run.forces, *run.responses]].all()),
         )
         how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
     h, variance, coherence, condition = estimate(spectra, estimator)

@@ -24,6 +24,9 @@ from operando.frf.singles import average_hits
 from operando.frf.usable import usable_channels
 from operando.frf.wholerecord import choose_lines, rational_run, usable
 
+MOST_VALUES = 4e6
+"""FRF values (pairs times lines) of one run from which the default blocks become no longer: 64 MB, of which an estimate holds some copies.
+Where they are too short for the damping, the estimate on whole records takes their place, as it does for shorter records."""
 SHORT = 0.7
 """Blocks of a hammer run shorter than this part of the median over the runs do not shorten those of the others (as within one run)."""
 
@@ -65,8 +68,8 @@ def estimate_frf(
         no block length is given; H1 where blocks are long enough for the damping (hammer: where each response decays before the next
         hit), else ``lrm``; the findings ``periodic_excitation`` and ``estimator`` give the reason.
     block_seconds : float, optional
-        Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough; hammer:
-        the shortest time between two hits.
+        Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough, or where the lines
+        of all pairs would be more than 4 million; hammer: the shortest time between two hits.
     overlap : float, optional
         Overlap of blocks, default 0.5 with a Hann window, 0 with a rectangular one.
     window : {"hann", "rectangular"}, or for hammer hits {"rectangular", "force", "exponential", "force_exponential"}
@@ -148,6 +151,7 @@ def estimate_frf(
                 if not reason and block_seconds is None and peak is not None and not any(blocks for _, blocks, _ in cut):
                     averaged = _shorter_blocks(averaged, peak, length, options)
         if estimator == "lrm" or (automatic and reason):
+            averaged = []  # large, and not used
             lost = [f for f in lost if f.kind != "short_hits"]  # the whole record is used, however soon the next hit came
             lines, peak = choose_lines([c[0] for c in cut if usable(c[0])] or runs, band, line_spacing_hz, max_lines, window_lines)
             whole = _survivors(lambda c: rational_run(c[0], lines, window_lines, c[2]), cut, _name, lost)
@@ -315,7 +319,10 @@ def _block_seconds(runs: Sequence[_Cut], given: float | None) -> float:
     cut = np.array([blocks.block / run.record.sampling_hz for run, blocks, _ in runs if blocks is not None])
     if cut.size:
         return float(cut[cut >= SHORT * np.median(cut)].min())
-    return given if given is not None else min(run.record.duration_s for run, _, _ in runs) / 8
+    if given is not None:
+        return given
+    most = min(MOST_VALUES / (len(run.forces) * len(run.responses)) * 2 / run.record.sampling_hz for run, _, _ in runs)
+    return min(min(run.record.duration_s for run, _, _ in runs) / 8, most)
 
 
 def _hit_findings(cut: _Cut, whole_record: bool, rate: float = 0.0) -> list[Finding]:

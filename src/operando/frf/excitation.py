@@ -53,7 +53,7 @@ def periodic_input(run: RunInput) -> SteadyPeriods | None:
 def _steady(record: TimeRecord, forces: list[int], responses: list[int], bad: Sequence[tuple[int, int]] = ()) -> SteadyPeriods | None:
     data = record.data
     for row in forces:
-        if not np.isfinite(data[row].sum()) or data[row].max() == data[row].min() or is_impact(data[row]):
+        if not record.statistics.finite[row] or record.statistics.flat[row] or is_impact(data[row]):
             return None
     try:
         found = steady_periods(data, forces, responses, record.sampling_hz, bad=bad)

@@ -125,11 +125,13 @@ class Hits:
 
 def is_impact(force: ArrayLike) -> bool:
     """Whether a force record consists of short impacts: 2 % of the samples hold more than 80 % of the energy."""
-    f = np.asarray(force, float)
-    f = f - np.median(f)
-    energy = np.sort(np.square(f))[::-1]
+    energy = np.array(force, float)
+    energy -= np.median(energy)
+    np.square(energy, out=energy)
     total = energy.sum()
-    return bool(total > 0 and energy[: max(1, f.size // 50)].sum() > 0.8 * total)
+    most = max(1, energy.size // 50)
+    energy.partition(energy.size - most)
+    return bool(total > 0 and energy[-most:].sum() > 0.8 * total)
 
 
 def find_hits(force: ArrayLike, sampling_hz: float, *, threshold: float | None = None) -> Hits:

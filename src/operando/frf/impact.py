@@ -139,7 +139,7 @@ def reject_inconsistent(
     low, high = band if band is not None else (0.0, fs / 2.56)
     keep = np.flatnonzero((frequency >= low) & (frequency <= high))
     keep = keep[:: max(1, keep.size // 1000)]
-    offset = np.array([float(np.mean(record.data[r], dtype=float)) for r in responses])
+    offset = record.statistics.mean[list(responses)]
     f = np.array([fft.rfft(np.asarray(record.data[force, s : s + block], float) - hits.offset)[keep] for s in starts])
     x = np.array(
         [fft.rfft(np.asarray(record.data[list(responses), s : s + block], float) - offset[:, None], axis=1)[:, keep] for s in starts]
@@ -225,8 +225,7 @@ def impact_spectra(
     """Spectra averaged over the hits, and the rate of the exponential window."""
     force_window, response_window, rate = impact_windows(window, blocks, record.data[force], record.sampling_hz, end)
     offsets = np.zeros(len(record.channels))
-    for row in responses:
-        offsets[row] = float(np.mean(record.data[row], dtype=float))
+    offsets[list(responses)] = record.statistics.mean[list(responses)]
     offsets[force] = blocks.hits.offset
     spectra = cross_spectra(
         record.data,

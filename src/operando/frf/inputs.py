@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operando.data import Finding, TimeRecord
 from operando.dof import Dof, Node
@@ -67,12 +65,11 @@ class RunInput:
     @property
     def level(self) -> float:
         """Rms of the forces [N], offsets removed."""
-        rows = [self.record.data[i] for i in self.forces]
-        return float(np.sqrt(np.mean([np.var(r if np.isfinite(r.sum()) else r[np.isfinite(r)], dtype=float) for r in rows])))
+        return float(np.sqrt(np.mean(np.square(self.record.statistics.std[list(self.forces)]))))
 
     def finite(self, rows: Sequence[int]) -> list[int]:
         """Those of the rows whose samples are all finite."""
-        return [i for i in rows if np.isfinite(self.record.data[i].sum())]
+        return [i for i in rows if self.record.statistics.finite[i]]
 
 
 def _dofs(record: TimeRecord, rows: Sequence[int]) -> tuple[Dof, ...]:
@@ -126,18 +123,13 @@ def _unique(record: TimeRecord, rows: Sequence[int], what: str, findings: list[F
             findings.append(
                 Finding("duplicate_dof", message, file=where, set=channel.set, dof=channel.label, action="exclude one in [channels]")
             )
-        elif _flat(record.data[i]):
+        elif record.statistics.flat[i]:
             message = f"{what} channel {channel.label} is constant and is not used"
             findings.append(Finding("flat", message, file=where, set=channel.set, dof=channel.label, action="check cable and sensor"))
         else:
             seen.add((channel.dof.node, channel.dof.axis))
             out.append(i)
     return out
-
-
-def _flat(row: NDArray[np.floating[Any]]) -> bool:
-    finite = row[np.isfinite(row)] if not np.isfinite(row.sum()) else row
-    return finite.size == 0 or bool(finite.max() == finite.min())
 
 
 def _bad_spans(record: TimeRecord, labels: set[str]) -> tuple[tuple[int, int], ...]:

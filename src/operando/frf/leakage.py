@@ -50,9 +50,12 @@ def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None =
         top = power[k]
         if top < 10 * noise[k]:
             continue
-        left, right = _half_power(f, power, int(k), -1), _half_power(f, power, int(k), 1)
+        # Noise has many maxima: most are told by their prominence, without a walk to the half power.
         sides = [lowest_towards_higher(power, int(k), -1), lowest_towards_higher(power, int(k), 1)]
-        if left is None or right is None or min(top / max(v, 1e-300) for v in sides) < prominence:
+        if min(top / max(v, 1e-300) for v in sides) < prominence:
+            continue
+        left, right = _half_power(f, power, int(k), -1), _half_power(f, power, int(k), 1)
+        if left is None or right is None:
             continue
         peaks.append(Peak(float(f[k]), right - left))
     return peaks

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy import fft as sfft
 from scipy import interpolate, ndimage, signal
 
+from operando.data import row_statistics
+from operando.data.mapped import PIECE
 from operando.errors import DataError
 from operando.frf.rational import roughness_variance, smooth
 
@@ -41,6 +43,9 @@ FINER = 4
 
 LONG = 2_000_000
 """Samples from which whole lags must do (memory)."""
+
+LONGEST = 2 * LONG
+"""Samples of a force in which a period is looked for: half as many are the longest period that is found. Its correlation takes 0.25 GB."""
 
 NEAR = 8
 """Lines of a group that shows a transient; and half the widest gap between lines of one multisine, at least."""
@@ -125,15 +130,18 @@ class PeriodicFrf:
 def period_of(force: Array) -> int:
     """Samples after which a force repeats itself; silence before and after it is passed over.
 
+    Of a force longer than ``LONGEST`` the part in the middle is looked at.
+
     Raises
     ------
     DataError
         If it does not within half the record.
     """
-    f = np.asarray(force, float)
-    f = f - f.mean()
-    loud = np.flatnonzero(np.abs(f) > QUIET * np.sqrt(np.mean(f**2)))
-    f = f[loud[0] : loud[-1] + 1] if loud.size else f
+    first, last = _loud_span(np.asarray(force))
+    if last - first > LONGEST:
+        first = (first + last - LONGEST) // 2
+        last = first + LONGEST
+    f = np.asarray(force[first:last], float) - float(np.mean(force, dtype=float))
     n = f.size
     size = sfft.next_fast_len(2 * n, real=True)
     finer = FINER if n < LONG else 1
@@ -151,6 +159,15 @@ def period_of(force: Array) -> int:
     first = start + int(np.argmax(like[start:] > best - 0.3 * (1 - ALIKE)))
     around = slice(first, min(first + 3 * finer, like.size))
     return round((first + int(np.argmax(like[around]))) / finer)
+
+
+def _loud_span(force: Array) -> tuple[int, int]:
+    """Where the signal begins and ends (one past its last sample), silence left out; the whole where nothing is loud."""
+    known = row_statistics(force[np.newaxis])
+    mean, least = float(known.mean[0]), QUIET * float(known.std[0])
+    loud = [(k, np.flatnonzero(np.abs(force[k : k + PIECE] - mean) > least)) for k in range(0, force.size, PIECE)]
+    ends = [(k + int(where[0]), k + int(where[-1]) + 1) for k, where in loud if where.size]
+    return (ends[0][0], ends[-1][1]) if ends else (0, int(force.size))
 
 
 def excited_lines(amplitude: Array) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from operando.data import MappedSamples
 from operando.errors import DataError
 
 Array = NDArray[Any]
@@ -67,6 +68,10 @@ def window_indices(centres: Array, n_lines: int, first: int, last: int) -> NDArr
     return start[:, None] + np.arange(n_lines)
 
 
+LONGEST = 1 << 21
+"""Samples of a row that are transformed at once, where it has more than twice as many."""
+
+
 def spectrum_lines(data: NDArray[np.floating[Any]], rows: ArrayLike, lines: NDArray[np.intp], n_samples: int) -> Array:
     """Chosen DFT lines of the first ``n_samples`` samples of some rows, one row at a time; mean removed.
 
@@ -77,9 +82,31 @@ def spectrum_lines(data: NDArray[np.floating[Any]], rows: ArrayLike, lines: NDAr
     rows = np.asarray(rows, int)
     out = np.empty((rows.size, lines.size), complex)
     for i, row in enumerate(rows):
-        x = np.array(data[row, :n_samples], float)
+        # what was read from a file is nobody else's
+        x = np.asarray(data[row, :n_samples], float) if isinstance(data, MappedSamples) else np.array(data[row, :n_samples], float)
         x -= x.mean()
-        out[i] = fft.rfft(x, overwrite_x=True)[lines]
+        out[i] = _lines_of(x, lines)
+    return out
+
+
+def _lines_of(x: NDArray[np.float64], lines: NDArray[np.intp]) -> Array:
+    """DFT lines of one row, which is overwritten.
+
+    The transform of a long row takes five times its memory. So every p-th sample is transformed by itself, and the lines wanted are the
+    sums of the p spectra, turned by their delay (the last step of the Cooley-Tukey algorithm at these lines alone).
+    """
+    n = x.size
+    parts = next((d for d in range(max(n // LONGEST, 1), 64) if n % d == 0), 1)
+    if n <= 2 * LONGEST or parts == 1:
+        return np.asarray(fft.rfft(x, overwrite_x=True)[lines])
+    place = lines % (n // parts)
+    beyond = place > n // parts // 2
+    place = np.where(beyond, n // parts - place, place)
+    out = np.zeros(lines.size, complex)
+    for first in range(parts):
+        part = fft.rfft(x[first::parts])[place]
+        part.imag[beyond] *= -1
+        out += part * np.exp((-2j * np.pi / n) * (lines * first % n))
     return out
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from operando.data import MappedSamples
 from operando.errors import DataError
 
 WINDOWS = ("hann", "rectangular")
+BLOCKS = 4
+"""Blocks taken at once: the sums over a response then go through the memory once for four blocks."""
+TOGETHER = 8
+"""Spectra transformed at once: their samples and lines stay in the cache of a core at usual block lengths."""
+STRETCH = 1 << 23
+"""Samples of all rows held at once (64 MB), unless a single block has more."""
 
 
 @dataclass(frozen=True)
@@ -119,11 +126,11 @@ def cross_spectra(
     starts: ArrayLike | None = None,
     windows: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
     offsets: NDArray[np.float64] | None = None,
-    group: int = 8,
+    finite: bool = False,
 ) -> CrossSpectra:
     """Welch estimate of Gff, Gxf and the diagonal of Gxx (Welch 1967; Bendat & Piersol, Random Data).
 
-    The record is read block by block (memory maps and single precision are fine); nothing of its length is
+    The record is read block by block (samples in their file and single precision are fine); nothing of its length is
     ever held in memory. The mean of each block is removed.
 
     Parameters
@@ -146,8 +153,8 @@ def cross_spectra(
         Arrays of ``block`` samples instead of ``window``.
     offsets : (n_channels,) array, optional
         Taken off each row instead of the mean of each block (a hit has a mean of its own).
-    group : int
-        Response rows transformed at once (bounds the working memory).
+    finite : bool
+        All samples of the rows are known to be finite; else each block is looked through.
 
     Raises
     ------
@@ -158,46 +165,71 @@ def cross_spectra(
     w_force, w = windows if windows is not None else (window_samples(window, block),) * 2
     keep = slice(None) if lines is None else lines
     frequencies = fft.rfftfreq(block, 1 / sampling_hz)[keep]
-    n_f, n_x, n_l = len(force_rows), len(response_rows), frequencies.size
+    forces, responses = list(force_rows), list(response_rows)
+    n_f, n_x, n_l = len(forces), len(responses), frequencies.size
     gff = np.zeros((n_f, n_f, n_l), complex)
     gxf = np.zeros((n_x, n_f, n_l), complex)
-    gxx = np.zeros((n_x, n_l))
-    scratch = np.empty((group, n_l), complex)
-    forces, responses = list(force_rows), list(response_rows)
-    groups = [slice(i, min(i + group, n_x)) for i in range(0, n_x, group)]
+    squares = np.zeros((n_x, 2 * n_l))
+    scratch, square = np.empty((n_f, n_l), complex), np.empty(2 * n_l)
+    rows = [*forces, *responses]
 
-    def transform(rows: list[int], start: int, w: NDArray[np.float64]) -> NDArray[np.complex128]:
-        x = np.empty((len(rows), block))
-        for i, row in enumerate(rows):
-            x[i] = data[row, start : start + block]
-        x -= x.mean(axis=1, keepdims=True) if offsets is None else offsets[rows, None]
+    def transform(samples: list[NDArray[Any]], places: Sequence[int], at: list[int], w: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Spectra of some rows (places in ``rows``) in the blocks that begin at ``at`` of their samples: (rows, blocks, lines)."""
+        x = np.empty((len(places), len(at), block))
+        for i, place in enumerate(places):
+            for b, start in enumerate(at):
+                x[i, b] = samples[place][start : start + block]
+        x -= x.mean(axis=2, keepdims=True) if offsets is None else offsets[[rows[k] for k in places]][:, None, None]
         x *= w
-        return np.asarray(fft.rfft(x, axis=1, overwrite_x=True)[:, keep])
+        return np.asarray(fft.rfft(x, axis=2, overwrite_x=True)[:, :, keep])
 
     used = []
-    for start in first:
-        if any(start <= last and start + block > begin for begin, last in bad) or bad_values(data, (*forces, *responses), start, block):
+    for batch in _batches(first, block, len(rows)):
+        good = [start for start in batch if not any(start <= last and start + block > begin for begin, last in bad)]
+        if not good:
             continue
-        used.append(start)
-        f = transform(forces, start, w_force)
-        fc = f.conj()
-        for i in range(n_f):
-            gff[i] += f[i] * fc
-        for g in groups:
-            x = transform(responses[g], start, w)
-            gxx[g] += x.real**2 + x.imag**2
-            tmp = scratch[: g.stop - g.start]
-            for j in range(n_f):
-                np.multiply(x, fc[j], out=tmp)
-                gxf[g, j] += tmp
+        begin, stop = good[0], good[-1] + block
+        mapped = isinstance(data, MappedSamples)
+        samples = list(np.asarray(data[rows, begin:stop])) if mapped else [data[row, begin:stop] for row in rows]
+        at = [start - begin for start in good]
+        if not finite:
+            at = [k for k in at if all(np.isfinite(s[k : k + block].sum()) for s in samples)]
+            if not at:
+                continue
+        used += [begin + k for k in at]
+        f = transform(samples, range(n_f), at, w_force)
+        conjugate = np.ascontiguousarray(f.conj().swapaxes(0, 1))
+        for b in range(len(at)):
+            for i in range(n_f):
+                np.multiply(f[i, b], conjugate[b], out=scratch)
+                gff[i] += scratch
+        group = max(1, TOGETHER // len(at))
+        for g in range(0, n_x, group):
+            places = range(g, min(g + group, n_x))
+            x = transform(samples, [n_f + k for k in places], at, w)
+            for i, k in enumerate(places):
+                # One response at a time: its sums and the spectra of the forces stay in the cache over the blocks.
+                for b in range(len(at)):
+                    np.multiply(x[i, b], conjugate[b], out=scratch)
+                    gxf[k] += scratch
+                    np.square(x[i, b].view(float), out=square)
+                    squares[k] += square
     if not used:
         raise DataError("no block of the record is free of bad samples", hint="exclude the bad channel, or give a smaller block_seconds")
     scale = 2 / (sampling_hz * float(w @ w) * len(used))
     gff *= scale
     gxf *= scale
-    return CrossSpectra(frequencies, gff, gxf, gxx * scale, len(used), effective_averages(w, used), int(first.size - len(used)))
+    gxx = (squares[:, ::2] + squares[:, 1::2]) * scale
+    return CrossSpectra(frequencies, gff, gxf, gxx, len(used), effective_averages(w, used), int(first.size - len(used)))
 
 
-def bad_values(data: NDArray[np.floating[Any]], rows: Sequence[int], start: int, block: int) -> bool:
-    """Whether any of the rows holds a value that is not finite within the block."""
-    return any(not np.isfinite(data[row, start : start + block].sum()) for row in rows)
+def _batches(starts: NDArray[np.intp], block: int, rows: int) -> Iterator[list[int]]:
+    """Blocks that are read at once: up to ``BLOCKS`` that follow each other closely, and no more samples than ``STRETCH``."""
+    batch: list[int] = []
+    for start in starts.tolist():
+        if batch and (len(batch) == BLOCKS or start > batch[-1] + block or (start + block - batch[0]) * rows > STRETCH):
+            yield batch
+            batch = []
+        batch.append(start)
+    if batch:
+        yield batch

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operando.data import Finding, TimeRecord
 from operando.dof import Node
@@ -37,24 +35,18 @@ class ChannelFault:
     message: str
 
 
-def spread(row: NDArray[np.floating[Any]]) -> float:
-    """Standard deviation of the finite samples."""
-    row = row if np.isfinite(row.sum()) else row[np.isfinite(row)]
-    return float(np.std(row, dtype=float)) if row.size else 0.0
-
-
 def channel_faults(record: TimeRecord) -> list[ChannelFault]:
     """Channels that hold samples that are not finite, or no signal."""
-    spreads = np.array([spread(row) for row in record.data])
+    spreads, finite = record.statistics.std, record.statistics.finite
     out = []
     for i, channel in enumerate(record.channels):
         peers = [spreads[k] for k, c in enumerate(record.channels) if c.quantity == channel.quantity and spreads[k] > 0]
         typical = float(np.median(peers)) if peers else 0.0
-        row = record.data[i]
         if spreads[i] == 0 or spreads[i] < FLAT_SHARE * typical:
             others = f", others {typical:.3g}" if typical else ""
             out.append(ChannelFault(i, "flat", f"no signal: rms {spreads[i]:.3g}{others} {channel.unit}".rstrip()))
-        elif not np.isfinite(row.sum()):
+        elif not finite[i]:
+            row = record.data[i]
             bad = np.flatnonzero(~np.isfinite(row))
             first = record.start_s + bad[0] / record.sampling_hz
             out.append(ChannelFault(i, "nan", f"{bad.size} of {row.size} samples are not finite, the first at {first:.4g} s"))
@@ -170,11 +162,13 @@ def _left_out(records: Sequence[TimeRecord], cases: Sequence[tuple[int, ChannelF
 
 def whole(records: Sequence[TimeRecord]) -> list[TimeRecord]:
     """The records that are finite in all forces and responses: those that an analysis of whole records can use."""
-    return [r for r in records if all(np.isfinite(r.data[i].sum()) for i in (*r.force_indices, *r.response_indices))]
+    return [r for r in records if r.statistics.finite[[*r.force_indices, *r.response_indices]].all()]
 
 
 def trimmed(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     """The record without samples at either end at which no channel is finite (columns of a table that end early), and the finding."""
+    if record.statistics.finite.any():
+        return record, []
     there = np.flatnonzero(np.isfinite(record.data).any(axis=0))
     if not there.size or there.size == record.n_samples or (there[0] == 0 and there[-1] == record.n_samples - 1):
         return record, []

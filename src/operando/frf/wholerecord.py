@@ -20,6 +20,9 @@ from operando.frf.runs import RunEstimate, coherence_of
 Array = NDArray[Any]
 
 PILOT_LINES = 1500
+PILOT_SAMPLES = 1 << 21
+"""Samples in which the sharpest peak is measured: its fine lines are as close as the record is long, and two million samples resolve a
+bandwidth of a millionth of the sampling rate."""
 LINES_A_PEAK = 5.0
 
 
@@ -126,13 +129,23 @@ def choose_lines(
     peak = None
     if spacing is None:
         coarse = (high - low) / max_lines
-        peak = _sharpest_peak(runs, low, high, duration, window_lines)
+        pilots = [_beginning(run) for run in runs]
+        seconds = min(float(fft.prev_fast_len(r.record.n_samples, real=True)) / r.record.sampling_hz for r in pilots)
+        peak = _sharpest_peak(pilots, max(low, 1 / seconds), high, seconds, window_lines)
         needed = coarse if peak is None else min(coarse, peak.bandwidth_hz / LINES_A_PEAK)
         spacing = max(needed, coarse / 3)
         step = 1 / duration
         spacing = step * max(1.0, np.floor(spacing / step + 1e-9))
     first, last = int(np.ceil(low / spacing - 1e-9)), int(np.floor(high / spacing + 1e-9))
     return spacing * np.arange(max(first, 1), last + 1), peak
+
+
+def _beginning(run: RunInput) -> RunInput:
+    """A run, or the first ``PILOT_SAMPLES`` of it where it is longer."""
+    record = run.record
+    if record.n_samples <= PILOT_SAMPLES:
+        return run
+    return replace(run, record=record.cut(stop_s=record.start_s + PILOT_SAMPLES / record.sampling_hz))
 
 
 def _sharpest_peak(runs: Sequence[RunInput], low: float, high: float, duration: float, window_lines: int) -> Peak | None:

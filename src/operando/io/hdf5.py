@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, mapped, mapped_rows, pieces
 from operando.dof import Dof
 from operando.errors import DataError, FormatError, OperandoError
 from operando.io.atomic import replacing
@@ -171,6 +172,15 @@ def _hash(value: str | np.ndarray) -> str:
     return digest.hexdigest()
 
 
+def _hash_of_rows(samples: MappedSamples, stored: np.dtype[Any]) -> str:
+    """The hash of an array that stays in its file, row by row."""
+    digest = hashlib.blake2b(f"{stored.str}{samples.shape}".encode(), digest_size=8)
+    for i in range(len(samples)):
+        for _, part in pieces(samples[[i]], 1 << 21):
+            digest.update(np.ascontiguousarray(part, stored).view(np.uint8).data)
+    return digest.hexdigest()
+
+
 def _where(group: h5py.Group) -> str:
     return f"{group.file.filename}:{group.name}"
 
@@ -199,8 +209,8 @@ def _encode(value: Any, group: h5py.Group, path: str) -> Any:
         return {"__dof__": str(value)}
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, np.ndarray):
-        return _encode_array(value, group, path)
+    if isinstance(value, np.ndarray | MappedSamples):
+        return _encode_array(np.asarray(value), group, path)
     if isinstance(value, tuple | list):
         return _encode_sequence(value, group, path)
     if isinstance(value, Mapping):
@@ -269,6 +279,27 @@ class _Stored:
             raise FormatError(f"the array {name!r} is not what was written", where=self.where, hint=_CHANGED)
         return found
 
+    def samples(self, name: str, stated: str | None) -> np.ndarray | MappedSamples:
+        """The same of the samples of a record, which stay in the file where they are many and lie there as they are in memory.
+
+        Raises
+        ------
+        FormatError
+            As for ``array``.
+        """
+        item: Any = self.group.get(name) if isinstance(name, str) and not name.startswith("/") else None
+        plain = getattr(item, "ndim", 0) == 2 and item.dtype.kind == "f" and item.nbytes >= mapped.MAPPED_FROM
+        start = item.id.get_offset() if plain and item.chunks is None else None
+        if start is None or name in self._taken:
+            return self.array(name, stated)
+        self._taken.add(name)
+        step = item.shape[1] * item.dtype.itemsize
+        rows = [StoredRow(start + i * step, item.dtype) for i in range(item.shape[0])]
+        found = mapped_rows(StoredFile(Path(self.group.file.filename)), rows, item.shape[1], item.dtype.newbyteorder("="))
+        if stated is not None and stated != _hash_of_rows(found, item.dtype):
+            raise FormatError(f"the array {name!r} is not what was written", where=self.where, hint=_CHANGED)
+        return found
+
     @property
     def where(self) -> str:
         return _where(self.group)
@@ -325,7 +356,12 @@ def _decode_class(tree: dict[str, Any], stored: _Stored) -> Any:
     # A class whose fields changed makes itself from those of older files.
     make: Any = getattr(kind, "from_stored", None)
     known = {f.name for f in fields(kind) if f.init}
-    values = {name: _decode(item, stored) for name, item in tree["fields"].items() if make is not None or name in known}
+    values: dict[str, Any] = {}
+    for name, item in tree["fields"].items():
+        if make is None and name not in known:
+            continue
+        is_samples = kind is TimeRecord and name == "data" and isinstance(item, dict) and "__array__" in item
+        values[name] = stored.samples(item["__array__"], item.get(HASH)) if is_samples else _decode(item, stored)
     try:
         made = kind(**values) if make is None else make(values)
     except OperandoError as error:

@@ -10,6 +10,7 @@ from typing import Any, Literal, Union
 
 import numpy as np
 
+from operando.data import MappedSamples
 from operando.errors import FormatError
 
 _DECLARED: dict[Any, Mapping[str, Any]] = {}
@@ -72,7 +73,7 @@ def is_of(value: Any, hint: Any) -> bool:
     if kind is complex:
         return isinstance(value, int | float | complex | np.number) and not isinstance(value, bool)
     if kind is np.ndarray:
-        return isinstance(value, np.ndarray)
+        return isinstance(value, np.ndarray | MappedSamples)
     return isinstance(value, kind) if isinstance(kind, type) else True
 
 

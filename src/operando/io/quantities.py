@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite
 from typing import Any
 
@@ -93,6 +94,7 @@ def quantity_from_words(text: str) -> str:
     return "unknown"
 
 
+@lru_cache(maxsize=256)
 def split_ratio(text: str) -> tuple[str, str] | None:
     """Numerator and denominator of a ratio unit: ``(m/s2)/N``, ``m/s2/N``, ``g/lbf``, ``(1/N)*(m/s²)``, ``1/kg``; None if it is none."""
     clean = text.strip()

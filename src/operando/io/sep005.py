@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Channel, Finding, Provenance, TimeRecord
+from operando.data import Channel, Finding, MappedSamples, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.errors import DataError, DofError
 from operando.io.quantities import ChannelSpecs, Units, find_spec, quantity_from_words, resolve, spec_dof
@@ -51,11 +51,12 @@ def make_record(
     DataError
         If the shapes do not belong together.
     """
-    array = np.asarray(data)
+    array = data if isinstance(data, MappedSamples) else np.asarray(data)
     if array.ndim != 2 or array.shape[0] != len(names) or len(names) != len(unit_texts):
         raise DataError(f"data of shape {array.shape} for {len(names)} names and {len(unit_texts)} units", hint="(n_channels, n_samples)")
-    rows, labels, findings = [], [], []
-    scaled = False
+    rows: list[int] = []
+    factors: list[float] = []
+    labels, findings = [], []
     for i, (name, text) in enumerate(zip(names, unit_texts, strict=True)):
         dof = _dof_of(name)
         quantity = quantity_from_words(name)
@@ -73,14 +74,29 @@ def make_record(
             scale = resolve(quantity, "", units, spec)
         if not scale.known:
             findings.append(_missing_unit(name, scale.quantity, source, i))
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file; the raw-data checks tell what is not finite
-            rows.append(array[i] * scale.factor if scale.factor != 1.0 else array[i])
-        scaled |= scale.factor != 1.0
+        rows.append(i)
+        factors.append(scale.factor)
         labels.append(Channel(dof, scale.quantity, scale.unit, name, scale.source_unit, i))
     if not rows:
         raise DataError("no channel is left", where=source or None, hint="[channels] excludes them all")
-    data = np.stack(rows) if scaled or len(rows) < len(array) else array
-    return TimeRecord(data, sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
+    return TimeRecord(
+        _scaled(array, rows, factors), sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance()
+    )
+
+
+def _scaled(array: Any, rows: list[int], factors: list[float]) -> Any:
+    """Some rows of samples, each times its factor."""
+    part = array if len(rows) == len(array) else array[rows]
+    if all(factor == 1.0 for factor in factors):
+        return part
+
+    def times(samples: np.ndarray, which: Sequence[int]) -> np.ndarray:
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file; the raw-data checks tell what is not finite
+            return np.stack([row * factors[k] if factors[k] != 1.0 else row for row, k in zip(samples, which, strict=True)])
+
+    if isinstance(part, MappedSamples):
+        return part.changed_by(lambda samples, which, first, last: times(samples, which), part.dtype)
+    return times(part, range(len(rows)))
 
 
 def _dof_of(name: str) -> Dof | None:

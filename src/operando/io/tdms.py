@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import struct
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from operando.data import Finding, Frf, Provenance, TimeRecord
+from operando.data import Finding, Frf, MappedSamples, Provenance, TimeRecord, mapped, pieces
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
@@ -76,7 +77,7 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
         infos.append(SetInfo(i, 0, f"channel {name}", "ignored" if note else "used", note))
     records: list[TimeRecord] = []
     for (rate, start, _), rows in series.items():
-        data = np.stack([np.asarray(values, np.float32 if values.dtype == np.float32 else np.float64) for _, _, values, _ in rows])
+        data = _together([values for _, _, values, _ in rows])
         names, texts = [name for name, _, _, _ in rows], [unit for _, unit, _, _ in rows]
         records.append(
             make_record(data, rate, names, texts, start_s=start, units=units, channels=channels, source=where, provenance=provenance)
@@ -86,6 +87,18 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:6]) or "no channel"
         raise FormatError(f"no channel with a rate ({seen})", where=where, hint="give [units] sampling_hz in the test file")
     return Content(where, "tdms", tuple(records), tuple(frfs), sets=tuple(infos), findings=tuple(findings))
+
+
+def _together(rows: list[Any]) -> Any:
+    """Channels of one length as rows of floats; they stay in the file where they do."""
+    if not any(isinstance(row, MappedSamples) for row in rows):
+        return np.stack([np.asarray(row, np.float32 if row.dtype == np.float32 else np.float64) for row in rows])
+    dtype = np.result_type(*[np.float32 if row.dtype == np.float32 else np.float64 for row in rows])
+
+    def read(wanted: Sequence[int], first: int, last: int) -> np.ndarray:
+        return np.stack([np.asarray(rows[k][0, first:last], dtype) for k in wanted])
+
+    return MappedSamples(read, (len(rows), rows[0].size), dtype)
 
 
 def load_library(where: str) -> Any:
@@ -107,7 +120,10 @@ def load_library(where: str) -> Any:
 def try_tdms(path: Path, alive: Callable[[], None] = lambda: None) -> None:
     """Read all channels once (see :func:`operando.io.safe.try_apart`)."""
     alive()
-    _load(path)
+    for *_, values, _ in _load(path)[0]:
+        if isinstance(values, MappedSamples):
+            for _ in pieces(values, 1 << 20):
+                alive()
 
 
 def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], list[str]]:
@@ -120,22 +136,42 @@ def _load(path: Path) -> tuple[list[tuple[str, str, float, float, Any, str]], li
     """
     nptdms = load_library(str(path))
     found = []
-    with _heard() as said, nptdms.TdmsFile.open(str(path)) as file:
+    with _heard() as said, ExitStack() as at_end:
+        file = nptdms.TdmsFile.open(str(path))
+        at_end.enter_context(file)
         listed = [channel for group in file.groups() for channel in group.channels()]
+        plain = all(channel.dtype is not None and channel.dtype.kind != "O" for channel in listed)
         needed = sum(len(channel) * (channel.dtype.itemsize if channel.dtype is not None else 8) for channel in listed)
         check_growth(needed, path.stat().st_size, str(path), "what the channels declare")
         names = [channel.name for channel in listed]
+        holder = _Holder()
+        stays = plain and needed >= mapped.MAPPED_FROM
         for channel in listed:
             given = channel.properties
             name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
             unit = next((str(given[key]) for key in _UNIT_KEYS if given.get(key)), "")
             step, offset = _number(given.get("wf_increment")), _number(given.get("wf_start_offset"))
-            found.append((name, unit, step if step > 0 else 0.0, offset, np.asarray(channel[:]), str(given.get("wf_xname", ""))))
-        plain = all(channel.dtype is not None and channel.dtype.kind != "O" for channel in listed)
+            values = _mapped(channel, holder) if stays and channel.dtype.kind in "iuf" else np.asarray(channel[:])
+            found.append((name, unit, step if step > 0 else 0.0, offset, values, str(given.get("wf_xname", ""))))
+        if stays:
+            weakref.finalize(holder, at_end.pop_all().close)  # the file stays open as long as its samples may be asked for
     stored = _stored_bytes(path) if plain else None
     if stored is not None and stored > needed:
         said.append(f"{stored} bytes of samples are stored, the channels take {needed}")
     return found, said
+
+
+class _Holder:
+    """What the samples of an open file hold on to: the file is closed when the last of them go."""
+
+
+def _mapped(channel: Any, holder: _Holder) -> MappedSamples:
+    """Samples of one channel that stay in the file, which is kept open with them."""
+
+    def read(rows: Sequence[int], first: int, last: int, holder: _Holder = holder) -> np.ndarray:
+        return np.asarray(channel.read_data(offset=first, length=last - first))[np.newaxis]
+
+    return MappedSamples(read, (1, len(channel)), channel.dtype)
 
 
 _BIG_ENDIAN, _DAQMX = 1 << 6, 1 << 7

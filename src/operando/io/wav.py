@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Provenance
+from operando.data import Finding, MappedSamples, Provenance, StoredFile, mapped
+from operando.data.mapped import PIECE
 from operando.errors import FormatError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
 from operando.io.sep005 import make_record
-from operando.io.uff.reader import open_file, quick_hash
+from operando.io.uff.reader import map_file, open_file, quick_hash
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 
@@ -32,15 +35,16 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
     path = Path(path)
     where = str(path)
     with open_file(path) as stream:
-        raw = memoryview(stream.read())
+        long = path.stat().st_size >= mapped.MAPPED_FROM
+        raw = memoryview(map_file(stream, where) if long else stream.read())
     chunks = _chunks(raw, where)
-    head = bytes(chunks.get(b"fmt ", b""))
+    head = bytes(raw[chunks[b"fmt "]]) if b"fmt " in chunks else b""
     if len(head) < 16 or b"data" not in chunks:
         raise FormatError("no format or no data in the WAV file", where=where, hint="the file is damaged: export it again")
     coding, count, rate, _, frame, bits = struct.unpack_from("<HHIIHH", head)
     if coding == _EXTENSIBLE and len(head) >= 26:
         (coding,) = struct.unpack_from("<H", head, 24)
-    body = chunks[b"data"]
+    body = raw[chunks[b"data"]]
     width = bits // 8
     known = (coding == _PCM and bits in (8, 16, 24, 32)) or (coding == _FLOAT and bits in (32, 64))
     if not known or not count or not rate or frame != count * width or not body or len(body) % frame:
@@ -48,8 +52,8 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
             f"coding {coding}, {count} channels of {bits} bits at {rate} Hz, {len(body)} bytes of data: not understood", where=where,
             hint="export PCM or float WAV",
         )  # fmt: skip
-    data = _samples(body, coding, bits, count)
-    del raw, body, chunks
+    data: Any = _mapped(path, chunks[b"data"], coding, bits, count) if long else _samples(body, coding, bits, count)
+    del raw, body
     names = [f"ch{i + 1}" for i in range(count)]
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
     record = make_record(data, float(rate), names, [""] * count, units=units, channels=channels, source=where, provenance=provenance)
@@ -63,9 +67,9 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
     return Content(where, "wav", (record,), sets=sets, findings=(note, *record.findings))
 
 
-def _chunks(raw: memoryview, where: str) -> dict[bytes, memoryview]:
-    """Chunks of the file by name, the first of each; a chunk longer than the file is an error."""
-    found: dict[bytes, memoryview] = {}
+def _chunks(raw: memoryview, where: str) -> dict[bytes, slice]:
+    """Where the chunks of the file lie, by name, the first of each; a chunk longer than the file is an error."""
+    found: dict[bytes, slice] = {}
     at = 12
     while at + 8 <= len(raw):
         name, size = struct.unpack_from("<4sI", raw, at)
@@ -74,9 +78,26 @@ def _chunks(raw: memoryview, where: str) -> dict[bytes, memoryview]:
                 f"chunk {name.decode('latin-1')!r} states {size} bytes, the file has {len(raw) - at - 8} left", where=where,
                 hint="the file was cut off: copy it again",
             )  # fmt: skip
-        found.setdefault(name, raw[at + 8 : at + 8 + size])
+        found.setdefault(name, slice(at + 8, at + 8 + size))
         at += 8 + size + size % 2
     return found
+
+
+def _mapped(path: Path, where: slice, coding: int, bits: int, count: int) -> MappedSamples:
+    """Samples that stay in the file: the frames of a stretch are read together, channels picked after."""
+    file, frame = StoredFile(path), count * bits // 8
+
+    def read(rows: Sequence[int], first: int, last: int) -> NDArray[np.floating]:
+        out = np.empty((len(rows), last - first), dtype)
+        for start in range(first, last, PIECE):
+            stop = min(start + PIECE, last)
+            frames = np.empty((stop - start) * frame, np.uint8)
+            file.read_into(where.start + start * frame, memoryview(frames))  # type: ignore[arg-type]
+            out[:, start - first : stop - first] = _samples(memoryview(frames), coding, bits, count)[list(rows)]  # type: ignore[arg-type]
+        return out
+
+    dtype = np.float64 if bits in (32, 64) and not (coding == _FLOAT and bits == 32) else np.float32
+    return MappedSamples(read, (count, (where.stop - where.start) // frame), dtype)
 
 
 def _samples(body: memoryview, coding: int, bits: int, count: int) -> NDArray[np.floating]:

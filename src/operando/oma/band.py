@@ -107,11 +107,11 @@ def mean_spectrum(records: Sequence[TimeRecord], rate: float) -> tuple[NDArray[n
         part = np.zeros(own.size)
         rows = r.response_indices
         for i in rows:
-            x = np.nan_to_num(np.asarray(r.data[i], float))
-            x = x - x.mean()
+            row = r.data[i]
+            mean = r.statistics.mean[i] if r.statistics.finite[i] else np.nan_to_num(row).mean(dtype=float)
             spectrum = np.zeros(own.size)
-            for start in range(0, x.size - size + 1, size // 2):
-                spectrum += np.abs(fft.rfft(x[start : start + size] * window)) ** 2
+            for start in range(0, row.size - size + 1, size // 2):
+                spectrum += np.abs(fft.rfft((np.nan_to_num(row[start : start + size]) - mean) * window)) ** 2
             part += spectrum / max(float(np.sum(spectrum[1:])), 1e-300)
         total += np.interp(f, own, part / max(len(rows), 1))
     return f, total / len(records)

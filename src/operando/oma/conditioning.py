@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from operando.data import Finding, Provenance, TimeRecord
+from operando.data import Finding, MappedSamples, Provenance, TimeRecord, filling, row_statistics
 from operando.dof import Dof, Node, parse_dofs
 from operando.errors import DataError, DofError, IdentificationError
 
 DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """Power of λ that a quantity carries relative to displacement."""
+STRETCH = 1 << 20
+"""Samples that are resampled at once."""
+MARGIN = STRETCH // 8
+"""Samples of a stretch that its neighbours repeat, at either end."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +118,13 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
             signs.append(dof.sign * other.dof.sign)
         data = run.data[picked] if picked != list(range(run.data.shape[0])) else run.data
         if any(s < 0 for s in signs):
-            data = data * np.asarray(signs, data.dtype)[:, None]
-        for i, (row, channel) in enumerate(zip(data, channels, strict=True)):
-            if not np.all(np.isfinite(row)):
-                unusable.setdefault(i, f"channel {channel.label} holds {np.sum(~np.isfinite(row))} samples that are not finite")
-            elif np.ptp(row) == 0:
+            data = _turned(data, np.asarray(signs, data.dtype)[:, None])
+        known = run.statistics
+        for i, (k, channel) in enumerate(zip(picked, channels, strict=True)):
+            if not known.finite[k]:
+                lost = np.sum(~np.isfinite(run.data[k]))
+                unusable.setdefault(i, f"channel {channel.label} holds {lost} samples that are not finite")
+            elif known.flat[k]:
                 unusable.setdefault(i, f"channel {channel.label} is constant")
             else:
                 continue
@@ -140,6 +146,13 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
     return Responses(tuple(arrays), first.sampling_hz, dofs, derivative, tuple(findings), provenance, tuple(r.name for r in runs))
 
 
+def _turned(data: Any, signs: NDArray[Any]) -> Any:
+    """Rows times their signs."""
+    if isinstance(data, MappedSamples):
+        return data.changed_by(lambda part, rows, first, last: part * signs[list(rows)], data.dtype)
+    return data * signs
+
+
 def _left_out(message: str, label: str, file: str) -> Finding:
     return Finding(
         "channel_left_out",
@@ -154,6 +167,11 @@ def _left_out(message: str, label: str, file: str) -> Finding:
 
 def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: float) -> tuple[NDArray[np.float64], float]:
     """Low-pass and resample each channel by FFT, flat up to ``pass_hz``, a cosine flank down to half the new rate, zero phase.
+
+    Records longer than ``STRETCH`` are transformed in stretches that overlap by ``MARGIN`` at either end. What a stretch lacks of its
+    neighbours is what the filter rings beyond the margin: its impulse response falls with the third power of time, to 1e-9 of its peak
+    after 1000 periods of the flank's width, which the margin exceeds where the flank is wider than 1 % of the sampling rate. A result
+    that is too large for the memory lies in a temporary file.
 
     Parameters
     ----------
@@ -175,8 +193,10 @@ def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: flo
     if not pass_hz < new_hz / 2 < sampling_hz / 2 * 1.000001:
         raise IdentificationError(f"cannot resample from {sampling_hz:g} to {new_hz:g} Hz with a pass band up to {pass_hz:g} Hz")
     r, n = data.shape
-    size = fft.next_fast_len(n, real=True)
-    new_size = round(size * new_hz / sampling_hz)
+    long = n > STRETCH
+    size = STRETCH if long else fft.next_fast_len(n, real=True)
+    ratio = STRETCH // MARGIN if long else 2  # stretches begin on samples of both rates
+    new_size = round(size * new_hz / sampling_hz / ratio) * ratio if long else round(size * new_hz / sampling_hz)
     new_size += new_size % 2
     rate = sampling_hz * new_size / size
     lines = new_size // 2 + 1
@@ -184,11 +204,25 @@ def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: flo
     flank = np.clip((f - pass_hz) / (rate / 2 - pass_hz), 0, 1)
     gain = (0.5 + 0.5 * np.cos(np.pi * flank)) * (new_size / size)
     n_new = int(n * new_size / size)
-    out = np.empty((r, n_new))
-    for i in range(r):
-        row = np.asarray(data[i], float)
-        out[i] = fft.irfft(fft.rfft(row - row.mean(), size)[:lines] * gain, new_size)[:n_new]
-    return out, rate
+    if not long:
+        out = np.empty((r, n_new))
+        for i in range(r):
+            row = np.asarray(data[i], float)
+            out[i] = fft.irfft(fft.rfft(row - row.mean(), size)[:lines] * gain, new_size)[:n_new]
+        return out, rate
+    means = row_statistics(data).mean
+    with filling((r, n_new), np.float64) as put:
+        margin, new_margin = MARGIN, MARGIN * new_size // size
+        for first in range(0, n, size - 2 * margin):
+            begin, stop = first - margin, min(first - margin + size, n)
+            for i in range(r):
+                part = np.zeros(size)
+                part[max(-begin, 0) : stop - begin] = data[i, max(begin, 0) : stop]
+                part[max(-begin, 0) : stop - begin] -= means[i]
+                new = fft.irfft(fft.rfft(part, overwrite_x=True)[:lines] * gain, new_size)
+                at = first // margin * new_margin
+                put(i, at, new[new_margin : new_margin + min(new_size - 2 * new_margin, n_new - at)])
+    return put.samples, rate
 
 
 def at_suitable_rate(responses: Responses, band: tuple[float, float]) -> tuple[list[NDArray[Any]], float]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from operando.data import row_statistics
 from operando.errors import IdentificationError
 
 CACHE_VALUES, MOST_VALUES = 300_000, 4_000_000
@@ -86,7 +87,7 @@ def correlate(
     size = fft.next_fast_len(step + n_lags, real=True)
     group = max(1, CACHE_VALUES // (r * size), min(r, MOST_VALUES // (r * size)))
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
-    offset = data.mean(axis=1, dtype=float)[:, None] if centre else 0.0
+    offset = row_statistics(data).mean[:, None] if centre else 0.0
 
     def add(start: int, count: int, samples: int) -> None:
         """``count`` pieces one after the other, each with the lags beyond its end."""

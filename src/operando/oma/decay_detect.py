@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import row_statistics
+
 FALL = 50.0
 """Fall of power (17 dB) within a record from which on it is a decay. The power of a stationary record in windows of two or more periods of
 its lowest mode changes by less than that for good: it comes back (``RISE``) within some correlation times."""
@@ -39,17 +41,20 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
     lowest_hz : float
         Lower end of the analysis band [Hz].
     """
-    x = np.asarray(run, float)
-    x = x - x[:, -max(x.shape[1] // 10, 1) :].mean(axis=1, keepdims=True)
-    count = int(np.clip(x.shape[1] / rate * lowest_hz / 2, LEAST_WINDOWS, MOST_WINDOWS))
-    length = x.shape[1] // count
+    samples = run.shape[1]
+    end = row_statistics(run[:, -max(samples // 10, 1) :]).mean[:, None]
+    count = int(np.clip(samples / rate * lowest_hz / 2, LEAST_WINDOWS, MOST_WINDOWS))
+    length = samples // count
     if length < 4:
         return []
-    by_channel = (x[:, : count * length] ** 2).reshape(-1, count, length).mean(axis=2)
+
+    def squares(window: int) -> NDArray[np.float64]:
+        return np.asarray((np.asarray(run[:, window * length : (window + 1) * length]) - end) ** 2)
+
+    by_channel = np.array([squares(window).mean(axis=1) for window in range(count)]).T
     quiet = np.sort(by_channel, axis=1)[:, : max(count // 10, 1)].mean(axis=1)
     quiet = np.maximum(quiet, 1e-8 * by_channel.max(axis=1) + 1e-300)
-    power = np.mean(x**2 / quiet[:, None], axis=0)
-    level = power[: count * length].reshape(count, length).mean(axis=1)
+    level = np.mean(by_channel / quiet[:, None], axis=0)
     floor = float(np.sort(level)[: max(count // 10, 1)].mean())
     if level.max() < FALL * floor:
         return []
@@ -60,7 +65,7 @@ def find_decays(run: NDArray[Any], rate: float, lowest_hz: float) -> list[tuple[
         if last is None:
             return []  # power that does not fall, or rises on the way: forces act on
         if level[first] >= LEAST_FALL_PIECE * level[first + last]:
-            begin = first * length + int(np.argmax(power[first * length : (first + 1) * length]))
+            begin = first * length + int(np.argmax(np.mean(squares(first) / quiet[:, None], axis=0)))
             pieces.append((begin, (first + last + 1) * length))
     above = np.maximum(level - 2 * floor, 0)
     inside = sum(above[max(a // length - 2, 0) : b // length].sum() for a, b in pieces)  # with the rise before

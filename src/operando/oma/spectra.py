@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+TOGETHER = 16
+"""Blocks whose spectra are multiplied at once."""
+
 
 @dataclass(frozen=True)
 class Spectra:
@@ -49,12 +52,18 @@ def output_spectra(
     window = np.hanning(size + 1)[:-1]
     psd = np.zeros((keep.size, r, r), complex)
     count = 0
+    hop = max(size // 2, 1)
+    together = max(1, min(TOGETHER, (1 << 22) // (r * size)))
     for run in runs:
-        for start in range(0, run.shape[1] - size + 1, max(size // 2, 1)):
-            block = np.asarray(run[:, start : start + size], float)
-            lines = fft.rfft((block - block.mean(axis=1, keepdims=True)) * window, axis=1)[:, keep].T
-            psd += lines[:, :, None] * lines[:, None, :].conj()
-            count += 1
+        starts = range(0, run.shape[1] - size + 1, hop)
+        for batch in (starts[k : k + together] for k in range(0, len(starts), together)):
+            stretch = np.asarray(run[:, batch[0] : batch[-1] + size])
+            blocks = np.array([stretch[:, start - batch[0] : start - batch[0] + size] for start in batch], float)
+            blocks -= blocks.mean(axis=2, keepdims=True)
+            blocks *= window
+            lines = np.ascontiguousarray(fft.rfft(blocks, axis=2, overwrite_x=True)[:, :, keep].transpose(2, 1, 0))
+            psd += lines @ lines.conj().swapaxes(1, 2)
+            count += len(batch)
     psd *= 2 / (max(count, 1) * sampling_hz * np.sum(window**2))
     values = np.linalg.eigvalsh(psd)[:, ::-1][:, :n_curves].T
     return Spectra(f[keep], np.maximum(values, 0))

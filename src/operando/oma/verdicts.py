@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding
+from operando.data import Finding, row_statistics
 from operando.indicators import INTERVAL
 from operando.oma.estimate import Estimate
 from operando.oma.harmonics import Harmonic
@@ -110,7 +110,7 @@ def stationarity_findings(runs: Sequence[NDArray[Any]], rate: float) -> list[Fin
     out = []
     for k, run in enumerate(runs):
         half = run.shape[1] // 2
-        first, second = (np.var(part, axis=1, dtype=float) for part in (run[:, :half], run[:, half:]))
+        first, second = (row_statistics(part).std ** 2 for part in (run[:, :half], run[:, half:]))
         ratio = float(np.median(second / np.maximum(first, 1e-300)))
         if not 1 / CHANGE < ratio < CHANGE:
             out.append(

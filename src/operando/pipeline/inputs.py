@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from operando.config import Span, State, Test
-from operando.data import Finding, Frf, Geometry, TimeRecord, file_hash, group_findings
+from operando.data import Finding, Frf, Geometry, MappedSamples, TimeRecord, file_hash, group_findings
 from operando.errors import DataError, MissingError, OperandoError
 from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, check_names, names_of
 
@@ -79,8 +79,8 @@ class Inputs:
         found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
         named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
         self.findings[file] = list(dict.fromkeys([*self.findings.get(file, ()), *named]))
-        held = sum(r.data.nbytes for c in self._contents.values() if c is not None for r in c.records)
-        if held + sum(r.data.nbytes for r in records) <= KEEP_BYTES:
+        kept = [r for c in self._contents.values() if c is not None for r in c.records]
+        if sum(r.data.nbytes for r in (*kept, *records) if not isinstance(r.data, MappedSamples)) <= KEEP_BYTES:
             self._contents[file, span] = content
         return content
 

@@ -26,6 +26,9 @@ ORIGIN_BLOCKS = 8
 """Blocks of which the part of the response that follows the force is told: half overlapped Hann windows make 14 averages of them, and
 long blocks resolve the resonances (blocks of a thirtieth lose a tenth of the coherence to leakage)."""
 SHORTEST_BLOCK = 64
+LONGEST_BLOCK = 1 << 17
+"""Samples of a block at most: 25 lines (``LINES_NEEDED``) are then 0.02 % of the sampling rate, narrower than most resonances, and the
+lines of 64 channels take 100 MB."""
 DRIVEN = 0.5
 """Part of the response power that must follow the force: 0.84 to 1.00 in 28 good records of four structures and the example, machines
 running in half."""
@@ -46,7 +49,7 @@ def check_record(record: TimeRecord) -> TimeRecord:
 
 def check_channels(record: TimeRecord) -> list[Finding]:
     """Findings about the samples of each channel."""
-    impact = {i for i in record.force_indices if is_impact(_finite(record.data[i]))}
+    impact = {i for i in record.force_indices if is_impact(_finite(record, i))}
     flat = {fault.row: fault.message for fault in channel_faults(record) if fault.kind == "flat"}
     period = _period(record, impact)
     out: list[Finding] = []
@@ -60,15 +63,18 @@ def check_channels(record: TimeRecord) -> list[Finding]:
 
 def _period(record: TimeRecord, impact: set[int]) -> int | None:
     """Samples after which the force repeats itself, None where it does not or is not known."""
-    forces = [i for i in record.force_indices if i not in impact and np.isfinite(record.data[i].sum()) and np.ptp(record.data[i]) > 0]
+    known = record.statistics
+    forces = [i for i in record.force_indices if i not in impact and known.finite[i] and not known.flat[i]]
     try:
         return period_of(np.asarray(record.data[forces[0]], float)) if forces else None
     except DataError:
         return None
 
 
-def _finite(row: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(row), row, 0.0)
+def _finite(record: TimeRecord, i: int) -> np.ndarray:
+    """Samples of a channel, zero where they are not finite."""
+    row = record.data[i]
+    return row if record.statistics.finite[i] else np.where(np.isfinite(row), row, 0.0)
 
 
 def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None) -> list[Finding]:
@@ -76,15 +82,14 @@ def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None)
 
     Of a signal that repeats itself one period tells whether it is cut: its highest peak comes back in each of them.
     """
-    row = record.data[i]
     out = []
-    bad = not_finite(row) if not np.isfinite(row.sum()) else []
+    bad = [] if record.statistics.finite[i] else not_finite(record.data[i])
     if bad:
         count, spans = sum(s.length for s in bad), "" if len(bad) == 1 else f" in {len(bad)} places"
         text = f"{count} samples{spans} that are not finite"
         whole = Span(bad[0].first, bad[-1].last)
         out.append(_finding(record, i, "nan", text, whole, "error", "the channel is left out", "exclude the channel or repair the file"))
-    x = _finite(row) if bad else row
+    x = _finite(record, i)
     runs = constant_runs(x)
     clipped = [] if impact else overload(x, runs)  # a pulse that is cut is judged with the hits
     unit = record.channels[i].unit
@@ -204,11 +209,12 @@ def check_forces(record: TimeRecord) -> list[Finding]:
     forces = [i for i in record.force_indices if record.channels[i].dof is not None]
     responses = record.response_indices
     drive = {f: [r for r in responses if record.channels[r].dof.same_axis(record.channels[f].dof)] for f in forces}  # type: ignore[union-attr,arg-type]
-    if len(forces) != 1 or not responses or not np.isfinite(record.data[forces[0]].sum()):
+    known = record.statistics
+    if len(forces) != 1 or not responses or not known.finite[forces[0]]:
         return out
     force = forces[0]
-    usable = [r for r in responses if np.isfinite(record.data[r].sum()) and record.data[r].max() > record.data[r].min()]
-    if not usable or record.data[force].max() == record.data[force].min():
+    usable = [r for r in responses if known.finite[r] and not known.flat[r]]
+    if not usable or known.flat[force]:
         return out
     if drive[force] and drive[force][0] in usable:
         out += _check_sign(record, force, drive[force][0], usable)
@@ -237,7 +243,7 @@ def dissipated_shares(record: TimeRecord, force: int, responses: Sequence[int]) 
 
 def _check_origin(record: TimeRecord, force: int, responses: list[int]) -> list[Finding]:
     """Whether the responses come from the force: the part of their power that follows it, from coherence."""
-    block = record.n_samples // ORIGIN_BLOCKS
+    block = min(record.n_samples // ORIGIN_BLOCKS, LONGEST_BLOCK)
     if block < SHORTEST_BLOCK:
         return []
     spectra = cross_spectra(record.data, [force], responses, record.sampling_hz, block)

@@ -283,6 +283,8 @@ def _averages(group: list[_Function], inventory: Inventory) -> float | None:
     found = set()
     for f in group:
         for line in f.header.ids:
+            if "verage" not in line.lower():
+                continue
             match = re.search(r"\baverages?\s*[:=]\s*([0-9]+(?:\.[0-9]+)?)", line, re.IGNORECASE)
             if match is not None and float(match[1]) > 0:
                 found.add(float(match[1]))

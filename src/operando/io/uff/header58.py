@@ -159,9 +159,11 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
 
 def _lines(buffer: Buffer, at: int, count: int) -> tuple[list[bytes], int]:
     # Twelve lines of the standard have 890 characters at most: cut at once; only longer lines are searched for one by one.
-    found = bytes(buffer[at : at + 1024]).split(b"\n", count)
+    head = bytes(buffer[at : at + 1024])
+    found = head.split(b"\n", count)
     if len(found) > count:
-        return [line.rstrip(b"\r") for line in found[:count]], at + sum(map(len, found[:count])) + count
+        data = at + len(head) - len(found.pop())
+        return [line.rstrip(b"\r") for line in found] if b"\r" in head else found, data
     lines: list[bytes] = []
     for _ in range(count):
         newline = buffer.find(b"\n", at, at + 65536)
@@ -213,13 +215,11 @@ def _record7(line: bytes) -> tuple[int, int, bool, str, str, str]:
 
 
 def _record6(line: bytes) -> tuple[int, Dof | None, Dof | None, str, str]:
-    text = line.decode("latin-1").ljust(80)
-    cuts = [(0, 5), (5, 15), (15, 20), (20, 30), (30, 41), (41, 51), (51, 55), (55, 66), (66, 76), (76, 80)]
-    fields = [text[a:b] for a, b in cuts]
+    names = [line[30:41], line[55:66]]
     try:
-        numbers = [int(fields[i] or 0) for i in (0, 5, 6, 8, 9)]
-        names = [line[30:41], line[55:66]]
+        numbers = [int(line[0:5]), int(line[41:51]), int(line[51:55]), int(line[66:76] or 0), int(line[76:80] or 0)]
     except ValueError:
+        text = line.decode("latin-1").ljust(80)
         match = _RECORD6.match(text)
         if match is None:
             kind = re.match(r"\s*(\d+)", text)

@@ -51,7 +51,7 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
     with open_file(path) as stream, map_file(stream, str(path)) as mapped:
         buffer, changed = _one_form(mapped, str(path))
         sets = split_sets(buffer, str(path))
-        provenance = Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",), _measured(sets))
+        provenance = Provenance(((str(path), quick_hash(path, mapped)),), (f"read {path.name}",), _measured(sets))
         inventory = Inventory(str(path), buffer, sets, units or {}, channels or {}, provenance)
         if changed:
             inventory.note("format", f"{changed}: read all the same", severity="info")
@@ -124,11 +124,14 @@ def map_file(stream: IO[bytes], where: str) -> mmap.mmap:
         raise FormatError("the file is empty", where=where) from error
 
 
-def quick_hash(path: Path) -> str:
-    """SHA-256 of a file; above 32 MB of its size and 64 blocks spread over it (the text then starts with ``sampled:``)."""
+def quick_hash(path: Path, mapped: mmap.mmap | None = None) -> str:
+    """SHA-256 of a file; above 32 MB of its size and 64 blocks spread over it (the text then starts with ``sampled:``).
+
+    A file that is mapped already is hashed where it lies.
+    """
     size = path.stat().st_size
     if size <= _FULL_HASH:
-        return file_hash(path)
+        return file_hash(path) if mapped is None else hashlib.sha256(mapped).hexdigest()
     digest = hashlib.sha256(str(size).encode())
     with open(path, "rb") as stream:
         for i in range(64):

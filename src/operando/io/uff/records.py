@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from mmap import mmap
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Channel, TimeRecord
+from operando.data import Channel, StoredFile, StoredRow, TimeRecord, mapped, mapped_rows
 from operando.dof import Node
 from operando.errors import FormatError, UnitError
 from operando.io.quantities import Scale, code_quantity, find_spec, quantity_from_words, resolve, spec_dof
@@ -17,7 +19,7 @@ from operando.io.uff.header58 import Header58
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
 from operando.io.uff.inventory import Inventory
 from operando.io.uff.split import RawSet
-from operando.io.uff.values58 import fill_real, natural_dtype, read_values
+from operando.io.uff.values58 import fill_real, natural_dtype, read_values, stored_dtype
 from operando.units import parse_unit
 
 
@@ -115,6 +117,8 @@ def _sampling(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[floa
 
 def _record(stream: IO[bytes], group: list[_Row], inventory: Inventory) -> TimeRecord | None:
     dtype = np.result_type(*[natural_dtype(row.header) for row in group])
+    if (stays := _mapped(group, dtype, inventory)) is not None:
+        return stays
     data = np.empty((len(group), group[0].header.points), dtype)
     good: list[int] = []
     for i, row in enumerate(group):
@@ -131,16 +135,28 @@ def _record(stream: IO[bytes], group: list[_Row], inventory: Inventory) -> TimeR
             with np.errstate(over="ignore", invalid="ignore"):
                 data[i] *= data.dtype.type(row.scale.factor)
         good.append(i)
-        note = f"{row.scale.source_unit or 'no unit'} → {row.scale.unit or 'numbers kept'} ({row.scale.origin})" if row.scale.origin else ""
-        inventory.use(row.raw, row.header.title, note)
     if not good:
         return None
-    if len(good) < len(group):
-        data = data[good]
-    channels = tuple(group[i].channel for i in good)
+    return _labelled(data if len(good) == len(group) else data[good], [group[i] for i in good], inventory)
+
+
+def _mapped(group: list[_Row], dtype: np.dtype[Any], inventory: Inventory) -> TimeRecord | None:
+    """The record with its samples left in the file, where they are many and lie there as plain numbers."""
+    points = group[0].header.points
+    plain = all(row.header.binary and row.header.even and row.values is None and row.raw.payload is not None for row in group)
+    if len(group) * points * dtype.itemsize < mapped.MAPPED_FROM or not plain or not isinstance(inventory.buffer, mmap):
+        return None
+    rows = [StoredRow(row.raw.payload[0], stored_dtype(row.header), row.scale.factor) for row in group if row.raw.payload is not None]
+    return _labelled(mapped_rows(StoredFile(Path(inventory.file)), rows, points, dtype), group, inventory)
+
+
+def _labelled(data: Any, rows: list[_Row], inventory: Inventory) -> TimeRecord:
+    for row in rows:
+        note = f"{row.scale.source_unit or 'no unit'} → {row.scale.unit or 'numbers kept'} ({row.scale.origin})" if row.scale.origin else ""
+        inventory.use(row.raw, row.header.title, note)
+    channels = tuple(row.channel for row in rows)
     _note_duplicates(channels, inventory)
-    first = group[good[0]]
-    return TimeRecord(data, first.sampling_hz, channels, first.start_s, inventory.file, provenance=inventory.provenance)
+    return TimeRecord(data, rows[0].sampling_hz, channels, rows[0].start_s, inventory.file, provenance=inventory.provenance)
 
 
 def _note_duplicates(channels: tuple[Channel, ...], inventory: Inventory) -> None:

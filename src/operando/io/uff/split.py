@@ -154,11 +154,13 @@ def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet
     except FormatError as error:
         return _closed(buffer, bare, body, separator, error.message)
     if not header.binary:
-        closed = replace(_closed(buffer, bare, _after_equal_lines(buffer, data, len(separator)), separator, ""), header=header)
-        numbers, characters = header.points * header.numbers_per_point, closed.end - data
+        c = _closed(buffer, bare, _after_equal_lines(buffer, data, len(separator)), separator, "")
+        numbers, characters = header.points * header.numbers_per_point, c.end - data
         # A number takes a character at least: checked before memory is taken for what the header declares.
-        problem = f"the header declares {header.points} points ({numbers} numbers), the set holds {characters} characters"
-        return replace(closed, payload=(data, closed.end), problem=problem if numbers > characters else "")
+        problem = ""
+        if numbers > characters:
+            problem = f"the header declares {header.points} points ({numbers} numbers), the set holds {characters} characters"
+        return RawSet(c.index, c.number, c.binary, c.start, c.body, c.end, c.stop, (data, c.end), header, problem, c.notes)
     return _binary_set(buffer, bare, header, data, separator)
 
 
@@ -194,12 +196,13 @@ def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
     if length <= width + 1:
         return at
     while True:
-        text = np.frombuffer(bytes(buffer[at : at + LINES * length]), np.uint8)
-        lines = text[: text.size // length * length].reshape(-1, length)
+        text = bytes(buffer[at : at + LINES * length])
+        whole = text[: len(text) // length * length]
+        lines = np.frombuffer(whole, np.uint8).reshape(-1, length)
         other = np.flatnonzero(lines[:, -1] != _NEWLINE)[:1]
-        lines = lines[: other[0] if other.size else len(lines)]
-        returns = np.count_nonzero(lines == _RETURN)
-        equal = np.count_nonzero(lines == _NEWLINE) == len(lines) and returns == np.count_nonzero(lines[:, -2] == _RETURN)
+        if other.size:
+            lines, whole = lines[: other[0]], whole[: other[0] * length]
+        equal = whole.count(b"\n") == len(lines) and (b"\r" not in whole or whole.count(b"\r") == np.count_nonzero(lines[:, -2] == _RETURN))
         if not equal or np.any(lines[:, width] <= _BLANK_CHARACTER):
             return at
         at += lines.size

@@ -1,0 +1,419 @@
+"""Samples that stay in their file: read where they are asked for, converted as they are read.
+
+A record longer than ``MAPPED_FROM`` is not held in memory. Its ``data`` behave as those of a memory map do: a part of rows and columns is
+a view that reads nothing, one row or anything that computes with them reads what it needs. What goes through a whole record does so in
+pieces (:func:`pieces`), so that its memory does not grow with the length.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+import threading
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import IO, Any, ClassVar
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import DTypeLike, NDArray
+
+from operando.errors import FormatError, WriteError
+
+MAPPED_FROM = 1 << 26
+"""Bytes of samples from which a record stays in its file (67 MB, 64 channels of 130 000 samples): so that a test of many such records stays
+far below the 1 GB that a run may take. What is read again comes from the cache of the system."""
+PIECE = 1 << 16
+"""Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
+
+MOST_OPEN = 100
+"""Files of samples that are open at a time: systems let a process have 256 or 1024."""
+
+_METHODS = {
+    "T", "all", "any", "argmax", "argmin", "astype", "clip", "copy", "cumsum", "dot", "flatten", "max", "mean", "min", "nonzero",
+    "ravel", "reshape", "round", "std", "sum", "swapaxes", "tobytes", "tolist", "transpose", "var",
+}  # fmt: skip
+"""Methods of arrays that change nothing and ask nothing of how samples lie in memory."""
+
+Reader = Callable[[Sequence[int], int, int], NDArray[Any]]
+"""Rows, first sample, one past the last → samples in SI (len(rows), last − first)."""
+
+
+class MappedSamples(NDArrayOperatorsMixin):
+    """Samples of several channels (n_channels, n_samples) in a file.
+
+    ``samples[i]`` and ``samples[i, a:b]`` are arrays. ``samples[rows]`` and ``samples[rows, a:b]`` with a step of one are views. Everything
+    else, NumPy's functions and the common methods of arrays included, reads the view as a whole.
+
+    Parameters
+    ----------
+    read : Reader
+    shape : (int, int)
+    dtype : float dtype
+        Of what ``read`` gives.
+    """
+
+    ndim = 2
+
+    def __init__(self, read: Reader, shape: tuple[int, int], dtype: DTypeLike) -> None:
+        self._read = read
+        self._rows: NDArray[Any] = np.arange(shape[0])
+        self._span = (0, shape[1])
+        self._statistics: RowStatistics | None = None
+        self.dtype = np.dtype(dtype)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Channels and samples."""
+        return self._rows.size, self._span[1] - self._span[0]
+
+    @property
+    def size(self) -> int:
+        """Number of samples in all."""
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the samples would take in memory."""
+        return self.size * self.dtype.itemsize
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"MappedSamples(shape={self.shape}, dtype={self.dtype})"
+
+    def __getitem__(self, key: Any) -> Any:
+        rows, columns = key if isinstance(key, tuple) and len(key) == 2 else (key, slice(None))
+        plain = isinstance(columns, slice) and columns.step in (None, 1)
+        if isinstance(rows, int | np.integer):
+            return self._view([int(rows)], columns).filled()[0] if plain else self[rows][columns]
+        if plain and (isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim == 1)):
+            return self._view(rows, columns)
+        return self.filled()[key]
+
+    def _view(self, rows: Any, columns: slice) -> MappedSamples:
+        first, last, _ = columns.indices(self.shape[1])
+        out = object.__new__(MappedSamples)
+        out._read, out._rows, out.dtype = self._read, self._rows[rows], self.dtype
+        out._span = (self._span[0] + first, self._span[0] + max(first, last))
+        known = self._statistics if out._span == self._span else None
+        out._statistics = None if known is None else RowStatistics(*(getattr(known, f.name)[rows] for f in fields(known)))
+        return out
+
+    def filled(self, dtype: DTypeLike | None = None) -> NDArray[Any]:
+        """All samples as an array, read in pieces."""
+        kind = self.dtype if dtype is None else np.dtype(dtype)
+        first, last = self._span
+        step = max(PIECE, (1 << 24) // max(len(self), 1))
+        if self.size and last - first <= step and kind == self.dtype:
+            return self._read(self._rows.tolist(), first, last)
+        out = np.empty(self.shape, kind)
+        if isinstance(self._read, _RowReader) and kind == self.dtype:
+            self._read.read_into(out, self._rows.tolist(), first, last)
+            return out
+        for start in range(first, last, step):
+            stop = min(start + step, last)
+            out[:, start - first : stop - first] = self._read(self._rows.tolist(), start, stop)
+        return out
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return self.filled(dtype)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        return getattr(ufunc, method)(*(x.filled() if isinstance(x, MappedSamples) else x for x in inputs), **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _METHODS:
+            raise AttributeError(f"MappedSamples has no attribute {name!r}; numpy.asarray makes an array of it")
+        return getattr(self.filled(), name)
+
+    def changed_by(self, change: Callable[[NDArray[Any], Sequence[int], int, int], NDArray[Any]], dtype: DTypeLike) -> MappedSamples:
+        """The samples as ``change(samples, rows, first, last)`` makes them, each time they are read; rows and samples of this view."""
+        base, span = self, self.shape
+
+        def read(rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
+            return change(base[list(rows), first:last].filled(), rows, first, last)
+
+        return MappedSamples(read, span, dtype)
+
+
+def pieces(data: Any, length: int = PIECE) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Consecutive stretches of all rows, (first sample, samples): arrays of at most ``length`` samples."""
+    for first in range(0, data.shape[1], length):
+        yield first, np.asarray(data[:, first : first + length])
+
+
+def mapped_memmap(data: np.memmap[Any, Any]) -> MappedSamples:
+    """A large read-only memory map, whose pages go when they are read: they would count as memory of the process."""
+    flags = getattr(mmap, "MADV_DONTNEED", None)
+    read_since = 0
+
+    def read(rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
+        nonlocal read_since
+        out = np.empty((len(rows), last - first), data.dtype.newbyteorder("="))
+        for i, row in enumerate(rows):
+            out[i] = data[row, first:last]
+        read_since += out.nbytes
+        if flags is not None and read_since > MAPPED_FROM // 8:
+            data._mmap.madvise(flags)  # type: ignore[attr-defined]
+            read_since = 0
+        return out
+
+    rows, samples = data.shape
+    return MappedSamples(read, (rows, samples), data.dtype.newbyteorder("="))
+
+
+def _nothing() -> None:
+    """What there is to close of a file that was not opened."""
+
+
+class StoredFile:
+    """A file whose samples are read later: the same one as now, or an error says that it was changed.
+
+    Of all these files ``MOST_OPEN`` at most are open at a time; one that is asked for again is opened again.
+
+    Parameters
+    ----------
+    path : Path
+    stream : file, optional
+        A temporary file, which has no name to open it by.
+    """
+
+    _recent: ClassVar[list[weakref.ref[StoredFile]]] = []
+    _recent_lock: ClassVar[threading.Lock] = threading.Lock()
+
+    def __init__(self, path: Path, stream: IO[bytes] | None = None) -> None:
+        self.path, self._stream, self._lock = path, stream, threading.Lock()
+        self._reopens = stream is None
+        self._close: Callable[[], Any] = _nothing if stream is None else weakref.finalize(self, stream.close)
+        with self._lock:
+            self._stamp = self._now(self._open())
+
+    def _open(self) -> IO[bytes]:
+        if self._stream is None:
+            try:
+                self._stream = open(self.path, "rb")  # noqa: SIM115  (it stays open for the next piece)
+            except OSError as error:
+                raise FormatError(f"the file cannot be opened any more: {error.strerror}", where=str(self.path)) from error
+            self._close = weakref.finalize(self, self._stream.close)
+            self._close_others()
+        return self._stream
+
+    def _close_others(self) -> None:
+        """Note this file as open and close the one opened first, if they are too many and it is not being read."""
+        with StoredFile._recent_lock:
+            kept = [ref for ref in StoredFile._recent if ref() is not None and ref() is not self]
+            StoredFile._recent[:] = [*kept, weakref.ref(self)]
+            first = kept[0]() if len(kept) >= MOST_OPEN else None
+            if first is not None and first._lock.acquire(blocking=False):
+                try:
+                    first._close()
+                    first._stream = None
+                    StoredFile._recent.pop(0)
+                finally:
+                    first._lock.release()
+
+    @staticmethod
+    def _now(stream: IO[bytes]) -> tuple[int, int]:
+        state = os.fstat(stream.fileno())
+        return state.st_size, state.st_mtime_ns
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if not self._reopens:
+            raise TypeError("samples in a temporary file belong to this process")
+        return StoredFile, (self.path,), {"_stamp": self._stamp}
+
+    def read_into(self, offset: int, view: memoryview) -> None:
+        """Fill ``view`` with the bytes from ``offset`` on.
+
+        Raises
+        ------
+        FormatError
+            If the file was changed since it was opened, or is not there any more.
+        """
+        with self._lock:
+            stream = self._open()
+            stream.seek(offset)
+            done = 0
+            while done < len(view):
+                got = stream.readinto(view[done:])  # type: ignore[attr-defined]
+                if not got:
+                    break
+                done += got
+            if done < len(view) or self._now(stream) != self._stamp:
+                hint = "read it again; do not write to files that are being analysed"
+                raise FormatError("the file was changed while it was read", where=str(self.path), hint=hint)
+
+
+@dataclass(frozen=True)
+class StoredRow:
+    """One channel in a file: samples one after the other.
+
+    Parameters
+    ----------
+    offset : int
+        Byte of the first sample.
+    dtype : dtype
+        As stored.
+    factor : float
+        To SI.
+    """
+
+    offset: int
+    dtype: np.dtype[Any]
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class _RowReader:
+    file: StoredFile
+    rows: tuple[StoredRow, ...]
+    dtype: np.dtype[Any]
+
+    def __call__(self, wanted: Sequence[int], first: int, last: int) -> NDArray[Any]:
+        out = np.empty((len(wanted), last - first), self.dtype)
+        self.read_into(out, wanted, first, last)
+        return out
+
+    def read_into(self, out: NDArray[Any], wanted: Sequence[int], first: int, last: int) -> None:
+        """Fill ``out`` straight from the file, without a copy where the format allows it."""
+        for i, k in enumerate(wanted):
+            row = self.rows[k]
+            raw = out[i] if row.dtype == self.dtype else np.empty(last - first, row.dtype)
+            self.file.read_into(row.offset + first * row.dtype.itemsize, memoryview(raw.view(np.uint8)))  # type: ignore[arg-type]
+            if row.dtype != self.dtype:
+                out[i] = raw
+            if row.factor != 1.0:
+                with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
+                    out[i] *= self.dtype.type(row.factor)
+
+
+def mapped_rows(file: StoredFile, rows: Sequence[StoredRow], samples: int, dtype: DTypeLike) -> MappedSamples:
+    """Channels that lie one after the other in a file."""
+    return MappedSamples(_RowReader(file, tuple(rows), np.dtype(dtype)), (len(rows), samples), dtype)
+
+
+class _Filled:
+    """Rows that are put together part by part: in memory, or in a temporary file where they are large."""
+
+    def __init__(self, shape: tuple[int, int], dtype: DTypeLike) -> None:
+        self.shape, self.dtype = shape, np.dtype(dtype)
+        large = shape[0] * shape[1] * self.dtype.itemsize >= MAPPED_FROM
+        self.stream: Any = tempfile.TemporaryFile() if large else None  # noqa: SIM115  (it stays as long as the samples do)
+        self.samples: Any = None if large else np.zeros(shape, self.dtype)
+
+    def __call__(self, row: int, first: int, values: NDArray[Any]) -> None:
+        if self.stream is None:
+            self.samples[row, first : first + values.size] = values
+            return
+        self.stream.seek((row * self.shape[1] + first) * self.dtype.itemsize)
+        self.stream.write(np.ascontiguousarray(values, self.dtype).view(np.uint8).data)
+
+    def finish(self) -> None:
+        """Make ``samples`` of what was put."""
+        if self.stream is None:
+            return
+        self.stream.flush()
+        self.stream.truncate(self.shape[0] * self.shape[1] * self.dtype.itemsize)
+        step = self.shape[1] * self.dtype.itemsize
+        rows = [StoredRow(i * step, self.dtype) for i in range(self.shape[0])]
+        self.samples = mapped_rows(StoredFile(Path("temporary file"), self.stream), rows, self.shape[1], self.dtype)
+
+
+@contextmanager
+def filling(shape: tuple[int, int], dtype: DTypeLike) -> Iterator[_Filled]:
+    """A function (row, first sample, values) that puts rows together part by part; ``samples`` of it holds them when the block ends.
+
+    What is larger than ``MAPPED_FROM`` lies in a temporary file (in the folder that TMPDIR names).
+
+    Raises
+    ------
+    WriteError
+        If the temporary file cannot be written.
+    """
+    try:
+        filled = _Filled(shape, dtype)
+        yield filled
+        filled.finish()
+    except OSError as error:
+        hint = "make room there, or name another folder by the environment variable TMPDIR"
+        raise WriteError(
+            f"a temporary file cannot be written: {error.strerror or error}", where=tempfile.gettempdir(), hint=hint
+        ) from error
+
+
+@dataclass(frozen=True)
+class RowStatistics:
+    """Statistics of each channel over its finite samples.
+
+    Parameters
+    ----------
+    finite : (n,) bool array
+        Whether all samples are finite.
+    mean, std, low, high : (n,) arrays
+        Standard deviation 0 where all samples are equal, or there is none.
+    """
+
+    finite: NDArray[np.bool_]
+    mean: NDArray[np.float64]
+    std: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @property
+    def flat(self) -> NDArray[np.bool_]:
+        """Whether all finite samples are equal."""
+        return ~(self.high > self.low)
+
+
+def row_statistics(data: Any) -> RowStatistics:
+    """Statistics of the rows of a record, in one pass; made once for samples in a file."""
+    if not isinstance(data, MappedSamples):
+        return _row_statistics(data)
+    if data._statistics is None:
+        data._statistics = _row_statistics(data)
+    return data._statistics
+
+
+def _row_statistics(data: Any) -> RowStatistics:
+    """The same, made anew.
+
+    Sums are taken about the mean of each row's beginning, which keeps the digits of a small signal on a large offset.
+    """
+    n = data.shape[0]
+    finite = np.ones(n, bool)
+    about, total, square, count = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    work = np.empty(PIECE)
+    for _, part in pieces(data) if isinstance(data, MappedSamples) else [(0, data)]:
+        for i, row in enumerate(part):
+            for first in range(0, row.size, PIECE):
+                raw = row[first : first + PIECE]
+                x = work[: raw.size]
+                x[:] = raw
+                if not np.isfinite(x.sum()):
+                    good = np.isfinite(x)
+                    finite[i] &= bool(good.all())
+                    x = x[good]
+                    raw = x
+                    if not x.size:
+                        continue
+                if not count[i]:
+                    about[i] = x.mean()
+                low[i], high[i] = min(low[i], float(raw.min())), max(high[i], float(raw.max()))
+                x -= about[i]
+                total[i] += x.sum()
+                square[i] += x @ x
+                count[i] += x.size
+    some = np.maximum(count, 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = np.maximum(square / some - (total / some) ** 2, 0)
+    return RowStatistics(finite, about + total / some, np.where(high > low, np.sqrt(variance), 0.0), low, high)
