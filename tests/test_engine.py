@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks" / "engine
 from idle import Idle
 from kinds import Effect, candidates, stiffness
 from model import SPREADS, Case
-from posterior import fit, names, on_validation_lines
+from posterior import at_rest, fit, names, on_validation_lines
 from search import EXTRA, search
 
 N = 5
@@ -161,6 +161,37 @@ def test_a_fit_ends_at_the_effect_it_starts_from():
     state = fit(one, [Effect("point_mass", (1,), (np.log(0.35),))])
     assert state.effects[0].size == pytest.approx(0.4, rel=0.05)
     assert state.alpha < 0.002
+
+
+def test_a_mass_is_found_through_complex_modes_at_rest():
+    mass, stiff = matrices()
+    values, vectors = np.linalg.eigh(np.linalg.inv(np.sqrt(mass)) @ stiff @ np.linalg.inv(np.sqrt(mass)))
+    phi, w = np.linalg.inv(np.sqrt(mass)) @ vectors, np.sqrt(values)
+    modal = np.diag(2 * np.linspace(0.006, 0.010, N) * w) + 8.0 * np.outer(phi[3], phi[3])  # a dashpot at 4+Z
+    damping = mass @ phi @ modal @ phi.T @ mass
+    line = 2 * np.pi * HZ[:, None, None]
+    rng = np.random.default_rng(0)
+
+    def measured(m):
+        h = np.moveaxis(np.linalg.inv(stiff - line**2 * m + 1j * line * damping)[:, :, [0, 3]] * -(line**2), 0, 2)
+        size = 2e-4 * np.sqrt(np.mean(np.abs(h) ** 2))
+        h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+        return Frf(h, HZ, DOFS, (DOFS[0], DOFS[3]), variance=np.full(h.shape, size**2))
+
+    zeta, band = np.diag(modal) / (2 * w), (6.0, 58.0)
+    start = SimpleNamespace(
+        frequencies_hz=w / 2 / np.pi, damping_ratios=1.05 * zeta, shapes=phi, dofs=DOFS, residual=np.zeros(N, bool),
+        covariance=np.zeros((2 * N + N * N,) * 2),
+    )  # fmt: skip
+    idle, state = at_rest(Idle.from_terms(start, band), measured(mass), band)
+    assert state.alpha < 0.002
+    np.testing.assert_allclose(idle.zeta, zeta, rtol=0.01)
+    heavier = mass.copy()
+    heavier[1, 1] += 0.1
+    best = search(Case(idle, measured(heavier), band)).best
+    assert [(e.kind, e.places) for e in best.effects] == [("point_mass", (1,))]
+    assert abs(np.log(best.effects[0].size / 0.1)) < 3 * np.sqrt(best.covariance[0, 0])
+    assert on_validation_lines(best.case, best)[0] < 1.3
 
 
 def test_candidates_leave_out_what_is_there():

@@ -60,12 +60,19 @@ class Idle:
     def moved(self, theta: np.ndarray, covariance: np.ndarray) -> Idle:
         """With θ added."""
         f, zeta, phi, between, lag = self.split(theta)
+        modes = np.flatnonzero(~self.residual)
+        first, second = np.triu_indices(modes.size, 1)
+        loss = np.abs((self.zeta + zeta) * (self.f + f) / (self.zeta * self.f))[modes]
+        scale = 1 / np.sqrt(loss[first] * loss[second])  # it is told over the damping of its modes
+        start = 2 * self.f.size + self.phi.size
+        factors = np.ones(theta.size)
+        factors[start : start + scale.size] = scale
         return replace(
             self,
             f=self.f + f,
             zeta=self.zeta + zeta,
             phi=self.phi + phi.reshape(self.phi.shape[::-1]).T,
-            between=self.between + between,
+            between=(self.between + between) * scale,
             lag=self.lag + lag.reshape(self.lag.shape[::-1]).T,
-            covariance=covariance,
+            covariance=covariance * np.outer(factors, factors),
         )

@@ -13,7 +13,10 @@ FIT_LINES, VALIDATION_LINES, BLOCKS = 100, 50, 18
 
 @dataclass
 class Lines:
-    """Lines where FRFs change, by blocks of which each third validates: FRFs h, their variance, and a level for the discrepancy."""
+    """Lines where FRFs change: FRFs h, their variance, and a level for the discrepancy.
+
+    By blocks, of which each third validates; never those at the ends of the band, beyond which nothing is fitted.
+    """
 
     frf: Any
     f: np.ndarray  # Hz, of the modes
@@ -36,7 +39,7 @@ class Lines:
         level = np.sqrt((total[high] - total[low]) / (high - low)[:, None, None])
         chosen = []
         for validates, number in ((False, self.number), (True, VALIDATION_LINES)):
-            at = np.flatnonzero((block % 3 == 2) == validates)
+            at = np.flatnonzero((block % 3 == 1) == validates)
             share = np.cumsum(0.6 * density[at] / density[at].sum() + 0.4 / at.size)
             i = np.unique(at[np.searchsorted(share, (np.arange(number) + 0.5) / number * share[-1] * 0.999999)])
             chosen.append(i)

@@ -25,7 +25,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "hidden_effects")]
 from idle import Idle  # noqa: E402
 from kinds import KINDS  # noqa: E402
 from model import Case  # noqa: E402
-from posterior import names  # noqa: E402
+from posterior import at_rest, names  # noqa: E402
 from search import search  # noqa: E402
 from verdict import verdict  # noqa: E402
 
@@ -38,7 +38,8 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
     check = max(loaded.check, key=lambda c: c.frf.data.shape[2])
     band = tuple(loaded.settings["band"])
     started = time.process_time()
-    case = Case(Idle.from_terms(loaded.idle.terms, band), check.frf, band)
+    idle, _ = at_rest(Idle.from_terms(loaded.idle.terms, band), loaded.idle_frf, band)
+    case = Case(idle, check.frf, band)
     found = search(case, (lambda text: print("  ", text[:200], flush=True)) if talk else (lambda text: None))
     best = found.best
     told = verdict(case, found)
