@@ -61,7 +61,9 @@ def environment():
 
 def started(*arguments):
     """The command line in a process and a session of its own."""
-    command = [sys.executable, "-m", "operando", "campaign", *map(str, arguments)]
+    # a process in the background of a shell is started with Ctrl-C ignored
+    start = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from operando.__main__ import main; main()"
+    command = [sys.executable, "-c", start, "campaign", *map(str, arguments)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(command, env=environment(), start_new_session=True, **pipes)
 

@@ -181,7 +181,7 @@ def test_a_mass_is_found_through_complex_modes_at_rest():
     zeta, band = np.diag(modal) / (2 * w), (6.0, 58.0)
     start = SimpleNamespace(
         frequencies_hz=w / 2 / np.pi, damping_ratios=1.05 * zeta, shapes=phi, dofs=DOFS, residual=np.zeros(N, bool),
-        covariance=np.zeros((2 * N + N * N,) * 2),
+        covariance=np.diag(np.concatenate([1e-5 * w, 1e-3 * zeta, np.full(N * N, 2e-4)]) ** 2),
     )  # fmt: skip
     idle, state = at_rest(Idle.from_terms(start, band), measured(mass), band)
     assert state.alpha < 0.002

@@ -18,7 +18,7 @@ LEAST, MOST = 5e-4, 1.0  # discrepancy, as a share of the level
 STEP = 0.7  # of a value on its search scale, at most
 APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
 FIXED_SPREADS = ("force", "force_slope", "force_corner", "stiffness", "late", "damping_whole")  # too few numbers to estimate from
-REST_LINES = 160
+REST_LINES, REST_ALPHA = 160, 0.01
 PRIOR_COUNT, SPREAD_FACTOR = 5.0, (0.3, 3.0)
 
 
@@ -303,7 +303,10 @@ def on_validation_lines(case: Case, state: State) -> tuple[float, float]:
 
 
 def at_rest(idle: Idle, frf: Any, band: tuple[float, float]) -> tuple[Idle, State]:
-    """The idle model fitted again to the FRFs at rest, with what makes its modes complex."""
+    """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
+    as_told = fit(Case(idle, frf, band, spreads={}, number=REST_LINES), [], alpha=0.02)
+    if as_told.alpha < REST_ALPHA:
+        return idle, as_told
     case = Case(idle.loose(), frf, band, spreads={}, number=REST_LINES)
     _, z, d, u, _ = approach(case, [])
     state = fit(case, [], z, d, u, 0.02)

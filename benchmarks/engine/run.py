@@ -38,11 +38,11 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
     check = max(loaded.check, key=lambda c: c.frf.data.shape[2])
     band = tuple(loaded.settings["band"])
     started = time.process_time()
-    idle, _ = at_rest(Idle.from_terms(loaded.idle.terms, band), loaded.idle_frf, band)
+    idle, rest = at_rest(Idle.from_terms(loaded.idle.terms, band), loaded.idle_frf, band)
     case = Case(idle, check.frf, band)
     found = search(case, (lambda text: print("  ", text[:200], flush=True)) if talk else (lambda text: None))
     best = found.best
-    told = verdict(case, found)
+    told = verdict(case, found, rest)
     std = np.sqrt(np.diag(best.covariance)) if best.effects else np.zeros(0)
     effects, at = [], 0
     for effect in best.effects:
@@ -54,6 +54,7 @@ def diagnosed(results: Path, talk: bool = False) -> dict[str, Any]:
         "effects": effects,
         "text": names(case, best.effects),
         "discrepancy": best.alpha,
+        "discrepancy_at_rest": rest.alpha,
         "discrepancy_of_idle": found.empty.alpha,
         "verdict": told.name,
         "why": told.why,

@@ -106,8 +106,8 @@ def near(case: Case, one: list[Effect], two: list[Effect]) -> bool:
     return sorted(e.kind for e in one) == sorted(e.kind for e in two) and all(e.kind in (*STRUCTURAL, *GLOBAL) for e in one)
 
 
-def verdict(case: Case, found: Found) -> Verdict:
-    """The verdict of the contract."""
+def verdict(case: Case, found: Found, rest: State) -> Verdict:
+    """The verdict of the contract; ``rest`` is the idle model on the FRFs at rest."""
     best = found.best
     chi, db = on_validation_lines(case, best)
     rivals, probability = others(found)
@@ -118,6 +118,8 @@ def verdict(case: Case, found: Found) -> Verdict:
     def say(name: str, why: str) -> Verdict:
         return Verdict(name, why, best.effects if name not in ("inconclusive", "no_misfit") else [], sets, probability, chi, db, blind)
 
+    if rest.alpha > MOST_ALPHA:
+        return say("inconclusive", f"the idle model differs by {100 * rest.alpha:.1f} % from the FRFs at rest themselves")
     if not fits:
         before = on_validation_lines(case, found.empty)[1]
         if best.effects and supported(best) and db**2 < (1 - LOWERED) * before**2:
