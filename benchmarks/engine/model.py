@@ -142,6 +142,7 @@ class Case:
         self.undriven = np.ones(dofs, bool)
         self.undriven[driven] = False
         rms = np.sqrt(np.mean(self.phi0[:, self.modes] ** 2, axis=0))
+        rms = np.maximum(rms, np.median(rms))  # a mode that the sensors hardly see moves as much across them
         above = 0.5 * np.sum(self.phi0[:, self.above] ** 2 / (2 * np.pi * self.f0[self.above]) ** 2, axis=1)
         self.own_above = np.maximum(above, 0.3 * np.median(above))
         self.own_below = np.sum(self.phi0[:, self.below] ** 2, axis=1)
