@@ -241,11 +241,13 @@ def promotions(case: Case, state: State) -> list[tuple[list[Effect], np.ndarray]
         value, d = state.d[at] * case.spread[at], state.d.copy()
         d[at] = 0
         out.append(([*state.effects, Effect("global_stiffness", (), (float(np.log(abs(value))),), int(np.sign(value)))], d))
-    mean = float(state.d[s["damping"]].mean())
-    if abs(mean) > 1 and "global_damping" not in have:
+    whole, each = s["damping_whole"].start, s["damping"]
+    mean = float((state.d[each] * case.spread[each]).mean())
+    if (abs(state.d[whole]) > PROMOTED or abs(mean) > case.spread[each].mean()) and "global_damping" not in have:
         d = state.d.copy()
-        d[s["damping"]] -= mean
-        out.append(([*state.effects, Effect("global_damping", (), (mean * float(case.spread[s["damping"]][0]),))], d))
+        d[each] -= mean / case.spread[each]
+        out.append(([*state.effects, Effect("global_damping", (), (mean + float(d[whole] * case.spread[whole]),))], d))
+        d[whole] = 0
     for i in np.flatnonzero(np.abs(state.d[s["sensor"]]) > PROMOTED):
         at, d = s["sensor"].start + i, state.d.copy()
         d[at] = 0
