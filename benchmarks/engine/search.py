@@ -387,10 +387,9 @@ def _listed(case: Case, rows: list[Candidate], zero: float) -> str:
 
 def _put_candidate(put: Callable[..., State | None], state: State, row: Candidate) -> None:
     """The fit of a state with a candidate more, from where the scan puts it."""
-    case, more = state.case, [*state.effects, row.effect]
-    z, d, u = np.split(row.fixed, [case.n_z, case.n_z + case.n_d])
-    known = {(o.place, o.other, o.below): v for o, v in zip(case.outside(state.effects), u, strict=True)}
-    put(more, z, d, np.array([known.get((o.place, o.other, o.below), 0.0) for o in case.outside(more)]), state.alpha)
+    more = [*state.effects, row.effect]
+    start = replace(state, x=np.concatenate([row.fixed, state.x[state.fixed :]]))
+    put(more, start.z, start.d, start.carried(more), state.alpha)
 
 
 def _robust_stage(case: Case, state: State, put: Callable[..., State | None], say: Callable[[str], None]) -> None:

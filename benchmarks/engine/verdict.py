@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from kinds import GLOBAL, KINDS, STRUCTURAL, Effect, candidates, with_one
+from kinds import KINDS, Effect, candidates, with_one
 from model import Case
 from posterior import Problem, State, on_validation_lines
 from scipy.linalg import cholesky, solve_triangular
@@ -99,11 +99,6 @@ def supported(state: State) -> bool:
                 return False
         at += len(effect.values)
     return True
-
-
-def near(case: Case, one: list[Effect], two: list[Effect]) -> bool:
-    """Whether two sets are of the same kinds."""
-    return sorted(e.kind for e in one) == sorted(e.kind for e in two) and all(e.kind in (*STRUCTURAL, *GLOBAL) for e in one)
 
 
 def verdict(case: Case, found: Found, rest: State) -> Verdict:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from operando.dof import Dof
 from operando.errors import DofError
+from operando.indicators import INTERVAL
 
 SAME_SHAPE = 0.5
 """MAC above which a mode may be the one before: of orthogonal shapes only one can have a MAC above one half with a given shape."""
@@ -19,7 +20,6 @@ STEP = 0.1
 frequency is taken (MAC times exp(−(ln(f/f₀)/STEP)²/2)); it excludes none."""
 FAR = 0.3
 """Largest relative change from state to state: beyond it, few sensors alone make shapes look alike (spatial aliasing)."""
-SURE = 1.96
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,6 @@ class Tracker:
 
 
 def _with(point: Point, mac_before: float | None = None, mac_baseline: float | None = None) -> Point:
-    from dataclasses import replace
-
     return replace(
         point,
         mac_before=point.mac_before if mac_before is None else mac_before,
@@ -218,7 +216,7 @@ def _crossings_of(a: Track, b: Track, places: Sequence[float]) -> list[Crossing]
         if (q := others.get(p.state)) is None:
             continue
         spread = np.hypot(p.frequency_std_hz or 0.0, q.frequency_std_hz or 0.0)
-        if abs(p.frequency_hz - q.frequency_hz) <= SURE * spread:
+        if abs(p.frequency_hz - q.frequency_hz) <= INTERVAL * spread:
             continue  # not told apart here
         if last is not None:
             d0, d1 = last[0].frequency_hz - last[1].frequency_hz, p.frequency_hz - q.frequency_hz
