@@ -19,7 +19,8 @@ STEP = 0.7  # of a value on its search scale, at most
 APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
 FIXED_SPREADS = ("force", "force_slope", "force_corner", "stiffness", "late", "damping_whole")  # too few numbers to estimate from
 REST_LINES, REST_ALPHA = 160, 0.01
-"""Lines at rest; discrepancy there from which the idle model is fitted again: six cases left 0.05 % with real modes, 10 to 18 % with complex ones."""
+"""Lines at rest; discrepancy there from which the idle model is fitted again: three cases with real modes left 0.05 %, three with complex
+ones 10 to 18 %."""
 PRIOR_COUNT, SPREAD_FACTOR = 5.0, (0.3, 3.0)
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 ROBUST_ALPHA, ROBUST = 0.02, 0.05
 """Above this discrepancy of a state the scan is robust, and about the idle model as it is: under a loose one a linear scan absorbs all."""
-EXPLAINED_ALPHA = 0.03  # below, spreads of the nuisance are estimated and further effects on_validation_lines
+EXPLAINED_ALPHA = 0.03  # below, spreads of the nuisance are estimated and further effects tested
 STRAINED = 4.0
 """Mean square of a part of the nuisance, in its spreads, from which it stands for something else: that state teaches no spreads."""
 FITTED, APPROACHED, BEAM = 3, 6, 3
