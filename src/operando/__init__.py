@@ -46,7 +46,7 @@ _WHERE = {
     "register": "operando.effects",
     "Model": "operando.diagnose",
     "Diagnosis": "operando.diagnose",
-    "diagnose": "operando.diagnose",
+    "diagnose": "operando.diagnosis",
     "apply_effects": "operando.diagnose",
     "run": "operando.pipeline",
 }
@@ -70,7 +70,9 @@ class _Package(ModuleType):
     """Keeps ``operando.compare`` the function although a room of the same name exists (importing it would put the module there)."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if isinstance(value, ModuleType) and _WHERE.get(name) == value.__name__:
+        if isinstance(value, ModuleType) and name in _WHERE and value.__name__ == f"{__name__}.{name}":
+            if _WHERE[name] != value.__name__:
+                return  # the function stands in another room, and is found there when it is asked for
             value = getattr(value, name)
         super().__setattr__(name, value)
 
