@@ -427,3 +427,25 @@ def test_a_model_without_scale_or_a_check_elsewhere_is_refused():
         diagnose_frf(identified(), [CheckRun("run", "1 N", elsewhere)])
     with pytest.raises(ConfigError, match="can be found from FRFs"):
         diagnose_frf(identified(), [check], kinds=["clearance"])
+
+
+def test_pairs_that_were_not_measured_weigh_nothing():
+    whole = case(add_mass)
+    frf = measured(*_heavier(), (0, 3), 2e-4, 0)
+    data = np.array(frf.data)
+    data[4, 1], data[2, 0] = np.nan, np.nan
+    lacking = Case(Idle.of(identified(), BAND, (DOFS[0], DOFS[3])), replace(frf, data=data), BAND, correlated=1.0)
+    assert not lacking.lines.there[4, 1]
+    assert lacking.lines.there.sum() == 2 * N - 2
+    terms = (Term("point_mass", (1,), (np.log(0.35),)),)
+    states = [fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside(terms))), terms=terms)) for one in (whole, lacking)]
+    assert states[1].terms[0].size == pytest.approx(0.4, rel=0.05)
+    assert states[1].covariance[0, 0] > states[0].covariance[0, 0]
+    assert on_validation_lines(states[1])[0] < 1.3
+
+
+def _heavier():
+    mass, stiff = matrices()
+    mass = mass.copy()
+    mass[1, 1] += 0.4
+    return mass, modes()[3], stiff

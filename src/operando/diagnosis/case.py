@@ -99,8 +99,8 @@ class Case:
         """Directions of the idle model that the FRFs of all pairs, driven or not, could tell: effects see places that were not driven."""
         idle, lines, w = forward.idle, self.lines, self.lines.w[self.lines.fit]
         dofs, g = len(idle.dofs), idle.f_root.shape[1]
-        noise = np.sqrt(np.median(lines.variance[lines.fit], axis=(1, 2)) * lines.correlated / 2)
-        noise = np.maximum(noise, 1e-3 * np.abs(lines.level[lines.fit]).mean((1, 2)))
+        noise = np.sqrt(np.median(lines.variance[lines.fit][:, lines.there], axis=1) * lines.correlated / 2)
+        noise = np.maximum(noise, 1e-3 * lines.level[lines.fit][:, lines.there].mean(1))
         whole, each = np.zeros((g, g)), np.zeros((dofs, forward.n_shape, forward.n_shape))
         for first in range(0, dofs, _AT_ONCE):
             columns = np.arange(first, min(first + _AT_ONCE, dofs))

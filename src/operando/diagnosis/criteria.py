@@ -42,6 +42,10 @@ to 1, so that the simpler one is told where both do."""
 ROBUST = 0.05
 """Misfit, as a share of an FRF, that one line may have before the robust scan gives it less weight."""
 
+HOPELESS = 2.0
+"""Discrepancy of the check over that at rest up to which a bad idle model alone explains it: no effect could be told from that model's own
+errors, which are as large."""
+
 LOOSE = 0.02
 """Discrepancy above which the scan is robust and about the idle model as it is: under a loose one a linear scan absorbs all."""
 

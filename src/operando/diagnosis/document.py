@@ -116,8 +116,9 @@ def _measures(state: State, at: Array, alpha: float) -> tuple[float, float, int]
     variance = problem.variance(alpha)
     spread = 2 * state.factor.of_rows(problem.rows(prediction.shared), problem.rows(prediction.own))
     residual = problem.residual(prediction.h)
-    db = 20 * np.log10(np.abs(prediction.h) / np.abs(problem.measured))
-    return float(np.mean(2 * residual**2 / (variance + spread))), float(np.mean(db**2)), residual.size
+    there = state.case.lines.there
+    db = 20 * np.log10(np.abs(prediction.h[:, there]) / np.abs(problem.measured[:, there]))
+    return float(np.mean(2 * residual**2 / (variance + spread)) / there.mean()), float(np.mean(db**2)), db.size
 
 
 def floor_db(state: State) -> float:
@@ -134,7 +135,8 @@ def floor_db(state: State) -> float:
     spread = state.factor.of_rows(lay(shared), lay(mine)).reshape(mine.shape[1], 2, at.size, -1).sum(1)
     assert own == mine.shape[3]
     total = variance + np.moveaxis(spread, 0, 1)
-    return float(8.685889638 * np.sqrt(np.mean(total / 2 / np.abs(problem.measured) ** 2)))
+    there = case.lines.there
+    return float(8.685889638 * np.sqrt(np.mean(total[:, there] / 2 / np.abs(problem.measured[:, there]) ** 2)))
 
 
 def detectable_rows(state: State, verdict: Verdict) -> list[dict[str, Any]]:
@@ -262,7 +264,8 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
             return (
                 "what is not known of the idle model hides it: measure the FRFs at rest again with more averages and force at more points"
             )
-        noise = float(np.mean(case.lines.variance[at] / case.lines.level[at] ** 2))
+        there = case.lines.there
+        noise = float(np.mean(case.lines.variance[at][:, there] / case.lines.level[at][:, there] ** 2))
         if noise > best.alpha**2:
             return "the noise of the validation measurement hides it: measure again in operation with a larger force or more averages"
         return "what no parameter explains hides it: measure rest and operation in one set-up, without touching sensors or shaker"

@@ -112,7 +112,9 @@ def diagnose_frf(
         if between:
             found, odds = search(case, say), None
         else:
-            found, odds = search_both(case, Case(model, run.frf, band, {}, like=case, **asked), say)
+            found, odds = search_both(
+                case, Case(model, run.frf, band, {}, like=case, **asked), say, 0.0 if rest is None else rest.state.alpha
+            )
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 
 
@@ -265,7 +267,7 @@ def told(
             "runs": [run.name],
             "level": run.level,
             "band_hz": list(case.band),
-            "n_lines": int(case.lines.h[case.lines.validation].size),
+            "n_lines": int(case.lines.validation.size * case.lines.there.sum()),
             "whole_run": False,
             "ranges_hz": [list(r) for r in case.lines.validation_hz],
         },

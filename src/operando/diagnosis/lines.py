@@ -12,6 +12,7 @@ from operando.diagnosis.criteria import BLOCKS, CORRELATED_LINES, FIT_LINES, POO
 from operando.errors import DataError
 
 Array = NDArray[Any]
+_NOTHING = 1e12  # variance of a pair that was not measured, over the mean square of those that were
 
 
 class Lines:
@@ -34,6 +35,8 @@ class Lines:
     ----------
     fit, validation : int arrays
         Numbers of the lines of each set.
+    there : (responses, references) bool array
+        Pairs that were measured.
     w : (lines,) array [rad/s]
     h, variance, level : (lines, responses, references) arrays
         FRFs, their variance, and their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
@@ -48,16 +51,21 @@ class Lines:
         self.f, self.zeta, self.correlated = f, zeta, correlated
         hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
         variance = (0.01 * np.abs(h)) ** 2 if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
-        good = np.isfinite(h).all((1, 2)) & np.isfinite(variance).all((1, 2))
-        if good.sum() < BLOCKS:
+        finite = np.isfinite(h) & np.isfinite(variance)
+        self.there = finite.mean(axis=0) > 0.5
+        good = finite[:, self.there].all(1)
+        if good.sum() < BLOCKS or not self.there.any():
             raise DataError(
-                f"{int(good.sum())} lines of the check FRFs are finite in all pairs, a diagnosis needs {BLOCKS}",
+                f"{int(good.sum()) if self.there.any() else 0} lines of the check FRFs are finite in all measured pairs, "
+                f"a diagnosis needs {BLOCKS}",
                 hint="name the bad channel in the test file, or widen the band",
             )
-        hz, h = hz[good], h[good]
-        variance = np.maximum(_mean(variance[good], np.full(hz.size, POOLED_LINES)), 1e-8 * np.abs(h) ** 2)
+        hz, h = hz[good], np.where(self.there, h[good], 0)
+        variance = np.maximum(_mean(np.where(self.there, variance[good], 0), np.full(hz.size, POOLED_LINES)), 1e-8 * np.abs(h) ** 2)
+        # a pair that was not measured weighs nothing
+        variance = np.where(self.there, variance, _NOTHING * np.mean(np.abs(h[:, self.there]) ** 2))
         block = np.minimum(np.arange(hz.size) * BLOCKS // hz.size, BLOCKS - 1)
-        change = np.median(np.abs(np.gradient(h, axis=0)) ** 2 / variance, axis=(1, 2))
+        change = np.median((np.abs(np.gradient(h, axis=0)) ** 2 / variance)[:, self.there], axis=1)
         density = np.convolve(change, np.ones(5) / 5, "same") ** 0.25
         level = np.sqrt(_mean(np.abs(h) ** 2, np.maximum(2, (0.01 * hz / np.median(np.diff(hz))).astype(int))))
         chosen = []
@@ -119,7 +127,7 @@ class Lines:
         """
         _, h, variance, level = self._all
         left = (h - predicted) / np.sqrt(variance + (alpha * level) ** 2)
-        left = left / np.maximum(np.abs(left) / 3, 1)
+        left = left[:, self.there] / np.maximum(np.abs(left[:, self.there]) / 3, 1)
         power = np.mean(np.abs(left) ** 2)
         total = 1.0
         for k in range(1, min(60, len(left) // 4)):

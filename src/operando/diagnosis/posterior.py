@@ -375,8 +375,9 @@ def on_validation_lines(state: State) -> tuple[float, float]:
     along = np.tensordot(shared, residual, ((0, 1), (0, 1))), (np.swapaxes(own, 1, 2) @ residual[..., None])
     a, b = factor.whitened(along[0][:, None], along[1])
     chi = np.sum(residual**2) - np.sum(a**2) - np.sum(b**2)
-    db = 20 * np.log10(np.abs(prediction.h) / np.abs(problem.measured))
-    return float(chi / residual.size), float(np.sqrt(np.mean(db**2)))
+    there = case.lines.there
+    db = 20 * np.log10(np.abs(prediction.h[:, there]) / np.abs(problem.measured[:, there]))
+    return float(chi / (residual.size * there.mean())), float(np.sqrt(np.mean(db**2)))
 
 
 @dataclass(frozen=True)

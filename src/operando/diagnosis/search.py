@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED
 from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines, update_spreads
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
@@ -76,10 +76,11 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> 
     return found
 
 
-def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None) -> tuple[Found, float]:
+def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_rest: float = 0.0) -> tuple[Found, float]:
     """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
 
-    The first is a special case of the second: where it leaves nothing but noise, the second is not searched.
+    The first is a special case of the second: where it leaves nothing but noise, the second is not searched. Where the idle model
+    explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), nothing is searched.
 
     Returns
     -------
@@ -89,6 +90,9 @@ def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None) -> t
     """
     alone = fit(days, days.forward.start)
     say(f"two days and no effect: {alone.log_evidence:.1f}, discrepancy {alone.alpha:.4f}")
+    if at_rest > EXPLAINED and alone.alpha < HOPELESS * at_rest:
+        say("no search: what the idle model leaves of the check it leaves of the FRFs at rest")
+        return Found(alone, alone, {alone.key: alone}), -np.inf
     say("with nothing touched between the measurements:")
     same = search(one_set_up, say, score(alone))
     if same.best.alpha < LOOSE and score(same.best) > score(alone) and on_validation_lines(same.best)[0] < MOST_CHI_SQUARE:

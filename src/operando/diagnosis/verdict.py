@@ -137,12 +137,13 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
         terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
         return Verdict(name, why, terms, sets, probability, chi, db, tuple(blind), least)
 
-    if rest is not None and rest.alpha > EXPLAINED:
-        return say("inconclusive", f"the idle model differs by {100 * rest.alpha:.1f} % from the FRFs at rest themselves")
-    if not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
+    lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the FRFs at rest themselves" if rest and rest.alpha > EXPLAINED else ""
+    if lost or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
         if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
-            return say("partial", "the effects lower the misfit, and something remains")
+            return say("partial", lost or "the effects lower the misfit, and something remains")
+        if lost:
+            return say("inconclusive", lost)
         return say("unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %")
     if not best.terms:
         if any(sets):
