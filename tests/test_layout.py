@@ -32,6 +32,7 @@ LEVELS = {
     "compare": 10,
     "effects": 11, "nonlinear": 12, "diagnose": 13,
     "store": 14, "entries": 14,
+    "plots": 14,
     "report": 15, "values": 15,
     "states": 16,
     "config": 17, "scaffold": 17,

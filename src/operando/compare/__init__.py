@@ -3,7 +3,23 @@
 from __future__ import annotations
 
 from operando.compare.comparison import Comparison, compare, compare_all, with_effect
+from operando.compare.maps import clear_lines, error_map, level_error_db, rms_over
 from operando.compare.measures import SNR_LIMIT, Lines
 from operando.compare.route import FOUND, Route, gets_worse, recommended
 
-__all__ = ["FOUND", "SNR_LIMIT", "Comparison", "Lines", "Route", "compare", "compare_all", "gets_worse", "recommended", "with_effect"]
+__all__ = [
+    "FOUND",
+    "SNR_LIMIT",
+    "Comparison",
+    "Lines",
+    "Route",
+    "clear_lines",
+    "compare",
+    "compare_all",
+    "error_map",
+    "gets_worse",
+    "level_error_db",
+    "recommended",
+    "rms_over",
+    "with_effect",
+]

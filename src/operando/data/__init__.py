@@ -2,13 +2,14 @@
 
 from operando.data.arrays import complex_of
 from operando.data.findings import Finding, group_findings
-from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
+from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, StoredRow, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.provenance import Provenance, file_hash
+from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.time import Channel, TimeRecord
 
 __all__ = [
@@ -40,5 +41,7 @@ __all__ = [
     "one_level",
     "phase_collinearity",
     "pieces",
+    "quantity_named",
     "row_statistics",
+    "unit_of",
 ]

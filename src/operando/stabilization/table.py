@@ -15,6 +15,32 @@ STATUS = ("unstable", "frequency", "frequency_damping", "stable", "invalid")
 
 
 @dataclass(frozen=True)
+class Tolerances:
+    """When two poles of neighbouring orders count as the same.
+
+    Parameters
+    ----------
+    frequency : float
+        Largest relative difference of frequency.
+    damping : float
+        Largest difference of damping ratio, relative to the larger of the two.
+    mac : float
+        Smallest MAC of the vectors.
+    max_damping : float
+        Poles with a larger damping ratio, and those with none or negative damping, are no vibration modes (status ``invalid``).
+    """
+
+    frequency: float = 0.01
+    damping: float = 0.1
+    mac: float = 0.95
+    max_damping: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not (self.frequency > 0 and self.damping > 0 and 0 <= self.mac <= 1 and self.max_damping > 0):
+            raise DataError(f"tolerances out of range: {self}", hint="frequency, damping, max_damping > 0 and 0 <= mac <= 1")
+
+
+@dataclass(frozen=True)
 class PoleTable:
     """All poles of all model orders, one row a pole.
 
@@ -69,6 +95,8 @@ class Stabilization:
     rejected : tuple of RejectedPole
     indicator_hz, indicator : arrays
         What is drawn behind the diagram (CMIF for EMA, first singular values for OMA): (k,), (n_curves, k), positive.
+    tolerances : Tolerances or None
+        What counted as stable; None in files of older versions.
     """
 
     table: PoleTable
@@ -79,3 +107,4 @@ class Stabilization:
     rejected: tuple[RejectedPole, ...] = ()
     indicator_hz: NDArray[np.float64] | None = None
     indicator: NDArray[np.float64] | None = None
+    tolerances: Tolerances | None = None
