@@ -316,14 +316,18 @@ def named_dofs(wanted: object, available: Sequence[Dof]) -> tuple[Dof, ...]:
     if isinstance(wanted, slice | int | float):
         hint = 'write labels, as in frf["12+Z", "3+X"]; arrays are indexed by position: frf.data[0, 1]'
         raise DofError(f"{wanted!r} is no DOF label", hint=hint)
-    parts = (
-        [p for p in wanted.split(",") if p.strip()] if isinstance(wanted, str) else [wanted] if isinstance(wanted, Dof) else list(wanted)
-    )  # type: ignore[call-overload]
+    parts: Iterable[object]
+    if isinstance(wanted, str):
+        parts = [p for p in wanted.split(",") if p.strip()]
+    elif isinstance(wanted, Iterable):
+        parts = wanted
+    else:
+        parts = [wanted]
     found: dict[Dof, None] = {}
     for part in parts:
         text = str(part).strip()
         if "*" not in text and "?" not in text:
-            found[Dof.parse(part)] = None
+            found[part if isinstance(part, Dof) else Dof.parse(text)] = None
             continue
         hits = [d for d in available if fnmatchcase(str(d), text)]
         if not hits:

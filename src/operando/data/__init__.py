@@ -8,6 +8,7 @@ from operando.data.levels import LEVEL_RATIO, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, StoredRow, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
+from operando.data.objects import Saved, Short, counted, expect, names_text, plots, several
 from operando.data.provenance import Provenance, file_hash
 from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.time import Channel, TimeRecord
@@ -28,20 +29,27 @@ __all__ = [
     "Provenance",
     "ResidualTerms",
     "RowStatistics",
+    "Saved",
+    "Short",
     "StoredFile",
     "StoredRow",
     "TimeRecord",
     "complex_of",
+    "counted",
     "direction_of",
+    "expect",
     "file_hash",
     "filling",
     "group_findings",
     "mapped_rows",
+    "names_text",
     "node_motion",
     "one_level",
     "phase_collinearity",
     "pieces",
+    "plots",
     "quantity_named",
     "row_statistics",
+    "several",
     "unit_of",
 ]

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
-from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
+from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
-from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named
+from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named, unit_of
 from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
 from operando.errors import DataError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,8 @@ class FrequencyAxis:
         return slice(i, j)
 
 
-@dataclass(frozen=True)
-class Frf(ForOthers):
+@dataclass(frozen=True, repr=False)
+class Frf(Noun):
     """Frequency response functions H[response, reference] = response/force, e^{+iωt}.
 
     Parameters
@@ -141,6 +144,92 @@ class Frf(ForOthers):
                 if d.key in seen:
                     raise DataError(f"{label} DOF {d} appears twice (in either sense)")
                 seen.add(d.key)
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        f, step = self.frequencies_hz, self.axis.step
+        return {
+            "Name": self.name,
+            "Quantity": f"{self.quantity} [{unit_of(self.quantity)}]" if self.si else f"{self.quantity}, units not known",
+            "Responses": f"{counted(len(self.responses), 'response')} {names_text(self.responses)}",
+            "References": f"{counted(len(self.references), 'reference')} {names_text(self.references)}",
+            "Lines": f"{counted(f.size, 'line')}, {f[0]:g} to {f[-1]:g} Hz" + ("" if step is None else f" in steps of {step:.4g} Hz"),
+            "Beside": ", ".join(n for n in ("variance", "coherence") if getattr(self, n) is not None),
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
+
+    def plot(
+        self,
+        axes: Axes | Sequence[Axes] | None = None,
+        *,
+        responses: object = None,
+        references: object = None,
+        quantity: str | None = None,
+        band: tuple[float, float] | None = None,
+        noise: bool = False,
+        parts: Sequence[str] = ("magnitude", "phase", "coherence"),
+    ) -> Axes:
+        """Magnitude, phase and coherence (:func:`operando.plots.plot_frf`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes or sequence of Axes, optional
+            Axes that a plot of another FRF returned: both are overlaid. Default: of a new figure.
+        responses, references : DOF labels, optional
+            Pairs drawn; default: all where they are eight at most, else the drive points, or the first eight.
+        quantity : str, optional
+            ``receptance``, ``compliance``, ``dynamic_stiffness``, …; default: its own.
+        band : (float, float), optional
+            Analysis band [Hz], shaded outside.
+        noise : bool
+            Draw the standard deviation of the first pair.
+        parts : sequence of {"magnitude", "phase", "coherence"}
+
+        Returns
+        -------
+        matplotlib Axes
+            Of the magnitude.
+
+        Examples
+        --------
+        >>> frf = Frf([[[1.0, 2.0, 1.0]]], [1.0, 2.0, 3.0], "1+Z", "1+Z")
+        >>> frf.plot(frf.plot(), quantity="compliance").get_ylabel()
+        'Receptance [m/N]'
+        """
+        made: Axes = plots().plot_frf(
+            self, axes, responses=responses, references=references, quantity=quantity, band=band, noise=noise, parts=parts
+        )
+        return made
+
+    def plot_nyquist(
+        self,
+        model: Any = None,
+        axes: Axes | None = None,
+        *,
+        mode: int | None = None,
+        response: object = None,
+        reference: object = None,
+        band: tuple[float, float] | None = None,
+    ) -> Axes:
+        """One pair in the complex plane, with the synthesis of a model and the circle of a mode (:func:`operando.plots.plot_nyquist`).
+
+        Parameters
+        ----------
+        model : ModalModel, optional
+        axes : matplotlib Axes, optional
+        mode : int, optional
+            Mode of the model whose surroundings are shown.
+        response, reference : DOF label, optional
+            Default: the first drive point, else the first pair.
+        band : (float, float), optional
+            Lines shown [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_nyquist(self, model, axes, mode=mode, response=response, reference=reference, band=band)
+        return made
 
     @property
     def frequencies_hz(self) -> NDArray[np.float64]:
@@ -263,7 +352,7 @@ class Frf(ForOthers):
         var = None if self.variance is None else self.variance * np.abs(factor) ** 2
         return replace(self, data=self.data * factor, variance=var, quantity=quantity)
 
-    def values(self, quantity: str) -> NDArray[np.complex128]:
+    def values(self, quantity: str) -> NDArray[np.complexfloating[Any, Any]]:
         """Numbers in any quantity, force over motion included.
 
         Parameters

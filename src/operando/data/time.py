@@ -8,19 +8,22 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import mapped
 from operando.data.arrays import frozen
-from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics
+from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.dof import Dof
 from operando.errors import DataError, DofError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,8 @@ class Channel:
         return self.quantity in ("force", "moment", "reaction_force")
 
 
-@dataclass(frozen=True)
-class TimeRecord(ForOthers):
+@dataclass(frozen=True, repr=False)
+class TimeRecord(Noun):
     """Evenly sampled channels of one run.
 
     Parameters
@@ -104,6 +107,94 @@ class TimeRecord(ForOthers):
             raise DataError(f"{self.data.shape[0]} rows but {len(self.channels)} channel labels", where=self.name or None)
         if not (np.isfinite(self.sampling_hz) and self.sampling_hz > 0):
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        forces = [self.channels[i].label for i in self.force_indices]
+        motion = [self.channels[i].label for i in self.response_indices]
+        others = len(self.channels) - len(forces) - len(motion)
+        return {
+            "Name": self.name,
+            "Forces": f"{counted(len(forces), 'force')} {names_text(forces)}" if forces else "",
+            "Responses": f"{counted(len(motion), 'response')} {names_text(motion)}" if motion else "",
+            "Other channels": f"{counted(others, 'other channel')}" if others else "",
+            "Samples": f"{self.n_samples} samples at {self.sampling_hz:g} Hz, {self.duration_s:g} s",
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
+
+    def plot(self, axes: Axes | None = None, *, channels: object = None) -> Axes:
+        """Samples over time, each channel below the other (:func:`operando.plots.plot_record`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            All channels over one another, which needs one quantity. Default: a new figure.
+        channels : DOF labels or channel names, optional
+            Default: the first eight.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_record(self, axes, channels=channels)
+        return made
+
+    def plot_psd(
+        self,
+        axes: Axes | None = None,
+        *,
+        channels: object = None,
+        block_seconds: float | None = None,
+        band: tuple[float, float] | None = None,
+    ) -> Axes:
+        """Power spectral densities (:func:`operando.plots.plot_psd`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        channels : DOF labels or channel names, optional
+            Default: the first eight.
+        block_seconds : float, optional
+            Length of a block [s].
+        band : (float, float), optional
+            Band shown [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_psd(self, axes, channels=channels, block_seconds=block_seconds, band=band)
+        return made
+
+    def plot_force_spectra(self, axes: Axes | None = None, *, band: tuple[float, float] | None = None) -> Axes:
+        """What the forces excite: the spectrum of each hit, else the density of each force (:func:`operando.plots.plot_force_spectra`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        band : (float, float), optional
+            Band shown [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_force_spectra(self, axes, band=band)
+        return made
+
+    def plot_hits(self, axes: Axes | None = None) -> Axes:
+        """The hits of a hammer record over one another, with their numbers (:func:`operando.plots.plot_hits`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_hits(self, axes)
+        return made
 
     @cached_property
     def statistics(self) -> RowStatistics:

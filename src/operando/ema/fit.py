@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord
+from operando.data import Finding, Frf, ModalModel, TimeRecord, expect
 from operando.dof import Dof
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
 from operando.ema.by_hand import AddModes, modes_by_hand
@@ -171,6 +171,7 @@ def fit_ema(
     """
     from threadpoolctl import threadpool_limits
 
+    expect(frf, Frf, "modes are identified from FRFs", "estimate_frf(records) makes them of records, read(file).frfs holds measured ones")
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with threadpool_limits(1, "blas"):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from operando.plots.errors import plot_comparison, plot_error_map, plot_errors
 from operando.plots.fits import fit_circle, plot_nyquist, plot_synthesis_correlation
-from operando.plots.frfs import plot_frf, plot_frf_rms, plot_ofrf
+from operando.plots.frfs import plot_frf, plot_frf_rms
 from operando.plots.modes import plot_changes, plot_complexity, plot_mac, plot_participation, plot_shares
+from operando.plots.ofrfs import plot_hybrid, plot_ofrf
 from operando.plots.records import plot_force_spectra, plot_hits, plot_psd, plot_record
 from operando.plots.shapes import animate_shape, plot_geometry, plot_shape
-from operando.plots.stabilization import plot_singular_values, plot_stabilization
+from operando.plots.stabilization import plot_singular_values, plot_stabilization, plot_stabilization_of
 
 __all__ = [
     "animate_shape",
@@ -23,6 +24,7 @@ __all__ = [
     "plot_frf_rms",
     "plot_geometry",
     "plot_hits",
+    "plot_hybrid",
     "plot_mac",
     "plot_nyquist",
     "plot_ofrf",
@@ -33,5 +35,6 @@ __all__ = [
     "plot_shares",
     "plot_singular_values",
     "plot_stabilization",
+    "plot_stabilization_of",
     "plot_synthesis_correlation",
 ]

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Frf, quantity_named, unit_of
 from operando.errors import DataError, ObjectError
-from operando.indicators import INTERVAL
 from operando.plots.style import (
     CYCLE,
     DASHES,
@@ -18,7 +17,6 @@ from operando.plots.style import (
     IDLE,
     INK,
     MEASURED,
-    MODEL,
     SKY,
     frequency_axis,
     log_axis,
@@ -125,7 +123,7 @@ def plot_frf(
         raise DataError(f"{len(words)} labels for {len(given)} FRFs")
     named = [p for p in parts if p != "coherence" or any(f.coherence is not None for f, _ in chosen)]
     with style():
-        places, own = _places(axes, named)
+        places, own = places_of(axes, named)
         done = sum(not str(line.get_label()).startswith("_") for line in next(iter(places.values())).lines)
         curves = [(f, i, j, words[k]) for k, (f, _) in enumerate(chosen) for i, j in np.ndindex(f.data.shape[:2])]
         single = len(curves) == len(given)
@@ -188,7 +186,7 @@ def _chosen(frf: Frf, responses: object, references: object) -> tuple[Frf, int]:
     return part.select(part.responses[:MOST_CURVES]), total
 
 
-def _places(axes: Axes | Sequence[Axes] | None, parts: Sequence[str]) -> tuple[dict[str, Axes], bool]:
+def places_of(axes: Axes | Sequence[Axes] | None, parts: Sequence[str]) -> tuple[dict[str, Axes], bool]:
     """Axes of each part, and whether they are of a new figure."""
     for part in parts:
         if part not in PARTS:
@@ -227,7 +225,7 @@ def curve(
 
 def degrees(h: ArrayLike) -> NDArray[np.float64]:
     """Phase [°] with gaps where it wraps, so that no vertical line is drawn."""
-    angle = np.degrees(np.angle(h))
+    angle = np.degrees(np.angle(np.asarray(h, complex)))
     angle = np.where(np.isfinite(angle), angle, np.nan)
     with np.errstate(invalid="ignore"):
         jump = np.flatnonzero(np.abs(np.diff(angle)) > 180)
@@ -251,7 +249,7 @@ def _dress(
     low, high = min(float(f[0]) for f in lines), max(float(f[-1]) for f in lines)
     last = list(places)[-1]
     for name, axes in places.items():
-        drawn = [line.get_xdata() for line in axes.lines if len(line.get_xdata()) > 2]
+        drawn = [x for line in axes.lines if (x := np.asarray(line.get_xdata(), float)).size > 2]
         if not band and drawn:  # more curves in a figure that was there
             low, high = min(low, *(float(np.min(x)) for x in drawn)), max(high, *(float(np.max(x)) for x in drawn))
         frequency_axis(axes, low, high, band, label=name == last)
@@ -340,136 +338,3 @@ def plot_frf_rms(
         if legend:
             place.legend(loc="best")
     return place
-
-
-def plot_ofrf(
-    ofrf: Frf | None,
-    measured: Frf | None = None,
-    idle: Frf | None = None,
-    axes: Axes | Sequence[Axes] | None = None,
-    *,
-    response: object = None,
-    reference: object = None,
-    band: Sequence[float] | None = None,
-    label: str = "operating FRF",
-    parts: Sequence[str] = PARTS[:2],
-    legend: bool = True,
-) -> Axes:
-    """An operational FRF with its 95 % band in magnitude and phase, beside a validation measurement and the model at rest.
-
-    Parameters
-    ----------
-    ofrf : Frf or None
-        Its variance gives the band.
-    measured, idle : Frf, optional
-        The validation measurement; the FRF of the idle model. They have the pair, on lines of their own.
-    axes : matplotlib Axes or sequence of Axes, optional
-        One for the magnitude alone, or one for each of ``parts``. Default: of a new figure.
-    response, reference : DOF label, optional
-        The pair drawn; default: the first of the first FRF given.
-    band : (float, float), optional
-        Analysis band [Hz], shaded outside.
-    label : str
-        What the FRF with the band is.
-    parts : sequence of {"magnitude", "phase"}
-        What is drawn, from the top.
-    legend : bool
-        Whether the curves are named.
-
-    Returns
-    -------
-    matplotlib Axes
-        Of the magnitude.
-
-    Raises
-    ------
-    DataError
-        If no FRF is given.
-    DofError
-        If an FRF does not have the pair.
-
-    Examples
-    --------
-    >>> import numpy as np, operando
-    >>> line = np.linspace(5, 50, 200)
-    >>> h = (1 / (30.0**2 - line**2 + 18j * line))[None, None]
-    >>> frf = operando.Frf(h, line, "1+Z", "1+Z", variance=0.01 * abs(h) ** 2)
-    >>> [t.get_text() for t in operando.plots.plot_ofrf(frf).get_legend().get_texts()]
-    ['95 % band', 'operating FRF']
-    """
-    kinds = ((idle, "idle model", IDLE, DASHES[1], 1.0), (measured, "validation (measured running)", MEASURED, "-", 1.5))
-    given = [f for f in (ofrf, measured, idle) if f is not None]
-    if not given:
-        raise DataError("no FRF to draw", hint="give at least one of ofrf, measured, idle")
-    first = given[0]
-    pair = (first.responses[0] if response is None else response, first.references[0] if reference is None else reference)
-    one = lambda frf: frf.select((pair[0],), (pair[1],)).to_quantity(first.quantity)  # noqa: E731
-    with style():
-        places, own = _places(axes, list(parts))
-        sizes, lines = [], []
-        for frf, words, color, dash, width in kinds:
-            if frf is None or not np.any(np.isfinite(frf.data)):
-                continue
-            _one_curve(places, one(frf), band, words, color, dash, width, sizes, lines)
-        if ofrf is not None:
-            part = one(ofrf)
-            if part.variance is not None:
-                _interval(places, part, band)
-            _one_curve(places, part, band, label, MODEL, "-", 1.1, sizes, lines)
-        low, high = min(float(f[0]) for f in lines), max(float(f[-1]) for f in lines)
-        last = list(places)[-1]
-        for name, place in places.items():
-            frequency_axis(place, low, high, band, label=name == last)
-        if "magnitude" in places:
-            places["magnitude"].set_ylabel(magnitude_label(first))
-            magnitude_limits(places["magnitude"], sizes, 0.5, 1e-5)
-        if "phase" in places:
-            places["phase"].set_ylim(-200, 200)
-            places["phase"].set_yticks([-180, 0, 180])
-            places["phase"].set_ylabel("Phase [°]")
-        top = next(iter(places.values()))
-        if own:
-            top.set_title(f"{pair[0]} from {pair[1]}")
-        if legend:
-            top.legend(loc="best")
-    return top
-
-
-def _one_curve(
-    places: dict[str, Axes],
-    frf: Frf,
-    band: Sequence[float] | None,
-    words: str,
-    color: str,
-    dash: Any,
-    width: float,
-    sizes: list[NDArray[Any]],
-    lines: list[NDArray[Any]],
-) -> None:
-    part = shown_lines(frf, band)
-    f, h = frf.frequencies_hz[part], frf.data[0, 0, part]
-    sizes.append(np.abs(h))
-    lines.append(f)
-    if "magnitude" in places:
-        curve(places["magnitude"], f, np.abs(h), color=color, lw=width, ls=dash, label=words, count=1000)
-    if "phase" in places:
-        keep = thin(f, np.abs(h), 500)
-        places["phase"].plot(f[keep], degrees(h[keep]), color=color, lw=0.8 * width, ls=dash)
-
-
-def _interval(places: dict[str, Axes], frf: Frf, band: Sequence[float] | None) -> None:
-    """95 % of magnitude and phase: a complex error of variance E|ΔH|² has half of it along H and half across."""
-    assert frf.variance is not None
-    part = shown_lines(frf, band)
-    f, h, variance = frf.frequencies_hz[part], frf.data[0, 0, part], frf.variance[0, 0, part]
-    size = np.abs(h)
-    known = np.flatnonzero(np.isfinite(variance) & (size > 0))  # it is dear, so some lines have none
-    keep = known[thin(f[known], np.log(size[known]), 450)] if known.size else known
-    half = INTERVAL * np.sqrt(np.maximum(variance[keep], 0) / 2)
-    if "magnitude" in places:
-        low = np.maximum(size[keep] - half, size[keep] * 1e-2)
-        places["magnitude"].fill_between(f[keep], low, size[keep] + half, color=MODEL, alpha=0.25, linewidth=0, label="95 % band")
-    if "phase" in places:
-        middle = degrees(h[keep])
-        spread = np.degrees(np.minimum(half / size[keep], np.pi))
-        places["phase"].fill_between(f[keep], middle - spread, middle + spread, color=MODEL, alpha=0.25, linewidth=0)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Frf, unit_of
-from operando.errors import ObjectError
+from operando.data import Frf, ModalModel, unit_of
+from operando.errors import DataError, ObjectError
 from operando.plots.style import (
     GREEN,
     GREY,
@@ -157,6 +157,38 @@ def plot_stabilization(
             box = (0.0, 1.05, 1.0, 0.1)
             axes.legend(loc="lower left", bbox_to_anchor=box, ncols=4, handletextpad=0.3, columnspacing=1.2, borderaxespad=0)
     return axes
+
+
+def plot_stabilization_of(model: ModalModel, axes: Axes | None = None, *, frf: Frf | None = None) -> Axes:
+    """The stabilisation diagram that an identification kept, with the modes it ended with and the harmonics it found.
+
+    Parameters
+    ----------
+    model : ModalModel
+        Of :func:`operando.fit_ema` or :func:`operando.fit_oma`.
+    axes : matplotlib Axes, optional
+        Default: of a new figure.
+    frf : Frf, optional
+        FRFs at rest, whose CMIF and MMIF are drawn behind.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    DataError
+        If the model keeps no diagram.
+    """
+    kept = getattr(model.details, "stabilization", None)
+    if kept is None:
+        raise DataError("the model keeps no stabilisation diagram", hint="those of fit_ema and fit_oma do")
+    harmonics = getattr(model.details, "harmonics_hz", None)
+    name = "Mode indicator (CMIF)" if harmonics is None else "First singular values of the spectra"
+    return plot_stabilization(
+        kept, axes, frf=frf, band=model.band_hz, modes_hz=model.frequencies_hz, indicator_name=name,
+        harmonics_hz=() if harmonics is None else [float(h) for h in harmonics],
+    )  # fmt: skip
 
 
 def _unit(frf: Frf) -> str:

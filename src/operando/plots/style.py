@@ -81,7 +81,7 @@ def style() -> Iterator[None]:
     """The look of all figures, while something is drawn."""
     import matplotlib
 
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
         yield
 
 

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import io
 import re
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ParamSpec
 from xml.sax.saxutils import escape, quoteattr
@@ -42,7 +43,8 @@ def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, str]:
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> str:
         import matplotlib
 
-        with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
+        with matplotlib.rc_context(STYLE), warnings.catch_warnings():  # type: ignore[arg-type]
+            warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has the letters, and what acts is shown by the page
             figure, alt = function(*args, **kwargs)
             return to_svg(figure, alt)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, ModalModel, ResidualTerms
+from operando.data import Finding, ModalModel, ResidualTerms, expect
 from operando.data.provenance import Provenance
 from operando.dof import Dof, match_dofs
 from operando.errors import ConfigError, DataError, IdentificationError
@@ -58,6 +58,8 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     IdentificationError
         If a method asked for by name cannot be applied.
     """
+    expect(idle, ModalModel, "idle modes are needed first", "fit_ema(frf) gives them")
+    expect(operating, ModalModel, "operating modes are needed second", "fit_oma(record) gives them")
     if method not in ("auto", *METHODS):
         raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")
     if idle.scaling != "unit_modal_mass":

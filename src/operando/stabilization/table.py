@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import Frf, Short, counted, plots
 from operando.errors import DataError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 STATUS = ("unstable", "frequency", "frequency_damping", "stable", "invalid")
 """Stability class of a pole against the order below: none, frequency only, frequency and damping, also the vector; or not physical."""
@@ -80,8 +85,8 @@ class RejectedPole:
     reason: str
 
 
-@dataclass(frozen=True)
-class Stabilization:
+@dataclass(frozen=True, repr=False)
+class Stabilization(Short):
     """Stabilisation diagram with selection.
 
     Parameters
@@ -108,3 +113,43 @@ class Stabilization:
     indicator_hz: NDArray[np.float64] | None = None
     indicator: NDArray[np.float64] | None = None
     tolerances: Tolerances | None = None
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        orders = np.unique(self.table.order)
+        span = f"{counted(orders.size, 'order')} up to {orders[-1]}" if orders.size else "no order"
+        return {
+            "Poles": f"{counted(self.table.order.size, 'pole')} of {span}",
+            "Modes": f"{counted(self.selected_hz.size, 'mode')} taken",
+            "Rejected": f"{counted(len(self.rejected), 'candidate')} rejected",
+        }
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        frf: Frf | None = None,
+        band: Sequence[float] | None = None,
+        modes_hz: Sequence[float] | None = None,
+        harmonics_hz: Sequence[float] = (),
+    ) -> Axes:
+        """Poles by model order with the usual symbols over mode indicators (:func:`operando.plots.plot_stabilization`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        frf : Frf, optional
+            FRFs whose CMIF and MMIF are drawn behind.
+        band : (float, float), optional
+            Analysis band [Hz].
+        modes_hz : sequence of float, optional
+            Final frequencies of the modes [Hz]; default: those selected.
+        harmonics_hz : sequence of float
+            Harmonics of rotation [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_stabilization(self, axes, frf=frf, band=band, modes_hz=modes_hz, harmonics_hz=harmonics_hz)
+        return made
