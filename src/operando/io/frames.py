@@ -52,7 +52,7 @@ def dataframe(obj: Any) -> pandas.DataFrame:
     Examples
     --------
     >>> frf = Frf(np.ones((2, 1, 3)), [1.0, 2.0, 3.0], "1+Z, 2+Z", "1+Z")
-    >>> dataframe(frf)["2+Z", "1+Z"].loc[2.0].real
+    >>> float(dataframe(frf)["2+Z", "1+Z"].loc[2.0].real)
     1.0
     """
     pd = library("pandas")

@@ -140,7 +140,9 @@ def plot_frf(
             look: dict[str, Any] = {"color": CYCLE[k % len(CYCLE)], "lw": 1.5 if k == 0 else 1.1, "ls": DASHES[k % len(DASHES)]}
             look["ls"] = "-" if len(curves) > 3 else look["ls"]
             pair = f"{frf.responses[i]} from {frf.references[j]}"
-            label = " ".join(w for w in (word, "" if single and labels is not None else pair) if w)
+            # One matrix needs no name beside its pairs; words of the caller need no pair where each has one curve.
+            named_alone = word if single or len(given) > 1 else ""
+            label = " ".join(w for w in (named_alone, "" if single and labels is not None else pair) if w)
             part = shown_lines(frf, band)
             values = frf.values(wanted)[i, j, part]
             f = frf.frequencies_hz[part]

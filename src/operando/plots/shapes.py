@@ -83,7 +83,7 @@ def plot_shape(
     >>> import numpy as np, operando
     >>> model = operando.ModalModel([10.0], [0.01], np.array([[1.0], [0.5], [-1.0]]), "1+Z, 2+Z, 3+Z")
     >>> beam = operando.Geometry((1, 2, 3), np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), ((1, 2, 3),))
-    >>> operando.plots.plot_shape(model, 0, beam).get_title(loc="left")
+    >>> operando.plots.plot_shape(model, 0, beam).get_title()
     'Mode 0: 10.00 Hz, ζ 1.00 %'
     """
     k = _mode(model, mode)
