@@ -298,15 +298,14 @@ class Frf(Noun):
         return self if keep.all() else self.lines(keep)
 
     def select(self, responses: object = None, references: object = None) -> Frf:
-        """Some rows and columns; a DOF asked for in the other sense changes sign.
+        """Some rows and columns, by labels or patterns over them; a DOF asked for in the other sense changes sign.
 
         Raises
         ------
         DofError
             If a DOF is not measured.
         """
-        resp = self.responses if responses is None else parse_dofs(responses)
-        refs = self.references if references is None else parse_dofs(references)
+        resp, refs = named_dofs(responses, self.responses), named_dofs(references, self.references)
         i, si = match_dofs(resp, self.responses)
         j, sj = match_dofs(refs, self.references)
         ix = np.ix_(i, j)
@@ -399,7 +398,7 @@ class Frf(Noun):
         pair = dofs if isinstance(dofs, tuple) else (dofs, None)
         if len(pair) != 2:
             raise DataError(f"an FRF has responses and references, {len(pair)} indices are given", hint='write frf["7+Z", "12+Z"]')
-        return self.select(named_dofs(pair[0], self.responses), named_dofs(pair[1], self.references))
+        return self.select(*pair)
 
     def at(self, frequencies: ArrayLike) -> NDArray[np.intp]:
         """Indices of the nearest lines."""

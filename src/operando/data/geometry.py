@@ -187,7 +187,7 @@ class Geometry(Noun):
         dofs : DOF labels
             Measured directions, drawn as arrows.
         names : bool, optional
-            Write node names; default: with 60 nodes at most.
+            Write node names; default: with 100 nodes at most.
 
         Returns
         -------

@@ -33,7 +33,7 @@ class ModalFigures:
         scale : float
             Larger or smaller than usual.
         names : bool, optional
-            Write node names; default: where 60 nodes at most are measured.
+            Write node names; default: where 100 nodes at most are measured.
 
         Returns
         -------

@@ -244,7 +244,8 @@ def _bars(axes: Axes, frf: Frf, values: NDArray[np.float64]) -> None:
     wide = 0.8 / m
     for j, reference in enumerate(frf.references):
         axes.bar(np.arange(n) + (j - (m - 1) / 2) * wide, values[:, j], width=0.95 * wide, color=CYCLE[j + 1], label=f"from {reference}")
-    axes.set_xticks(np.arange(n), [str(d) for d in frf.responses], rotation=90 if n > 8 else 0)
+    every = -(-n // 45)
+    axes.set_xticks(np.arange(0, n, every), [str(d) for d in frf.responses][::every], rotation=90 if n > 8 else 0)
     axes.set_ylim(0, 105)
     axes.set_ylabel("Correlation [%]")
     axes.set_xlabel("Response")

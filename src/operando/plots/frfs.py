@@ -21,6 +21,7 @@ from operando.plots.style import (
     frequency_axis,
     log_axis,
     new_stack,
+    short_name,
     stack_of,
     style,
     thin,
@@ -118,7 +119,7 @@ def plot_frf(
     given = _frfs(frfs)
     wanted = quantity_named(quantity) if quantity is not None else given[0].quantity
     chosen = [_chosen(frf, responses, references) for frf in given]
-    words = [f.name or ("" if len(given) == 1 else f"FRF {k}") for k, f in enumerate(given)] if labels is None else list(labels)
+    words = [short_name(f.name) or ("" if len(given) == 1 else f"FRF {k}") for k, f in enumerate(given)] if labels is None else list(labels)
     if len(words) != len(given):
         raise DataError(f"{len(words)} labels for {len(given)} FRFs")
     named = [p for p in parts if p != "coherence" or any(f.coherence is not None for f, _ in chosen)]
@@ -175,7 +176,7 @@ def _frfs(frfs: Frf | Sequence[Frf]) -> list[Frf]:
 
 def _chosen(frf: Frf, responses: object, references: object) -> tuple[Frf, int]:
     """The pairs that are drawn, and how many there are."""
-    part = frf if responses is None and references is None else frf.select(responses, references)
+    part = frf.select(responses, references)
     total = part.data.shape[0] * part.data.shape[1]
     if total <= MOST_CURVES:
         return part, total

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 MOST_NUMBERS = 1600
 """Cells up to which numbers are written."""
 
+LABEL_STEP = 0.125
+"""Least distance of two labels [inches]."""
+
 LEAST_SIZE = 4.2
 """Smallest letters [points]: below, numbers are left out."""
 
@@ -75,8 +78,8 @@ def draw_matrix(
             if words:
                 color = "white" if np.isfinite(v) and v > dark else INK
                 axes.text(j + 0.5, i + 0.5, words, ha="center", va="center_baseline", fontsize=size, color=color)
-    label = float(np.clip(size + 1.5, 5.0, 8.5))
-    every_row, every_column = (max(1, int(np.ceil(0.12 / s))) for s in (high, wide))
+    label = 8.0 if min(n, m) > 8 else 8.5
+    every_row, every_column = (max(1, int(np.ceil(LABEL_STEP / s))) for s in (high, wide))
     axes.set_yticks(np.arange(n)[::every_row] + 0.5, list(rows)[::every_row], fontsize=label)
     shift = 0.0 if limits else 0.5
     turned = not limits and max((len(c) for c in columns), default=0) * 0.08 > wide

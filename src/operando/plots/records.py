@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from operando.data import Channel, TimeRecord
 from operando.errors import DataError, ObjectError
-from operando.plots.style import CYCLE, IDLE, INK, MEASURED, PURPLE, frequency_axis, log_axis, new_axes, new_stack, style, thin
+from operando.plots.style import CYCLE, IDLE, INK, MEASURED, PURPLE, frequency_axis, log_axis, new_axes, new_stack, short_name, style, thin
+from operando.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +67,7 @@ def plot_record(record: TimeRecord, axes: Axes | None = None, *, channels: objec
     >>> channel = operando.Channel(operando.Dof.parse("3+Z"), "acceleration", "m/s2")
     >>> record = operando.TimeRecord(np.sin(np.arange(1000.0))[None], 1000.0, (channel,))
     >>> operando.plots.plot_record(record).get_ylabel()
-    '3+Z [m/s²]'
+    '3+Z\\n[m/s²]'
     """
     part, total = _part(record, channels)
     with style():
@@ -83,7 +84,7 @@ def plot_record(record: TimeRecord, axes: Axes | None = None, *, channels: objec
             place.grid(True)
             place.margins(x=0)
             if axes is None:
-                place.set_ylabel(f"{channel.label} [{unit_words(channel.unit)}]")
+                place.set_ylabel(f"{printable(channel.label)}\n[{unit_words(channel.unit)}]", fontsize=8)
                 _marked(place, record, channel)
         top = places[0]
         places[-1].set_xlabel("Time [s]")
@@ -92,7 +93,7 @@ def plot_record(record: TimeRecord, axes: Axes | None = None, *, channels: objec
             axes.legend(loc="best", ncols=2)
         elif record.name or n < total:
             words = f"{n} of {total} channels" if n < total else ""
-            top.set_title("; ".join(w for w in (record.name, words) if w))
+            top.set_title("; ".join(w for w in (short_name(record.name), words) if w))
     return top
 
 
@@ -139,19 +140,19 @@ def plot_psd(
     'Acceleration [(m/s²)²/Hz]'
     """
     part, total = _part(record, channels)
-    units = list(dict.fromkeys(c.unit for c in part.channels))
+    kinds = list(dict.fromkeys((c.quantity, c.unit) for c in part.channels))
     if axes is not None:
         _one_unit(part)
     f, psd = densities(part, block_seconds)
     with style():
-        places = new_stack([1.0] * len(units), units, 9.0, 1.0 + 2.6 * len(units)) if axes is None else [axes]
-        for unit, place in zip(units, places, strict=True):
-            rows = [k for k, c in enumerate(part.channels) if c.unit == unit]
+        places = new_stack([1.0] * len(kinds), [q for q, _ in kinds], 9.0, 1.0 + 2.6 * len(kinds)) if axes is None else [axes]
+        for kind, place in zip(kinds, places, strict=True):
+            rows = [k for k, c in enumerate(part.channels) if (c.quantity, c.unit) == kind]
             _spectra(place, f, psd[rows], [part.channels[k].label for k in rows], band, last=place is places[-1])
             place.set_ylabel(_quantity(part.channels[rows[0]], density=True))
             place.legend(loc="best", ncols=2)
         if axes is None:
-            words = [record.name, f"{part.data.shape[0]} of {total} channels" if part.data.shape[0] < total else ""]
+            words = [short_name(record.name), f"{part.data.shape[0]} of {total} channels" if part.data.shape[0] < total else ""]
             places[0].set_title("; ".join(w for w in words if w))
     return places[0]
 
@@ -315,10 +316,11 @@ def _part(record: TimeRecord, channels: object) -> tuple[TimeRecord, int]:
 
 
 def _one_unit(record: TimeRecord) -> None:
-    units = {c.unit for c in record.channels}
-    if len(units) > 1:
+    kinds = {(c.quantity, c.unit) for c in record.channels}
+    if len(kinds) > 1:
+        words = ", ".join(f"{q} [{unit_words(u)}]" for q, u in sorted(kinds))
         raise DataError(
-            f"channels of {', '.join(unit_words(u) for u in sorted(units))} do not fit the same axes",
+            f"channels of {words} do not fit the same axes",
             hint="name channels of one quantity, or leave axes out",
         )
 

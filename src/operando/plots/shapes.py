@@ -12,7 +12,7 @@ from operando.data import Geometry, ModalModel, direction_of
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.mesh import Mesh, patches
-from operando.plots.style import GREY, INK, MODEL, ORANGE_PURPLE, colormap, new_axes, style
+from operando.plots.style import GREY, INK, MODEL, ORANGE_PURPLE, colormap, new_axes, short_name, style
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -24,7 +24,7 @@ ELEVATION, AZIMUTH = 32.0, -58.0
 LARGEST = 0.13
 """Greatest displacement drawn, as part of the diagonal of the structure."""
 
-MOST_NAMES = 60
+MOST_NAMES = 100
 """Measured nodes up to which names are written where nothing else is asked for."""
 
 LEAST_SIDE = 0.12
@@ -65,7 +65,7 @@ def plot_shape(
     scale : float
         Larger or smaller than usual, where the greatest displacement is 13 % of the diagonal.
     names : bool, optional
-        Write node names; default: where 60 nodes at most are measured.
+        Write node names; default: where 100 nodes at most are measured.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
     dofs : sequence of Dof
         Measured directions, drawn as arrows.
     names : bool, optional
-        Write node names; default: with 60 nodes at most.
+        Write node names; default: with 100 nodes at most.
 
     Returns
     -------
@@ -201,9 +201,12 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
     with style():
         axes = new_axes(7.5, 6.0, "3d") if axes is None else axes
         place = _solid(axes)
-        _lines(place, [mesh.xyz[list(e)] for e in sorted(mesh.outline)], "#5b6670", 0.9)
-        if geometry.faces:
-            _faces(place, [mesh.xyz[list(f)] for f in mesh.faces], "#dbe4ee", 0.45)
+        at = mesh.index
+        _lines(place, [mesh.xyz[[at[n] for n in line if n in at]] for line in geometry.lines], "#5b6670", 0.9)
+        corners = [mesh.xyz[[at[n] for n in face if n in at]] for face in geometry.faces]
+        if corners:
+            _faces(place, [c for c in corners if len(c) > 2], "#dbe4ee", 0.45)
+            _lines(place, [np.vstack([c, c[:1]]) for c in corners], "#5b6670", 0.6)
         place.scatter(*mesh.xyz.T, s=14, color=MODEL, edgecolors=INK, linewidths=0.4, depthshade=False)
         arrows = [
             (mesh.xyz[mesh.index[d.node]], v)
@@ -216,7 +219,7 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
         if len(geometry.nodes) <= MOST_NAMES if names is None else names:
             _names(place, geometry.nodes, mesh.xyz, mesh.span)
         _box(place, mesh.xyz if not arrows else np.vstack([mesh.xyz, start + 0.1 * mesh.span * way]), mesh.span)
-        axes.set_title(geometry.name or f"{len(geometry.nodes)} nodes")
+        axes.set_title(short_name(geometry.name) or f"{len(geometry.nodes)} nodes")
     return axes
 
 

@@ -43,8 +43,8 @@ LETTERS = (
 """Symbol, words and colour of each class of poles."""
 
 NOT_PHYSICAL = ("not physical", "#d3d9df")
-MOST_LETTERS = 60
-"""Model orders of which symbols can be told apart in a figure of usual height; of more, small ones are drawn."""
+LETTERS_FROM, LETTERS_TO = 2.0, 3.8
+"""Heights of the symbols [points]: as large as orders do not overlap, but readable."""
 
 
 def plot_stabilization(
@@ -150,9 +150,8 @@ def plot_stabilization(
         axes.set_ylabel("Model order [poles]")
         if tol is not None:
             words = f"stable: Δf ≤ {100 * tol.frequency:g} %, Δζ ≤ {100 * tol.damping:g} %, MAC ≥ {tol.mac:g}"
-            axes.annotate(
-                words, (1.0, 0.0), (-3, 3), xycoords="axes fraction", textcoords="offset points", ha="right", fontsize=7.5, color=GREY
-            )
+            look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 7.5, "color": GREY}
+            axes.annotate(words, (1.0, 0.0), (0, -22), xycoords="axes fraction", textcoords="offset points", **look)
         if legend:
             box = (0.0, 1.05, 1.0, 0.1)
             axes.legend(loc="lower left", bbox_to_anchor=box, ncols=4, handletextpad=0.3, columnspacing=1.2, borderaxespad=0)
@@ -213,7 +212,9 @@ def _poles(axes: Axes, stabilization: Stabilization, inside: NDArray[np.bool_], 
     odd = inside & (letters == "")
     if odd.any():
         dots(axes, table.frequency_hz[odd], table.order[odd], NOT_PHYSICAL[1], 1.4, NOT_PHYSICAL[0])
-    size = 3.6 if np.unique(table.order).size <= MOST_LETTERS else 2.8
+    figure = axes.get_figure(root=True)
+    height = 72 * axes.get_position().height * (figure.get_figheight() if figure else 5.0)
+    size = float(np.clip(0.62 * height / max(np.unique(table.order).size, 1), LETTERS_FROM, LETTERS_TO))
     for letter, words, color in LETTERS:
         rows = inside & (letters == letter)
         if rows.any():

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from operando.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -197,13 +200,18 @@ def colormap(colors: Sequence[str]) -> Any:
 
 def number(value: float, digits: int = 3) -> str:
     """A number with so many significant digits, in plain notation where that is readable."""
-    if not np.isfinite(value):
-        return "–"
-    if value != 0 and not 1e-4 <= abs(value) < 1e6:
+    if not np.isfinite(value) or value == 0:
+        return "–" if not np.isfinite(value) else "0"
+    if not 1e-4 <= abs(value) < 1e6:
         exponent = int(np.floor(np.log10(abs(value))))
         return f"{value / 10.0**exponent:.{max(digits - 1, 0)}f}·10{str(exponent).translate(_SUPERSCRIPT)}".replace("-", "−")
-    exponent = 0 if value == 0 else int(np.floor(np.log10(abs(value))))
+    exponent = int(np.floor(np.log10(abs(value))))
     return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
+
+
+def short_name(name: str) -> str:
+    """The name of a file without the folders it lies in; other names as they are, without what acts on a screen."""
+    return printable(PurePath(name).name if PurePath(name).suffix else name)
 
 
 def frequency_axis(axes: Axes, low: float, high: float, band: Sequence[float] | None = None, label: bool = True) -> None:
