@@ -98,7 +98,7 @@ _WHERE = {
 _ROOMS = ("plots",)
 """Packages that are reached by their name without an import of their own."""
 
-__all__ = ["__version__", *_ROOMS, *_WHERE]
+__all__ = ["__version__", *_WHERE]
 
 if not TYPE_CHECKING:  # else a name that is not there would be of any type to a checker
 
@@ -114,7 +114,7 @@ if not TYPE_CHECKING:  # else a name that is not there would be of any type to a
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, *_ROOMS])
 
 
 def _is_called_as(module: ModuleType, name: str) -> bool:

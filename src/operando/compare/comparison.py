@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
 from operando.compare.models import ModelComparison, compare_models
 from operando.compare.peaks import by_mode, fit_peaks
-from operando.data import Frf, ModalModel, Saved, expect, plots
-from operando.dof import Dof, Node
+from operando.data import FrequencyAxis, Frf, ModalModel, Saved, expect, plots
+from operando.dof import Dof, DofIndex
 from operando.errors import DataError, ObjectError
 from operando.results import CheckRun
 from operando.scaling import HybridModel
@@ -205,8 +205,8 @@ def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, floa
             raise DataError(f"no measured line lies in {band_hz[0]:g} … {band_hz[1]:g} Hz")
         measured = measured.band(*band_hz)
     have_out, have_in = _available(model)
-    responses = tuple(d for d in measured.responses if have_out is None or (d.node, d.axis) in have_out)
-    references = tuple(d for d in measured.references if have_in is None or (d.node, d.axis) in have_in)
+    responses = tuple(d for d in measured.responses if have_out is None or d in have_out)
+    references = tuple(d for d in measured.references if have_in is None or d in have_in)
     if not responses or not references:
         raise DataError(
             "model and measurement have no response–reference pair in common",
@@ -227,43 +227,28 @@ def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, floa
         if not np.all(keep):
             notes.append(f"{int(np.sum(~keep))} measured lines are not in the model FRFs, left out")
         made = model.select(responses, references).to_quantity(measured.quantity)
-        made = _lines(made, index[keep], f[keep])
-        measured = _lines(measured, np.flatnonzero(keep), f[keep])
+        made = replace(made.lines(index[keep]), axis=FrequencyAxis(f[keep]))
+        measured = measured.lines(keep)
     else:
         made = model.frf(f, responses, references, measured.quantity)
     return made, measured
 
 
-def _lines(frf: Frf, index: NDArray[Any], f: NDArray[np.float64]) -> Frf:
-    return Frf(
-        frf.data[:, :, index],
-        f,  # type: ignore[arg-type]
-        frf.responses,
-        frf.references,
-        frf.quantity,
-        variance=None if frf.variance is None else frf.variance[:, :, index],
-    )
-
-
-def _available(model: FrfModel | Frf) -> tuple[set[tuple[Node, str]] | None, set[tuple[Node, str]] | None]:
+def _available(model: FrfModel | Frf) -> tuple[DofIndex | None, DofIndex | None]:
     if isinstance(model, Frf):
-        return {(d.node, d.axis) for d in model.responses}, {(d.node, d.axis) for d in model.references}
+        return DofIndex(model.responses), DofIndex(model.references)
     holder = getattr(model, "modal", model)
     dofs = getattr(holder, "dofs", None)
     if dofs is None:
         return None, None
-    known = {(d.node, d.axis) for d in dofs}
+    known = DofIndex(dofs)
     return known, known
 
 
 def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
     """Flat lines of one run; ``labels`` grows by DOFs not seen before."""
-    known = {(d.node, d.axis): i for i, d in enumerate(labels)}
-    for d in ref.responses:
-        if (d.node, d.axis) not in known:
-            known[(d.node, d.axis)] = len(labels)
-            labels.append(d)
-    which = np.array([known[(d.node, d.axis)] for d in ref.responses])
+    labels += [d for d in ref.responses if d not in DofIndex(labels)]
+    which = np.array(DofIndex(labels).match(ref.responses)[0])
     shape = ref.data.shape
     zero = np.zeros(shape)
     var_meas = zero if ref.variance is None else ref.variance

@@ -195,8 +195,8 @@ def fit_ema(
 
 def model_dofs(frf: Frf) -> tuple[Dof, ...]:
     """DOFs of the model: the responses, then references that are not among them."""
-    have = {(d.node, d.axis) for d in frf.responses}
-    return (*frf.responses, *(d for d in frf.references if (d.node, d.axis) not in have))
+    have = {d.key for d in frf.responses}
+    return (*frf.responses, *(d for d in frf.references if d.key not in have))
 
 
 def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, float]:

@@ -29,8 +29,8 @@ class Cluster:
 
 def shared_rows(a: ModalModel, b: ModalModel) -> tuple[list[int], list[int], NDArray[np.float64]]:
     """Rows of the sensors both models have, and the sign between their senses."""
-    place = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(b.dofs)}
-    rows = [(i, *place[d.node, d.axis], d.sign) for i, d in enumerate(a.dofs) if (d.node, d.axis) in place]
+    place = {d.key: (i, d.sign) for i, d in enumerate(b.dofs)}
+    rows = [(i, *place[d.key], d.sign) for i, d in enumerate(a.dofs) if d.key in place]
     return [r[0] for r in rows], [r[1] for r in rows], np.array([r[2] * r[3] for r in rows], float)
 
 
