@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, FrequencyAxis, Frf, Provenance, one_level
-from operando.dof import Dof, Node
+from operando.dof import Dof, DofIndex, Node
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
 
@@ -84,18 +84,17 @@ def aligned(run: RunEstimate, responses: Sequence[Dof], references: Sequence[Dof
     shape = (len(responses), len(references), run.frequencies_hz.size)
     data, variance, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
     gain = np.zeros((len(references), run.frequencies_hz.size))
-    rows = {d.key: (i, d.sign) for i, d in enumerate(run.responses)}
-    columns = {d.key: (j, d.sign) for j, d in enumerate(run.references)}
+    rows, columns = DofIndex(run.responses), DofIndex(run.references)
     for j, reference in enumerate(references):
-        column = columns.get(reference.key)
+        column = columns.find(reference)
         if column is None:
             continue
         gain[j] = run.gain[column[0]]
         for i, response in enumerate(responses):
-            row = rows.get(response.key)
+            row = rows.find(response)
             if row is None:
                 continue
-            sign = row[1] * column[1] * response.sign * reference.sign
+            sign = row[1] * column[1]
             data[i, j] = sign * run.data[row[0], column[0]]
             variance[i, j] = run.variance[row[0], column[0]]
             coherence[i, j] = run.coherence[row[0], column[0]]
@@ -336,8 +335,8 @@ def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEst
     ordered = sorted(group, key=lambda r: r.level)
     used, apart = [ordered[0]], []
     for run in ordered[1:]:
-        mine = {d.key for d in run.responses}
-        sharing = [u for u in used if any(d.key in mine for d in u.responses)]
+        mine = DofIndex(run.responses)
+        sharing = [u for u in used if any(d in mine for d in u.responses)]
         if not sharing:
             findings += _shift_finding(used[0], run)
         ratio, relative = inhomogeneity(run, pool(sharing, run.responses)) if sharing else (0.0, 0.0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from operando.data import ModalModel
-from operando.dof import Dof, Node
+from operando.dof import Dof, DofIndex, Node
 from operando.oma.matching import Cluster
 from operando.oma.uncertainty import student_widening, unit_changes
 
@@ -107,9 +107,9 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Se
         Blocks each covariance comes from: it was widened by Student's t for them, all together have more.
     """
     dofs = union_of_dofs(models)
-    row_of = {d.key: (i, d.sign) for i, d in enumerate(dofs)}
-    rows = [np.array([row_of[d.key][0] for d in m.dofs]) for m in models]
-    signs = [np.array([row_of[d.key][1] * d.sign for d in m.dofs], float) for m in models]
+    places = [DofIndex(dofs).match(m.dofs) for m in models]
+    rows = [np.array(index) for index, _ in places]
+    signs = [np.array(sense, float) for _, sense in places]
     together = student_widening(sum(b - 1 for b in blocks))
     roots = [covariance_root(m.covariance) * (together / student_widening(b - 1)) for m, b in zip(models, blocks, strict=True)]
     starts = np.concatenate([[0], np.cumsum([r.shape[1] for r in roots])]).astype(int)
