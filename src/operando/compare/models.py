@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -77,8 +78,6 @@ class ModelComparison(Saved):
         MissingError
             If pandas is not installed.
         """
-        import importlib
-
         rows = [
             {k: v for k, v in m.items() if not isinstance(v, list)}
             | {f"{k}_{side}": m[k][i] for k in ("frequency_hz", "damping_ratio") for i, side in enumerate(("first", "second"))}

@@ -194,6 +194,8 @@ def places_of(axes: Axes | Sequence[Axes] | None, parts: Sequence[str]) -> tuple
     for part in parts:
         if part not in PARTS:
             raise DataError(f"{part!r} is no part of an FRF figure", hint="use " + ", ".join(PARTS))
+    if isinstance(axes, np.ndarray):  # as pyplot.subplots gives several
+        axes = list(axes.ravel())
     if axes is None:
         made = new_stack([HEIGHTS[p] for p in parts], parts, 8.0, 1.0 + sum(HEIGHTS[p] for p in parts))
         return dict(zip(parts, made, strict=True)), True
