@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 WIDTHS = 6.0
-"""Half-power widths on either side of a mode that its Nyquist figure shows: nine tenths of the circle."""
+"""Half-power widths on either side of a mode that its Nyquist figure shows, where no other mode is near: nine tenths of the circle."""
 
 FIT_WIDTHS = 1.5
 """Half-power widths on either side of a mode that its circle is fitted to: most of the circle, and little of other modes."""
@@ -128,7 +128,9 @@ def plot_nyquist(
             )
         hz, zeta = float(model.frequencies_hz[mode]), float(model.damping_ratios[mode])
         width = 2 * zeta * hz
-        band = (hz - WIDTHS * width, hz + WIDTHS * width) if band is None else band
+        apart = np.abs(np.delete(model.frequencies_hz, mode) - hz)
+        reach = max(min(WIDTHS * width, 0.5 * float(apart.min(initial=np.inf))), FIT_WIDTHS * width)  # short of the circles beside it
+        band = (hz - reach, hz + reach) if band is None else band
         title += f", mode {mode}: {hz:.2f} Hz, ζ {100 * zeta:.2f} %"
     elif band is None and model is not None:
         band = model.band_hz
@@ -151,7 +153,7 @@ def plot_nyquist(
         axes.set_xlabel(f"Real part of {words[0].lower()}{words[1:]}")
         axes.set_ylabel("Imaginary part")
         axes.set_title(title)
-        axes.legend(loc="best")
+        axes.legend(loc="upper left", fontsize=7.5, borderaxespad=0.1)
     return axes
 
 

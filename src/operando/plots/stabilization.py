@@ -43,6 +43,9 @@ LETTERS = (
 """Symbol, words and colour of each class of poles."""
 
 NOT_PHYSICAL = ("not physical", "#d3d9df")
+LEGEND_WIDTH = 1.85
+"""Width of one column of the legend [inches]."""
+
 LETTERS_FROM, LETTERS_TO = 2.0, 3.8
 """Heights of the symbols [points]: as large as orders do not overlap, but readable."""
 
@@ -154,7 +157,10 @@ def plot_stabilization(
             axes.annotate(words, (1.0, 0.0), (0, -22), xycoords="axes fraction", textcoords="offset points", **look)
         if legend:
             box = (0.0, 1.05, 1.0, 0.1)
-            axes.legend(loc="lower left", bbox_to_anchor=box, ncols=4, handletextpad=0.3, columnspacing=1.2, borderaxespad=0)
+            figure = axes.get_figure(root=True)
+            wide = axes.get_position().width * (figure.get_figwidth() if figure is not None else 9.0)
+            columns = int(np.clip(wide / LEGEND_WIDTH, 1, 5))
+            axes.legend(loc="lower left", bbox_to_anchor=box, ncols=columns, handletextpad=0.3, columnspacing=1.2, borderaxespad=0)
     return axes
 
 
