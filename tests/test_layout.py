@@ -30,15 +30,14 @@ LEVELS = {
     "ema": 8, "oma": 8,
     "scaling": 9,
     "compare": 10,
-    "effects": 11, "nonlinear": 12, "diagnose": 13,
-    "store": 14, "entries": 14,
-    "plots": 14,
-    "report": 15, "values": 15,
-    "states": 16,
-    "config": 17, "scaffold": 17,
-    "pipeline": 18,
-    "campaign": 19,
-    "cli": 20,
+    "effects": 11, "nonlinear": 12, "diagnose": 13, "diagnosis": 14,
+    "store": 15, "entries": 15, "plots": 15,
+    "report": 16, "values": 16,
+    "states": 17,
+    "config": 18, "scaffold": 18,
+    "pipeline": 19,
+    "campaign": 20,
+    "cli": 21,
 }  # fmt: skip
 NUMERIC = (
     "dof",
@@ -58,6 +57,7 @@ NUMERIC = (
     "effects",
     "nonlinear",
     "diagnose",
+    "diagnosis",
 )
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from operando.diagnose import Diagnosis as Diagnosis
     from operando.diagnose import Model as Model
     from operando.diagnose import apply_effects as apply_effects
-    from operando.diagnose import diagnose as diagnose
+    from operando.diagnosis import diagnose as diagnose
     from operando.dof import Dof as Dof
     from operando.effects import Effect as Effect
     from operando.effects import EffectKind as EffectKind
@@ -91,12 +91,15 @@ _WHERE = {
     "register": "operando.effects",
     "Model": "operando.diagnose",
     "Diagnosis": "operando.diagnose",
-    "diagnose": "operando.diagnose",
+    "diagnose": "operando.diagnosis",
     "apply_effects": "operando.diagnose",
     "run": "operando.pipeline",
 }
 _ROOMS = ("plots",)
 """Packages that are reached by their name without an import of their own."""
+
+_CALLED = ("compare", "diagnose")
+"""Packages that can be called as the public function of their name."""
 
 __all__ = ["__version__", *_WHERE]
 
@@ -105,11 +108,10 @@ if not TYPE_CHECKING:  # else a name that is not there would be of any type to a
     def __getattr__(name: str) -> Any:
         import importlib
 
-        if name in _ROOMS:
+        if name in (*_ROOMS, *_CALLED):
             return importlib.import_module(f"operando.{name}")
         if name in _WHERE:
-            module = importlib.import_module(_WHERE[name])
-            return module if _is_called_as(module, name) else getattr(module, name)
+            return _function(name)
         raise AttributeError(f"module 'operando' has no attribute {name!r}")
 
 
@@ -117,19 +119,30 @@ def __dir__() -> list[str]:
     return sorted([*__all__, *_ROOMS])
 
 
-def _is_called_as(module: ModuleType, name: str) -> bool:
-    """Whether a function of a package has the name of the package."""
-    return _WHERE.get(name) == module.__name__ == f"operando.{name}"
+def _function(name: str) -> Any:
+    import importlib
+
+    return getattr(importlib.import_module(_WHERE[name]), name)
 
 
 class _CalledPackage(ModuleType):
-    """A package that can be called as its function of the same name: ``operando.compare(a, b)``, and ``operando.compare.error_map``.
+    """A package that can be called as the function of its name: ``operando.compare(a, b)``, and ``operando.compare.error_map``.
 
-    Neither hides the other, whichever was imported first.
+    Neither hides the other, whichever was imported first. The function is looked for when it is asked for.
     """
 
     def __call__(self, *args: Any, **options: Any) -> Any:
-        return getattr(self, self.__name__.rpartition(".")[2])(*args, **options)
+        return _function(self.__name__.rpartition(".")[2])(*args, **options)
+
+    @property
+    def __doc__(self) -> Any:  # type: ignore[override]
+        return _function(self.__name__.rpartition(".")[2]).__doc__
+
+    @property
+    def __signature__(self) -> Any:
+        import inspect
+
+        return inspect.signature(_function(self.__name__.rpartition(".")[2]))
 
     def __reduce__(self) -> Any:
         import importlib
@@ -141,13 +154,8 @@ class _Package(ModuleType):
     """Makes packages that have a function of their name callable, as soon as they are loaded."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if isinstance(value, ModuleType) and _is_called_as(value, name):
-            import inspect
-
-            function = getattr(value, name)
+        if isinstance(value, ModuleType) and name in _CALLED and value.__name__ == f"{__name__}.{name}":
             value.__class__ = _CalledPackage
-            value.__doc__ = function.__doc__
-            vars(value)["__signature__"] = inspect.signature(function)
         super().__setattr__(name, value)
 
 

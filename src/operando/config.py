@@ -109,6 +109,8 @@ class Test:
     analysis : Analysis
     directions : dict
         DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
+    between : dict
+        What may differ between the measurements at rest and in operation beside the missing physics → one standard deviation.
     given : mapping
         Which line or option gave each entry, for messages.
     """
@@ -126,6 +128,7 @@ class Test:
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
     analysis: Analysis = field(default_factory=Analysis)
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    between: dict[str, float] = field(default_factory=dict)
     given: Given = field(default_factory=dict, repr=False, compare=False)
 
     def where(self, section: str, key: str = "") -> str:
@@ -162,6 +165,7 @@ class Test:
         """Settings as exported with every output: those of [analysis] with defaults, what else is given, parts of records."""
         given: dict[str, Any] = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
         given["directions"] = {k: list(v) for k, v in self.directions.items()}
+        given["between"] = dict(self.between)
         parts = [
             {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
             for name, state in self.states.items()
@@ -306,7 +310,7 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
 
 
 _STATES = ("idle", "operating", "check")
-_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "directions")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
@@ -354,6 +358,7 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
         channels=channels,
         analysis=_analysis(table.get("analysis", {}), where.within("analysis")),
         directions=directions,
+        between=values.between(table.get("between", {}), where.within("between")),
         given=where.given,
     )
     test.rejected_hits(test.idle)

@@ -144,6 +144,24 @@ def directions(table: Mapping[str, Any], where: Entry) -> dict[str, tuple[float,
     return out
 
 
+BETWEEN = ("sensor_gain", "force_gain", "stiffness", "damping", "offset", "skew")
+"""What may differ between two measurements: gains, stiffness and damping relative, offsets as a share of a shape, the skew in seconds."""
+
+
+def between(table: Mapping[str, Any], where: Entry) -> dict[str, float]:
+    """Standard deviations of what may differ between two measurements; 0 for what does not.
+
+    Raises
+    ------
+    ConfigError
+        If a name is unknown or a value is no number from 0 to 1.
+    """
+    check_keys(table, BETWEEN, where)
+    for name, value in table.items():
+        expect(value, is_number(value) and 0 <= value <= 1, "a standard deviation from 0 to 1", where.at(name))
+    return {name: float(value) for name, value in table.items()}
+
+
 def declared(channels: Mapping[str, Mapping[str, Any]], directions: Mapping[str, Any], where: Entry) -> None:
     """Every named direction in [channels] must stand in [directions]."""
     for name, entry in channels.items():

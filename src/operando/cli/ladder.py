@@ -93,7 +93,7 @@ def accepted(results: Results) -> list[Effect]:
 
 def suggestion(folder: str, results: Results) -> list[Effect]:
     """What the diagnosis accepts by itself, found again from the data (the folder may hold effects added by hand)."""
-    from operando.diagnose import diagnose
+    from operando.diagnosis import diagnose
 
     say = Clock()
     runs, band = judging(results)
@@ -105,8 +105,9 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
         band=band,
         progress=lambda message: say("diagnose", message),
         records=check_records(folder, results) if looked_at_records else (),
-        idle_frf=results.idle_frf.without_bands(left_out(results)) if looked_at_records and results.idle_frf is not None else None,
+        idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results)),
         exclude_bands=left_out(results),
+        between=results.settings.get("between") or {},
     )
     if not found.effects:
         raise MissingError(f"the diagnosis suggests no effect (verdict {found.verdict})", where=folder)

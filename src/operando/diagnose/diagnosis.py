@@ -72,6 +72,8 @@ class Diagnosis:
         The least change of each mode's frequency that would have been seen.
     reason : str or None
         What stands in the way of a better verdict.
+    between, discrepancy : tuple of dict and dict, optional
+        What differs between the two measurements and is no missing physics; the share of the FRFs that no parameter explains.
     """
 
     verdict: str
@@ -90,6 +92,8 @@ class Diagnosis:
     judged_on: Mapping[str, Any] = field(default_factory=dict)
     detectable: tuple[dict[str, Any], ...] = ()
     reason: str | None = None
+    between: tuple[dict[str, Any], ...] | None = None
+    discrepancy: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
@@ -109,10 +113,9 @@ class Diagnosis:
             "judged_on": dict(self.judged_on),
             "reason": self.reason,
             "detectable": [dict(row) for row in self.detectable],
-            # not estimated yet, so null: what differs between the two measurements, the discrepancy, modes by level
-            "between": None,
-            "discrepancy": None,
-            "by_level": None,
+            "between": None if self.between is None else [dict(row) for row in self.between],
+            "discrepancy": self.discrepancy,
+            "by_level": None,  # not estimated yet
         }
 
 
@@ -186,11 +189,9 @@ def diagnose(
     if not check:
         if operating is None:
             raise MissingError("neither check FRFs nor operational modes to diagnose from")
-        from operando.diagnose.output_only import diagnose_output_only  # type: ignore[import-not-found,unused-ignore]
+        from operando.diagnose.output_only import diagnose_output_only
 
-        return diagnose_output_only(  # type: ignore[no-any-return,unused-ignore]
-            idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress
-        )
+        return diagnose_output_only(idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress)
     with threadpool_limits(1, "blas"):
         problem = make_problem(idle, check, kinds, places, band or idle.band_hz, progress)
         return _search(problem, check, operating, geometry, band or idle.band_hz, compared)

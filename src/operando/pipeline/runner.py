@@ -126,6 +126,8 @@ class _Run:
     def _key(self, stage: Stage) -> str:
         test = self.test
         settings = {name: getattr(test.analysis, name) for name in stage.settings}
+        if stage.name == "diagnose":
+            settings["between"] = dict(test.between)
         files = []
         for name in stage.states:
             state = (() if test.geometry_file is None else (test.geometry_file,)) if name == "geometry" else getattr(test, name).files

@@ -61,6 +61,9 @@ def held_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, 
     """
     from operando.diagnose.sets import JUDGE, split_lines
 
+    stated = ((results.diagnosis or {}).get("judged_on") or {}).get("ranges_hz")
+    if stated:
+        return [(float(low), float(high)) for low, high in stated], False
     if results.idle is None or results.settings.get("exclude_bands"):
         return [], False
     band = results.settings.get("band") or results.idle.band_hz

@@ -268,7 +268,8 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     judged_on = document.get("judged_on") or {}
     where = f"Held out: {lines_words(judged_on)}." if judged_on and not output_only else ""
     hidden = "" if by_hand else _hidden(document)
-    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), where, hidden, *others)
+    differ = "" if by_hand else between_words(document)
+    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), where, hidden, differ, *others)
     found = tuple(_found(e) for e in effects)
     decide = _deciding(document, verdict, effects)
     said = tuple(s for s in sentences if s)
@@ -282,6 +283,8 @@ def _on_records(document: Mapping[str, Any]) -> bool:
 def _hidden(document: Mapping[str, Any]) -> str:
     """What would have been seen, where nothing was found; else why the verdict is no better."""
     verdict, seen = document.get("verdict"), [row for row in document.get("detectable") or [] if finite(row.get("value"))]
+    if verdict == "no_misfit" and (effects := _would_have_been_seen(seen)):
+        return f"Of effects of these sizes, depending on the place, 95 % would have been found: {effects}."
     if verdict == "no_misfit" and seen:
         worst = max(seen, key=lambda row: float(row["value"]))
         least = f"{number(worst['value'], 2)} {worst['unit']}"
@@ -290,6 +293,39 @@ def _hidden(document: Mapping[str, Any]) -> str:
         text = str(document["reason"])
         return f"{text[:1].upper()}{text[1:]}."
     return ""
+
+
+def _would_have_been_seen(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Smallest sizes of each kind, from the place where it is seen best to the one where it is seen least."""
+    sizes: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if row.get("kind") != "frequency_shift":
+            sizes.setdefault(str(row["kind"]), []).append(row)
+    parts = []
+    for kind, some in sizes.items():
+        values = sorted(float(row["value"]) for row in some)
+        span = number(values[0], 2) if len(values) == 1 else f"{number(values[0], 2)} … {number(values[-1], 2)}"
+        parts.append(f"{kind_words(kind)} {span} {some[0]['unit']}")
+    return listing(parts, len(parts))
+
+
+def between_words(document: Mapping[str, Any]) -> str:
+    """What differs between the two measurements and is no missing physics, in one sentence."""
+    rows = document.get("between") or []
+    parts = []
+    for what, name in (("sensor_gain", "gains of sensors"), ("force_gain", "of forces")):
+        off = [abs(float(r["value"]) - 1) for r in rows if r["what"] == what]
+        if off:
+            parts.append(f"{name} by up to {number(100 * max(off), 2)} %")
+    for what, name, zero in (("stiffness", "stiffness", 0.0), ("damping", "damping", 1.0)):
+        for r in rows:
+            if r["what"] == what:
+                parts.append(f"{name} by {100 * (float(r['value']) - zero):+.2g} ± {number(100 * INTERVAL * float(r['std']), 2)} %")
+    if not parts:
+        return ""
+    unusual = [f"{kind_words(r['what'])} {listing(r['location'])}".strip() for r in rows if r.get("unusual")]
+    text = _typeset(f"Between the two measurements differ, and are no missing physics: {listing(parts, len(parts))}")
+    return text + (f"; unusually far: {listing(unusual, MOST_NAMED)}." if unusual else ".")
 
 
 def _found(effect: EffectWords) -> str:

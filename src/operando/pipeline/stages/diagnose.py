@@ -14,7 +14,8 @@ from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
 def missing_physics(work: Work) -> dict[str, Any]:
     """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
     from operando.compare import FOUND, gets_worse, with_effect
-    from operando.diagnose import Model, diagnose
+    from operando.diagnose import Model
+    from operando.diagnosis import diagnose
 
     results = work.results
     idle = needed(results.idle, "idle modes")
@@ -28,7 +29,6 @@ def missing_physics(work: Work) -> dict[str, Any]:
         check=runs,
         operating=results.operating,
         geometry=results.geometry,
-        hybrid=results.hybrid,
         kinds=work.analysis.kinds or None,
         places=work.analysis.places or None,
         band=analysis_band(work),
@@ -36,6 +36,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
         records=whole_records(work, work.test.check, findings) if runs and work.test.check.records else (),
         idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(work.analysis.exclude_bands),
         exclude_bands=work.analysis.exclude_bands,
+        between=work.test.between,
         compared=None if results.comparison is None or not runs else results.comparison["models"].get("idle"),
     )
     document = found.to_dict()

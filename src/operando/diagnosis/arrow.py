@@ -1,0 +1,113 @@
+"""Least squares of unknowns that all rows share and unknowns of one channel each: an information matrix in the shape of an arrow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.blas import dsyrk
+
+Array = NDArray[Any]
+
+
+def _syrk(rows: Array) -> Array:
+    """Lower triangle of rowsᵀ rows."""
+    return np.asarray(dsyrk(1.0, np.ascontiguousarray(rows).T, lower=1))
+
+
+@dataclass(frozen=True)
+class Information:
+    """JᵀJ of rows that fall into blocks, without the prior.
+
+    Parameters
+    ----------
+    shared : (s, s) array
+        Of the unknowns that all blocks share; lower triangle.
+    across : (blocks, k, s) array
+    own : (blocks, k, k) array
+        Of the unknowns that one block has for itself.
+    """
+
+    shared: Array
+    across: Array
+    own: Array
+
+    @classmethod
+    def of(cls, shared: Array, own: Array) -> Information:
+        """From weighted derivatives of the rows, (blocks, rows, s) and (blocks, rows, k)."""
+        turned = np.swapaxes(own, 1, 2)
+        return cls(_syrk(shared.reshape(-1, shared.shape[2])), turned @ shared, turned @ own)
+
+    def __add__(self, other: Information) -> Information:
+        return Information(self.shared + other.shared, self.across + other.across, self.own + other.own)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Cholesky factor of an arrow: own blocks first, then what they leave of the shared one."""
+
+    inverse: Array  # (blocks, k, k): of the factors of the own blocks
+    across: Array  # (blocks, k, s): inverse @ Information.across
+    lower: Array  # (s, s)
+
+    @classmethod
+    def of(cls, information: Information, shared: Array, own: Array) -> Factor:
+        """With the precisions of the prior, (s,) and (blocks, k).
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the matrix is not positive definite.
+        """
+        k = own.shape[1]
+        blocks = np.array(information.own)
+        blocks[:, np.arange(k), np.arange(k)] += own
+        inverse = np.linalg.inv(np.linalg.cholesky(blocks))
+        across = inverse @ information.across
+        rest = information.shared - _syrk(across.reshape(-1, across.shape[2]))
+        rest[np.diag_indices_from(rest)] += shared
+        return cls(inverse, across, cholesky(rest, lower=True, check_finite=False))
+
+    @property
+    def half_log_determinant(self) -> float:
+        diagonal = np.diagonal(self.inverse, axis1=1, axis2=2)
+        return float(np.sum(np.log(np.diag(self.lower))) - np.sum(np.log(diagonal)))
+
+    def whitened(self, shared: Array, own: Array) -> tuple[Array, Array]:
+        """Factor⁻¹ of right sides, (s, n) and (blocks, k, n): their squares sum to bᵀ H⁻¹ b."""
+        y = self.inverse @ own
+        rest = shared - np.tensordot(self.across, y, ((0, 1), (0, 1)))
+        return solve_triangular(self.lower, rest, lower=True, check_finite=False), y
+
+    def solve(self, shared: Array, own: Array) -> tuple[Array, Array]:
+        """H⁻¹ of one right side, (s,) and (blocks, k)."""
+        y = (self.inverse @ own[..., None])[..., 0]
+        rest = shared - np.tensordot(self.across, y, ((0, 1), (0, 1)))
+        first = cho_solve((self.lower, True), rest, check_finite=False)
+        second = np.swapaxes(self.inverse, 1, 2) @ (y - self.across @ first)[..., None]
+        return first, second[..., 0]
+
+    def variances(self) -> tuple[Array, Array]:
+        """Diagonal of H⁻¹, (s,) and (blocks, k)."""
+        root = solve_triangular(self.lower, np.eye(len(self.lower)), lower=True, check_finite=False)
+        spread = np.swapaxes(self.inverse, 1, 2) @ self.across @ root.T
+        own = np.sum(self.inverse**2, axis=1) + np.sum(spread**2, axis=2)
+        return np.sum(root**2, axis=0), own
+
+    def of_rows(self, shared: Array, own: Array) -> Array:
+        """Variance j H⁻¹ jᵀ of rows, (blocks, rows, s) and (blocks, rows, k) → (blocks, rows)."""
+        y = self.inverse @ np.swapaxes(own, 1, 2)
+        rest = np.swapaxes(shared, 1, 2) - np.swapaxes(self.across, 1, 2) @ y
+        s = rest.shape[1]
+        left = solve_triangular(self.lower, np.moveaxis(rest, 1, 0).reshape(s, -1), lower=True, check_finite=False)
+        return np.asarray(np.sum(y**2, axis=1) + np.sum(left**2, axis=0).reshape(len(rest), -1))
+
+    def shared_covariance(self, first: int) -> Array:
+        """H⁻¹ among the shared unknowns from ``first`` on."""
+        unit = np.zeros((len(self.lower), len(self.lower) - first))
+        unit[first:] = np.eye(len(self.lower) - first)
+        root = solve_triangular(self.lower, unit, lower=True, check_finite=False)
+        return np.asarray(root.T @ root)

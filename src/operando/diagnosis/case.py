@@ -1,0 +1,212 @@
+"""One check of one idle model: its lines, its model of the FRFs, and the priors of the effects that may be missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Frf
+from operando.diagnosis.between import SPREADS, Between
+from operando.diagnosis.criteria import CHANGES_DB, CORRELATED_LINES, FIT_LINES, LEAST_MOVE, REMOVED
+from operando.diagnosis.forward import Forward, Scannable
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.lines import Lines
+from operando.diagnosis.terms import SEARCHED, Term, added, candidates
+from operando.errors import DofError
+
+Array = NDArray[Any]
+_DECADES = np.linspace(-5, 3, 25)  # of sizes about that which stops a place
+_AT_ONCE = 2  # columns of all DOFs at a time
+
+
+class Case:
+    """What a search works on.
+
+    Parameters
+    ----------
+    idle : Idle
+    frf : Frf
+        Of the check; DOFs that the idle model does not have are left out.
+    band : (float, float)
+        Hz.
+    spreads : dict, optional
+        Standard deviations of what differs between the days; empty for FRFs of the same day.
+    number : int
+        Lines to fit.
+    kinds : sequence of str
+        Kinds of effects looked for.
+    places : sequence of int, optional
+        DOFs where effects may be; default all.
+    correlated : float
+        Neighbouring lines over which the noise is alike.
+    like : Case, optional
+        The same check and model with other spreads: sizes that effects may have are taken over.
+
+    Raises
+    ------
+    DofError
+        If the check and the idle model have no response or no reference in common.
+    """
+
+    def __init__(
+        self,
+        idle: Idle,
+        frf: Frf,
+        band: tuple[float, float],
+        spreads: dict[str, float] | None = None,
+        number: int = FIT_LINES,
+        kinds: Sequence[str] = SEARCHED,
+        places: Sequence[int] | None = None,
+        correlated: float = CORRELATED_LINES,
+        like: Case | None = None,
+    ) -> None:
+        responses = [i for i, d in enumerate(idle.dofs) if any(d.same_axis(o) for o in frf.responses)]
+        references = [i for i, d in enumerate(idle.dofs) if any(d.same_axis(o) for o in frf.references)]
+        if not responses or not references:
+            raise DofError(
+                "the check and the idle model have no DOF in common",
+                hint="name responses and references of the check as in the measurement at rest",
+            )
+        self.dofs = idle.dofs
+        chosen = frf.select([idle.dofs[i] for i in responses], [idle.dofs[i] for i in references]).to_quantity("receptance")
+        modes = idle.modes
+        self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated)
+        self.band = self.lines.band
+        self.kinds = tuple(kinds)
+        nodes: dict[Any, list[int]] = {}
+        for i, dof in enumerate(idle.dofs):
+            nodes.setdefault((dof.node, dof.axis.startswith("R")), []).append(i)
+        self.nodes = [tuple(v) for v in nodes.values()]
+        self.allowed = tuple(range(len(idle.dofs))) if places is None else tuple(places)
+        driven = np.array(references)
+        spreads = SPREADS.copy() if spreads is None else spreads
+        self.between = Between(idle, driven, self.band, spreads)
+        rough = Forward(idle, self.between, np.array(responses), driven, self.band)
+        self.forward = Forward(self._compressed(rough), self.between, rough.responses, driven, self.band)
+        self.between.idle = self.forward.idle
+        self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
+        self._base: Scannable | None = None
+        self._places: dict[str, int] = {}
+
+    @property
+    def idle(self) -> Idle:
+        return self.forward.idle
+
+    def _compressed(self, forward: Forward) -> Idle:
+        """Directions of the idle model that the FRFs of all pairs, driven or not, could tell: effects see places that were not driven."""
+        idle, lines, w = forward.idle, self.lines, self.lines.w[self.lines.fit]
+        dofs, g = len(idle.dofs), idle.f_root.shape[1]
+        noise = np.sqrt(np.median(lines.variance[lines.fit], axis=(1, 2)) * lines.correlated / 2)
+        noise = np.maximum(noise, 1e-3 * np.abs(lines.level[lines.fit]).mean((1, 2)))
+        whole, each = np.zeros((g, g)), np.zeros((dofs, forward.n_shape, forward.n_shape))
+        for first in range(0, dofs, _AT_ONCE):
+            columns = np.arange(first, min(first + _AT_ONCE, dofs))
+            plain = Between(idle, columns, self.band, {})
+            some = Forward(idle, plain, np.arange(dofs), columns, self.band)
+            made = some.predict(some.start, w)
+            by_g = (made.shared[..., :g] / noise[:, None, None, None]).reshape(-1, g)
+            whole += (by_g.conj().T @ by_g).real
+            # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
+            mine = made.own / noise[:, None, None, None]
+            each += 2 * np.einsum("nijp,nijq->ipq", mine.conj(), mine, optimize=True).real
+            for number, dof in enumerate(some.reaching_dofs(())):
+                at = g + number * forward.n_shape
+                far = made.shared[..., at : at + forward.n_shape] / noise[:, None, None, None]
+                each[dof] += np.einsum("njp,njq->pq", far[:, dof].conj(), far[:, dof], optimize=True).real
+        values, vectors = np.linalg.eigh(whole)
+        values_own, vectors_own = np.linalg.eigh(each)
+        own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]
+        kept = max(1, int((values_own > LEAST_MOVE).sum(axis=1).max()))
+        return idle.along(vectors[:, values > LEAST_MOVE], own[:, :, own.shape[2] - kept :])
+
+    # priors of effects
+
+    def candidates(self, terms: Sequence[Term]) -> list[Term]:
+        """Kinds at places that are not there yet; channels only where one was measured."""
+        measured, driven = set(self.forward.responses.tolist()), set(self.forward.references.tolist())
+        out = []
+        for term in candidates(self.nodes, terms, self.kinds, self.allowed):
+            group, where = term.definition.group, set(term.places)
+            if (group == "force" and not where <= driven) or (
+                group == "sensor" and term.definition.acts == "sensor_map" and not where <= measured
+            ):
+                continue
+            out.append(term)
+        return out
+
+    def base(self) -> tuple[Array, Scannable]:
+        """Every second line to fit, and the idle model there."""
+        at = self.lines.fit[::2]
+        if self._base is None:
+            self._base = self.forward.scannable(self.forward.start, self.lines.w[at])
+        return at, self._base
+
+    def size_range(self, kind: str, places: tuple[int, ...]) -> tuple[float, float]:
+        """Logarithms of sizes that change the FRFs at rest by 0.1 and 10 dB (rms over lines and pairs)."""
+        if kind == "global_stiffness":
+            return float(np.log(5e-4)), float(np.log(0.2))
+        kind = {"tuned_absorber": "point_mass", "sensor_mass": "point_mass"}.get(kind, kind)
+        key = kind, tuple(sorted(places))
+        if key not in self._ranges:
+            at, base = self.base()
+            w = self.lines.w[at]
+            trial = Term(kind, places, (0.0, *self._further(kind)[0]))
+            unit = added(trial, w, self.band)
+            own = np.mean([np.abs(base.columns[:, i, i]) for i in places], axis=0)
+            grid = np.log(1 / np.median(np.abs(unit).max(axis=(1, 2)) * own)) + np.log(10) * _DECADES
+            b = list(places)
+            inner = np.linalg.solve(np.eye(len(b)) + np.exp(grid)[:, None, None, None] * (unit @ base.columns[:, b][:, :, b]), unit)
+            h = base.structure - base.columns[:, :, b] @ (np.exp(grid)[:, None, None, None] * inner @ base.structure[:, b])
+            level = 20 * np.log10(np.abs(h) / np.abs(base.structure))
+            changes = np.sqrt(np.mean(level**2, axis=(1, 2, 3)))
+            db = np.maximum.accumulate(changes)
+            low, high = (np.interp(np.log(v), np.log(db), grid) for v in (CHANGES_DB[0], min(CHANGES_DB[1], 0.9 * db[-1])))
+            self._ranges[key] = float(low), float(max(high, low + 2))
+        return self._ranges[key]
+
+    def _further(self, kind: str) -> tuple[list[float], list[float]]:
+        """Means and standard deviations of the values after the first, on the search scale."""
+        a, b = np.log(self.band)
+        if kind == "tuned_absorber":
+            return [(a + b) / 2, float(np.log(0.02))], [(b - a) / np.sqrt(12), 1.0]
+        if kind == "ground_hysteretic_spring":
+            return [float(np.log(0.1))], [1.0]
+        if kind == "ground_rubber":
+            return [0.25], [0.15]
+        return [], []
+
+    def prior(self, term: Term) -> tuple[Array, Array]:
+        """Means and standard deviations of the values."""
+        if term.kind.endswith("_gain"):
+            return np.zeros(1), np.array([0.3])
+        if term.kind.endswith("_delay"):
+            return np.zeros(1), np.array([0.3 / (2 * np.pi * self.band[1])])
+        if term.kind == "global_damping":
+            return np.zeros(1), np.array([0.5])
+        if not term.definition.parameters:
+            return np.zeros(0), np.zeros(0)
+        low, high = self.size_range(term.kind, term.places)
+        means, stds = self._further(term.kind)
+        return np.array([(low + high) / 2, *means]), np.array([(high - low) / 4, *stds])
+
+    def places(self, kind: str) -> int:
+        """Number of places where a kind may be."""
+        if kind not in self._places:
+            self._places[kind] = sum(1 for _ in candidates(self.nodes, (), (kind,), self.allowed))
+        return self._places[kind]
+
+    def log_prior(self, term: Term) -> float:
+        """Place and kind uniform, sizes log-normal, the opposite of a kind one in seven."""
+        value = -np.log(max(self.places(term.kind), 1)) - np.log(len(self.kinds))
+        mean, std = self.prior(term)
+        if term.values:
+            x = np.array(term.values)
+            value += float(np.sum(-0.5 * ((x - mean) / std) ** 2 - np.log(std) - 0.5 * np.log(2 * np.pi)))
+            if term.kind in ("gyroscopic", "circulatory", "global_stiffness"):
+                value += np.log(0.5)
+            elif term.definition.removable:
+                value += np.log(1 - REMOVED if term.sign > 0 else REMOVED)
+        return float(value)

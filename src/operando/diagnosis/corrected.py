@@ -1,0 +1,103 @@
+"""The idle model as a check leaves it, its effects, and the covariance of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Geometry, ModalModel
+from operando.diagnose.model import Model
+from operando.diagnosis.posterior import State
+from operando.diagnosis.terms import Term
+from operando.effects import Effect
+
+Array = NDArray[np.float64]
+
+
+def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effect, ...]:
+    """The terms of a state with units and standard deviations; ``terms`` says which of them."""
+    std = np.sqrt(np.diag(state.covariance)) if state.problem.n_values else np.zeros(0)
+    out, at = [], 0
+    for term in state.terms:
+        if terms is None or term in terms:
+            out.append(term.effect(state.case.dofs, std[at : at + len(term.values)].tolist(), state.case.band))
+        at += len(term.values)
+    return tuple(out)
+
+
+def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -> Model:
+    """Idle model moved by what the check taught of it, with stiffness and damping of that day, and the effects.
+
+    Gains of channels, places of sensors and what ties modes to each other stay out: they are no structure, or no real mode has them.
+
+    Parameters
+    ----------
+    idle : ModalModel
+    state : State
+    geometry : Geometry, optional
+    """
+    case, forward, x = state.case, state.case.forward, state.x
+    moved, between = forward.idle, forward.between
+    n, dofs, modes = moved.f.size, len(moved.dofs), moved.modes
+    part = between.shared_parts(x.d)
+    root = np.sqrt(max(1 + float(part["stiffness"].sum()), 0.05))
+    more = float(np.exp(part["damping_whole"].sum()))
+    by_mode, by_damping = np.ones(n), np.ones(n)
+    by_mode[modes], by_damping[modes] = np.exp(part["mode"]), more * np.exp(part["damping"])
+    f = (moved.f + moved.f_root @ x.g) * root * by_mode
+    zeta = (moved.zeta + moved.zeta_root @ x.g) / root * by_damping
+    phi = moved.phi + moved.shapes.of(x.g, x.own[:, : forward.n_shape])
+    updated = idle.with_terms(frequencies_hz=f, damping_ratios=np.maximum(zeta, 1e-9), shapes=phi)
+    effects = effects_of(state)
+    if idle.covariance is None:
+        return Model(updated, effects, geometry)
+
+    # θ and the values as linear in the unknowns: rows of a matrix whose product with the posterior covariance is theirs
+    problem = state.problem
+    sizes = [len(e.definition.parameters) for e in effects]
+    rows = 2 * n + n * dofs + sum(sizes)
+    shared = np.zeros((problem.n_shared, rows))
+    own = np.zeros((dofs, forward.n_own, rows))
+    g = slice(0, forward.n_g)
+    shared[g, :n] = (moved.f_root * (root * by_mode)[:, None]).T
+    shared[g, n : 2 * n] = (moved.zeta_root * (by_damping / root)[:, None]).T
+    slopes = {
+        "stiffness": (f / 2 / root**2, -zeta / 2 / root**2),
+        "damping_whole": (np.zeros(n), np.where(moved.residual, 0.0, zeta)),
+        "mode": (np.diag(f)[modes], np.zeros((modes.size, n))),
+        "damping": (np.zeros((modes.size, n)), np.diag(zeta)[modes]),
+    }
+    for name, (by_f, by_zeta) in slopes.items():
+        where = between.shared[name]
+        if where.stop > where.start:
+            at = slice(forward.n_g + where.start, forward.n_g + where.stop)
+            spread = between.shared_spread[where][:, None]
+            shared[at, :n], shared[at, n : 2 * n] = np.atleast_2d(by_f) * spread, np.atleast_2d(by_zeta) * spread
+    for i in range(dofs):
+        at_shape = 2 * n + np.arange(n) * dofs + i  # θ has shapes term by term
+        shared[g, at_shape] = moved.shapes.shared[i].T
+        own[i][: forward.n_shape, at_shape] = moved.shapes.own[i].T
+    column = 2 * n + n * dofs
+    row = problem.values_at
+    for term, size in zip(state.terms, sizes, strict=True):
+        for number in range(size):
+            # a place taken away has its size stated positive: the slope of the logarithm is that of the size
+            shared[row + number, column + number] = abs(term.slope(number, case.band)) * (
+                1.0 if term.definition.removable or term.kind.endswith("_delay") or number else np.sign(term.size or 1.0)
+            )
+            if term.kind in ("global_damping", "sensor_gain", "force_gain"):
+                shared[row + number, column + number] = abs(term.slope(number, case.band))
+        row, column = row + size, column + size
+    at = problem.values_at + problem.n_values
+    for dof, reaching in problem.reaching:
+        shared[at : at + reaching.size] = own[dof][reaching]
+        own[dof][reaching] = 0
+        at += reaching.size
+    by_response = own[problem.order]
+    a, b = state.factor.whitened(shared, by_response)
+    joint = a.T @ a + np.tensordot(b, b, ((0, 1), (0, 1)))
+    p = idle.n_parameters
+    updated = updated.with_terms(covariance=joint[:p, :p])
+    return Model(updated, effects, geometry, joint)

@@ -1,0 +1,73 @@
+"""Every threshold of the diagnosis, with its unit and its ground."""
+
+from __future__ import annotations
+
+FIT_LINES, VALIDATION_LINES, REST_LINES = 100, 50, 160
+"""Lines to fit, to validate, and at rest: with twice as many no case of ``benchmarks/hidden_effects`` looked at changed its answer."""
+
+BLOCKS = 18
+"""Blocks of lines, each third of which validates: about one a mode of the cases in ``benchmarks/hidden_effects``."""
+
+CORRELATED_LINES = 6.0
+"""Neighbouring lines over which noise is alike where no FRFs at rest tell: of a local model of order 2 over 17 lines 6 to 9, of plain
+averages 1 (``benchmarks/hidden_effects``)."""
+
+POOLED_LINES = 4
+"""Lines to each side over which the variance is averaged: one line of five hits has 8 degrees of freedom, and weighs by chance from 0.5
+to 3 times what it should (the mean of 1/s² is 4/3); nine lines have 72."""
+
+LEAST_MOVE = 0.02
+"""Directions of the idle model that move all FRFs together by less than 0.14 standard deviations (its root) are left out."""
+
+LEAST_DISCREPANCY, MOST_DISCREPANCY = 5e-4, 1.0
+"""Range of the discrepancy, as a share of an FRF: half a per mille is what a good converter and cable leave."""
+
+EXPLAINED = 0.03
+"""Discrepancy above which nothing is explained (contract, "Verdicts")."""
+
+MOST_CHI_SQUARE = 1.5
+"""Reduced chi-square of validation lines above which something is left (contract, "Verdicts")."""
+
+REST_DISCREPANCY = 0.01
+"""Discrepancy at rest from which the idle model is fitted again with complex modes: three cases with real modes left 0.05 %, three with
+complex ones 10 to 18 % (``benchmarks/hidden_effects``, plan ``complex``)."""
+
+EARNED = 5.0
+"""Nats that a further effect must earn: odds of 150 to 1, for the 200 or so kinds and places whose prior a count alone does not hold."""
+
+CONTAINING = 3.0
+"""Nats more for a kind that turns into a simpler one for some of its values (an absorber into a mass, rubber into a spring): odds of 20
+to 1, so that the simpler one is told where both do."""
+
+ROBUST = 0.05
+"""Misfit, as a share of an FRF, that one line may have before the robust scan gives it less weight."""
+
+LOOSE = 0.02
+"""Discrepancy above which the scan is robust and about the idle model as it is: under a loose one a linear scan absorbs all."""
+
+STRAINED = 4.0
+"""Mean square of one part of what differs between the days, in its spreads, from which it stands for something else (2 σ for all)."""
+
+PROMOTED = 3.0
+"""Standard deviations of what differs between the days from which the effect of its name is tried."""
+
+UNUSUAL = 4.0
+"""Standard deviations from which a difference between the days is told as unusual (contract)."""
+
+SET = 0.95
+"""Probability that the sets of effects told together have (contract)."""
+
+LOWERED = 0.8
+"""Share of the misfit that effects take away, for "partial" (contract)."""
+
+SUPPORTED = 0.5
+"""Standard deviation of a logarithmic size at which its 95 % interval reaches from a third to three times the size."""
+
+ONE_SIDED = 1.64
+"""Standard deviations: 95 % of effects of the size told in ``detectable`` are seen."""
+
+CHANGES_DB = (0.1, 10.0)
+"""Change of the FRFs [dB, rms] by effects whose size is within two standard deviations of their prior (``engine.md``)."""
+
+REMOVED = 0.15
+"""Prior probability that an effect is the opposite of its kind: something taken away."""

@@ -1,0 +1,269 @@
+"""What ``diagnosis.json`` says of a search: differences between the days, the ladder, what would have been seen, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.corrected import effects_of
+from operando.diagnosis.criteria import UNUSUAL
+from operando.diagnosis.posterior import Problem, State
+from operando.diagnosis.search import Found, score
+from operando.diagnosis.terms import Term, added
+from operando.diagnosis.verdict import Verdict
+
+Array = NDArray[Any]
+
+_PLACES = 20  # of the kind-free ranking
+_UNITS = {
+    "point_mass": ("mass", "kg"), "ground_spring": ("stiffness", "N/m"), "ground_damper": ("damping", "N s/m"),
+    "coupling_spring": ("stiffness", "N/m"), "coupling_damper": ("damping", "N s/m"),
+    "gyroscopic": ("coefficient", "N s/m"), "circulatory": ("coefficient", "N/m"),
+}  # fmt: skip
+_PAIRS_TOLD = 20  # DOFs up to which what would have been seen is told for every pair
+
+
+def between_rows(state: State) -> list[dict[str, Any]]:
+    """What differs between the two measurements, with standard deviations; ``unusual`` beyond four of the prior's.
+
+    Gains and damping as factors, stiffness as a relative change, offsets as rms shares of a shape, the skew in seconds.
+    """
+    case, between, forward = state.case, state.case.between, state.case.forward
+    std_d, std_own = state.std()
+    d, own = state.x.d, state.x.own[:, forward.n_shape :]
+    std_own = std_own[:, forward.n_shape :]
+    rows: list[dict[str, Any]] = []
+
+    def put(what: str, location: list[str], value: float, std: float, unusual: bool) -> None:
+        rows.append({"what": what, "location": location, "value": float(value), "std": float(std), "unusual": bool(unusual)})
+
+    part = between.own["sensor"]
+    if part.stop > part.start:
+        column = part.start
+        for i in forward.responses:
+            spread = between.own_spread[i, column]
+            log = own[i, column] * spread
+            std = np.exp(log) * std_own[i, column] * spread
+            put("sensor_gain", [str(case.dofs[i])], np.exp(log), std, abs(log) > UNUSUAL * between.spreads["sensor"])
+    scale = {"force": "force_gain", "stiffness": "stiffness", "damping_whole": "damping", "late": "skew"}
+    for name, what in scale.items():
+        where = between.shared[name]
+        for number, at in enumerate(range(where.start, where.stop)):
+            spread = between.shared_spread[at]
+            value, std = d[at] * spread, std_d[at] * spread
+            unusual = abs(value) > UNUSUAL * between.spreads[name]
+            location = [str(case.dofs[forward.references[number]])] if name == "force" else []
+            if name == "force":
+                # H is divided by the gain of the force
+                value, std = np.exp(-value), np.exp(-value) * std
+            elif name == "damping_whole":
+                value, std = np.exp(value), np.exp(value) * std
+            put(what, location, value, std, unusual)
+    where = between.shared["driven"]
+    if where.stop > where.start:
+        m = case.idle.modes.size
+        for j, dof in enumerate(forward.references):
+            of_point = slice(where.start + j * m, where.start + (j + 1) * m)
+            unit = between.shared_spread[of_point] / between.rms
+            share, spread = d[of_point] * unit, std_d[of_point] * unit
+            rms = float(np.sqrt(np.mean(share**2)))
+            std = float(np.sqrt(np.mean((share * spread) ** 2))) / max(rms, 1e-300)
+            put("offset", [str(case.dofs[dof])], rms, std, rms > UNUSUAL * between.spreads["driven"])
+    return rows
+
+
+def ladder(found: Found) -> list[dict[str, Any]]:
+    """Error and reduced chi-square of each step, all with what differs between the days; noise and discrepancy as of the last step."""
+    best = found.best
+    steps = [_without(found, best, number) for number in range(len(best.terms))] + [best]
+    out = []
+    for number, state in enumerate(steps):
+        measures = [_measures(state, at, best.alpha) for at in (best.case.lines.validation, best.case.lines.fit)]
+        (chi, square, size), (chi_fit, square_fit, size_fit) = measures
+        whole = size + size_fit
+        out.append(
+            {
+                "step": number,
+                "added": effects_of(best)[number - 1].to_dict() if number else None,
+                "error_db": float(np.sqrt((square * size + square_fit * size_fit) / whole)),
+                "heldout_error_db": float(np.sqrt(square)),
+                "misfit": float((chi * size + chi_fit * size_fit) / whole),
+                "heldout_misfit": chi,
+            }
+        )
+    return out
+
+
+def _without(found: Found, best: State, count: int) -> State:
+    """The state with the first terms of the best alone, as fitted in the search or here."""
+    from operando.diagnosis.posterior import fit
+
+    terms = best.terms[:count]
+    key = tuple(sorted(t.key for t in terms))
+    if key in found.pool:
+        return found.pool[key]
+    return fit(best.case, best.carried(terms), max(best.alpha, 0.02))
+
+
+def _measures(state: State, at: Array, alpha: float) -> tuple[float, float, int]:
+    """Reduced chi-square under noise, a discrepancy and the posterior; mean square of the error [dB²]; number of values."""
+    problem = Problem(state.case, state.terms, at)
+    prediction = problem.predict(problem.packed(state.x))
+    variance = problem.variance(alpha)
+    spread = 2 * state.factor.of_rows(problem.rows(prediction.shared), problem.rows(prediction.own))
+    residual = problem.residual(prediction.h)
+    db = 20 * np.log10(np.abs(prediction.h) / np.abs(problem.measured))
+    return float(np.mean(2 * residual**2 / (variance + spread))), float(np.mean(db**2)), residual.size
+
+
+def floor_db(state: State) -> float:
+    """rms error [dB] that noise, discrepancy and what is not known of the model leave on the validation lines."""
+    case = state.case
+    at = case.lines.validation
+    problem = Problem(case, state.terms, at)
+    prediction = problem.predict(problem.packed(state.x))
+    variance = case.lines.variance[at] + (state.alpha * case.lines.level[at]) ** 2
+    own = case.forward.n_own
+    shared = np.concatenate([prediction.shared.real, prediction.shared.imag], 0)
+    mine = np.concatenate([prediction.own.real, prediction.own.imag], 0)
+    lay = lambda v: np.moveaxis(v, 1, 0).reshape(v.shape[1], -1, v.shape[3])  # noqa: E731
+    spread = state.factor.of_rows(lay(shared), lay(mine)).reshape(mine.shape[1], 2, at.size, -1).sum(1)
+    assert own == mine.shape[3]
+    total = variance + np.moveaxis(spread, 0, 1)
+    return float(8.685889638 * np.sqrt(np.mean(total / 2 / np.abs(problem.measured) ** 2)))
+
+
+def detectable_rows(state: State, verdict: Verdict) -> list[dict[str, Any]]:
+    """Smallest size of each kind at each place that would have been found in 95 % of tests like this one."""
+    dofs = state.case.dofs
+    out = []
+    for (kind, places), size in verdict.least.items():
+        if kind not in _UNITS or (len(places) == 2 and kind != "point_mass" and len(dofs) > _PAIRS_TOLD):
+            continue
+        name, unit = _UNITS[kind]
+        where = places[:1] if kind == "point_mass" else places
+        out.append({"kind": kind, "location": [str(dofs[i]) for i in where], "parameter": name, "value": size, "unit": unit})
+    return out
+
+
+def candidate_rows(found: Found, shown: Sequence[Term]) -> list[dict[str, Any]]:
+    """Effects that were tried and do not stand in the model, best first, with the odds against them."""
+    best, out, seen = found.best, [], {t.key for t in shown}
+    for state in sorted(found.pool.values(), key=lambda s: -score(s)):
+        for effect, term in zip(effects_of(state), state.terms, strict=True):
+            if term.key in seen:
+                continue
+            seen.add(term.key)
+            nats = score(best) - score(state)
+            with_others = len(state.terms) > 1
+            evidence = f"log odds {nats:.1f} against it{' with what is found beside it' if with_others else ''}"
+            out.append(effect.to_dict() | {"selection_misfit": None, "evidence": evidence})
+    return out
+
+
+def picture(state: State, empty: State) -> dict[str, Any]:
+    """Places ranked by what a force of any kind there leaves of the error; δz(ω) at each structural effect.
+
+    With e = H0·f − x, one force s(ω) at a place b explains s = bᴴH0ᴴWe/(bᴴH0ᴴWH0b) of it, line by line; δz(ω) = s/(bᵀx) is the
+    dynamic stiffness a linear effect there would have: flat for a spring, −ω² for a mass, iω for a damper.
+    """
+    case = state.case
+    at = np.sort(np.concatenate([case.lines.fit, case.lines.validation]))
+    order = np.argsort(case.lines.w[at])
+    at = at[order]
+    w, measured = case.lines.w[at], case.lines.h[at]
+    weight = 1 / (case.lines.variance[at] + (0.01 * case.lines.level[at]) ** 2)
+    bare = case.forward.scannable(state.carried(()), w)
+    error = (bare.h - measured) / bare.channel
+    weight_here = weight * np.abs(bare.channel) ** 2
+    total = float(np.sum(weight_here * np.abs(error) ** 2))
+    ranked = []
+    for places in [(i,) for i in range(len(case.dofs))] + list(combinations(range(len(case.dofs)), 2)):
+        u = bare.columns[:, bare.order, places[0]] - (bare.columns[:, bare.order, places[1]] if len(places) == 2 else 0)
+        _, rest = _explained(u, error, weight_here)
+        ranked.append({"location": [str(case.dofs[i]) for i in places], "remains": float(rest / max(total, 1e-300))})
+    ranked.sort(key=lambda row: float(row["remains"]))  # type: ignore[arg-type]
+    pictures = [p for term in state.terms for p in [_stiffness(state, term, w, measured, weight)] if p]
+    return {"places": ranked[:_PLACES], "dynamic_stiffness": pictures}
+
+
+def _explained(u: Array, error: Array, weight: Array) -> tuple[Array, float]:
+    """Force spectrum (lines, references) of one place with columns u (lines, responses), and what remains of the weighted error."""
+    power = np.einsum("nij,ni->nj", weight, np.abs(u) ** 2)
+    force = np.einsum("nij,ni,nij->nj", weight, u.conj(), error) / np.maximum(power, 1e-300)
+    return force, float(np.sum(weight * np.abs(error - u[:, :, None] * force[:, None]) ** 2))
+
+
+def _stiffness(state: State, term: Term, w: Array, measured: Array, weight: Array) -> dict[str, Any] | None:
+    """δz(ω) at one effect's place with the others in the model, and the fitted law."""
+    case, definition = state.case, term.definition
+    if not term.structural or definition.coordinates == "separate":
+        return None
+    others = [t for t in state.terms if t is not term]
+    bare = case.forward.scannable(state.carried(others), w)
+    places = list(term.places[:1] if definition.coordinates == "node" else term.places)
+    signs = np.array([1.0, -1.0][: len(places)])
+    error = (bare.h - measured) / bare.channel
+    inside = weight * np.abs(bare.channel) ** 2
+    u = bare.columns[:, bare.order][:, :, places] @ signs
+    force, _ = _explained(u, error, inside)
+    full = case.forward.scannable(state.x, w)
+    x = np.einsum("nkj,k->nj", full.structure[:, places], signs)
+    gain = np.einsum("nij,ni->nj", inside, np.abs(u) ** 2)
+    z = np.sum(gain * x.conj() * force, axis=1) / np.maximum(np.sum(gain * np.abs(x) ** 2, axis=1), 1e-300)
+    law = added(term, w, case.band)[:, 0, 0]
+    return {
+        "location": [str(case.dofs[i]) for i in places],
+        "frequency_hz": (w / 2 / np.pi).tolist(),
+        "real": z.real.tolist(),
+        "imag": z.imag.tolist(),
+        "law_real": law.real.tolist(),
+        "law_imag": law.imag.tolist(),
+        "unit": "N/m",
+    }
+
+
+def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | None:
+    """Which measurement would decide."""
+    best = found.best
+    case = best.case
+    if others and verdict.name in ("ambiguous", "explained", "partial", "inconclusive"):
+        w = case.lines.w[case.lines.fit]
+        one = case.forward.scannable(best.x, w).columns
+        size = np.abs(one)
+        texts = []
+        for state in list(others)[:2]:
+            two = case.forward.scannable(state.x, w).columns
+            loud = size > np.median(size, axis=0, keepdims=True)
+            gap = np.where(loud, np.abs(two - one) / np.maximum(size, 1e-300), 0)
+            j = int(np.argmax(np.median(gap, axis=(0, 1))))
+            line = int(np.argmax(np.median(gap[:, :, j], axis=1)))
+            decibel = float(np.max(20 * np.abs(np.log10(np.abs(two[line, :, j]) / np.maximum(size[line, :, j], 1e-300)))))
+            new = [t for t in state.terms if t.key not in {o.key for o in best.terms}]
+            name = " and ".join(f"{t.kind} at {', '.join(str(case.dofs[i]) for i in t.places) or 'no place'}" for t in new) or "nothing"
+            texts.append(
+                f"to tell it from {name}: excite {case.dofs[j]} while it runs; near {w[line] / 2 / np.pi:.4g} Hz the two predictions "
+                f"differ by up to {decibel:.2g} dB"
+            )
+        return "; ".join(texts)
+    if verdict.name in ("partial", "unexplained"):
+        return "measure the running structure at another level and with the force at another point: does the rest depend on level?"
+    if verdict.name == "inconclusive":
+        at = case.lines.fit
+        problem = best.problem
+        prediction = problem.predict(problem.packed(best.x))
+        own = float(np.mean(2 * best.factor.of_rows(problem.rows(prediction.shared), problem.rows(prediction.own))))
+        alone = float(np.mean(problem.variance(best.alpha)))
+        if own > alone:
+            return (
+                "what is not known of the idle model hides it: measure the FRFs at rest again with more averages and force at more points"
+            )
+        noise = float(np.mean(case.lines.variance[at] / case.lines.level[at] ** 2))
+        if noise > best.alpha**2:
+            return "the noise of the validation measurement hides it: measure again in operation with a larger force or more averages"
+        return "what no parameter explains hides it: measure rest and operation in one set-up, without touching sensors or shaker"
+    return None

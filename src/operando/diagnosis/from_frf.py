@@ -1,0 +1,333 @@
+"""Find the missing physics from check FRFs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.diagnose.diagnosis import Diagnosis, where_it_fails
+from operando.diagnose.verdict import spacing
+from operando.diagnosis.between import spreads_of
+from operando.diagnosis.case import Case
+from operando.diagnosis.corrected import effects_of, model_of
+from operando.diagnosis.criteria import CORRELATED_LINES
+from operando.diagnosis.document import (
+    between_rows,
+    candidate_rows,
+    detectable_rows,
+    floor_db,
+    ladder,
+    picture,
+    proposal,
+)
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.posterior import AtRest, State, at_rest
+from operando.diagnosis.search import Found, search, search_both
+from operando.diagnosis.terms import SEARCHED, Term
+from operando.diagnosis.verdict import others, verdict
+from operando.dof import Dof, parse_dofs
+from operando.errors import ConfigError, DataError, MissingError
+from operando.results import CheckRun
+
+
+def diagnose_frf(
+    idle: ModalModel,
+    check: Sequence[CheckRun],
+    *,
+    idle_frf: Frf | None = None,
+    geometry: Geometry | None = None,
+    kinds: Sequence[str] | None = None,
+    places: Sequence[Any] | None = None,
+    band: tuple[float, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+    compared: Mapping[str, Any] | None = None,
+    between: Mapping[str, float] | None = None,
+) -> Diagnosis:
+    """Name the physical effect that the idle model lacks, where it acts and how large it is, from FRFs of the running structure.
+
+    One statistical model: idle parameters with their covariance, what differs between two measurements, effects with priors, and a
+    discrepancy in proportion to the FRFs, smooth over a resonance (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425–464). Effects
+    are chosen by the Laplace evidence (MacKay, Neural Computation 4, 1992, 415–447) of all kinds at all places; one third of the lines
+    is never fitted and judges.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass, with residual terms and covariance.
+    check : sequence of CheckRun
+        FRFs of the running structure; the run of the lowest level with the most values is used.
+    idle_frf : Frf, optional
+        FRFs at rest: whether the idle model explains them, and which DOFs were driven.
+    geometry : Geometry, optional
+        Sensor positions, for what counts as a neighbour.
+    kinds, places : sequences, optional
+        Look only for these.
+    band : (float, float), optional
+        Hz; default the idle model's band.
+    progress : callable, optional
+        Told what is being done.
+    compared : mapping, optional
+        Errors of the idle model against the check, as :func:`operando.compare.compare_all` gives them.
+    between : mapping, optional
+        What may differ between the measurements at rest and in operation → one standard deviation (``[between]`` of a test file): of
+        ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
+        stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    DataError
+        If the idle model has no scale.
+    DofError
+        If the check and the idle model have no DOF in common.
+    """
+    if idle.scaling != "unit_modal_mass" or not idle.si:
+        raise DataError("the idle model has no scale, so it predicts no FRF to fail", hint="give the units of force and acceleration")
+    say = progress or (lambda text: None)
+    with threadpool_limits(1, "blas"):
+        run = chosen_run(check)
+        band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
+        driven = run.frf.references if idle_frf is None else idle_frf.references
+        rest = None
+        known = Idle.of(idle, band, driven)
+        if idle_frf is not None:
+            say("idle model on the FRFs at rest")
+            rest = at_rest(known, idle_frf, band)
+        model = known if rest is None else rest.idle
+        asked: dict[str, Any] = {
+            "kinds": searched(kinds),
+            "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],
+            "correlated": CORRELATED_LINES if rest is None else rest.correlated,
+        }
+        case = Case(model, run.frf, band, spreads_of(between or {}), **asked)
+        if between:
+            found, odds = search(case, say), None
+        else:
+            found, odds = search_both(case, Case(model, run.frf, band, {}, like=case, **asked), say)
+        return told(idle, check, run, found, rest, geometry, band, compared, odds)
+
+
+def diagnose(
+    idle: ModalModel,
+    *,
+    check: Sequence[CheckRun] = (),
+    operating: ModalModel | None = None,
+    geometry: Geometry | None = None,
+    kinds: Sequence[str] | None = None,
+    places: Sequence[Any] | None = None,
+    band: tuple[float, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+    records: Sequence[TimeRecord] = (),
+    idle_frf: Frf | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
+    compared: Mapping[str, Any] | None = None,
+    between: Mapping[str, float] | None = None,
+) -> Diagnosis:
+    """Name the physical effect that the idle model lacks, where it acts and how large it is.
+
+    From FRFs of the running structure (:func:`diagnose_frf`), from its records where it is not linear, or from operational modes alone.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass, with residual terms and covariance.
+    check : sequence of CheckRun
+        FRFs of the running structure.
+    operating : ModalModel, optional
+        Operational modes, used where there is no check.
+    geometry : Geometry, optional
+        Sensor positions, for what counts as a neighbour.
+    kinds, places : sequences, optional
+        Look only for these.
+    band : (float, float), optional
+        Hz; default the idle model's band.
+    progress : callable, optional
+        Told what is being done.
+    records : sequence of TimeRecord, optional
+        The check's records, force and responses: where the running structure is not linear they are looked at.
+    idle_frf : Frf, optional
+        FRFs at rest.
+    exclude_bands : sequence of (float, float)
+        Lines of the records left out [Hz].
+    compared : mapping, optional
+        Errors of the idle model against the check, as :func:`operando.compare.compare_all` gives them.
+    between : mapping, optional
+        What may differ between the measurements at rest and in operation → one standard deviation (``[between]`` of a test file): of
+        ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
+        stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
+
+    Raises
+    ------
+    DataError
+        If the idle model is not scaled to unit modal mass.
+    MissingError
+        If there is neither a check nor operational modes.
+    """
+    asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band}
+    asked |= {"progress": progress, "compared": compared}
+
+    def linear() -> Diagnosis:
+        return diagnose_frf(idle, check, idle_frf=idle_frf, between=between, **asked)
+
+    if records:
+        from operando.diagnose.from_records import diagnose_levels
+
+        return diagnose_levels(linear if check else None, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
+    if check:
+        return linear()
+    if operating is None:
+        raise MissingError("neither check FRFs nor operational modes to diagnose from")
+    from operando.diagnose.output_only import diagnose_output_only
+
+    return diagnose_output_only(idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress)
+
+
+def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
+    """The run of the lowest level with the most finite values."""
+    from operando.compare.comparison import lowest_level
+
+    level = lowest_level(check)
+    return max((r for r in check if r.level == level), key=lambda r: int(np.isfinite(r.frf.data).sum()))
+
+
+def searched(kinds: Sequence[str] | None) -> tuple[str, ...]:
+    """Kinds to look for.
+
+    Raises
+    ------
+    ConfigError
+        If none of those named can be found from FRFs.
+    """
+    from operando.effects import kind_of
+
+    if kinds is None:
+        return SEARCHED
+    known = [k for k in kinds if kind_of(k).acts in ("dynamic_stiffness", "sensor_map", "modal_change")]
+    if not known:
+        raise ConfigError(f"none of the kinds {', '.join(kinds)} can be found from FRFs", hint="name linear kinds, or give records")
+    return tuple(known)
+
+
+def told(
+    idle: ModalModel,
+    check: Sequence[CheckRun],
+    run: CheckRun,
+    found: Found,
+    rest: AtRest | None,
+    geometry: Geometry | None,
+    band: tuple[float, float],
+    compared: Mapping[str, Any] | None,
+    one_set_up: float | None,
+) -> Diagnosis:
+    """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
+    case = found.best.case
+    said = verdict(case, found, None if rest is None else rest.state)
+    best = found.best
+    rivals = others(found)[0]
+    name, why = said.name, said.why
+    if name == "ambiguous" and all(_no_other_answer(best, rival, geometry) for rival in rivals):
+        name, why = "explained", ""
+    notes = notes_of(check, run, found, rest, one_set_up)
+    if any(f.kind == "nonlinear" for r in check for f in r.frf.findings) and name in ("explained", "no_misfit", "ambiguous"):
+        name, why = ("partial" if said.terms else "unexplained"), "runs of different level disagree: no linear effect explains both"
+    shown = best.terms if said.terms and name != "unexplained" else ()
+    final = best if shown else found.empty
+    # what was found without support is a candidate, and the ladder ends where the model does
+    rows = ladder(found if shown else Found(found.empty, found.empty, found.pool))
+    elsewhere = [t for rival in rivals for t in rival.terms if t.key not in {o.key for o in best.terms}]
+    ambiguous = [e for rival in rivals for e in effects_of(rival, [t for t in rival.terms if t in elsewhere])]
+    return Diagnosis(
+        name,
+        effects_of(final) if shown else (),
+        tuple({e.kind + e.place: e for e in ambiguous}.values()),
+        proposal(found, replace(said, name=name), rivals),
+        tuple(rows),
+        tuple(candidate_rows(found, shown)),
+        where_it_fails(idle, check, band, compared),
+        floor_db(final),
+        ("check_frf",),
+        picture(final, found.empty),
+        notes,
+        idle,
+        model_of(idle, final, geometry),
+        {
+            "state": "operating",
+            "measured": "FRF lines",
+            "runs": [run.name],
+            "level": run.level,
+            "band_hz": list(case.band),
+            "n_lines": int(case.lines.h[case.lines.validation].size),
+            "whole_run": False,
+            "ranges_hz": [list(r) for r in case.lines.validation_hz],
+        },
+        tuple(detectable_rows(final, said)),
+        why or None,
+        tuple(between_rows(final)),
+        {"value": best.alpha, "std": None},
+    )
+
+
+def _no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:
+    """Whether a rival only moves effects by no more than a sensor spacing (contract), or has kinds that contain those found."""
+
+    def apart(state: State, other: State) -> list[Term]:
+        return sorted((t for t in state.terms if t.key not in {o.key for o in other.terms}), key=lambda t: t.kind)
+
+    mine, theirs = apart(best, rival), apart(rival, best)
+    if len(mine) != len(theirs) or any(a.kind not in (b.kind, *b.definition.contains) for a, b in zip(mine, theirs, strict=True)):
+        return False
+    limit, dofs = spacing(geometry) * 1.05, best.case.dofs
+
+    def near(a: Term, b: Term) -> bool:
+        return _distance([dofs[i] for i in a.places], [dofs[i] for i in b.places], geometry) <= limit
+
+    return all(near(a, b) for a, b in zip(mine, theirs, strict=True))
+
+
+def _distance(one: Sequence[Dof], other: Sequence[Dof], geometry: Geometry | None) -> float:
+    """Largest way between places, paired as is nearest [m]; infinite where it is not known."""
+    if [d.node for d in one] == [d.node for d in other]:
+        return 0.0
+    points = [[p for d in dofs if geometry is not None and (p := geometry.position(d.node)) is not None] for dofs in (one, other)]
+    if len(points[0]) != len(one) or len(points[1]) != len(one) or len(one) != len(other):
+        return float("inf")
+    return min(
+        max((float(np.linalg.norm(np.subtract(p, q))) for p, q in zip(points[0], order, strict=True)), default=0.0)
+        for order in permutations(points[1])
+    )
+
+
+def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRest | None, one_set_up: float | None) -> tuple[str, ...]:
+    """What was assumed or left out, with its consequence."""
+    notes = []
+    unused = [r.name for r in check if r is not run]
+    if one_set_up is not None and one_set_up > 0:
+        notes.append(
+            f"the data say that nothing was touched between the measurements at rest and in operation (log odds {one_set_up:.0f}); "
+            "gains, places of sensors, temperature and damping count as the same"
+        )
+    if unused:
+        notes.append(f"the diagnosis uses {run.name} alone; {', '.join(unused)} stand in the comparison only")
+    if rest is None:
+        notes.append(
+            "there are no FRFs at rest: the idle model is taken as it is, and neighbouring lines as alike as a local model makes them"
+        )
+    elif rest.again:
+        notes.append(
+            f"the idle model was fitted to the FRFs at rest again, with complex modes; {100 * rest.state.alpha:.2g} % of them stay "
+            "unexplained. The model with the effects holds real modes: its FRFs leave out what ties the modes to each other"
+        )
+    case = found.best.case
+    count = len(case.dofs) - case.forward.responses.size
+    if count:
+        notes.append(f"{count} DOFs of the idle model were not measured in operation: what happens there is told by the others alone")
+    return tuple(notes)

@@ -1,0 +1,196 @@
+"""The idle model as the diagnosis moves it: real modes, what makes them complex, residual terms, and what is not known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import ModalModel
+from operando.diagnosis.arrow import Factor
+from operando.dof import Dof
+
+Array = NDArray[Any]
+
+FREQUENCY_LOOSE, DAMPING_LOOSE, SHAPE_LOOSE, BETWEEN_LOOSE, LAG_LOOSE = 0.01, 0.3, 0.3, 0.5, 0.1
+"""Standard deviations of a loose model, relative; of damping between modes as a share of the most there can be."""
+
+
+@dataclass(frozen=True)
+class Moves:
+    """How far shapes (or lags of shapes) move: by the unknowns g that all share, and by those of each DOF, all of unit variance."""
+
+    shared: Array  # (DOFs, terms, g)
+    own: Array  # (DOFs, terms, e)
+
+    def of(self, g: Array, own: Array) -> Array:
+        """(DOFs, terms) for g and own (DOFs, e)."""
+        return np.asarray(self.shared @ g + (self.own @ own[..., None])[..., 0])
+
+
+@dataclass(frozen=True)
+class Idle:
+    """The structure at rest.
+
+    Poles, shapes at the driven DOFs and what they share are one set of unknowns g; given these, the shape values of each other DOF
+    were estimated from its own FRFs alone, so what is not known of them is independent from DOF to DOF. Damping that ties a mode to
+    what lies outside the band makes its shape φ − iω·lag, exact to first order where those modes only follow; damping between modes
+    in band makes them complex by itself.
+
+    Parameters
+    ----------
+    f, zeta : (terms,) arrays
+        Hz, ratio; of modes and residual terms.
+    phi : (DOFs, terms) array
+        Unit modal mass.
+    residual : (terms,) bool array
+    dofs : tuple of Dof
+    between : (pairs of modes,) array
+        Damping between two modes, over 2 √(ζ_r ω_r ζ_s ω_s).
+    lag : (DOFs, modes) array [s]
+    f_root, zeta_root, between_root : (terms or pairs, g) arrays
+        How g of unit variance moves them.
+    shapes, lags : Moves
+    """
+
+    f: Array
+    zeta: Array
+    phi: Array
+    residual: Array
+    dofs: tuple[Dof, ...]
+    between: Array
+    lag: Array
+    f_root: Array
+    zeta_root: Array
+    between_root: Array
+    shapes: Moves
+    lags: Moves
+
+    @property
+    def modes(self) -> Array:
+        return np.flatnonzero(~self.residual)
+
+    @property
+    def complex(self) -> bool:
+        """Whether shapes lag, or could."""
+        return bool(self.lag.any() or self.lags.shared.any() or self.lags.own.any())
+
+    @classmethod
+    def of(cls, model: ModalModel, band: tuple[float, float], driven: Sequence[Dof]) -> Idle:
+        """Of a fitted model: real modes, no damping between them. A residual term in band is a mode.
+
+        Parameters
+        ----------
+        model : ModalModel
+            Unit modal mass; without a covariance it counts as exact.
+        band : (float, float)
+            Hz.
+        driven : sequence of Dof
+            References at rest.
+        """
+        terms = model.terms
+        f, zeta, phi = (np.array(v, float) for v in (terms.frequencies_hz, terms.damping_ratios, np.real(terms.shapes)))
+        residual = np.asarray(terms.residual) & ~((f > band[0]) & (f < band[1]))
+        t, d, m = f.size, phi.shape[0], int((~residual).sum())
+        at = np.array([i for i, dof in enumerate(terms.dofs) if any(dof.same_axis(o) for o in driven)], int)
+        covariance = np.zeros((2 * t + t * d,) * 2) if model.covariance is None else np.asarray(model.covariance)
+        shape_at = 2 * t + np.arange(t) * d  # of DOF 0; θ has shapes term by term
+        shared = np.concatenate([np.arange(2 * t), (shape_at + at[:, None]).ravel()])
+        root, inverse = _root(covariance[np.ix_(shared, shared)])
+        shape_shared = np.zeros((d, t, root.shape[1]))
+        shape_own = np.zeros((d, t, t))
+        shape_shared[at] = root[2 * t :].reshape(at.size, t, root.shape[1])
+        for i in np.setdiff1d(np.arange(d), at):
+            mine = shape_at + i
+            given = covariance[np.ix_(mine, shared)] @ inverse.T
+            shape_shared[i] = given
+            own, _ = _root(covariance[np.ix_(mine, mine)] - given @ given.T)
+            shape_own[i, :, : own.shape[1]] = own
+        pairs = m * (m - 1) // 2
+        none = Moves(np.zeros((d, m, root.shape[1])), np.zeros((d, m, t)))
+        return cls(
+            f, zeta, phi, residual, tuple(terms.dofs), np.zeros(pairs), np.zeros((d, m)),
+            root[:t], root[t : 2 * t], np.zeros((pairs, root.shape[1])), Moves(shape_shared, shape_own), none,
+        )  # fmt: skip
+
+    def loose(self, driven: Array) -> Idle:
+        """With variances that only say of which order the parameters are; ``driven`` are numbers of DOFs."""
+        rms = np.sqrt(np.mean(self.phi**2, axis=0))
+        modes, t, d, pairs = self.modes, self.f.size, len(self.dofs), self.between.size
+        m = modes.size
+        shape = np.where(self.residual, 1.0, SHAPE_LOOSE) * rms
+        lag = LAG_LOOSE * rms[modes] / (2 * np.pi * self.f[modes])
+        std = [
+            np.where(self.residual, 0, FREQUENCY_LOOSE * self.f),
+            np.where(self.residual, 0, DAMPING_LOOSE * self.zeta),
+            np.full(pairs, BETWEEN_LOOSE),
+            np.tile(shape, driven.size),
+            np.tile(lag, driven.size),
+        ]
+        root = np.diag(np.concatenate(std))
+        f, zeta, between, shapes, lags = np.split(root, np.cumsum([t, t, pairs, t * driven.size]))
+        shape_shared, lag_shared = np.zeros((d, t, len(root))), np.zeros((d, m, len(root)))
+        shape_shared[driven], lag_shared[driven] = shapes.reshape(-1, t, len(root)), lags.reshape(-1, m, len(root))
+        shape_own, lag_own = np.zeros((d, t, t + m)), np.zeros((d, m, t + m))
+        passive = np.setdiff1d(np.arange(d), driven)
+        shape_own[passive, :, :t], lag_own[passive, :, t:] = np.diag(shape), np.diag(lag)
+        return replace(
+            self, f_root=f, zeta_root=zeta, between_root=between, shapes=Moves(shape_shared, shape_own), lags=Moves(lag_shared, lag_own)
+        )
+
+    def along(self, shared: Array, own: Array) -> Idle:
+        """With other unknowns: g = shared @ g', and own (DOFs, e, e') @ e' at each DOF."""
+
+        def turned(moves: Moves) -> Moves:
+            return Moves(moves.shared @ shared, moves.own @ own)
+
+        return replace(
+            self,
+            f_root=self.f_root @ shared,
+            zeta_root=self.zeta_root @ shared,
+            between_root=self.between_root @ shared,
+            shapes=turned(self.shapes),
+            lags=turned(self.lags),
+        )
+
+    def moved(self, g: Array, own: Array, factor: Factor) -> Idle:
+        """With g and own added, and what a fit left open (its factor: g shared, the unknowns of each DOF its own)."""
+        root = np.linalg.inv(factor.lower).T  # of the covariance of g
+        turned = np.swapaxes(factor.inverse, 1, 2)
+        follow = -turned @ factor.across @ root  # of each DOF's unknowns, as g moves
+        f, zeta = self.f_root @ g, self.zeta_root @ g
+        first, second = np.triu_indices(self.modes.size, 1)
+        loss = np.abs((self.zeta + zeta) * (self.f + f) / (self.zeta * self.f))[self.modes]
+        scale = 1 / np.sqrt(loss[first] * loss[second])  # it is told over the damping of its modes
+
+        def after(moves: Moves) -> Moves:
+            return Moves(moves.shared @ root + moves.own @ follow, moves.own @ turned)
+
+        return replace(
+            self,
+            f=self.f + f,
+            zeta=self.zeta + zeta,
+            phi=self.phi + self.shapes.of(g, own),
+            between=(self.between + self.between_root @ g) * scale,
+            lag=self.lag + self.lags.of(g, own),
+            f_root=self.f_root @ root,
+            zeta_root=self.zeta_root @ root,
+            between_root=scale[:, None] * (self.between_root @ root),
+            shapes=after(self.shapes),
+            lags=after(self.lags),
+        )
+
+
+def _root(covariance: Array) -> tuple[Array, Array]:
+    """A root of a covariance, without directions of no variance, and its pseudo-inverse."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
+    on = scale > 0
+    values, vectors = np.linalg.eigh(covariance[np.ix_(on, on)] / np.outer(scale[on], scale[on]))
+    keep = values > 1e-9 * values.max(initial=1e-300)
+    root, inverse = np.zeros((scale.size, int(keep.sum()))), np.zeros((int(keep.sum()), scale.size))
+    root[on] = scale[on][:, None] * vectors[:, keep] * np.sqrt(values[keep])
+    inverse[:, on] = (vectors[:, keep] / np.sqrt(values[keep])).T / scale[on]
+    return root, inverse

@@ -1,0 +1,151 @@
+"""Lines of measured FRFs to fit and to validate, and how alike their noise and a discrepancy are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Frf
+from operando.diagnosis.criteria import BLOCKS, CORRELATED_LINES, FIT_LINES, POOLED_LINES, VALIDATION_LINES
+from operando.errors import DataError
+
+Array = NDArray[Any]
+
+
+class Lines:
+    """Lines where FRFs change, a level for the discrepancy, and two sets: each third block of lines validates.
+
+    Blocks at the ends of the band never validate: beyond them nothing is fitted.
+
+    Parameters
+    ----------
+    frf : Frf
+        Receptance; rows in the order of the model's DOFs.
+    f, zeta : (modes,) arrays
+        Hz, ratio.
+    number : int
+        Lines to fit.
+    correlated : float
+        Neighbouring lines over which the noise is alike.
+
+    Attributes
+    ----------
+    fit, validation : int arrays
+        Numbers of the lines of each set.
+    w : (lines,) array [rad/s]
+    h, variance, level : (lines, responses, references) arrays
+        FRFs, their variance, and their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
+
+    Raises
+    ------
+    DataError
+        If fewer than ``BLOCKS`` lines are finite.
+    """
+
+    def __init__(self, frf: Frf, f: Array, zeta: Array, number: int = FIT_LINES, correlated: float = CORRELATED_LINES) -> None:
+        self.f, self.zeta, self.correlated = f, zeta, correlated
+        hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
+        variance = (0.01 * np.abs(h)) ** 2 if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
+        good = np.isfinite(h).all((1, 2)) & np.isfinite(variance).all((1, 2))
+        if good.sum() < BLOCKS:
+            raise DataError(
+                f"{int(good.sum())} lines of the check FRFs are finite in all pairs, a diagnosis needs {BLOCKS}",
+                hint="name the bad channel in the test file, or widen the band",
+            )
+        hz, h = hz[good], h[good]
+        variance = np.maximum(_mean(variance[good], np.full(hz.size, POOLED_LINES)), 1e-8 * np.abs(h) ** 2)
+        block = np.minimum(np.arange(hz.size) * BLOCKS // hz.size, BLOCKS - 1)
+        change = np.median(np.abs(np.gradient(h, axis=0)) ** 2 / variance, axis=(1, 2))
+        density = np.convolve(change, np.ones(5) / 5, "same") ** 0.25
+        level = np.sqrt(_mean(np.abs(h) ** 2, np.maximum(2, (0.01 * hz / np.median(np.diff(hz))).astype(int))))
+        chosen = []
+        for validates, count in ((False, number), (True, VALIDATION_LINES)):
+            at = np.flatnonzero((block % 3 == 1) == validates)
+            share = np.cumsum(0.6 * density[at] / density[at].sum() + 0.4 / at.size)
+            chosen.append(np.unique(at[np.searchsorted(share, (np.arange(count) + 0.5) / count * share[-1] * 0.999999)]))
+        i = np.concatenate(chosen)
+        self.fit, self.validation = np.split(np.arange(i.size), [chosen[0].size])
+        self.w, self.h, self.variance, self.level = 2 * np.pi * hz[i], h[i], variance[i], level[i]
+        edges = np.flatnonzero(np.diff(block)) + 1
+        self.validation_hz = [(float(b[0]), float(b[-1])) for k, b in enumerate(np.split(hz, edges)) if k % 3 == 1]
+        self._number = i
+        self._all = hz, h, variance, level
+        self._bases: dict[tuple[int, ...], tuple[Array, Array]] = {}
+        self.band = float(hz[0]), float(hz[-1])
+        self._warped = self._warp(hz[i])
+
+    def basis(self, at: Array) -> tuple[Array, Array]:
+        """Independent combinations of some lines, and λ of their variances 1 + α²λ.
+
+        The noise of neighbouring lines is alike, as the estimate makes it. The discrepancy α multiplies an FRF by something smooth: it
+        changes as fast as the FRF does, over half the distance to the nearest pole and no faster than its half-power width.
+
+        Returns
+        -------
+        (responses, references, combinations, lines) and (responses, references, combinations) arrays
+        """
+        key = tuple(at)
+        if key not in self._bases:
+            line = self._number[at]
+            noise = np.maximum(0, 1 - np.abs(line[:, None] - line) / self.correlated)
+            whiten = np.linalg.inv(np.linalg.cholesky(noise + 1e-9 * np.eye(at.size)))
+            smooth = np.exp(-np.abs(self._warped[at][:, None] - self._warped[at]))
+            variance = np.moveaxis(self.variance[at], 0, -1)[:, :, None]
+            level = np.moveaxis(self.level[at], 0, -1)[:, :, None]
+            scaled = whiten / np.sqrt(variance)
+            values, vectors = np.linalg.eigh(scaled @ (smooth * level * np.swapaxes(level, 2, 3)) @ np.swapaxes(scaled, 2, 3))
+            self._bases[key] = np.swapaxes(vectors, 2, 3) @ scaled, np.maximum(values, 0)
+        return self._bases[key]
+
+    def rows(self, values: Array, at: Array) -> Array:
+        """Values (lines, responses, references, k) as independent real ones, (responses, rows, k), of variance ½ without a discrepancy."""
+        basis = self.basis(at)[0]
+        responses, references, combinations, _ = basis.shape
+        laid = np.ascontiguousarray(np.moveaxis(values, 0, 2)).view(float)
+        out = (basis @ laid).reshape(responses, references, combinations, -1, 2)
+        return np.ascontiguousarray(np.moveaxis(out, 4, 3)).reshape(responses, -1, values.shape[3])
+
+    def rows_variance(self, alpha: float, at: Array) -> Array:
+        """Of the rows, times two, (responses, rows)."""
+        spread = self.basis(at)[1]
+        return np.repeat(1 + alpha**2 * spread.reshape(spread.shape[0], -1), 2, axis=1)
+
+    def correlation(self, predicted: Array, alpha: float) -> float:
+        """Neighbouring lines over which the noise is alike, from what a prediction on all lines (``w_all``) leaves.
+
+        1 + 2 Σ ρ_k of the residuals over their standard deviation, to the first below 0.1; single large ones cut to three.
+        """
+        _, h, variance, level = self._all
+        left = (h - predicted) / np.sqrt(variance + (alpha * level) ** 2)
+        left = left / np.maximum(np.abs(left) / 3, 1)
+        power = np.mean(np.abs(left) ** 2)
+        total = 1.0
+        for k in range(1, min(60, len(left) // 4)):
+            rho = float(np.mean((left[k:] * left[:-k].conj()).real) / power)
+            if rho < 0.1:
+                break
+            total += 2 * rho
+        return total
+
+    @property
+    def w_all(self) -> Array:
+        """All lines of the band [rad/s]."""
+        return 2 * np.pi * self._all[0]
+
+    def _warp(self, f: Array) -> Array:
+        """Frequency in units over which an FRF changes."""
+        fine = np.linspace(*self.band, 4000)
+        away = np.abs(fine[:, None] - self.f)
+        nearest = np.argmin(away, axis=1)
+        width = np.maximum(np.abs(self.zeta[nearest]) * self.f[nearest], away.min(1) / 2)
+        return np.asarray(np.interp(f, fine, np.concatenate([[0], np.cumsum(np.diff(fine) / width[1:])])))
+
+
+def _mean(values: Array, half: Array) -> Array:
+    """Mean over so many lines to each side, along the first axis."""
+    count = len(values)
+    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), 0)
+    low, high = np.maximum(0, np.arange(count) - half), np.minimum(count, np.arange(count) + half + 1)
+    return np.asarray((total[high] - total[low]) / (high - low).reshape(-1, *[1] * (values.ndim - 1)))

@@ -1,0 +1,427 @@
+"""One state: unknowns, effects and a discrepancy; its Laplace evidence, the way to it, and its validation lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Frf
+from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
+from operando.diagnosis.forward import Point, Prediction
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.terms import Term, moved
+
+Array = NDArray[Any]
+
+_STEP = 0.7  # of a value on its search scale, at most
+_APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
+_FIXED_SPREADS = ("force", "force_slope", "force_corner", "stiffness", "late", "damping_whole")  # too few numbers to estimate from
+_PRIOR_COUNT, _SPREAD_FACTOR = 5.0, (0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A vector over all unknowns: those that reach all channels, (n,), and those of each DOF, (DOFs, k)."""
+
+    shared: Array
+    own: Array
+
+    def __add__(self, other: Step) -> Step:
+        return Step(self.shared + other.shared, self.own + other.own)
+
+    def __mul__(self, factor: float) -> Step:
+        return Step(factor * self.shared, factor * self.own)
+
+
+class Problem:
+    """Lines of a case with some effects: the unknowns in one order, residuals and derivatives as independent rows.
+
+    Shared unknowns are g, d, u, the values, and those of touched DOFs that reach all channels; the latter are zero among the own ones.
+    """
+
+    def __init__(self, case: Case, terms: Sequence[Term], at: Array) -> None:
+        self.case, self.at, self.forward = case, at, case.forward
+        self.terms = tuple(terms)
+        self.w = case.lines.w[at]
+        self.measured = case.lines.h[at]
+        forward = case.forward
+        self.n_u = len(forward.outside(terms))
+        self.n_values = sum(len(t.values) for t in terms)
+        self.values_at = forward.n_g + forward.n_d + self.n_u
+        self.reaching = [(int(dof), forward.reaching) for dof in forward.reaching_dofs(terms)]
+        self.n_shared = self.values_at + self.n_values + sum(at.size for _, at in self.reaching)
+        self.order = forward.order(terms)
+        means, stds = zip(*(case.prior(t) for t in terms), strict=True) if terms else ((), ())
+        self.mean = np.zeros(self.n_shared)
+        self.precision = np.ones(self.n_shared)
+        if self.n_values:
+            part = slice(self.values_at, self.values_at + self.n_values)
+            self.mean[part], self.precision[part] = np.concatenate(means), np.concatenate(stds) ** -2.0
+        self.own_precision = np.ones((self.order.size, forward.n_own))
+
+    def packed(self, x: Point) -> Step:
+        """Unknowns of a point; own ones by DOF."""
+        own = np.array(x.own)
+        far = []
+        for dof, at in self.reaching:
+            far.append(own[dof, at])
+            own[dof, at] = 0
+        values = [np.array(t.values) for t in x.terms]
+        return Step(np.concatenate([x.g, x.d, x.u, *values, *far]), own)
+
+    def point(self, step: Step) -> Point:
+        forward = self.forward
+        g, d, u, values, far = np.split(step.shared, np.cumsum([forward.n_g, forward.n_d, self.n_u, self.n_values]))
+        own, start = np.array(step.own), 0
+        for dof, at in self.reaching:
+            own[dof, at] = far[start : start + at.size]
+            start += at.size
+        return Point(g, d, own, u, tuple(moved(self.terms, values)))
+
+    def by_response(self, own: Array) -> Array:
+        """Own unknowns (DOFs, k) in the order of the responses."""
+        return own[self.order]
+
+    def by_dof(self, own: Array) -> Array:
+        out = np.zeros((self.forward.n_dofs, own.shape[1]))
+        out[self.order] = own
+        return out
+
+    def predict(self, x: Step, derivatives: bool = True) -> Prediction:
+        return self.forward.predict(self.point(x), self.w, derivatives=derivatives)
+
+    def rows(self, values: Array) -> Array:
+        """Values (lines, responses, references, k) as independent rows (responses, rows, k)."""
+        return self.case.lines.rows(values, self.at)
+
+    def residual(self, h: Array) -> Array:
+        return self.rows((self.measured - h)[..., None])[..., 0]
+
+    def variance(self, alpha: float) -> Array:
+        """Of the rows, times two."""
+        return self.case.lines.rows_variance(alpha, self.at)
+
+    def penalty(self, x: Step) -> float:
+        values = slice(self.values_at, self.values_at + self.n_values)
+        known = x.shared @ x.shared - x.shared[values] @ x.shared[values] + np.sum(x.own**2)
+        return float(0.5 * known - sum(self.case.log_prior(t) for t in self.point(x).terms))
+
+    def objective(self, h: Array, x: Step, variance: Array) -> float:
+        return float(np.sum(self.residual(h) ** 2 / variance)) + self.penalty(x)
+
+    def gradient(self, shared: Array, own: Array, weighted: Array, x: Step) -> Step:
+        """Of −objective: Jᵀ of weighted residuals (responses, rows), and the prior."""
+        first = np.tensordot(shared, weighted, ((0, 1), (0, 1))) - self.precision * (x.shared - self.mean)
+        second = (np.swapaxes(own, 1, 2) @ weighted[..., None])[..., 0] - self.by_response(x.own)
+        return Step(first, second)
+
+    def solved(self, factor: Factor, gradient: Step) -> Step:
+        """Step by DOF from a gradient by response."""
+        shared, own = factor.solve(gradient.shared, gradient.own)
+        return Step(shared, self._without_reaching(self.by_dof(own)))
+
+    def _without_reaching(self, own: Array) -> Array:
+        for dof, at in self.reaching:
+            own[dof, at] = 0
+        return own
+
+    def limited(self, step: Step) -> Step:
+        values = np.abs(step.shared[self.values_at : self.values_at + self.n_values]).max(initial=0.0)
+        return step * min(1.0, _STEP / max(float(values), 1e-9))
+
+    def spread(self, shared: Array, own: Array, step: Step) -> Array:
+        """J step, (responses, rows)."""
+        return np.asarray(shared @ step.shared + (own @ self.by_response(step.own)[..., None])[..., 0])
+
+
+@dataclass
+class State:
+    """A fitted state."""
+
+    x: Point
+    alpha: float
+    log_evidence: float
+    factor: Factor
+    problem: Problem = field(repr=False)
+    scanned: bool = False
+    robustly: bool = False
+
+    @property
+    def case(self) -> Case:
+        return self.problem.case
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        return self.x.terms
+
+    @property
+    def key(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        return tuple(sorted(t.key for t in self.terms))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the effects' values on the search scale."""
+        first, size = self.problem.values_at, self.problem.n_values
+        return self.factor.shared_covariance(first)[:size, :size]
+
+    def carried(self, terms: Sequence[Term], x: Point | None = None) -> Point:
+        """Its unknowns where other effects act: the same u at the same places, zero at new ones."""
+        x = x or self.x
+        forward = self.case.forward
+        known = {(o.place, o.other, o.below): v for o, v in zip(forward.outside(x.terms), x.u, strict=True)}
+        u = np.array([known.get((o.place, o.other, o.below), 0.0) for o in forward.outside(terms)])
+        return replace(x, u=u, terms=tuple(terms))
+
+    def std(self) -> tuple[Array, Array]:
+        """Posterior standard deviations of d and of the own unknowns of each DOF, in units of their priors."""
+        shared, own = self.factor.variances()
+        forward = self.case.forward
+        out = np.ones((forward.n_dofs, forward.n_own))
+        out[self.problem.order] = np.sqrt(own)
+        start = self.problem.values_at + self.problem.n_values
+        for dof, at in self.problem.reaching:
+            out[dof, at] = np.sqrt(shared[start : start + at.size])
+            start += at.size
+        return np.sqrt(shared[forward.n_g : forward.n_g + forward.n_d]), out
+
+    def differences(self) -> Iterator[tuple[str, bool, Array, Array, tuple[Any, ...]]]:
+        """Groups of what differs between the days: name, shared or own, values and standard deviations in spreads, and where."""
+        std_d, std_own = self.std()
+        own, std_own = (v[:, self.case.forward.n_shape :] for v in (self.x.own, std_own))
+        for name, shared, where in self.case.between.groups:
+            values, std = (self.x.d, std_d) if shared else (own, std_own)
+            yield name, shared, values[where].ravel(), std[where].ravel(), where
+
+
+def linear_evidence(problem: Problem, residual: Array, shared: Array, own: Array, x: Step, alpha: float) -> tuple[float, Step, Factor]:
+    """Log evidence of the model r(x + s) = r − J s, where its maximum lies, and the factor of its information."""
+    variance = problem.variance(alpha)
+    weights = 2 / variance
+    root = np.sqrt(weights)
+    factor = Factor.of(Information.of(shared * root[..., None], own * root[..., None]), problem.precision, problem.own_precision)
+    step = problem.solved(factor, problem.gradient(shared, own, residual * weights, x))
+    best = x + step
+    left = residual - problem.spread(shared, own, step)
+    evidence = -0.5 * np.sum(left**2 * weights) - problem.penalty(best) - factor.half_log_determinant
+    evidence += 0.5 * problem.n_values * np.log(2 * np.pi) - 0.5 * np.sum(np.log(variance))
+    return float(evidence), best, factor
+
+
+def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, factor: Factor, now: float) -> float:
+    """Discrepancy that residuals and posterior variance of the prediction ask for (expectation maximisation), faster downwards."""
+    # a quarter of the values tells it as well; those of each pair are in the order of their part of the discrepancy
+    some = np.arange(0, residual.shape[1] // 2, 4)
+    both = np.stack([2 * some, 2 * some + 1], 1).ravel()
+    power = residual[:, both] ** 2 + factor.of_rows(shared[:, both], own[:, both])
+    power = power.reshape(len(power), -1, 2).sum(2)
+    spread = problem.case.lines.basis(problem.at)[1]
+    spread = spread.reshape(spread.shape[0], -1)[:, some]
+    grid = np.exp(np.linspace(np.log(LEAST_DISCREPANCY), 0, 80))
+    cost = [np.sum(power / v + np.log(v)) for v in (1 + a**2 * spread for a in grid)]
+    new = float(grid[int(np.argmin(cost))])
+    return new * min(1, new / now) if new < now else new
+
+
+def fit(case: Case, start: Point, alpha: float = 0.1, turns: int = 18, floor: float = -np.inf) -> State:
+    """Damped Gauss–Newton over all unknowns, in the metric of the prior; the discrepancy between the turns, fivefold a turn at most.
+
+    Parameters
+    ----------
+    case : Case
+    start : Point
+    alpha : float
+        Discrepancy to start from.
+    turns : int
+    floor : float
+        Log evidence of a state that this one has to come near to; left off where it plainly does not.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a start leads to numbers that cannot be.
+    """
+    problem = Problem(case, start.terms, case.lines.fit)
+    x, damping, done = problem.packed(start), 0.0, False
+    for turn in range(turns):
+        prediction = problem.predict(x)
+        shared, own, residual = problem.rows(prediction.shared), problem.rows(prediction.own), problem.residual(prediction.h)
+        evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
+        if done or (turn >= 2 and evidence < floor - 60 * (1 if turn > 3 else 10)):
+            break
+        if turn == 0 and alpha > 0.02:  # nothing is known of the discrepancy yet: from the linear model
+            left = residual - problem.spread(shared, own, linear + x * -1)
+            alpha = max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 4)
+            evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
+        variance = problem.variance(alpha)
+        begun = now = problem.objective(prediction.h, x, variance)
+        left = residual
+        for chord in range(6):
+            gradient = problem.gradient(shared, own, left * (2 / variance), x)
+            new, mu = np.inf, 0.0
+            there, h = x, prediction.h
+            if not damping:
+                there = x + problem.limited(problem.solved(factor, gradient))
+                h = problem.predict(there, False).h
+                new = problem.objective(h, there, variance)
+            if chord == 0 and not new < now:
+                root = np.sqrt(2 / variance)
+                information = Information.of(shared * root[..., None], own * root[..., None])
+                for mu in [(damping or 1e-2) * 10.0**i for i in range(12)]:
+                    damped = Factor.of(information, (1 + mu) * problem.precision, (1 + mu) * problem.own_precision)
+                    there = x + problem.limited(problem.solved(damped, gradient))
+                    h = problem.predict(there, False).h
+                    new = problem.objective(h, there, variance)
+                    if new < now:
+                        break
+            if not new < now:
+                break
+            if chord == 0:
+                damping = 0.0 if mu <= 1e-2 else mu / 10
+            gain, now, x = now - new, new, there
+            left = problem.residual(h)
+            if gain < 0.02 * max(1, 0.02 * now) or mu > 0:
+                break
+        before = alpha
+        alpha = min(max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
+        change = abs(np.log(alpha / before))
+        done = turn == turns - 2 or (begun - now < 0.3 and change < 0.1)
+        done = done or (begun - now < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
+    return State(problem.point(x), alpha, evidence, factor, problem)
+
+
+def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
+    """Robust way from a start to the neighbourhood of a fit: Student weights, damped steps. Its cost, and where it ends."""
+    problem = Problem(case, start.terms, case.lines.fit[::2])
+    x, damping = problem.packed(start), 1.0
+    lines = case.lines
+    for alpha in _APPROACH:
+        noise = lines.correlated / 2 * lines.variance[problem.at] + alpha**2 * lines.level[problem.at] ** 2
+
+        def cost(h: Array, x: Step, noise: Array = noise) -> float:
+            return float(np.sum(np.log1p(np.abs(problem.measured - h) ** 2 / noise))) + problem.penalty(x)
+
+        for _ in range(turns):
+            prediction = problem.predict(x)
+            residual = problem.measured - prediction.h
+            weights = np.sqrt(2 / (noise + np.abs(residual) ** 2))[..., None]
+            shared, own = _flat(prediction.shared * weights), _flat(prediction.own * weights)
+            information = Information.of(shared, own)
+            gradient = problem.gradient(shared, own, _flat(residual[..., None] * weights)[..., 0], x)
+            now = cost(prediction.h, x)
+            for _ in range(9):
+                factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
+                there = x + problem.limited(problem.solved(factor, gradient))
+                new = cost(problem.predict(there, False).h, there)
+                if new < now:
+                    break
+                damping = max(damping, 0.1) * 10
+            else:
+                break
+            x, damping = there, damping / 10
+            if now - new < 1e-3 * abs(now):
+                break
+    return cost(problem.predict(x, False).h, x), problem.point(x)
+
+
+def _flat(values: Array) -> Array:
+    """Values (lines, responses, references, k) as real rows (responses, rows, k)."""
+    laid = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1, values.shape[3])
+    return np.concatenate([laid.real, laid.imag], 1)
+
+
+def update_spreads(state: State) -> tuple[Point, dict[str, list[float]]]:
+    """One turn of empirical Bayes over the spreads of what differs between the days; the unknowns in the new ones, and the factors.
+
+    The spread of a channel is drawn to that of all channels.
+    """
+    between, n_shape = state.case.between, state.case.forward.n_shape
+    d, own = np.array(state.x.d), np.array(state.x.own)
+    rows = list(state.differences())
+    factors: dict[str, list[float]] = {}
+    for name in {r[0] for r in rows} - set(_FIXED_SPREADS):
+        mine = [(shared, values**2 + std**2, where) for other, shared, values, std, where in rows if other == name]
+        every = np.concatenate([power for _, power, _ in mine])
+        common = (every.sum() + _PRIOR_COUNT) / (every.size + _PRIOR_COUNT)
+        for shared, power, where in mine:
+            factor = float(np.clip(np.sqrt((power.sum() + _PRIOR_COUNT * common) / (power.size + _PRIOR_COUNT)), *_SPREAD_FACTOR))
+            if shared:
+                between.shared_spread[where] *= factor
+                d[where] /= factor
+            else:
+                between.own_spread[where] *= factor
+                own[:, n_shape:][where] /= factor
+            factors.setdefault(name, []).append(round(factor, 2))
+    return replace(state.x, d=d, own=own), factors
+
+
+def on_validation_lines(state: State) -> tuple[float, float]:
+    """Reduced chi-square of the validation lines under noise, discrepancy and posterior, per independent value; their error [dB, rms]."""
+    case = state.case
+    problem = Problem(case, state.terms, case.lines.validation)
+    prediction = problem.predict(problem.packed(state.x))
+    root = np.sqrt(2 / problem.variance(state.alpha))
+    shared, own = (problem.rows(v) * root[..., None] for v in (prediction.shared, prediction.own))
+    residual = problem.residual(prediction.h) * root
+    fitted = state.problem.predict(state.problem.packed(state.x))
+    root = np.sqrt(2 / state.problem.variance(state.alpha))
+    known = Information.of(*(state.problem.rows(v) * root[..., None] for v in (fitted.shared, fitted.own)))
+    factor = Factor.of(known + Information.of(shared, own), problem.precision, problem.own_precision)
+    along = np.tensordot(shared, residual, ((0, 1), (0, 1))), (np.swapaxes(own, 1, 2) @ residual[..., None])
+    a, b = factor.whitened(along[0][:, None], along[1])
+    chi = np.sum(residual**2) - np.sum(a**2) - np.sum(b**2)
+    db = 20 * np.log10(np.abs(prediction.h) / np.abs(problem.measured))
+    return float(chi / residual.size), float(np.sqrt(np.mean(db**2)))
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """The idle model on the FRFs at rest.
+
+    Attributes
+    ----------
+    idle : Idle
+    state : State
+    correlated : float
+        Neighbouring lines over which the noise is alike.
+    again : bool
+        Whether the model was fitted to them again, with what makes modes complex.
+    """
+
+    idle: Idle
+    state: State
+    correlated: float
+    again: bool
+
+
+def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
+    """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
+    case = Case(idle, frf, band, spreads={}, number=REST_LINES)
+    state = fit(case, case.forward.start, alpha=0.02)
+    if state.alpha < REST_DISCREPANCY:
+        return AtRest(idle, state, _correlation(state), False)
+    case = Case(idle.loose(case.forward.references), frf, band, spreads={}, number=REST_LINES)
+    state = fit(case, approach(case, case.forward.start)[1], 0.02)
+    factor = state.factor
+    own = np.zeros((case.forward.n_dofs, factor.inverse.shape[1], factor.inverse.shape[1]))
+    across = np.zeros((case.forward.n_dofs, *factor.across.shape[1:]))
+    own[:] = np.eye(own.shape[1])
+    own[state.problem.order], across[state.problem.order] = factor.inverse, factor.across
+    g = case.forward.n_g
+    after = case.idle.moved(state.x.g, state.x.own, Factor(own, across[:, :, :g], factor.lower[:g, :g]))
+    return AtRest(after, state, _correlation(state), True)
+
+
+def _correlation(state: State) -> float:
+    lines = state.case.lines
+    return lines.correlation(state.case.forward.predict(state.x, lines.w_all, derivatives=False).h, state.alpha)
+
+
+def names(case: Case, terms: Sequence[Term]) -> list[str]:
+    """Terms in short words, for progress."""
+    return [f"{t.kind}@{','.join(str(case.dofs[i]) for i in t.places)}" + ("" if t.size is None else f"={t.size:.6g}") for t in terms]

@@ -1,0 +1,362 @@
+"""Which effect more would help: all kinds at all places about a state, by a robust misfit or by the evidence at first order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import ROBUST
+from operando.diagnosis.forward import Outside, Point, Scannable
+from operando.diagnosis.posterior import Problem, State, Step
+from operando.diagnosis.terms import Term, added, with_term
+
+Array = NDArray[Any]
+
+_AT_ONCE = 128  # responses to trial effects at a time
+_ROBUST_SIZES, _SIZES, _FREQUENCIES = 24, 8, 40  # trial sizes; trial frequencies of an absorber
+_DAMPING = (0.01, 0.04, 0.1)  # trial damping ratios of an absorber
+_OTHER_FREQUENCY = 0.1  # of an absorber, as a logarithm: another start
+_STRIDE = 2  # each second line is enough to rank
+_TOP, _SLOPES = 24, 12  # candidates that are refined, and those told by their slope
+_LOOSE_VALUE = 1e-2  # precision of the values of effects that are there, so that one more may change them
+
+
+@dataclass
+class Candidate:
+    """A term by its evidence in a scan, and where the unknowns are to start with it."""
+
+    evidence: float
+    term: Term
+    start: Point
+
+
+def trials(case: Case, term: Term, count: int) -> list[Term]:
+    """Trial values of a kind at a place."""
+    kind, definition = term.kind, term.definition
+    if not definition.parameters:
+        return [term]
+    if kind.endswith("_gain"):
+        return [term.moved((v,)) for v in (-1, -0.3, -0.1, -0.03, 0.03, 0.1, 0.3, 1)]
+    if kind.endswith("_delay"):
+        unit = 1 / (2 * np.pi * case.band[1])
+        return [term.moved((v * unit,)) for v in (-1, -0.3, -0.1, 0.1, 0.3, 1)]
+    if kind == "global_damping":
+        return [term.moved((v,)) for v in (-0.7, -0.3, -0.1, 0.1, 0.3, 0.7)]
+    if kind == "global_stiffness":
+        sizes = np.log((0.002, 0.003, 0.005, 0.008, 0.013, 0.02, 0.03, 0.05, 0.08, 0.13))
+        return [Term(kind, (), (float(v),), sign) for v in sizes for sign in (1, -1)]
+    low, high = case.size_range(kind, term.places)
+    if kind == "tuned_absorber":
+        at = np.linspace(float(np.log(case.band[0])), float(np.log(case.band[1])), _FREQUENCIES)
+        return [term.moved((s, f, z)) for s in np.linspace(low, high, 3) for f in at for z in np.log((0.01, 0.05))]
+    signs = (1, -1) if definition.removable or definition.coordinates == "separate" else (1,)
+    further = [np.linspace(m - s, m + s, 3) for m, s in zip(*(v[1:] for v in case.prior(term)), strict=True)]
+    rest = [tuple(float(x) for x in row) for row in np.stack(np.meshgrid(*further), -1).reshape(-1, len(further))] if further else [()]
+    sizes = np.linspace(low - 0.5, high + 0.5, count)
+    return [Term(kind, term.places, (float(s), *more), sign) for s in sizes for more in rest for sign in signs]
+
+
+def responses(case: Case, x: Point, state: Scannable, columns: Array, terms: Sequence[Term], at: Array) -> Array:
+    """Measured FRFs (lines, responses, references, n) with each of some terms of one kind and place more."""
+    first, w, band = terms[0], case.lines.w[at], case.band
+    if first.structural and first.definition.coordinates == "difference":
+        b = first.places
+        along = columns[:, :, b[0]] - columns[:, :, b[1]] if len(b) == 2 else columns[:, :, b[0]]
+        own = along[:, b[0]] - along[:, b[1]] if len(b) == 2 else along[:, b[0]]
+        there = state.structure[:, b[0]] - state.structure[:, b[1]] if len(b) == 2 else state.structure[:, b[0]]
+        z = np.stack([added(t, w, band)[:, 0, 0] for t in terms], 1)
+        change = state.measured(-along[:, :, None] * there[:, None])
+        return state.h[..., None] + change[..., None] * (z / (1 + z * own[:, None]))[:, None, None]
+    if first.structural:
+        return np.stack([state.measured(with_term(columns, state.structure, t, w, band)) for t in terms], -1)
+    out = []
+    for term in terms:
+        h = state.h.copy()
+        rows = [np.flatnonzero(state.order == i) for i in term.places]
+        if term.definition.acts == "modal_change":
+            more = Point(x.g, x.d, x.own, x.u, (*x.terms, term))
+            h = case.forward.predict(more, w, derivatives=False).h
+        elif term.kind == "channel_swap":
+            # what each channel shows changes places; its gain stays with the sensor
+            if all(r.size for r in rows):
+                h[:, [rows[0][0], rows[1][0]]] = h[:, [rows[1][0], rows[0][0]]]
+        else:
+            ratio = np.asarray(term.definition.sensor_map(w / 2 / np.pi, term.sizes(band)))
+            if term.definition.group == "force":
+                h[:, :, case.forward.references == term.places[0]] /= ratio[:, None, None]
+            else:
+                h[:, rows[0]] *= ratio[:, None, None]
+        out.append(h)
+    return np.stack(out, -1)
+
+
+def robust_scan(case: Case, x: Point) -> list[tuple[float, Term, bool]]:
+    """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places."""
+    at, forward = case.lines.fit, case.forward
+    w, measured = case.lines.w[at], case.lines.h[at][..., None]
+    state = forward.scannable(x, w)
+    noise = (case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)[..., None]
+    variants = [(False, state.columns)]
+    below = case.between.below
+    if not x.terms and below.size:
+        idle = case.idle
+        w0 = 2 * np.pi * idle.f[below]
+        k = 1 / (w0**2 - w[:, None] ** 2 + 2j * idle.zeta[below] * w0 * w[:, None])
+        phi = idle.phi[:, below] * forward.undriven[:, None]
+        rest = (phi * k[:, None]) @ phi.T
+        i = np.arange(forward.n_dofs)
+        rest[:, i, i] = -np.sum(phi**2, axis=1) / w[:, None] ** 2
+        variants.append((True, state.columns - rest))
+    out = []
+    for cut, columns in variants:
+        for place in case.candidates(x.terms):
+            if cut and not (place.structural and forward.undriven[list(place.places)].all()):
+                continue
+            some = trials(case, place, _ROBUST_SIZES)
+            with np.errstate(all="ignore"):
+                h = responses(case, x, state, columns, some, at)
+                cost = np.nan_to_num(np.sum(np.log1p(np.abs(measured - h) ** 2 / noise), axis=(0, 1, 2)), nan=np.inf)
+            best = int(np.argmin(cost))
+            out.append((-float(cost[best]), some[best], cut))
+    return sorted(out, key=lambda row: -row[0])
+
+
+class LinearScan:
+    """A state at first order, and what one effect more would add to its evidence.
+
+    By the slope of the response at size zero (score test): where what differs between the days stands for an effect that moves a mode by
+    its half-power width, the response to its size as it is does not undo that, but the slope exchanges one for the other where the peaks
+    are. Kinds without a size by their response.
+    """
+
+    def __init__(self, state: State, x: Point | None = None) -> None:
+        case = self.case = state.case
+        self.x = state.x if x is None else x
+        self.at = case.lines.fit[::_STRIDE]
+        self.w = case.lines.w[self.at]
+        problem = self.problem = Problem(case, self.x.terms, self.at)
+        packed = self.packed = problem.packed(self.x)
+        prediction = problem.predict(packed)
+        self.state = case.forward.scannable(self.x, self.w)
+        self.weights = np.sqrt(2 * _STRIDE / problem.variance(state.alpha))[..., None]
+        self.shared, self.own = problem.rows(prediction.shared) * self.weights, problem.rows(prediction.own) * self.weights
+        precision = np.array(problem.precision)
+        values = slice(problem.values_at, problem.values_at + problem.n_values)
+        precision[values] = _LOOSE_VALUE
+        self.factor = Factor.of(Information.of(self.shared, self.own), precision, problem.own_precision)
+        without = packed.shared.copy()
+        without[values] = 0
+        self.offset = problem.spread(self.shared, self.own, Step(without, packed.own))[..., None]
+        self.measured = problem.rows(problem.measured[..., None]) * self.weights
+
+    def residuals(self, terms: Sequence[Term]) -> Array:
+        """(responses, rows, n) with each of some terms of one kind and place, everything else as if its prior's mean were the start."""
+        with np.errstate(all="ignore"):
+            h = responses(self.case, self.x, self.state, self.state.columns, terms, self.at)
+        return self.offset + self.measured - self.problem.rows(h) * self.weights
+
+    def whitened(self, rows: Array) -> Array:
+        """Factor⁻¹ Jᵀ of rows (responses, rows, n), as columns."""
+        shared = np.tensordot(self.shared, rows, ((0, 1), (0, 1)))
+        a, b = self.factor.whitened(shared, np.swapaxes(self.own, 1, 2) @ rows)
+        return np.concatenate([a, b.reshape(-1, b.shape[2])])
+
+    def costs(self, terms: Sequence[Term]) -> Array:
+        """½ of what the unknowns leave of the squares, for each term."""
+        r = self.residuals(terms)
+        return np.nan_to_num(0.5 * (np.sum(r**2, (0, 1)) - np.sum(self.whitened(r) ** 2, 0)), nan=np.inf)
+
+    def run(self) -> tuple[list[Candidate], float]:
+        """Candidates, best first, and the evidence of none."""
+        places = self.case.candidates(self.x.terms)
+        r = self.offset + self.measured - self.problem.rows(self.state.h[..., None]) * self.weights
+        rq = self.whitened(r)
+        none = -0.5 * float(np.sum(r**2) - np.sum(rq**2))
+        rows = self._by_slope(places, r, rq, none)
+        rows += self._by_trials([p for p in places if not p.definition.parameters])
+        return _best_of_each(rows), none
+
+    def exchanged(self) -> list[Candidate]:
+        """Candidates about a state that was not fitted, as one with an effect taken out: by their responses to trial sizes."""
+        return _best_of_each(self._by_trials(self.case.candidates(self.x.terms)))
+
+    def _by_trials(self, places: Sequence[Term]) -> list[Candidate]:
+        case = self.case
+        found: list[tuple[float, Term]] = []
+        for place in places:
+            some = trials(case, place, _SIZES)
+            score = np.array([case.log_prior(t) for t in some]) - self.costs(some)
+            order = np.argsort(-score)
+            found.append((float(score[order[0]]), some[order[0]]))
+            if place.kind == "tuned_absorber":  # a second start at another frequency
+                far = [j for j in order[1:40] if abs(some[j].values[1] - some[order[0]].values[1]) > _OTHER_FREQUENCY][:1]
+                found += [(float(score[j]), some[j]) for j in far]
+        found.sort(key=lambda row: -row[0])
+        chosen: list[Term] = []
+        of_kind: dict[str, int] = {}
+        for _, term in found:
+            if len(chosen) < _TOP or of_kind.get(term.kind, 0) < 2:
+                chosen.append(term)
+                of_kind[term.kind] = of_kind.get(term.kind, 0) + 1
+        return [Candidate(*self._refined(term), self.x) for term in chosen]
+
+    def slopes(self, terms: Sequence[Term]) -> Iterable[tuple[Sequence[Term], Array]]:
+        """Weighted rows (responses, rows, n) by the size of each term, at size zero, some at a time."""
+        state, w, forward = self.state, self.w, self.case.forward
+        for start in range(0, len(terms), _AT_ONCE):
+            some = terms[start : start + _AT_ONCE]
+            values = np.zeros((*state.h.shape, len(some)), complex)
+            for number, term in enumerate(some):
+                if term.structural:
+                    b = list(term.places)
+                    unit = added(term.moved((0.0, *term.values[1:])), w, self.case.band)
+                    values[..., number] = state.measured(-state.columns[:, :, b] @ (unit @ state.structure[:, b]))
+                    continue
+                by_value = (-1j * w if term.kind.endswith("_delay") else np.ones(w.size))[:, None, None]
+                mine = (
+                    forward.references == term.places[0] if term.definition.group == "force" else (state.order == term.places[0])[:, None]
+                )
+                sign = -1 if term.definition.group == "force" else 1
+                values[..., number] = sign * by_value * state.h * mine
+            yield some, self.problem.rows(values) * self.weights
+
+    def _by_slope(self, places: Sequence[Term], r: Array, rq: Array, none: float) -> list[Candidate]:
+        case = self.case
+        out: list[tuple[float, Term, float, Array]] = []
+        # a change of the whole is one of what differs between the days, and comes by promotion
+        terms = [t for p in places if p.definition.parameters and p.definition.acts != "modal_change" for t in grid(case, p)]
+        for some, rows in self.slopes(terms):
+            along = self.whitened(rows)
+            information = np.sum(rows**2, (0, 1)) - np.sum(along**2, 0)
+            gradient = np.sum(rows * r, (0, 1)) - np.sum(along * rq, 0)
+            for number, term in enumerate(some):
+                if not information[number] > 0:
+                    continue
+                value, there, size = _of_slope(case, term, float(information[number]), float(gradient[number]))
+                if there is not None:
+                    out.append((none + value, there, size, along[:, number]))
+        out.sort(key=lambda row: -row[0])
+        kept: list[tuple[float, Term, float, Array]] = []
+        for row in out:
+            same = [k for k in kept if k[1].key == row[1].key]
+            if row[1].kind == "tuned_absorber":
+                same = [k for k in same if abs(k[1].values[1] - row[1].values[1]) < _OTHER_FREQUENCY]
+            if not same and len(kept) < _SLOPES:
+                kept.append(row)
+        return [Candidate(value, term, self._start(size * along)) for value, term, size, along in kept]
+
+    def _start(self, along: Array) -> Point:
+        """The unknowns less what the slope of an effect takes over from them; the values of the others stay."""
+        s = len(self.factor.lower)
+        blocks, k, _ = self.factor.inverse.shape
+        first = np.linalg.solve(self.factor.lower.T, along[:s])
+        second = np.swapaxes(self.factor.inverse, 1, 2) @ (along[s:].reshape(blocks, k, 1) - (self.factor.across @ first)[..., None])
+        values = slice(self.problem.values_at, self.problem.values_at + self.problem.n_values)
+        first[values] = 0
+        step = Step(first, self.problem.by_dof(second[..., 0]))
+        return self.problem.point(self.packed + step * -1)
+
+    def _refined(self, term: Term) -> tuple[float, Term]:
+        """The best values of a candidate and its evidence, everything else free at first order."""
+        mean, std = self.case.prior(term)
+        p, damping = np.array(term.values), 1e-3
+
+        def at(p: Array) -> tuple[Array, Array, float, Term]:
+            there = term.moved(p)
+            r = self.residuals([there])
+            rq = self.whitened(r)
+            return r, rq, 0.5 * float(np.sum(r**2) - np.sum(rq**2)) - self.case.log_prior(there), there
+
+        r, rq, cost, now = at(p)
+        hessian = np.zeros((p.size, p.size))
+        linear = term.kind.endswith("_delay")
+        for _ in range(8 if p.size else 0):
+            step = 1e-7 if linear else 1e-4
+            slopes = np.concatenate([(r - self.residuals([term.moved(p + step * unit)])) / step for unit in np.eye(p.size)], -1)
+            along = self.whitened(slopes)
+            hessian = np.tensordot(slopes, slopes, ((0, 1), (0, 1))) - along.T @ along
+            gradient = np.tensordot(slopes, r[..., 0], ((0, 1), (0, 1))) - along.T @ rq[:, 0] - (p - mean) / std**2
+            for _ in range(5):
+                move = np.linalg.solve(hessian * (1 + damping * np.eye(p.size)) + np.diag(1 / std**2), gradient)
+                if not linear:
+                    move *= min(1, 0.5 / np.abs(move).max())
+                after = at(p + move)
+                if after[2] < cost:
+                    break
+                damping *= 10
+            else:
+                break
+            gain, p, damping = cost - after[2], p + move, max(damping / 10, 1e-6)
+            r, rq, cost, now = after
+            if gain < 0.05:
+                break
+        evidence = -cost
+        if p.size:
+            evidence += 0.5 * p.size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(hessian + np.diag(1 / std**2))[1]
+        return float(evidence), now
+
+
+def grid(case: Case, place: Term) -> list[Term]:
+    """A kind at a place with values of its parameters after the first."""
+    means, stds = (v[1:] for v in case.prior(place))
+    further: list[tuple[float, ...]] = [()]
+    if place.kind == "tuned_absorber":
+        low, high = np.log(case.band)
+        further = [(float(f), float(z)) for f in np.linspace(low, high, _FREQUENCIES) for z in np.log(_DAMPING)]
+    elif means.size:
+        further = [tuple(float(v) for v in row) for row in np.stack([means - stds, means, means + stds])]
+    return [place.moved((0.0, *values)) for values in further]
+
+
+def _of_slope(case: Case, term: Term, information: float, gradient: float) -> tuple[float, Term | None, float]:
+    """Evidence over none of a term whose response is linear in its size, the term, and its size; None where no such size can be."""
+    mean, std = (float(v[0]) for v in case.prior(term))
+    size = gradient / information
+    if term.kind.endswith(("_gain", "_delay")):
+        size = gradient / (information + std**-2)
+        there = term.moved((size,))
+        at_zero = case.log_prior(term) + 0.5 * np.log(2 * np.pi) + np.log(std)
+        return float(0.5 * gradient * size + at_zero - 0.5 * np.log(1 + information * std**2)), there, size
+    sign = int(np.sign(size))
+    signed = term.definition.removable or term.definition.coordinates == "separate"
+    log = float(np.log(abs(size) + 1e-300))
+    if abs(log - mean) > 2 * std + 1 or (sign < 0 and not signed):
+        return -np.inf, None, 0.0
+    there = replace(term.moved((log, *term.values[1:])), sign=sign)
+    value = 0.5 * gradient**2 / information + case.log_prior(there)
+    value += 0.5 * np.log(2 * np.pi) - 0.5 * np.log(information * size**2 + std**-2)
+    # of further values only their prior is known here: they are taken to be told as well as the size
+    value += 0.5 * (len(term.values) - 1) * (np.log(2 * np.pi) - np.log(information * size**2))
+    return float(value), there, size
+
+
+def _best_of_each(rows: Sequence[Candidate]) -> list[Candidate]:
+    best: dict[tuple[object, ...], Candidate] = {}
+    for row in rows:
+        key: tuple[object, ...] = row.term.key
+        if row.term.kind == "tuned_absorber":
+            key = (*key, round(row.term.values[1], 1))
+        if key not in best or row.evidence > best[key].evidence:
+            best[key] = row
+    return sorted(best.values(), key=lambda row: -row.evidence)
+
+
+def without_rest(case: Case, terms: Sequence[Term], places: tuple[int, ...]) -> Array:
+    """Values of ``outside`` that take away what residual masses give places."""
+
+    def given(row: Outside) -> float:
+        below = case.between.below
+        if not (row.below and row.place in places):
+            return 0.0
+        return float(case.idle.phi[row.place, below] @ case.idle.phi[row.other, below])
+
+    return np.array([-given(row) / row.spread for row in case.forward.outside(terms)])
+
+
+Say = Callable[[str], None]

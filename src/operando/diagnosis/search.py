@@ -1,0 +1,301 @@
+"""Which effects are missing: scans, moves, and what the search ends with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED
+from operando.diagnosis.forward import Point
+from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines, update_spreads
+from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
+from operando.diagnosis.terms import Term, added
+
+_FITTED, _APPROACHED, _BEAM, _DEPTH = 3, 6, 3, 5
+_OTHERS, _CLOSE = 5, 10.0  # of what may stand in the place of an effect: so many are fitted, where their scan is within so many nats
+_SHORT = 20.0  # nats below what its scan promises from which a fit counts as lost on its way
+_TURNS = 2  # of empirical Bayes
+
+
+@dataclass
+class Found:
+    """What a search ends with.
+
+    Attributes
+    ----------
+    best, empty : State
+        The most probable state, and the one without effects.
+    pool : dict
+        All fitted states, by kinds and places.
+    """
+
+    best: State
+    empty: State
+    pool: dict[tuple[tuple[str, tuple[int, ...]], ...], State]
+
+
+def strained(state: State) -> bool:
+    """Whether a part of what differs between the days is far beyond its spread: it stands for something else."""
+    between, n_shape = state.case.between, state.case.forward.n_shape
+    parts = [state.x.d[p] for p in between.shared.values()] + [state.x.own[:, n_shape:][:, p] for p in between.own.values()]
+    return any(float(np.mean(v**2)) > STRAINED for v in parts if v.size > 1)
+
+
+def score(state: State) -> float:
+    """Log probability of a state but for a constant: a further effect must earn its place."""
+    part = state.case.between.shared["stiffness"]
+    beyond = part.stop > part.start and abs(state.x.d[part.start]) > PROMOTED
+    containing = sum(bool(t.definition.contains) for t in state.terms)
+    return state.log_evidence - EARNED * (len(state.terms) + beyond) - CONTAINING * containing
+
+
+def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> Found:
+    """To the first state that explains the lines; then with the spreads that it teaches.
+
+    Parameters
+    ----------
+    case : Case
+    say : callable
+        Told each step.
+    rival : float
+        Score of another hypothesis: the search ends where a step does not halve what is missing to it.
+    """
+    found = _Search(case, say, rival=rival).run()
+    if score(found.best) < rival - EARNED:
+        return found
+    if found.best.alpha < EXPLAINED and not strained(found.best):
+        best = found.best
+        for _ in range(_TURNS):
+            start, factors = update_spreads(best)
+            best = fit(case, start, best.alpha)
+        say(f"spreads × {factors}, discrepancy {best.alpha:.4f}")
+        found = _Search(case, say, best).run()
+    return found
+
+
+def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None) -> tuple[Found, float]:
+    """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
+
+    The first is a special case of the second: where it leaves nothing but noise, the second is not searched.
+
+    Returns
+    -------
+    Found
+    float
+        Log odds that nothing was touched.
+    """
+    alone = fit(days, days.forward.start)
+    say(f"two days and no effect: {alone.log_evidence:.1f}, discrepancy {alone.alpha:.4f}")
+    say("with nothing touched between the measurements:")
+    same = search(one_set_up, say, score(alone))
+    if same.best.alpha < LOOSE and score(same.best) > score(alone) and on_validation_lines(same.best)[0] < MOST_CHI_SQUARE:
+        rival = fit(days, days_point(days, same.best), same.best.alpha) if same.best.terms else alone
+        odds = score(same.best) - max(score(rival), score(alone))
+        if odds > EARNED:
+            return same, odds
+    say("on another day:")
+    found = search(days, say)
+    odds = score(same.best) - score(found.best)
+    return (same if odds > 0 else found), odds
+
+
+def days_point(days: Case, state: State) -> Point:
+    """Where a search with nothing touched has ended, as a start for two days."""
+    start = days.forward.start
+    return replace(start, u=np.zeros(len(days.forward.outside(state.terms))), terms=state.terms)
+
+
+def promotions(state: State) -> list[Point]:
+    """The effects of whose name a difference between the days far beyond its spread is, in its place."""
+    case, x = state.case, state.x
+    between, n_shape = case.between, case.forward.n_shape
+    have, out, shared = {t.kind for t in x.terms}, [], between.shared
+
+    def put(term: Term, d: np.ndarray, own: np.ndarray | None = None) -> None:
+        if term.kind in case.kinds:
+            out.append(replace(state.carried([*x.terms, term]), d=d, own=x.own if own is None else own))
+
+    if shared["stiffness"].stop > shared["stiffness"].start:
+        at = shared["stiffness"].start
+        if abs(x.d[at]) > PROMOTED and "global_stiffness" not in have:
+            d, each = x.d.copy(), shared["mode"]
+            shift = float((d[each] * between.shared_spread[each]).mean()) if each.stop > each.start else 0.0
+            if shift:
+                d[each] -= shift / between.shared_spread[each]
+            value = float(d[at] * between.shared_spread[at]) + 2 * shift  # all frequencies by half of it
+            d[at] = 0
+            put(Term("global_stiffness", (), (float(np.log(abs(value))),), int(np.sign(value))), d)
+    each = shared["damping"]
+    if each.stop > each.start and "global_damping" not in have:
+        whole = shared["damping_whole"].start
+        mean = float((x.d[each] * between.shared_spread[each]).mean())
+        if abs(x.d[whole]) > PROMOTED or abs(mean) > between.shared_spread[each].mean():
+            d = x.d.copy()
+            d[each] -= mean / between.shared_spread[each]
+            value = mean + float(d[whole] * between.shared_spread[whole])
+            d[whole] = 0
+            put(Term("global_damping", (), (value,)), d)
+    part = between.own["sensor"]
+    if part.stop > part.start:
+        column = n_shape + part.start
+        for i in np.flatnonzero(np.abs(x.own[:, column]) > PROMOTED):
+            own = x.own.copy()
+            own[i, column] = 0
+            put(Term("sensor_gain", (int(i),), (float(x.own[i, column] * between.own_spread[i, part.start]),)), x.d, own)
+    for number, at in enumerate(range(shared["force"].start, shared["force"].stop)):
+        if abs(x.d[at]) > PROMOTED:
+            d = x.d.copy()
+            d[at] = 0  # H is divided by the gain of the force
+            put(Term("force_gain", (int(case.forward.references[number]),), (-float(x.d[at] * between.shared_spread[at]),)), d)
+    return out
+
+
+def contained(case: Case, term: Term) -> list[Term]:
+    """Simpler kinds that a kind turns into for some of its values, at the same place: a heavy absorber far above its resonance is a
+    spring or a damper to ground, far below it a mass; a spring with little or much loss is a spring or a damper."""
+    if not term.values[1:]:
+        return []
+    size, f = float(np.exp(term.values[0])), np.sqrt(case.band[0] * case.band[1])
+    if term.kind == "tuned_absorber":
+        wa, zeta = 2 * np.pi * float(np.exp(term.values[1])), float(np.exp(term.values[2]))
+        sizes = {"point_mass": size, "ground_spring": size * wa**2, "ground_damper": 2 * zeta * size * wa}
+    else:
+        z = abs(complex(added(term, np.array([2 * np.pi * f]), case.band)[0, 0, 0]))
+        sizes = {"ground_spring": z, "ground_damper": z / (2 * np.pi * f), "ground_hysteretic_spring": z}
+    out = []
+    for kind, value in sizes.items():
+        if kind in case.kinds and kind != term.kind:
+            places = next(node for node in case.nodes if term.places[0] in node) if kind == "point_mass" else term.places
+            further = tuple(float(v) for v in case.prior(Term(kind, places))[0][1:])
+            out.append(Term(kind, places, (float(np.log(value)), *further), term.sign))
+    return out
+
+
+class _Search:
+    """A beam of states and the moves between them: one more, one less, one promoted, one in the place of another."""
+
+    def __init__(self, case: Case, say: Say, start: State | None = None, rival: float = -np.inf) -> None:
+        self.case, self.say, self.start, self.rival = case, say, start, rival
+        self.pool: dict[tuple[tuple[str, tuple[int, ...]], ...], State] = {}
+        self.tried: set[tuple[tuple[str, tuple[int, ...]], ...]] = set()
+
+    def best(self) -> State:
+        return max(self.pool.values(), key=lambda s: s.log_evidence)
+
+    def put(self, x: Point, alpha: float) -> State | None:
+        try:
+            state = fit(self.case, x, alpha, floor=self.best().log_evidence if self.pool else -np.inf)
+        except np.linalg.LinAlgError:
+            return None
+        known = self.pool.get(state.key)
+        if np.isfinite(state.log_evidence) and (known is None or state.log_evidence > known.log_evidence):
+            self.pool[state.key] = state
+        self.say(f"  {names(self.case, state.terms)} {state.log_evidence:.1f}, discrepancy {state.alpha:.4f}")
+        return state
+
+    def once(self, terms: Sequence[Term]) -> bool:
+        key = tuple(sorted(t.key for t in terms))
+        new = key not in self.tried
+        self.tried.add(key)
+        return new
+
+    def run(self) -> Found:
+        start = self.start
+        if start is not None and not start.terms:
+            self.put(start.x, start.alpha)
+        else:
+            self.put(self.case.forward.start, 0.1)
+        empty = self.best()
+        if start is not None and start.terms:
+            self.pool[start.key] = start
+            empty.robustly = True
+        for _ in range(_DEPTH):
+            was = self.best()
+            if (was.alpha > LOOSE or strained(was)) and not was.robustly:
+                was.robustly = True
+                self._robust_stage(was)
+            self._grow()
+            now = self.best()
+            if len(now.terms) > 1:
+                for term in now.terms:
+                    rest = [t for t in now.terms if t is not term]
+                    if self.once(rest):
+                        self.put(now.carried(rest), now.alpha)
+            best = self.best()
+            if self.rival - score(best) > max(0.5 * (self.rival - score(was)), 0.0):
+                break
+            grown = len(best.terms) > len(was.terms)
+            if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
+                break
+            if start is None and best.alpha < EXPLAINED and not strained(best):
+                break
+        now = self.best()
+        for state in sorted(self.pool.values(), key=lambda s: -s.log_evidence)[:4]:
+            # the leaders again, from the best: no evidence by its path
+            if state is not now and state.log_evidence > now.log_evidence - 40:
+                self.put(now.carried(state.terms), now.alpha)
+        if start is not None:
+            self._others(max(self.pool.values(), key=score))
+        return Found(max(self.pool.values(), key=score), empty, self.pool)
+
+    def _grow(self) -> None:
+        """One effect more about each of the leaders."""
+        for rank, state in enumerate(sorted(self.pool.values(), key=lambda s: -s.log_evidence)[:_BEAM]):
+            if state.scanned or state.log_evidence < self.best().log_evidence - 30:
+                continue
+            state.scanned = True
+            for x in promotions(state):
+                if self.once(x.terms):
+                    self.put(x, state.alpha)
+            found, none = LinearScan(state).run()
+            self.say(f"scan of {names(self.case, state.terms)}: {self._listed(found[:4], none)}")
+            for row in found[: _FITTED if rank == 0 else 1]:
+                if row.evidence > none - 20 and self.once([*state.terms, row.term]):
+                    self._put_candidate(state.terms, row, state, state.log_evidence + row.evidence - none)
+
+    def _put_candidate(self, terms: Sequence[Term], row: Candidate, state: State, promised: float = -np.inf) -> None:
+        """The fit from where the scan puts it; from the idle model, robustly, where that ends far below what the scan promises."""
+        ended = self.put(state.carried([*terms, row.term], row.start), state.alpha)
+        if promised > self.best().log_evidence - _SHORT and (ended is None or ended.log_evidence < promised - _SHORT):
+            start = state.carried([*terms, row.term], self.case.forward.start)
+            self.put(approach(self.case, replace(start, u=0 * start.u))[1], 0.03)
+
+    def _robust_stage(self, state: State) -> None:
+        """The robust scan and the neighbourhoods of its leaders; the nearest are fitted."""
+        case = self.case
+        about = state.x if state.terms else case.forward.start
+        rows = robust_scan(case, about)
+        self.say("robust scan: " + ", ".join(f"{names(case, [t])[0]}{' (cut)' if cut else ''} {v:.0f}" for v, t, cut in rows[:6]))
+        near = []
+        for _, term, cut in rows[:_APPROACHED]:
+            x = state.carried([*state.terms, term], about)
+            if cut:
+                x = replace(x, u=x.u + without_rest(case, x.terms, term.places))
+            near.append(approach(case, x))
+        near.sort(key=lambda row: row[0])
+        for cost, x in near[:_FITTED]:
+            if cost < 1.5 * near[0][0] + 20:
+                self.put(x, 0.03)
+
+    def _others(self, best: State) -> None:
+        """What could stand in the place of each effect: scanned about the state that has it, fitted where the scan is close."""
+        for term in best.terms:
+            rest = [t for t in best.terms if t is not term]
+            found = LinearScan(best, best.carried(rest)).exchanged()
+            self.say(f"in the place of {names(self.case, [term])[0]}: {self._listed(found[:6], 0.0)}")
+            for simpler in contained(self.case, term):
+                if self.once([*rest, simpler]):
+                    self.put(best.carried([*rest, simpler]), best.alpha)
+            own = max((c.evidence for c in found if c.term.key == term.key), default=found[0].evidence)
+            for row in found[:_OTHERS]:
+                if row.evidence > own - _CLOSE and self.once([*rest, row.term]):
+                    self._put_candidate(rest, row, best)
+
+    def _listed(self, rows: Sequence[Candidate], zero: float) -> str:
+        return ", ".join(f"{names(self.case, [c.term])[0]} {c.evidence - zero:+.0f}" for c in rows)
+
+
+Progress = Callable[[str], None]

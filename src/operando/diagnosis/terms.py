@@ -1,0 +1,179 @@
+"""Effects as the search sees them: numbers of DOFs and values on a search scale, with the laws of the catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.dof import Dof
+from operando.effects import Effect, EffectKind, kind_of
+
+Array = NDArray[Any]
+
+SEARCHED = (
+    "point_mass", "ground_spring", "ground_damper", "ground_hysteretic_spring", "ground_rubber", "coupling_spring", "coupling_damper",
+    "gyroscopic", "circulatory", "tuned_absorber", "sensor_gain", "sensor_delay", "sensor_polarity", "channel_swap", "force_gain",
+    "force_delay", "global_stiffness", "global_damping",
+)  # fmt: skip
+"""Kinds looked for where the test file names none."""
+
+BY_SLOPE = ("point_mass", "ground_spring", "ground_damper", "coupling_spring", "coupling_damper", "gyroscopic", "circulatory")
+"""Kinds of one size in which the dynamic stiffness is linear: found by the slope of the response at size zero."""
+
+_STEP = 1e-5  # of a value on its search scale, for derivatives of a law: error of second order, 1e-10
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at places of the idle model.
+
+    Parameters
+    ----------
+    kind : str
+    places : tuple of int
+        Numbers of DOFs; a mass has all of its node.
+    values : tuple of float
+        On the search scale: the logarithm of the first value (of 1 + change for all damping, of the gain for a sensor), a delay as
+        it is, the others on their scale in the catalogue.
+    sign : {1, -1}
+        −1: the opposite of the kind, or a negative size.
+    """
+
+    kind: str
+    places: tuple[int, ...] = ()
+    values: tuple[float, ...] = ()
+    sign: int = 1
+
+    @property
+    def definition(self) -> EffectKind:
+        return kind_of(self.kind)
+
+    @property
+    def key(self) -> tuple[str, tuple[int, ...]]:
+        return self.kind, tuple(sorted(self.places))
+
+    @property
+    def structural(self) -> bool:
+        """Whether it adds dynamic stiffness."""
+        return self.definition.acts == "dynamic_stiffness"
+
+    def moved(self, values: Iterable[float]) -> Term:
+        return replace(self, values=tuple(float(v) for v in values))
+
+    @property
+    def size(self) -> float | None:
+        """First value in SI units; None for a kind without one."""
+        if not self.values:
+            return None
+        if self.kind.endswith("_delay"):
+            return self.values[0]
+        size = float(np.exp(self.values[0]))
+        return size - 1 if self.kind == "global_damping" else size if self.kind.endswith("_gain") else self.sign * size
+
+    def sizes(self, band: tuple[float, float]) -> dict[str, float]:
+        """All values in SI units; the first without its sign where the kind can be taken away."""
+        definition = self.definition
+        out = {p.name: p.start(band) for p in definition.constants}
+        for number, (p, value) in enumerate(zip(definition.parameters, self.values, strict=True)):
+            out[p.name] = p.outward(value) if number else float(self.size or 0.0)
+        if definition.removable:
+            first = definition.parameters[0].name
+            out[first] = abs(out[first])
+        return out
+
+    def slope(self, number: int, band: tuple[float, float]) -> float:
+        """Derivative of a value in SI units by that on the search scale."""
+        if number == 0:
+            if self.kind.endswith("_delay"):
+                return 1.0
+            return float(np.exp(self.values[0]))
+        p = self.definition.parameters[number]
+        return p.slope(self.sizes(band)[p.name])
+
+    def effect(self, dofs: Sequence[Dof], std: Sequence[float], band: tuple[float, float]) -> Effect:
+        """With units, place and standard deviations."""
+        definition = self.definition
+        spread = {p.name: abs(self.slope(i, band)) * float(s) for i, (p, s) in enumerate(zip(definition.parameters, std, strict=True))}
+        place = self.places[:1] if definition.coordinates == "node" else self.places
+        removed = definition.removable and self.sign < 0
+        return Effect(self.kind, tuple(dofs[i] for i in place), self.sizes(band), spread, removed=removed, band_hz=band)
+
+
+def touched(terms: Iterable[Term]) -> list[int]:
+    """DOFs on which structural effects act."""
+    return sorted({i for t in terms if t.structural for i in t.places})
+
+
+def moved(terms: Sequence[Term], values: Array) -> list[Term]:
+    """The terms with new values, one after the other."""
+    out, at = [], 0
+    for term in terms:
+        out.append(term.moved(values[at : at + len(term.values)]))
+        at += len(term.values)
+    return out
+
+
+def added(term: Term, w: Array, band: tuple[float, float]) -> Array:
+    """Dynamic stiffness that a term adds between its places on the lines w [rad/s], (n_lines, places, places)."""
+    definition = term.definition
+    single = definition.coordinates == "difference"
+    sign = term.sign if definition.removable else 1
+    z = sign * np.asarray(definition.matrix(1j * w, term.sizes(band), 1 if single else len(term.places)), complex)
+    return z * pattern(len(term.places)) if single else z
+
+
+@lru_cache
+def pattern(places: int) -> Array:
+    """Of a force along the difference of two displacements, or of one."""
+    return np.array([[1.0]]) if places == 1 else np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+def slopes(term: Term, w: Array, band: tuple[float, float]) -> list[Array]:
+    """Derivatives of :func:`added` by the values."""
+    out = [added(term, w, band)]  # linear in its size
+    for number in range(1, len(term.values)):
+        step = _STEP * (np.arange(len(term.values)) == number)
+        up, down = (added(term.moved(np.array(term.values) + side * step), w, band) for side in (1, -1))
+        out.append((up - down) / (2 * _STEP))
+    return out
+
+
+def with_term(columns: Array, h: Array, term: Term, w: Array, band: tuple[float, float]) -> Array:
+    """FRFs h (lines, DOFs, references) with one structural term more, given all columns of the structure (lines, DOFs, DOFs).
+
+    Sherman–Morrison–Woodbury; along one coordinate by a division.
+    """
+    b, z = list(term.places), added(term, w, band)
+    if term.definition.coordinates == "difference":
+        along = columns[:, :, b[0]] - columns[:, :, b[1]] if len(b) == 2 else columns[:, :, b[0]]
+        own = along[:, b[0]] - along[:, b[1]] if len(b) == 2 else along[:, b[0]]
+        at = h[:, b[0]] - h[:, b[1]] if len(b) == 2 else h[:, b[0]]
+        one = z[:, 0, 0]
+        return h - along[:, :, None] * ((one / (1 + one * own))[:, None] * at)[:, None]
+    inner = np.linalg.solve(np.eye(len(b)) + z @ columns[:, b][:, :, b], z)
+    return h - columns[:, :, b] @ (inner @ h[:, b])
+
+
+def candidates(nodes: Sequence[tuple[int, ...]], terms: Iterable[Term], kinds: Iterable[str], allowed: Iterable[int]) -> Iterator[Term]:
+    """Kinds at places, without values, that are not there yet; an absorber may stand beside another."""
+    where = sorted(allowed)
+    have = {t.key for t in terms}
+    for kind in kinds:
+        definition = kind_of(kind)
+        if definition.places == 0:
+            places: Iterator[tuple[int, ...]] = iter([()])
+        elif definition.coordinates == "node":
+            places = (node for node in nodes if set(node) & set(where))
+        elif definition.places == 2:
+            places = combinations(where, 2)
+        else:
+            places = ((i,) for i in where)
+        for place in places:
+            if kind == "tuned_absorber" or (kind, place) not in have:
+                yield Term(kind, place)

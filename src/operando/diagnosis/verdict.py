@@ -1,0 +1,158 @@
+"""What a search allows to say: the sets of effects the data cannot tell apart, what would have been seen, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import (
+    EARNED,
+    EXPLAINED,
+    LOWERED,
+    MOST_CHI_SQUARE,
+    ONE_SIDED,
+    SET,
+    SUPPORTED,
+)
+from operando.diagnosis.posterior import State, on_validation_lines
+from operando.diagnosis.scan import LinearScan
+from operando.diagnosis.search import Found, score
+from operando.diagnosis.terms import BY_SLOPE, Term
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict with its ground.
+
+    Attributes
+    ----------
+    name : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
+    why : str
+        Empty where nothing stands in the way.
+    terms : tuple of Term
+        Supported effects.
+    others : tuple of tuples of Term
+        Sets that may stand in the place of the effects.
+    probability : float
+        Of the effects, among these sets.
+    chi_square : float
+        Reduced, of the validation lines.
+    error_db : float
+        Of the validation lines.
+    unseen_hz : tuple of float
+        Modes that could move by a half-power width without being seen.
+    least : dict
+        Smallest size of each kind at each place that would have been found in 95 % of tests like this one, SI units.
+    """
+
+    name: str
+    why: str
+    terms: tuple[Term, ...]
+    others: tuple[tuple[Term, ...], ...]
+    probability: float
+    chi_square: float
+    error_db: float
+    unseen_hz: tuple[float, ...]
+    least: dict[tuple[str, tuple[int, ...]], float]
+
+
+def others(found: Found) -> tuple[list[State], float]:
+    """States beside the best that make up the 95 % set, without those that only add to it; the probability of the best."""
+    best = found.best
+    rivals = [s for s in found.pool.values() if not set(best.key) < set(s.key)]
+    weights = np.exp([score(s) - score(best) for s in rivals])
+    weights /= weights.sum()
+    out, total = [], 0.0
+    for i in np.argsort(-weights):
+        if total < SET and rivals[i] is not best:
+            out.append(rivals[i])
+        total += weights[i]
+    return out, float(weights[next(i for i, s in enumerate(rivals) if s is best)])
+
+
+def detectable(state: State) -> dict[tuple[str, tuple[int, ...]], float]:
+    """Smallest size of each kind at each place that would have been found in 95 % of tests like this one, SI units."""
+    scan = LinearScan(state)
+    places = [t.moved((0.0,)) for t in state.case.candidates(state.terms) if t.kind in BY_SLOPE]
+    out = {}
+    for some, rows in scan.slopes(places):
+        information = np.sum(rows**2, (0, 1)) - np.sum(scan.whitened(rows) ** 2, 0)
+        for place, power in zip(some, information, strict=True):
+            # nats asked of it: what a further effect must earn, one of so many places and kinds, and two for its prior's width
+            asked = EARNED + np.log(len(state.case.kinds) * state.case.places(place.kind)) + 2
+            out[place.key] = float((np.sqrt(2 * asked) + ONE_SIDED) / np.sqrt(max(float(power), 1e-300)))
+    return out
+
+
+def unseen(case: Case, least: dict[tuple[str, tuple[int, ...]], float]) -> list[float]:
+    """Modes in band that no detectable mass or spring moves by less than a half-power width 2ζf [Hz]."""
+    out, idle = [], case.idle
+    for r in idle.modes:
+        if not case.band[0] < idle.f[r] < case.band[1]:
+            continue
+        moves = [np.inf]
+        for (kind, places), size in least.items():
+            power = float(np.sum(idle.phi[list(places), r] ** 2))
+            if kind == "point_mass":
+                moves.append(0.5 * size * power)
+            elif kind == "ground_spring":
+                moves.append(0.5 * size * power / (2 * np.pi * idle.f[r]) ** 2)
+        if min(moves) > 2 * idle.zeta[r] and np.isfinite(min(moves)):
+            out.append(float(idle.f[r]))
+    return out
+
+
+def supported(state: State) -> bool:
+    """Whether the interval of each effect's size excludes zero."""
+    std, at = np.sqrt(np.diag(state.covariance)) if state.terms else np.zeros(0), 0
+    for term in state.terms:
+        if term.values:
+            near_zero = term.kind.endswith(("_gain", "_delay")) or term.kind == "global_damping"
+            if std[at] > (abs(term.values[0]) / 2 if near_zero else SUPPORTED):
+                return False
+        at += len(term.values)
+    return True
+
+
+def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
+    """The verdict of the contract.
+
+    Parameters
+    ----------
+    case : Case
+    found : Found
+    rest : State or None
+        The idle model on the FRFs at rest, where there are any.
+    """
+    best = found.best
+    chi, db = on_validation_lines(best)
+    rivals, probability = others(found)
+    least = detectable(best)
+    blind = unseen(case, least)
+    sets = tuple(s.terms for s in rivals)
+
+    def say(name: str, why: str = "") -> Verdict:
+        terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
+        return Verdict(name, why, terms, sets, probability, chi, db, tuple(blind), least)
+
+    if rest is not None and rest.alpha > EXPLAINED:
+        return say("inconclusive", f"the idle model differs by {100 * rest.alpha:.1f} % from the FRFs at rest themselves")
+    if not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
+        before = on_validation_lines(found.empty)[1]
+        if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
+            return say("partial", "the effects lower the misfit, and something remains")
+        return say("unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %")
+    if not best.terms:
+        if any(sets):
+            return say("inconclusive", "nothing and an effect are as likely")
+        if blind:
+            which = ", ".join(f"{hz:.4g}" for hz in blind)
+            return say("inconclusive", f"the modes at {which} Hz could have moved by a half-power width without being seen")
+        return say("no_misfit")
+    if not supported(best) or any(not s for s in sets):
+        return say("inconclusive", "an effect is likely, but none is as likely")
+    if sets:
+        return say("ambiguous", "other effects fit as well")
+    return say("explained")

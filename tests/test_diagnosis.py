@@ -1,0 +1,429 @@
+"""The diagnosis from FRFs: derivatives against differences, effects found on chains whose FRFs come from matrices, not from modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from operando.data import Frf, ModalModel
+from operando.diagnosis import Diagnosis, diagnose_frf
+from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.between import FAMILIES, SPREADS, spreads_of
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import EARNED, POOLED_LINES, REST_DISCREPANCY
+from operando.diagnosis.forward import Point
+from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.lines import Lines
+from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
+from operando.diagnosis.search import search, search_both
+from operando.diagnosis.terms import Term, added, candidates
+from operando.dof import Dof
+from operando.errors import ConfigError, DataError, DofError
+from operando.results import CheckRun
+
+N = 5
+DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, N + 1))
+HZ = np.arange(5.0, 60.0, 0.05)
+BAND = (6.0, 58.0)
+
+
+def matrices():
+    rng = np.random.default_rng(4)
+    mass = np.diag(rng.uniform(0.8, 1.2, N))
+    spring = rng.uniform(0.8, 1.2, N + 1) * 2.5e4
+    stiff = np.diag(spring[:-1] + spring[1:]) - np.diag(spring[1:-1], 1) - np.diag(spring[1:-1], -1)
+    return mass, stiff
+
+
+def modes():
+    """Circular frequencies, damping ratios and shapes of unit modal mass of the chain at rest, and its damping matrix."""
+    mass, stiff = matrices()
+    values, vectors = np.linalg.eigh(np.linalg.inv(np.sqrt(mass)) @ stiff @ np.linalg.inv(np.sqrt(mass)))
+    phi, w = np.linalg.inv(np.sqrt(mass)) @ vectors, np.sqrt(values)
+    zeta = np.linspace(0.006, 0.010, N)
+    return w, zeta, phi, mass @ phi @ np.diag(2 * zeta * w) @ phi.T @ mass
+
+
+def measured(mass, damping, stiff, references, noise, seed, gains=None, responses=range(N)):
+    line = 2 * np.pi * HZ[:, None, None]
+    h = np.linalg.inv(stiff - line**2 * mass + 1j * line * damping)[:, list(responses)][:, :, list(references)] * -(line**2)
+    h = np.moveaxis(h, 0, 2)
+    if gains is not None:
+        h = h * np.asarray(gains)[:, None, None]
+    rng = np.random.default_rng(seed)
+    size = noise * np.sqrt(np.mean(np.abs(h) ** 2))
+    h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    dofs = tuple(DOFS[i] for i in responses)
+    return Frf(h, HZ, dofs, tuple(DOFS[i] for i in references), variance=np.full(h.shape, size**2))
+
+
+def identified(references=(0, 3)):
+    """The chain at rest, known to 1e-4 or so; what is not known of an undriven DOF is its own."""
+    w, zeta, phi, _ = modes()
+    std = np.concatenate([1e-5 * w / 2 / np.pi, 1e-3 * zeta, np.tile(2e-4 * np.abs(phi).max(), N * N)])
+    start = np.concatenate([w / 2 / np.pi, zeta, phi.T.ravel()]) + std * np.random.default_rng(7).standard_normal(std.size)
+    return ModalModel(
+        start[:N], start[N : 2 * N], start[2 * N :].reshape(N, N).T, DOFS, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND
+    )
+
+
+def case(change=None, gains=None, warmer=0.0, noise=2e-4, references=(0, 3), seed=0, lag=0.0, responses=range(N), **more):
+    """Check FRFs of what ``change(mass, damping, stiffness)`` leaves of the chain, and its model at rest."""
+    mass, stiff = matrices()
+    m, c, k = mass.copy(), modes()[3].copy(), stiff * (1 + warmer)
+    if change is not None:
+        change(m, c, k)
+    frf = measured(m, c, k, references, noise, seed, gains, responses)
+    idle = Idle.of(identified(), BAND, [DOFS[i] for i in references])
+    return Case(complex_modes(idle, lag) if lag else idle, frf, BAND, correlated=1.0, **more)
+
+
+def complex_modes(idle, std):
+    """The model with damping between its modes and lag of its shapes, known to ``std``."""
+    g, pairs, m, e = idle.f_root.shape[1], idle.between.size, idle.modes.size, idle.shapes.own.shape[2]
+    wide = lambda a, n: np.concatenate([a, np.zeros((*a.shape[:-1], n))], -1)  # noqa: E731
+    between = np.zeros((pairs, g + pairs))
+    between[:, g:] = std * np.eye(pairs)
+    own = np.zeros((N, m, e + m))
+    own[:, :, e:] = 1e-3 * std * np.eye(m)
+    return replace(
+        idle,
+        between=np.full(pairs, std / 2),
+        lag=np.full((N, m), 5e-4 * std),
+        f_root=wide(idle.f_root, pairs),
+        zeta_root=wide(idle.zeta_root, pairs),
+        between_root=between,
+        shapes=Moves(wide(idle.shapes.shared, pairs), wide(idle.shapes.own, m)),
+        lags=Moves(np.zeros((N, m, g + pairs)), own),
+    )
+
+
+def add_mass(m, c, k):
+    m[1, 1] += 0.4
+
+
+def add_damper(m, c, k):
+    c[3, 3] += 40.0
+
+
+def test_an_arrow_is_solved_as_the_whole_matrix_is():
+    rng = np.random.default_rng(0)
+    blocks, rows, s, k = 3, 20, 4, 2
+    shared, own, prior, prior_own = rng.standard_normal((blocks, rows, s)), rng.standard_normal((blocks, rows, k)), 2.0, 3.0
+    whole = np.zeros((blocks * rows, s + blocks * k))
+    for b in range(blocks):
+        whole[b * rows : (b + 1) * rows, :s] = shared[b]
+        whole[b * rows : (b + 1) * rows, s + b * k : s + (b + 1) * k] = own[b]
+    matrix = whole.T @ whole + np.diag(np.r_[np.full(s, prior), np.full(blocks * k, prior_own)])
+    factor = Factor.of(Information.of(shared, own), np.full(s, prior), np.full((blocks, k), prior_own))
+    right = rng.standard_normal(len(matrix))
+    first, second = factor.solve(right[:s], right[s:].reshape(blocks, k))
+    np.testing.assert_allclose(np.r_[first, second.ravel()], np.linalg.solve(matrix, right), rtol=1e-10)
+    inverse = np.linalg.inv(matrix)
+    assert factor.half_log_determinant == pytest.approx(0.5 * np.linalg.slogdet(matrix)[1])
+    np.testing.assert_allclose(np.r_[factor.variances()[0], factor.variances()[1].ravel()], np.diag(inverse), rtol=1e-10)
+    np.testing.assert_allclose(factor.of_rows(shared, own).ravel(), np.sum((whole @ inverse) * whole, axis=1), rtol=1e-10)
+    a, b = factor.whitened(right[:s, None], right[s:].reshape(blocks, k, 1))
+    assert np.sum(a**2) + np.sum(b**2) == pytest.approx(right @ inverse @ right)
+    np.testing.assert_allclose(factor.shared_covariance(1), inverse[1:s, 1:s], rtol=1e-9)
+
+
+def test_what_is_not_known_of_a_model_is_kept_where_shapes_share_only_driven_ones():
+    model = identified()
+    rng = np.random.default_rng(1)
+    n, size = N, 2 * N + N * N
+    shared = np.r_[np.arange(2 * n), (2 * n + np.arange(n) * N + np.array([[0], [3]])).ravel()]
+    root = np.zeros((size, size))
+    root[np.ix_(shared, shared)] = 5 * np.eye(shared.size) + np.tril(rng.standard_normal((shared.size, shared.size)), -1)
+    for i in (1, 2, 4):
+        mine = 2 * n + np.arange(n) * N + i
+        root[np.ix_(mine, shared)] = 0.3 * rng.standard_normal((n, shared.size))
+        root[np.ix_(mine, mine)] = 5 * np.eye(n) + np.tril(rng.standard_normal((n, n)), -1)
+    covariance = 1e-8 * root @ root.T
+    idle = Idle.of(replace(model, covariance=covariance), BAND, (DOFS[0], DOFS[3]))
+    # the moves of all parameters by g and by the unknowns of each DOF
+    g = idle.f_root.shape[1]
+    moves = np.zeros((size, g + N * n))
+    moves[:n, :g], moves[n : 2 * n, :g] = idle.f_root, idle.zeta_root
+    for i in range(N):
+        mine = 2 * n + np.arange(n) * N + i
+        moves[mine, :g] = idle.shapes.shared[i]
+        moves[mine, g + i * n : g + (i + 1) * n] = idle.shapes.own[i]
+    np.testing.assert_allclose(moves @ moves.T, covariance, atol=1e-6 * np.abs(covariance).max())
+
+
+EVERY = [
+    Term("ground_spring", (2,), (np.log(3e3),)),
+    Term("gyroscopic", (0, 4), (np.log(2.0),), -1),
+    Term("coupling_damper", (1, 3), (np.log(5.0),)),
+    Term("tuned_absorber", (1,), (np.log(0.05), np.log(20.0), np.log(0.03))),
+    Term("ground_hysteretic_spring", (4,), (np.log(2e3), np.log(0.2))),
+    Term("ground_rubber", (2,), (np.log(2e3), 0.3)),
+    Term("circulatory", (2, 3), (np.log(50.0),)),
+    Term("global_stiffness", (), (np.log(0.01),)),
+    Term("global_damping", (), (0.1,)),
+    Term("sensor_delay", (3,), (1e-4,)),
+    Term("sensor_gain", (1,), (0.1,)),
+    Term("force_gain", (3,), (0.1,)),
+    Term("force_delay", (0,), (1e-4,)),
+    Term("channel_swap", (0, 2)),
+]
+
+
+@pytest.mark.parametrize("responses", [range(N), (0, 1, 3)])
+def test_derivatives_are_those_of_the_frfs(responses):
+    one = case(lag=0.1, responses=responses)
+    forward = one.forward
+    terms = [t for t in EVERY if len(responses) == N or t.kind not in ("channel_swap",)]
+    rng = np.random.default_rng(1)
+    x = Point(
+        *(0.3 * rng.standard_normal(n) for n in (forward.n_g, forward.n_d)),
+        0.3 * rng.standard_normal((N, forward.n_own)),
+        0.3 * rng.standard_normal(len(forward.outside(terms))),
+        tuple(terms),
+    )
+    seen = one.between.own["seen"]
+    x.own[:, forward.n_shape + seen.start : forward.n_shape + seen.stop] = 0  # enters the others' derivatives at first order only
+    from operando.diagnosis.posterior import Problem
+
+    problem = Problem(one, terms, one.lines.fit[::9])
+    packed = problem.packed(x)
+    exact = problem.predict(packed)
+    names_of = [*["shared"] * problem.n_shared]
+
+    def numbers(move, width):
+        up, down = (problem.predict(packed + move * side, False).h for side in (width, -width))
+        return (up - down) / (2 * width)
+
+    from operando.diagnosis.posterior import Step
+
+    for i in range(problem.n_shared):
+        move = Step(np.eye(problem.n_shared)[i], np.zeros_like(packed.own))
+        width = 1e-8 if abs(packed.shared[i]) == 1e-4 else 1e-5
+        wanted = numbers(move, width)
+        np.testing.assert_allclose(
+            exact.shared[..., i], wanted, rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17, err_msg=f"{names_of[i]} {i}"
+        )
+    order = forward.order(terms)
+    reaching = {dof: set(at.tolist()) for dof, at in problem.reaching}
+    for row, k in product(range(order.size), range(forward.n_own)):
+        dof = int(order[row])
+        if k in reaching.get(dof, ()):
+            assert not exact.own[:, row, :, k].any()
+            continue
+        own = np.zeros_like(packed.own)
+        own[dof, k] = 1
+        wanted = numbers(Step(np.zeros(problem.n_shared), own), 1e-5)
+        np.testing.assert_allclose(exact.own[:, row, :, k], wanted[:, row], rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17)
+
+
+def test_frfs_with_effects_are_those_of_the_matrices():
+    def change(m, c, k):
+        m[1, 1] += 0.4
+        c[3, 3] += 40.0
+        k[0, 0], k[4, 4], k[0, 4], k[4, 0] = k[0, 0] + 3e3, k[4, 4] + 3e3, k[0, 4] - 3e3, k[4, 0] - 3e3
+
+    one = case(change, noise=1e-7)
+    w, zeta, phi, _ = modes()
+    exact = replace(one.idle, f=w / 2 / np.pi, zeta=zeta, phi=phi)
+    forward = replace(one.forward, idle=exact)
+    terms = (
+        Term("point_mass", (1,), (np.log(0.4),)), Term("ground_damper", (3,), (np.log(40.0),)),
+        Term("coupling_spring", (0, 4), (np.log(3e3),)),
+    )  # fmt: skip
+    start = forward.start
+    x = replace(start, u=np.zeros(len(forward.outside(terms))), terms=terms)
+    at = one.lines.fit
+    np.testing.assert_allclose(forward.predict(x, one.lines.w[at], derivatives=False).h, one.lines.h[at], rtol=2e-4, atol=1e-9)
+
+
+def test_nothing_is_found_where_only_the_days_differ():
+    found = search(case(gains=1 + 0.01 * np.random.default_rng(2).standard_normal(N), warmer=0.003))
+    best = found.best
+    assert best.terms == ()
+    assert best.alpha < 0.002
+    assert on_validation_lines(best)[0] < 1.3
+    part, between = best.case.between.shared["stiffness"], best.case.between
+    moved = best.x.d[part.start] * between.shared_spread[part.start]
+    std = best.std()[0][part.start] * between.shared_spread[part.start]
+    assert moved == pytest.approx(0.003, abs=3 * std)
+
+
+@pytest.mark.parametrize(("change", "wanted", "size"), [(add_mass, "point_mass@2+Z", 0.4), (add_damper, "ground_damper@4+Z", 40.0)])
+def test_one_effect_is_found_with_its_size_through_other_gains_and_another_temperature(change, wanted, size):
+    found = search(case(change, gains=1 + 0.01 * np.random.default_rng(3).standard_normal(N), warmer=-0.002))
+    best = found.best
+    assert [text.split("=")[0] for text in names(best.case, best.terms)] == [wanted]
+    std = float(np.sqrt(best.covariance[0, 0]))
+    assert abs(np.log(best.terms[0].size / size)) < 3 * std
+    assert found.empty.log_evidence < best.log_evidence - EARNED
+
+
+def test_a_change_of_all_stiffness_beyond_a_temperature_is_named():
+    found = search(case(warmer=-0.03))
+    assert [term.kind for term in found.best.terms] == ["global_stiffness"]
+    # what a temperature may be is not known from the data
+    assert found.best.terms[0].size == pytest.approx(-0.03, abs=3 * SPREADS["stiffness"])
+
+
+def test_a_fit_ends_at_the_effect_it_starts_from():
+    one = case(add_mass)
+    terms = (Term("point_mass", (1,), (np.log(0.35),)),)
+    start = one.forward.start
+    state = fit(one, replace(start, u=np.zeros(len(one.forward.outside(terms))), terms=terms))
+    assert state.terms[0].size == pytest.approx(0.4, rel=0.05)
+    assert state.alpha < 0.002
+
+
+def test_a_mass_is_found_through_complex_modes_at_rest():
+    mass, stiff = matrices()
+    w, _, phi, _ = modes()
+    modal = np.diag(2 * np.linspace(0.006, 0.010, N) * w) + 8.0 * np.outer(phi[3], phi[3])  # a dashpot at 4+Z
+    damping = mass @ phi @ modal @ phi.T @ mass
+    zeta = np.diag(modal) / (2 * w)
+    std = np.concatenate([1e-5 * w, 1e-3 * zeta, np.full(N * N, 2e-4)])
+    model = ModalModel(w / 2 / np.pi, 1.05 * zeta, phi, DOFS, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
+    rest = at_rest(Idle.of(model, BAND, (DOFS[0], DOFS[3])), measured(mass, damping, stiff, (0, 3), 2e-4, 0), BAND)
+    assert rest.again
+    assert rest.state.alpha < 0.002 < REST_DISCREPANCY
+    np.testing.assert_allclose(rest.idle.zeta, zeta, rtol=0.01)
+    heavier = mass.copy()
+    heavier[1, 1] += 0.1
+    frf = measured(heavier, damping, stiff, (0, 3), 2e-4, 1)
+    best = search(Case(rest.idle, frf, BAND, correlated=rest.correlated)).best
+    assert [(t.kind, t.places) for t in best.terms] == [("point_mass", (1,))]
+    assert abs(np.log(best.terms[0].size / 0.1)) < 3 * np.sqrt(best.covariance[0, 0])
+    assert on_validation_lines(best)[0] < 1.3
+
+
+def test_noise_that_is_alike_on_neighbouring_lines_is_told_from_what_the_model_leaves():
+    one = case(noise=1e-3)
+    state = fit(one, one.forward.start, 0.02)
+    assert one.lines.correlation(one.forward.predict(state.x, one.lines.w_all, derivatives=False).h, state.alpha) == pytest.approx(
+        1, abs=0.3
+    )
+    rng = np.random.default_rng(5)
+    alike = np.ones(6) / np.sqrt(6)
+    noise = rng.standard_normal((2, *one.lines._all[1].shape))
+    smooth = np.apply_along_axis(lambda v: np.convolve(v, alike, "same"), 1, noise)
+    left = (smooth[0] + 1j * smooth[1]) * np.sqrt(one.lines._all[2] / 2)
+    assert one.lines.correlation(one.lines._all[1] - left, 0.0) == pytest.approx(6, rel=0.25)
+
+
+def test_a_variance_of_few_averages_is_pooled_over_lines():
+    frf = case().lines
+    rng = np.random.default_rng(0)
+    h = measured(*[matrices()[0], modes()[3], matrices()[1]], (0, 3), 2e-4, 0)
+    few = replace(h, variance=np.asarray(h.variance) * rng.chisquare(8, h.data.shape) / 8).to_quantity("receptance")
+    pooled = Lines(few.band(*BAND), frf.f, frf.zeta)
+    plain = h.to_quantity("receptance").band(*BAND)
+    number = np.searchsorted(plain.frequencies_hz, pooled.w / 2 / np.pi - 1e-6)
+    ratio = pooled.variance / np.moveaxis(np.asarray(plain.variance), 2, 0)[number]
+    assert np.mean(1 / ratio) < 1.1 < np.mean(8 / rng.chisquare(8, 4000))  # weights of single lines would be a third too large
+    assert POOLED_LINES == 4
+
+
+def test_candidates_leave_out_what_is_there():
+    there = [Term("point_mass", (0, 1), (0.0,)), Term("gyroscopic", (0, 2), (0.0,))]
+    kinds = ("point_mass", "ground_spring", "gyroscopic", "global_damping", "tuned_absorber")
+    found = {t.key for t in candidates([(0, 1), (2,), (3,), (4,)], there, kinds, range(N))}
+    assert ("point_mass", (0, 1)) not in found
+    assert ("gyroscopic", (0, 2)) not in found
+    assert {("point_mass", (2,)), ("tuned_absorber", (1,)), ("global_damping", ())} <= found
+    assert len(found) == 3 + N + (N * (N - 1) // 2 - 1) + 1 + N
+
+
+def test_an_absorber_far_below_its_frequency_is_a_mass():
+    w = 2 * np.pi * np.array([1.0, 2.0])
+    mass = added(Term("point_mass", (0,), (0.0,)), w, BAND)
+    np.testing.assert_allclose(added(Term("tuned_absorber", (0,), (0.0, np.log(1e4), np.log(0.02))), w, BAND), mass, rtol=1e-6)
+
+
+def test_what_a_test_states_of_the_days_moves_all_spreads_of_its_family():
+    still = spreads_of(dict.fromkeys(FAMILIES, 0.0))
+    assert set(still.values()) == {0.0}
+    assert spreads_of({"damping": 0.2})["damping"] == pytest.approx(2 * SPREADS["damping"])
+    assert {part for _, parts in FAMILIES.values() for part in parts} == set(SPREADS)
+
+
+DAYS = {name: usual for name, (usual, _) in FAMILIES.items()}
+
+
+def told(change=None, between=None, **more) -> Diagnosis:
+    mass, stiff = matrices()
+    m, c, k = mass.copy(), modes()[3].copy(), stiff.copy()
+    if change is not None:
+        change(m, c, k)
+    rest = measured(mass, modes()[3], stiff, (0, 3), 2e-4, 3)
+    check = CheckRun("run", "1 N", measured(m, c, k, (0, 3), 2e-4, 4))
+    return diagnose_frf(identified(), [check], idle_frf=rest, between=between, **more)
+
+
+def test_the_document_tells_effect_differences_and_what_would_have_been_seen():
+    found = told(add_mass, between=DAYS)
+    document = found.to_dict()
+    assert document["verdict"] == "explained"
+    (effect,) = document["effects"]
+    assert (effect["kind"], effect["location"]) == ("point_mass", ["2+Z"])
+    mass = effect["parameters"]["mass"]
+    assert abs(mass["value"] - 0.4) < 3 * mass["std"]
+    assert [row["step"] for row in document["ladder"]] == [0, 1]
+    assert document["ladder"][0]["heldout_misfit"] > 10 > 1.5 > document["ladder"][1]["heldout_misfit"]
+    assert document["discrepancy"]["value"] < 0.002
+    gains = [row for row in document["between"] if row["what"] == "sensor_gain"]
+    assert len(gains) == N
+    assert all(abs(row["value"] - 1) < 4 * row["std"] and not row["unusual"] for row in gains)
+    assert document["picture"]["places"][0]["location"] == ["2+Z"]
+    law = document["picture"]["dynamic_stiffness"][0]
+    np.testing.assert_allclose(np.median(np.array(law["real"]) / np.array(law["law_real"])), 1, atol=0.05)
+    # the model that is kept predicts the running chain, and its covariance says how well
+    heavier = matrices()[0].copy()
+    add_mass(heavier, None, None)
+    exact = measured(heavier, modes()[3], matrices()[1], (0,), 1e-9, 0)
+    lines = slice(100, 1000, 50)
+    made = found.model.frf(HZ[lines], DOFS, DOFS[:1])
+    error = np.abs(made.data - exact.data[:, :, lines]) ** 2 / made.variance
+    assert 0.05 < float(np.mean(error)) < 4
+
+
+def test_a_size_is_surer_where_nothing_was_touched_between():
+    still = told(add_mass, between=dict.fromkeys(FAMILIES, 0.0)).effects[0]
+    days = told(add_mass, between=DAYS).effects[0]
+    assert still.std["mass"] < 0.7 * days.std["mass"]
+    assert abs(still.values["mass"] - 0.4) < 3 * still.std["mass"]
+    # the data themselves say so where nothing is stated
+    document = told(add_mass).to_dict()
+    assert document["effects"][0]["parameters"]["mass"]["std"] == pytest.approx(still.std["mass"], rel=0.05)
+    assert document["between"] == []
+    assert any("nothing was touched" in note for note in document["notes"])
+
+
+def test_two_days_are_not_taken_for_one_set_up():
+    gains = 1 + 0.01 * np.random.default_rng(3).standard_normal(N)
+    both = (case(add_mass, gains=gains), case(add_mass, gains=gains, spreads={}))
+    found, odds = search_both(*both)
+    assert odds < -100
+    assert found.best.case is both[0]
+
+
+def test_nothing_missing_says_what_would_have_been_seen():
+    document = told().to_dict()
+    assert document["verdict"] == "no_misfit"
+    assert document["effects"] == []
+    seen = {(row["kind"], *row["location"]): row["value"] for row in document["detectable"]}
+    assert 0 < seen["point_mass", "2+Z"] < 0.4  # the mass of the test above is found
+    assert {"ground_spring", "coupling_damper", "gyroscopic"} <= {kind for kind, *_ in seen}
+
+
+def test_a_model_without_scale_or_a_check_elsewhere_is_refused():
+    check = CheckRun("run", "1 N", measured(matrices()[0], modes()[3], matrices()[1], (0,), 1e-3, 0))
+    with pytest.raises(DataError, match="no scale"):
+        diagnose_frf(replace(identified(), scaling="unscaled"), [check])
+    elsewhere = replace(check.frf, responses=tuple(Dof.parse(f"{i}+X") for i in range(21, 21 + N)), references=(Dof.parse("21+X"),))
+    with pytest.raises(DofError, match="no DOF in common"):
+        diagnose_frf(identified(), [CheckRun("run", "1 N", elsewhere)])
+    with pytest.raises(ConfigError, match="can be found from FRFs"):
+        diagnose_frf(identified(), [check], kinds=["clearance"])
