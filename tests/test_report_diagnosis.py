@@ -17,10 +17,9 @@ from operando.dof import Dof
 from operando.effects import Effect
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
 from operando.report.assessment import RECIPROCITY
-from operando.report.canvas import ORANGE_PURPLE, YELLOW_BROWN, Canvas, shades
+from operando.report.figures_compare import error_maps
 from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
 from operando.report.figures_records import force_figure, level_figure, simulation_figure
-from operando.report.maps import value_maps
 from operando.report.parts import Numbering
 from operando.report.sections import build
 from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
@@ -326,30 +325,11 @@ def test_places_figure_ranks_what_a_force_explains():
 
 
 def test_map_writes_each_value_once_and_a_dash_for_none():
-    svg = value_maps([("A & B", np.array([[1.25, np.nan], [0.5, 100.4]]))], ["r1", "r2"], ["1", "2", "3"], "dB", ("Hz", "DOF"), "alt")
+    svg = error_maps([("A & B", np.array([[1.25, np.nan], [0.5, 100.4]]))], ["r1", "r2"], [1, 2, 3], "dB")
     text = text_of(svg)
     assert "A &amp; B" in svg
     for piece in ("1.2", "–", "0.5", "100"):
         assert f" {piece} " in text
-    assert shades([0, 1, 5], YELLOW_BROWN) == ["#ffffe5", "#5c2006", "#5c2006"]
-    assert shades([0.5], ORANGE_PURPLE) == ["#f7f7f7"]
-
-
-def test_canvas_turns_inches_upside_down_and_escapes():
-    sheet = Canvas(2.0, 1.0)
-    sheet.text(1.0, 0.25, "a < b", 9, "middle", turn=90)
-    sheet.lines([[(0, 0), (1, 1)], [(0, 1), (2, 1)]], "#000000", 1.0)
-    sheet.polygons([[(0, 0), (1, 0), (1, 1)]], ["#ff0000"], 0.5)
-    sheet.dots([(1.0, 0.5)], ["#00ff00"], 3, 0.5)
-    svg = sheet.svg("two & more")
-    assert 'viewBox="0 0 192.0 96.0"' in svg
-    assert '<text x="96" y="72"' in svg
-    assert "rotate(-90 96 72)" in svg
-    assert "a &lt; b" in svg
-    assert 'd="M0 96L96 0M0 0L192 0"' in svg
-    assert 'd="M0 96L96 96L96 0Z" fill="#ff0000" stroke="#ff0000"' in svg
-    assert '<circle cx="96" cy="48" r="2"' in svg
-    assert "two &amp; more" in svg
 
 
 # The report.

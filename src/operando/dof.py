@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from functools import total_ordering
 
 from operando.errors import DofError
@@ -176,6 +178,11 @@ class Dof:
         """The same axis in the other sense (a scalar has none and is returned as it is)."""
         return self if self.axis == "" else Dof(self.node, self.axis, -self.sign)
 
+    @property
+    def key(self) -> tuple[Node, str]:
+        """Node and axis: what the DOFs of both senses share."""
+        return self.node, self.axis
+
     def same_axis(self, other: Dof) -> bool:
         """Whether both are the same node and axis, whatever the sense."""
         return self.node == other.node and self.axis == other.axis
@@ -195,6 +202,78 @@ def parse_dofs(labels: object) -> tuple[Dof, ...]:
     return tuple(Dof.parse(item) for item in items)
 
 
+class DofIndex:
+    """Positions of DOFs in their order, found by node and axis whatever the sense. Of two of one axis the first counts.
+
+    Parameters
+    ----------
+    dofs : iterable of Dof
+
+    Examples
+    --------
+    >>> index = DofIndex(parse_dofs("1+Z, 2-Z"))
+    >>> index.find(Dof.parse("2+Z"))
+    (1, -1)
+    >>> Dof.parse("3+Z") in index
+    False
+    """
+
+    __slots__ = ("_at", "dofs")
+
+    def __init__(self, dofs: Iterable[Dof]) -> None:
+        self.dofs = tuple(dofs)
+        self._at: dict[tuple[Node, str], int] = {}
+        for i, dof in enumerate(self.dofs):
+            self._at.setdefault(dof.key, i)
+
+    def __len__(self) -> int:
+        return len(self._at)
+
+    def __iter__(self) -> Iterator[Dof]:
+        return (self.dofs[i] for i in self._at.values())
+
+    def __contains__(self, dof: object) -> bool:
+        return isinstance(dof, Dof) and dof.key in self._at
+
+    def __repr__(self) -> str:
+        return f"DofIndex({', '.join(map(str, self))})"
+
+    def find(self, dof: Dof) -> tuple[int, int] | None:
+        """Position of a DOF and 1 where its sense agrees, −1 where it is opposite; None where it is not there."""
+        i = self._at.get(dof.key)
+        return None if i is None else (i, dof.sign * self.dofs[i].sign)
+
+    def common(self, other: Iterable[Dof]) -> list[tuple[int, int, int]]:
+        """(own position, position in the other, sign) of each axis that both have, in the own order."""
+        index = other if isinstance(other, DofIndex) else DofIndex(other)
+        found = ((i, index.find(self.dofs[i])) for i in self._at.values())
+        return [(i, *at) for i, at in found if at is not None]
+
+    def match(self, wanted: Iterable[Dof]) -> tuple[list[int], list[int]]:
+        """Positions of the wanted DOFs, and 1 or −1 for each by its sense.
+
+        Raises
+        ------
+        DofError
+            If one is not there; a DOF of a similar label is told.
+        """
+        indices, signs = [], []
+        for dof in wanted:
+            at = self.find(dof)
+            if at is None:
+                raise _not_measured(str(dof), self.dofs)
+            indices.append(at[0])
+            signs.append(at[1])
+        return indices, signs
+
+
+def _not_measured(text: str, available: Sequence[Dof]) -> DofError:
+    labels = [str(d) for d in available]
+    near = get_close_matches(text, labels, 1, 0.5)
+    hint = (f"did you mean {near[0]!r}? " if near else "") + "available: " + ", ".join(labels[:40])
+    return DofError(f"DOF {text} is not measured", hint=hint)
+
+
 def match_dofs(wanted: tuple[Dof, ...], available: tuple[Dof, ...]) -> tuple[list[int], list[int]]:
     """Find each wanted DOF among the available ones, in either sense.
 
@@ -210,15 +289,48 @@ def match_dofs(wanted: tuple[Dof, ...], available: tuple[Dof, ...]) -> tuple[lis
     DofError
         If a wanted DOF is not among the available ones.
     """
-    table = {(dof.node, dof.axis): i for i, dof in enumerate(available)}
-    indices, signs = [], []
-    for dof in wanted:
-        i = table.get((dof.node, dof.axis))
-        if i is None:
-            labels = [str(d) for d in available]
-            near = get_close_matches(str(dof), labels, 1, 0.5)
-            hint = (f"did you mean {near[0]!r}? " if near else "") + "available: " + ", ".join(labels[:40])
-            raise DofError(f"DOF {dof} is not measured", hint=hint)
-        indices.append(i)
-        signs.append(dof.sign * available[i].sign)
-    return indices, signs
+    return DofIndex(available).match(wanted)
+
+
+def named_dofs(wanted: object, available: Sequence[Dof]) -> tuple[Dof, ...]:
+    """The DOFs that an index in square brackets means.
+
+    Parameters
+    ----------
+    wanted : str, Dof, iterable of both, ``:`` or None
+        Labels (``"12+Z"``, ``"1+Z, 2+Z"``), patterns over the labels (``"*Z"``, ``"1?+X"``), several of them, or all.
+    available : sequence of Dof
+
+    Raises
+    ------
+    DofError
+        If a pattern matches nothing, or something is no label.
+
+    Examples
+    --------
+    >>> named_dofs("*Z", parse_dofs("1+Z, 2-Z, 2+X"))
+    (Dof('1+Z'), Dof('2-Z'))
+    """
+    if wanted is None or wanted is Ellipsis or (isinstance(wanted, slice) and wanted == slice(None)):
+        return tuple(available)
+    if isinstance(wanted, slice | int | float):
+        hint = 'write labels, as in frf["12+Z", "3+X"]; arrays are indexed by position: frf.data[0, 1]'
+        raise DofError(f"{wanted!r} is no DOF label", hint=hint)
+    parts: Iterable[object]
+    if isinstance(wanted, str):
+        parts = [p for p in wanted.split(",") if p.strip()]
+    elif isinstance(wanted, Iterable):
+        parts = wanted
+    else:
+        parts = [wanted]
+    found: dict[Dof, None] = {}
+    for part in parts:
+        text = str(part).strip()
+        if "*" not in text and "?" not in text:
+            found[part if isinstance(part, Dof) else Dof.parse(text)] = None
+            continue
+        hits = [d for d in available if fnmatchcase(str(d), text)]
+        if not hits:
+            raise _not_measured(text, available)
+        found |= dict.fromkeys(hits)
+    return tuple(found)

@@ -43,6 +43,10 @@ class DofError(OperandoError, ValueError):
     """A DOF label cannot be parsed, is not found, or is ambiguous."""
 
 
+class ObjectError(OperandoError, TypeError):
+    """A function got an object of another kind than it works on."""
+
+
 class DataError(OperandoError, ValueError):
     """Data break an invariant (shape, sampling, finite values, labels)."""
 

@@ -1,4 +1,4 @@
-"""Indicators of modal vectors: MAC, MPC, MPD."""
+"""Indicators of modal vectors and FRFs: MAC, MPC, MPD, correlation of FRFs."""
 
 from __future__ import annotations
 
@@ -7,34 +7,117 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.modal import phase_collinearity
+from operando.data.frf import Frf
+from operando.data.modal import ModalModel, phase_collinearity
+from operando.dof import DofIndex
+from operando.errors import DataError, ObjectError
 
-__all__ = ["mac", "mean_phase_deviation", "phase_collinearity"]
+__all__ = ["common_shapes", "frf_correlation", "mac", "mean_phase_deviation", "phase_collinearity"]
 
 INTERVAL = 1.96
 """Standard deviations in the 95 % interval, which is what ± stands for wherever people read it."""
 
 
-def mac(first: ArrayLike, second: ArrayLike | None = None) -> NDArray[np.float64]:
+def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = None) -> NDArray[np.float64]:
     """Modal assurance criterion |aᴴb|²/((aᴴa)(bᴴb)) (Shen & Lu 2024, Eq 1).
 
     Parameters
     ----------
-    first : (m, n1) array
-    second : (m, n2) array, optional
+    first : (m, n1) array or ModalModel
+        Shapes in columns; of models, at the DOFs that both have, in the sense of the first.
+    second : (m, n2) array or ModalModel, optional
         Default: ``first`` (AutoMAC).
 
     Returns
     -------
     (n1, n2) array between 0 and 1; 0 where a vector is null.
+
+    Raises
+    ------
+    ObjectError
+        If one is a model and the other is not.
+    DataError
+        If two models have no DOF in common, or arrays have different numbers of rows.
+
+    Examples
+    --------
+    >>> mac([[1.0, 0.0], [1.0, 1.0]]).round(2)
+    array([[1. , 0.5],
+           [0.5, 1. ]])
     """
-    a = np.asarray(first)
+    other = first if second is None else second
+    if isinstance(first, ModalModel) or isinstance(other, ModalModel):
+        if not (isinstance(first, ModalModel) and isinstance(other, ModalModel)):
+            found = f"{type(first).__name__} and {type(other).__name__}"
+            raise ObjectError(f"MAC of {found} is not defined", hint="give two models, or two arrays of shapes: model.shapes")
+        a, b, _ = common_shapes(first, other)
+    else:
+        a, b = np.asarray(first), np.asarray(other)
+    if not (np.issubdtype(a.dtype, np.number) and np.issubdtype(b.dtype, np.number)):
+        raise ObjectError(
+            f"MAC of {type(first).__name__} and {type(other).__name__} is not defined", hint="give models or arrays of shapes"
+        )
     a = a[:, None] if a.ndim == 1 else a
-    b = a if second is None else np.asarray(second)
     b = b[:, None] if b.ndim == 1 else b
+    if a.shape[0] != b.shape[0]:
+        raise DataError(f"shapes at {a.shape[0]} and at {b.shape[0]} DOFs have no MAC", hint="models find their common DOFs: mac(a, b)")
     cross = np.abs(a.conj().T @ b) ** 2
     norm = np.outer(np.sum(np.abs(a) ** 2, axis=0), np.sum(np.abs(b) ** 2, axis=0))
     return np.divide(cross, norm, out=np.zeros_like(norm), where=norm > 0)
+
+
+def common_shapes(first: ModalModel, second: ModalModel) -> tuple[NDArray[Any], NDArray[Any], tuple[Any, ...]]:
+    """Shapes of two models at the DOFs that both have, in the sense of the first.
+
+    Returns
+    -------
+    (k, n1) array, (k, n2) array, tuple of k Dof
+
+    Raises
+    ------
+    DataError
+        If there is no such DOF.
+    """
+    rows = DofIndex(first.dofs).common(second.dofs)
+    if not rows:
+        raise DataError("the models have no DOF in common", hint="DOFs of the first: " + ", ".join(map(str, first.dofs[:20])))
+    i, j, sign = (np.array(column, int) for column in zip(*rows, strict=True))
+    return np.asarray(first.shapes)[i], np.asarray(second.shapes)[j] * sign[:, None], tuple(first.dofs[k] for k in i)
+
+
+def frf_correlation(first: Frf, second: Frf) -> NDArray[np.float64]:
+    """Frequency response assurance criterion of each pair: |Σ a* b|²/(Σ|a|² Σ|b|²) over the lines (Heylen & Lammens 1996).
+
+    Parameters
+    ----------
+    first, second : Frf
+        On the same pairs and lines. Lines that are not finite in either are left out.
+
+    Returns
+    -------
+    (n_responses, n_references) array
+        Between 0 and 1; NaN where a pair has no line.
+
+    Raises
+    ------
+    DataError
+        If pairs or lines differ.
+
+    Examples
+    --------
+    >>> frf = Frf([[[1.0, 2.0j, 3.0]]], [1.0, 2.0, 3.0], "1+Z", "1+Z")
+    >>> frf_correlation(frf, frf)
+    array([[1.]])
+    """
+    same = (first.responses, first.references) == (second.responses, second.references) and first.same_lines(second)
+    if not same:
+        raise DataError("FRFs of other pairs or lines have no correlation", hint="synthesise on the lines and pairs of the measurement")
+    a, b = first.data, second.to_quantity(first.quantity).data
+    good = np.isfinite(a) & np.isfinite(b)
+    a, b = np.where(good, a, 0), np.where(good, b, 0)
+    cross = np.abs(np.sum(a.conj() * b, axis=2)) ** 2
+    size = np.sum(np.abs(a) ** 2, axis=2) * np.sum(np.abs(b) ** 2, axis=2)
+    return np.divide(cross, size, out=np.full(cross.shape, np.nan), where=size > 0)
 
 
 def mean_phase_deviation(shape: ArrayLike) -> float:

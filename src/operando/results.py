@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from operando.data import Finding, Frf, Geometry, ModalModel
+from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted
 
 
 @dataclass
@@ -17,8 +19,8 @@ class CheckRun:
     frf: Frf
 
 
-@dataclass
-class Results:
+@dataclass(repr=False)
+class Results(Short):
     """Results of one test, filled stage by stage; what a stage did not make stays None.
 
     Attributes
@@ -72,3 +74,32 @@ class Results:
     effect_idle: ModalModel | None = None
     effect_covariance: Any = None
     automatic: ModalModel | None = None
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        modes = lambda model: "" if model is None else counted(model.n_modes, "mode")  # noqa: E731
+        errors = ((self.comparison or {}).get("models") or {}).get("ofrf") or {}
+        level = errors.get("error_db")
+        return {
+            "Test": self.name,
+            "At rest": f"{modes(self.idle)} at rest" if self.idle is not None else "",
+            "Operating": f"{modes(self.operating)} in operation" if self.operating is not None else "",
+            "Scaling": f"scaled by {self.hybrid.method}" if self.hybrid is not None else "",
+            "Validation": "" if level is None else f"operating FRFs within {level:.2f} dB of the validation measurement",
+            "Diagnosis": f"diagnosis: {self.diagnosis['verdict'].replace('_', ' ')}" if self.diagnosis else "",
+            "Left out": ", ".join(f"{stage} left out" for stage in self.left_out),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the results as ``model.h5`` into a folder, or into a file whose name ends with ``.h5``; :func:`operando.load` reads them.
+
+        Parameters
+        ----------
+        path : path
+            A folder (made where it is missing) or a file.
+        """
+        target = Path(path)
+        if target.suffix.lower() not in (".h5", ".hdf5"):
+            target.mkdir(parents=True, exist_ok=True)
+            target = target / "model.h5"
+        importlib.import_module("operando.store").save_results(self, target)

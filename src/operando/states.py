@@ -13,6 +13,7 @@ from typing import Any
 
 from operando.entries import Entry
 from operando.errors import ConfigError
+from operando.io import natural_order
 from operando.values import check_keys, is_number
 
 _STATE_KEYS = ("records", "frfs")
@@ -82,10 +83,6 @@ MOST_NAMES = 2000
 """Files looked at for a name near to one that is not there."""
 
 
-def _natural(path: Path) -> list[Any]:
-    return [int(part) if part.isdecimal() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
-
-
 def find_files(patterns: Any, folder: Path, where: Entry) -> tuple[Path, ...]:
     """Files that paths and patterns name, each once, in natural order.
 
@@ -116,7 +113,7 @@ def _matches(pattern: str, folder: Path) -> list[Path]:
     literal = folder / pattern
     if literal.is_file():
         return [literal]
-    found = sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=_natural)
+    found = sorted((folder / p for p in glob.glob(pattern, root_dir=folder, recursive=True)), key=natural_order)
     return [p for p in found if p.is_file()]
 
 

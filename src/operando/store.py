@@ -5,13 +5,63 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, overload
 
-from operando.errors import FormatError, MissingError, OperandoError
+from operando.errors import FormatError, MissingError, ObjectError, OperandoError
 from operando.results import Results
 
 _NAMES = tuple(f.name for f in fields(Results) if f.name != "timings_s")
 """What took how long is no result: it differs from run to run."""
+
+
+T = TypeVar("T")
+
+
+@overload
+def load(path: str | Path) -> Any: ...
+@overload
+def load(path: str | Path, kind: type[T]) -> T: ...
+def load(path: str | Path, kind: type[Any] = object) -> Any:
+    """Read what was saved: the results of a test, or one object.
+
+    Parameters
+    ----------
+    path : path
+        A results folder of ``operando run``, a ``model.h5``, or an ``.h5`` file that ``save`` of an object wrote.
+    kind : class, optional
+        What is expected (``operando.Results``, ``operando.Frf``, …): type checkers then know it, and something else is an error.
+
+    Returns
+    -------
+    Results, or the object saved
+
+    Raises
+    ------
+    MissingError
+        If there is no such file or folder.
+    FormatError
+        If it is no file of operando, is damaged, or holds several objects (``operando.read`` gives all of them).
+    ObjectError
+        If it holds something else than ``kind``.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [1.0, 2.0], "1+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     frf.save(f"{folder}/frf.h5")
+    ...     operando.load(f"{folder}/frf.h5", operando.Frf)
+    <Frf: accelerance [(m/s²)/N]; 1 response 1+Z; 1 reference 1+Z; 2 lines, 1 to 2 Hz in steps of 1 Hz>
+    """
+    from operando.io import load_object, object_names
+
+    file = Path(path)
+    if not file.exists():
+        raise MissingError("there is no such file or folder", where=str(path))
+    found = load_results(file) if file.is_dir() or "name" in object_names(file) else load_object(file)
+    if not isinstance(found, kind):
+        raise ObjectError(f"a {type(found).__name__} was saved, not a {kind.__name__}", hint=f"load({str(path)!r}) without a kind takes it")
+    return found
 
 
 def save_results(results: Results, path: str | Path) -> None:

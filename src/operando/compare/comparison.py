@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
+from operando.compare.models import ModelComparison, compare_models
 from operando.compare.peaks import by_mode, fit_peaks
-from operando.data import Frf
-from operando.dof import Dof, Node
-from operando.errors import DataError
+from operando.data import FrequencyAxis, Frf, ModalModel, Saved, expect, plots
+from operando.dof import Dof, DofIndex
+from operando.errors import DataError, ObjectError
 from operando.results import CheckRun
+from operando.scaling import HybridModel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class FrfModel(Protocol):
@@ -26,8 +31,8 @@ class FrfModel(Protocol):
         """FRFs at the lines asked for."""
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Saved):
     """One M of ``comparison.json``.
 
     Values are None where the data do not allow them (no variance, no line above the noise).
@@ -66,6 +71,33 @@ class Comparison:
     notes: tuple[str, ...] = ()
     misfit_meas: float | None = None
 
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        number = lambda value, words: "" if value is None else words.format(value)  # noqa: E731
+        return {
+            "Level error": number(self.error_db, "level error {:.2f} dB"),
+            "Noise floor": number(self.noise_floor_db, "noise floor {:.2f} dB"),
+            "Normalised error": number(self.misfit, "reduced chi-square {:.3g}"),
+            "Relative error": number(self.relative_error, "relative error {:.3g}"),
+            "Compared": f"{self.n_lines} lines, {len(self.by_dof)} response DOFs",
+            "Notes": "; ".join(self.notes),
+        }
+
+    def plot(self, axes: Axes | None = None, *, by: str = "dof") -> Axes:
+        """Level error by response DOF, frequency band or mode (:func:`operando.plots.plot_comparison`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        by : {"dof", "band", "mode"}
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_comparison(self, axes, by=by)
+        return made
+
     def to_dict(self) -> dict[str, Any]:
         """JSON object as in the contract."""
         return {
@@ -83,28 +115,51 @@ class Comparison:
         }
 
 
+@overload
 def compare(
-    model: FrfModel | Frf,
-    measured: Frf | Sequence[Frf],
-    band_hz: tuple[float, float] | None = None,
-) -> Comparison:
-    """Error measures of a model against a measurement (contract, "Error measures").
+    model: ModalModel | HybridModel, measured: ModalModel | HybridModel, band_hz: tuple[float, float] | None = None
+) -> ModelComparison: ...
+@overload
+def compare(model: FrfModel | Frf, measured: Frf | Sequence[Frf], band_hz: tuple[float, float] | None = None) -> Comparison: ...
+def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = None) -> Comparison | ModelComparison:
+    """Error measures of a model against a measurement (contract, "Error measures"), or two models mode by mode.
 
     Parameters
     ----------
     model : model or Frf
         Anything with ``.frf(frequencies, responses, references, quantity)``, or FRFs on the measured lines.
-    measured : Frf or several
-        Reference; without variance it is taken as exact. Several are pooled.
+    measured : Frf, several, or a modal or hybrid model
+        FRFs: the reference; without variance they are taken as exact, several are pooled. A model: modes are paired by shape and
+        frequency.
     band_hz : (float, float), optional
-        Lines used; default all.
+        Lines, or modes, used; default all.
+
+    Returns
+    -------
+    Comparison or ModelComparison
 
     Raises
     ------
+    ObjectError
+        If one is neither a model nor FRFs.
     DataError
-        If model and measurement share no pair or no line.
+        If they share no pair, no line, or no DOF.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> one = ModalModel([10.0, 20.0], [0.01, 0.01], np.eye(2), "1+Z, 2+Z")
+    >>> other = ModalModel([10.5, 20.0], [0.01, 0.01], np.eye(2), "1+Z, 2+Z")
+    >>> compare(one, other).modes[0]["frequency_percent"]
+    5.0
     """
-    runs = [measured] if isinstance(measured, Frf) else list(measured)
+    if isinstance(measured, ModalModel | HybridModel):
+        return compare_models(model, measured, band_hz)
+    if not isinstance(model, Frf) and not callable(getattr(model, "frf", None)):
+        raise ObjectError(f"a {type(model).__name__} makes no FRF to compare", hint="give a model or an Frf first, the measurement second")
+    runs = [measured] if isinstance(measured, Frf) else list(measured) if isinstance(measured, list | tuple) else [measured]
+    for run in runs or [None]:
+        expect(run, Frf, "a model is compared with FRFs or another model", "read(file).frfs and estimate_frf(records) give FRFs")
     with threadpool_limits(1, "blas"):
         return _compare(model, runs, band_hz)
 
@@ -150,8 +205,8 @@ def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, floa
             raise DataError(f"no measured line lies in {band_hz[0]:g} … {band_hz[1]:g} Hz")
         measured = measured.band(*band_hz)
     have_out, have_in = _available(model)
-    responses = tuple(d for d in measured.responses if have_out is None or (d.node, d.axis) in have_out)
-    references = tuple(d for d in measured.references if have_in is None or (d.node, d.axis) in have_in)
+    responses = tuple(d for d in measured.responses if have_out is None or d in have_out)
+    references = tuple(d for d in measured.references if have_in is None or d in have_in)
     if not responses or not references:
         raise DataError(
             "model and measurement have no response–reference pair in common",
@@ -172,43 +227,28 @@ def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, floa
         if not np.all(keep):
             notes.append(f"{int(np.sum(~keep))} measured lines are not in the model FRFs, left out")
         made = model.select(responses, references).to_quantity(measured.quantity)
-        made = _lines(made, index[keep], f[keep])
-        measured = _lines(measured, np.flatnonzero(keep), f[keep])
+        made = replace(made.lines(index[keep]), axis=FrequencyAxis(f[keep]))
+        measured = measured.lines(keep)
     else:
         made = model.frf(f, responses, references, measured.quantity)
     return made, measured
 
 
-def _lines(frf: Frf, index: NDArray[Any], f: NDArray[np.float64]) -> Frf:
-    return Frf(
-        frf.data[:, :, index],
-        f,  # type: ignore[arg-type]
-        frf.responses,
-        frf.references,
-        frf.quantity,
-        variance=None if frf.variance is None else frf.variance[:, :, index],
-    )
-
-
-def _available(model: FrfModel | Frf) -> tuple[set[tuple[Node, str]] | None, set[tuple[Node, str]] | None]:
+def _available(model: FrfModel | Frf) -> tuple[DofIndex | None, DofIndex | None]:
     if isinstance(model, Frf):
-        return {(d.node, d.axis) for d in model.responses}, {(d.node, d.axis) for d in model.references}
+        return DofIndex(model.responses), DofIndex(model.references)
     holder = getattr(model, "modal", model)
     dofs = getattr(holder, "dofs", None)
     if dofs is None:
         return None, None
-    known = {(d.node, d.axis) for d in dofs}
+    known = DofIndex(dofs)
     return known, known
 
 
 def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
     """Flat lines of one run; ``labels`` grows by DOFs not seen before."""
-    known = {(d.node, d.axis): i for i, d in enumerate(labels)}
-    for d in ref.responses:
-        if (d.node, d.axis) not in known:
-            known[(d.node, d.axis)] = len(labels)
-            labels.append(d)
-    which = np.array([known[(d.node, d.axis)] for d in ref.responses])
+    labels += [d for d in ref.responses if d not in DofIndex(labels)]
+    which = np.array(DofIndex(labels).match(ref.responses)[0])
     shape = ref.data.shape
     zero = np.zeros(shape)
     var_meas = zero if ref.variance is None else ref.variance

@@ -2,13 +2,15 @@
 
 from operando.data.arrays import complex_of
 from operando.data.findings import Finding, group_findings
-from operando.data.frf import QUANTITIES, FrequencyAxis, Frf
+from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, StoredRow, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
+from operando.data.objects import Saved, Short, counted, expect, names_text, plots, several
 from operando.data.provenance import Provenance, file_hash
+from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.time import Channel, TimeRecord
 
 __all__ = [
@@ -27,18 +29,27 @@ __all__ = [
     "Provenance",
     "ResidualTerms",
     "RowStatistics",
+    "Saved",
+    "Short",
     "StoredFile",
     "StoredRow",
     "TimeRecord",
     "complex_of",
+    "counted",
     "direction_of",
+    "expect",
     "file_hash",
     "filling",
     "group_findings",
     "mapped_rows",
+    "names_text",
     "node_motion",
     "one_level",
     "phase_collinearity",
     "pieces",
+    "plots",
+    "quantity_named",
     "row_statistics",
+    "several",
+    "unit_of",
 ]

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
-from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
+from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
-from operando.dof import Dof, Node, match_dofs, parse_dofs
+from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named, unit_of
+from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
 from operando.errors import DataError
 
-QUANTITIES = ("receptance", "mobility", "accelerance")
-"""Displacement, velocity, acceleration over force: powers 0, 1, 2 of iω."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,8 @@ class FrequencyAxis:
         return slice(i, j)
 
 
-@dataclass(frozen=True)
-class Frf(ForOthers):
+@dataclass(frozen=True, repr=False)
+class Frf(Noun):
     """Frequency response functions H[response, reference] = response/force, e^{+iωt}.
 
     Parameters
@@ -136,14 +137,99 @@ class Frf(ForOthers):
             object.__setattr__(self, "setups", frozen(self.setups, int, 2, "setups"))
             if self.setups.shape != expected[:2]:
                 raise DataError(f"setups has shape {self.setups.shape}, expected {expected[:2]}")
-        if self.quantity not in QUANTITIES:
-            raise DataError(f"quantity {self.quantity!r} is none of {', '.join(QUANTITIES)}")
+        object.__setattr__(self, "quantity", quantity_named(self.quantity, reciprocals=False))
         for label, dofs in (("response", self.responses), ("reference", self.references)):
-            seen: set[tuple[Node, str]] = set()
+            seen = set()
             for d in dofs:
-                if (d.node, d.axis) in seen:
+                if d.key in seen:
                     raise DataError(f"{label} DOF {d} appears twice (in either sense)")
-                seen.add((d.node, d.axis))
+                seen.add(d.key)
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        f, step = self.frequencies_hz, self.axis.step
+        return {
+            "Name": self.name,
+            "Quantity": f"{self.quantity} [{unit_of(self.quantity)}]" if self.si else f"{self.quantity}, units not known",
+            "Responses": f"{counted(len(self.responses), 'response')} {names_text(self.responses)}",
+            "References": f"{counted(len(self.references), 'reference')} {names_text(self.references)}",
+            "Lines": f"{counted(f.size, 'line')}, {f[0]:g} to {f[-1]:g} Hz" + ("" if step is None else f" in steps of {step:.4g} Hz"),
+            "Beside": ", ".join(n for n in ("variance", "coherence") if getattr(self, n) is not None),
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
+
+    def plot(
+        self,
+        axes: Axes | Sequence[Axes] | None = None,
+        *,
+        responses: object = None,
+        references: object = None,
+        quantity: str | None = None,
+        band: tuple[float, float] | None = None,
+        noise: bool = False,
+        parts: Sequence[str] = ("magnitude", "phase", "coherence"),
+    ) -> Axes:
+        """Magnitude, phase and coherence (:func:`operando.plots.plot_frf`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes or sequence of Axes, optional
+            Axes that a plot of another FRF returned: both are overlaid. Default: of a new figure.
+        responses, references : DOF labels, optional
+            Pairs drawn; default: all where they are eight at most, else the drive points, or the first eight.
+        quantity : str, optional
+            ``receptance``, ``compliance``, ``dynamic_stiffness``, …; default: its own.
+        band : (float, float), optional
+            Analysis band [Hz], shaded outside.
+        noise : bool
+            Draw the standard deviation of the first pair.
+        parts : sequence of {"magnitude", "phase", "coherence"}
+
+        Returns
+        -------
+        matplotlib Axes
+            Of the magnitude.
+
+        Examples
+        --------
+        >>> frf = Frf([[[1.0, 2.0, 1.0]]], [1.0, 2.0, 3.0], "1+Z", "1+Z")
+        >>> frf.plot(frf.plot(), quantity="compliance").get_ylabel()
+        'Receptance [m/N]'
+        """
+        made: Axes = plots().plot_frf(
+            self, axes, responses=responses, references=references, quantity=quantity, band=band, noise=noise, parts=parts
+        )
+        return made
+
+    def plot_nyquist(
+        self,
+        model: Any = None,
+        axes: Axes | None = None,
+        *,
+        mode: int | None = None,
+        response: object = None,
+        reference: object = None,
+        band: tuple[float, float] | None = None,
+    ) -> Axes:
+        """One pair in the complex plane, with the synthesis of a model and the circle of a mode (:func:`operando.plots.plot_nyquist`).
+
+        Parameters
+        ----------
+        model : ModalModel, optional
+        axes : matplotlib Axes, optional
+        mode : int, optional
+            Mode of the model whose surroundings are shown.
+        response, reference : DOF label, optional
+            Default: the first drive point, else the first pair.
+        band : (float, float), optional
+            Lines shown [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_nyquist(self, model, axes, mode=mode, response=response, reference=reference, band=band)
+        return made
 
     @property
     def frequencies_hz(self) -> NDArray[np.float64]:
@@ -152,13 +238,56 @@ class Frf(ForOthers):
 
     def band(self, low: float, high: float) -> Frf:
         """The lines within [low, high] Hz."""
-        s = self.axis.band(low, high)
+        return self.lines(self.axis.band(low, high))
+
+    def lines(self, which: slice | ArrayLike) -> Frf:
+        """Some of the lines: a slice, positions in increasing order, or a mask."""
+        keep = which if isinstance(which, slice) else np.asarray(which)
+        part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
+        axis = FrequencyAxis(self.frequencies_hz[keep])
+        return replace(self, data=self.data[:, :, keep], axis=axis, variance=part(self.variance), coherence=part(self.coherence))
+
+    def decimate(self, step: int) -> Frf:
+        """Every ``step``-th line, from the first on.
+
+        Raises
+        ------
+        DataError
+            If the step is not a positive whole number.
+        """
+        if int(step) != step or step < 1:
+            raise DataError(f"a step of {step} lines cannot be taken", hint="give 2 for every second line")
+        return self.lines(slice(None, None, int(step)))
+
+    def same_lines(self, other: Frf) -> bool:
+        """Whether both have the same frequency lines."""
+        return len(self.axis) == len(other.axis) and bool(np.allclose(self.frequencies_hz, other.frequencies_hz))
+
+    def beside(self, *others: Frf) -> Frf:
+        """FRFs of other references at the same responses and lines set beside these, as one.
+
+        Raises
+        ------
+        DataError
+            If responses, lines, quantity or units differ, or a reference stands in two of them.
+        """
+        for other in others:
+            same = (other.responses, other.quantity, other.si) == (self.responses, self.quantity, self.si)
+            if not (same and self.same_lines(other)):
+                raise DataError(
+                    "FRFs of other responses, lines, quantity or units cannot stand side by side", hint="see Frf.select, Frf.lines"
+                )
+        parts = (self, *others)
+        stack = lambda arrays: None if any(a is None for a in arrays) else np.concatenate(arrays, axis=1)  # noqa: E731
         return replace(
             self,
-            data=self.data[:, :, s],
-            axis=FrequencyAxis(self.axis.values[s]),
-            variance=None if self.variance is None else self.variance[:, :, s],
-            coherence=None if self.coherence is None else self.coherence[:, :, s],
+            data=np.concatenate([p.data for p in parts], axis=1),
+            references=tuple(d for p in parts for d in p.references),
+            variance=stack([p.variance for p in parts]),
+            coherence=stack([p.coherence for p in parts]),
+            setups=stack([p.setups for p in parts]),
+            findings=tuple(dict.fromkeys(f for p in parts for f in p.findings)),
+            provenance=self.provenance if len(parts) == 1 else Provenance.merge(*(p.provenance for p in parts)),
         )
 
     def without_bands(self, bands: Sequence[tuple[float, float]]) -> Frf:
@@ -166,22 +295,17 @@ class Frf(ForOthers):
         keep = np.ones(len(self.axis), bool)
         for low, high in bands:
             keep[self.axis.band(low, high)] = False
-        if keep.all():
-            return self
-        part = lambda array: None if array is None else array[:, :, keep]  # noqa: E731
-        axis = FrequencyAxis(self.frequencies_hz[keep])
-        return replace(self, data=self.data[:, :, keep], axis=axis, variance=part(self.variance), coherence=part(self.coherence))
+        return self if keep.all() else self.lines(keep)
 
     def select(self, responses: object = None, references: object = None) -> Frf:
-        """Some rows and columns; a DOF asked for in the other sense changes sign.
+        """Some rows and columns, by labels or patterns over them; a DOF asked for in the other sense changes sign.
 
         Raises
         ------
         DofError
             If a DOF is not measured.
         """
-        resp = self.responses if responses is None else parse_dofs(responses)
-        refs = self.references if references is None else parse_dofs(references)
+        resp, refs = named_dofs(responses, self.responses), named_dofs(references, self.references)
         i, si = match_dofs(resp, self.responses)
         j, sj = match_dofs(refs, self.references)
         ix = np.ix_(i, j)
@@ -200,9 +324,23 @@ class Frf(ForOthers):
         """Convert between receptance, mobility and accelerance by powers of iω (a line at 0 Hz becomes NaN if divided).
 
         FRFs under an exponential window of rate β are H(iω + β), so the powers are those of iω + β.
+
+        Parameters
+        ----------
+        quantity : str
+            One of the three, or another name of it (``compliance``, ``inertance``).
+
+        Raises
+        ------
+        DataError
+            If the quantity is unknown, or force over motion, which :meth:`values` gives.
+
+        Examples
+        --------
+        >>> Frf([[[1.0, 1.0]]], [1.0, 2.0], "1+Z", "1+Z").to_quantity("compliance").quantity
+        'receptance'
         """
-        if quantity not in QUANTITIES:
-            raise DataError(f"quantity {quantity!r} is none of {', '.join(QUANTITIES)}")
+        quantity = quantity_named(quantity, reciprocals=False)
         power = QUANTITIES.index(quantity) - QUANTITIES.index(self.quantity)
         if power == 0:
             return self
@@ -212,6 +350,55 @@ class Frf(ForOthers):
         factor[~np.isfinite(factor)] = np.nan
         var = None if self.variance is None else self.variance * np.abs(factor) ** 2
         return replace(self, data=self.data * factor, variance=var, quantity=quantity)
+
+    def values(self, quantity: str) -> NDArray[np.complexfloating[Any, Any]]:
+        """Numbers in any quantity, force over motion included.
+
+        Parameters
+        ----------
+        quantity : str
+            ``receptance``, ``mobility``, ``accelerance``, or ``dynamic_stiffness``, ``impedance``, ``apparent_mass``: 1/H pair by pair,
+            what a force at the one DOF meets, all others free. The stiffness matrix of several DOFs is the inverse of the receptance
+            matrix instead.
+
+        Returns
+        -------
+        (n_responses, n_references, n_lines) complex array
+            SI where ``si`` is true; NaN where H is zero.
+
+        Raises
+        ------
+        DataError
+            If the quantity is unknown.
+
+        Examples
+        --------
+        >>> Frf([[[1e-6]]], [1.0], "1+Z", "1+Z", "receptance").values("dynamic stiffness")[0, 0, 0].real
+        np.float64(1000000.0)
+        """
+        name = quantity_named(quantity)
+        if name not in RECIPROCALS:
+            return self.to_quantity(name).data
+        below = self.to_quantity(RECIPROCALS[name]).data
+        with np.errstate(divide="ignore", invalid="ignore"):
+            out = 1 / below
+        out[~np.isfinite(out)] = np.nan
+        return np.asarray(out)
+
+    def __getitem__(self, dofs: Any) -> Frf:
+        """FRFs of some DOFs: ``frf["7+Z", "12+Z"]``, ``frf["*Z", :]``, ``frf["7+Z"]`` (all references).
+
+        Labels, lists of labels and patterns (``*``, ``?``); a DOF in the other sense changes sign.
+
+        Raises
+        ------
+        DofError
+            If a DOF is not measured.
+        """
+        pair = dofs if isinstance(dofs, tuple) else (dofs, None)
+        if len(pair) != 2:
+            raise DataError(f"an FRF has responses and references, {len(pair)} indices are given", hint='write frf["7+Z", "12+Z"]')
+        return self.select(*pair)
 
     def at(self, frequencies: ArrayLike) -> NDArray[np.intp]:
         """Indices of the nearest lines."""
@@ -236,10 +423,10 @@ class Frf(ForOthers):
         variance : (n_lines,) float array or None
             Of their difference.
         """
-        row = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(self.responses)}
+        rows = DofIndex(self.responses)
         for b, second in enumerate(self.references):
             for a, first in enumerate(self.references[:b]):
-                at_first, at_second = row.get((first.node, first.axis)), row.get((second.node, second.axis))
+                at_first, at_second = rows.find(first.unsigned), rows.find(second.unsigned)
                 if at_first is None or at_second is None:
                     continue
                 forward = self.data[at_second[0], a] * at_second[1] * first.sign

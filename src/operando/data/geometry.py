@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
-from operando.data.elsewhere import ForOthers
+from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
-from operando.dof import Dof, Node, node_label, split_node
+from operando.dof import Dof, Node, node_label, parse_dofs, split_node
 from operando.errors import DataError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,8 @@ class Appearance:
     face_colors: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True)
-class Geometry(ForOthers):
+@dataclass(frozen=True, repr=False)
+class Geometry(Noun):
     """Nodes with coordinates [m], lines and faces between them.
 
     Parameters
@@ -162,6 +165,36 @@ class Geometry(ForOthers):
             node_systems={label.get(n, n): system for n, system in self.node_systems.items()},
         )  # fmt: skip
         return named, unclear
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        size = " × ".join(f"{s:.3g}" for s in (np.ptp(self.coordinates, axis=0) if self.nodes else np.zeros(3)))
+        return {
+            "Name": self.name,
+            "Nodes": f"{counted(len(self.nodes), 'node')} {names_text(self.nodes)}" if self.nodes else "no nodes",
+            "Drawn": f"{counted(len(self.lines), 'line')}, {counted(len(self.faces), 'face')}",
+            "Size": f"{size} m" + ("" if self.unit_known else " (unit not stated, taken as metres)"),
+            "Directions": f"{len(self.directions)} directions that are no axes" if self.directions else "",
+        }
+
+    def plot(self, axes: Axes | None = None, *, dofs: object = (), names: bool | None = None) -> Axes:
+        """Nodes, lines and faces with axes and node names (:func:`operando.plots.plot_geometry`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            With ``projection="3d"``. Default: of a new figure.
+        dofs : DOF labels
+            Measured directions, drawn as arrows.
+        names : bool, optional
+            Write node names; default: with 100 nodes at most.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_geometry(self, axes, dofs=parse_dofs(dofs), names=names)
+        return made
 
     def position(self, node: Node) -> NDArray[np.float64] | None:
         """Coordinates [m] of a node, or None."""

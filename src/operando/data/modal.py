@@ -11,18 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
-from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
+from operando.data.modal_figures import ModalFigures
 from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_terms, shape_rows
+from operando.data.objects import Noun, counted, names_text
 from operando.data.provenance import Provenance
-from operando.dof import Dof, match_dofs, parse_dofs
+from operando.data.quantities import quantity_named
+from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
 from operando.errors import DataError
 from operando.synthesis import synthesis_variance, synthesise
 
 
-@dataclass(frozen=True)
-class ModalModel(ForOthers):
+@dataclass(frozen=True, repr=False)
+class ModalModel(ModalFigures, Noun):
     """Modes of a structure, and beside them the residual terms that complete its FRFs.
 
     Parameters
@@ -175,6 +177,44 @@ class ModalModel(ForOthers):
         own = {name: value for name, value in values.items() if name in known}
         return cls.from_terms(residual=values["residual"], **own) if "residual" in values else cls(**own)
 
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        hz = [f"{f:.4g}" for f in self.frequencies_hz]
+        return {
+            "Modes": counted(self.n_modes, "mode") + (f" at {names_text(hz, 6)} Hz" if hz else ""),
+            "Residual terms": counted(self.n_residuals, "residual term") if self.n_residuals else "",
+            "DOFs": f"{counted(len(self.dofs), 'DOF')} {names_text(self.dofs)}",
+            "Shapes": ("unit modal mass" if self.scaling == "unit_modal_mass" else "no scale") + ("" if self.si else ", units not known"),
+            "Band": "" if self.band_hz is None else f"band {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz",
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
+
+    def __getitem__(self, dofs: Any) -> ModalModel:
+        """The model at some of its DOFs, covariance included: ``model["*Z"]``, ``model[["1+Z", "2-Z"]]``.
+
+        A DOF in the other sense changes sign.
+
+        Raises
+        ------
+        DofError
+            If a DOF is not in the model.
+        """
+        wanted = named_dofs(dofs, self.dofs)
+        i, signs = DofIndex(self.dofs).match(wanted)
+        index, sign = np.asarray(i, int), np.asarray(signs, float)
+        terms, m, n, covariance = self.terms, len(self.dofs), self.terms.n, self.covariance
+        if covariance is not None:
+            values = (2 * n + np.arange(n)[:, None] * m + index).ravel()
+            parts, flip = [np.arange(2 * n), values], [np.ones(2 * n), np.tile(sign, n)]
+            if np.iscomplexobj(terms.shapes):
+                parts, flip = [*parts, values + n * m], [*flip, np.tile(sign, n)]
+            where, factor = np.concatenate(parts), np.concatenate(flip)
+            covariance = covariance[np.ix_(where, where)] * np.outer(factor, factor)
+        std = self.std
+        if std is not None and std.get("shapes") is not None:
+            std = std | {"shapes": np.asarray(std["shapes"])[index]}
+        return self.with_terms(shapes=np.asarray(terms.shapes)[index] * sign[:, None], dofs=wanted, covariance=covariance, std=std)
+
     @property
     def n_modes(self) -> int:
         """Number of modes; residual terms do not count."""
@@ -279,6 +319,7 @@ class ModalModel(ForOthers):
         responses, references : DOF labels, optional
             Default: all DOFs of the model.
         quantity : {"accelerance", "mobility", "receptance"}
+            Or another name of one of them.
         variance : bool
             Fill the variance of each line from the covariance, where there is one.
 
@@ -292,6 +333,7 @@ class ModalModel(ForOthers):
                 "shapes of arbitrary scale make no FRF",
                 hint="scale them with scale_operational, or give units to the EMA",
             )
+        quantity = quantity_named(quantity, reciprocals=False)
         resp = self.dofs if responses is None else parse_dofs(responses)
         refs = self.dofs if references is None else parse_dofs(references)
         axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import mapped
 from operando.data.arrays import frozen
-from operando.data.elsewhere import ForOthers
 from operando.data.findings import Finding
 from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics
+from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.dof import Dof
-from operando.errors import DataError
+from operando.errors import DataError, DofError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,8 @@ class Channel:
         return self.quantity in ("force", "moment", "reaction_force")
 
 
-@dataclass(frozen=True)
-class TimeRecord(ForOthers):
+@dataclass(frozen=True, repr=False)
+class TimeRecord(Noun):
     """Evenly sampled channels of one run.
 
     Parameters
@@ -102,6 +108,94 @@ class TimeRecord(ForOthers):
         if not (np.isfinite(self.sampling_hz) and self.sampling_hz > 0):
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
 
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        forces = [self.channels[i].label for i in self.force_indices]
+        motion = [self.channels[i].label for i in self.response_indices]
+        others = len(self.channels) - len(forces) - len(motion)
+        return {
+            "Name": self.name,
+            "Forces": f"{counted(len(forces), 'force')} {names_text(forces)}" if forces else "",
+            "Responses": f"{counted(len(motion), 'response')} {names_text(motion)}" if motion else "",
+            "Other channels": f"{counted(others, 'other channel')}" if others else "",
+            "Samples": f"{self.n_samples} samples at {self.sampling_hz:g} Hz, {self.duration_s:g} s",
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
+
+    def plot(self, axes: Axes | None = None, *, channels: object = None) -> Axes:
+        """Samples over time, each channel below the other (:func:`operando.plots.plot_record`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            All channels over one another, which needs one quantity. Default: a new figure.
+        channels : DOF labels or channel names, optional
+            Default: the first eight.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_record(self, axes, channels=channels)
+        return made
+
+    def plot_psd(
+        self,
+        axes: Axes | None = None,
+        *,
+        channels: object = None,
+        block_seconds: float | None = None,
+        band: tuple[float, float] | None = None,
+    ) -> Axes:
+        """Power spectral densities (:func:`operando.plots.plot_psd`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        channels : DOF labels or channel names, optional
+            Default: the first eight.
+        block_seconds : float, optional
+            Length of a block [s].
+        band : (float, float), optional
+            Band shown [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_psd(self, axes, channels=channels, block_seconds=block_seconds, band=band)
+        return made
+
+    def plot_force_spectra(self, axes: Axes | None = None, *, band: tuple[float, float] | None = None) -> Axes:
+        """What the forces excite: the spectrum of each hit, else the density of each force (:func:`operando.plots.plot_force_spectra`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        band : (float, float), optional
+            Band shown [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_force_spectra(self, axes, band=band)
+        return made
+
+    def plot_hits(self, axes: Axes | None = None) -> Axes:
+        """The hits of a hammer record over one another, with their numbers (:func:`operando.plots.plot_hits`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_hits(self, axes)
+        return made
+
     @cached_property
     def statistics(self) -> RowStatistics:
         """Mean, standard deviation, extremes of each channel, and whether all its samples are finite: one pass, made once."""
@@ -135,6 +229,80 @@ class TimeRecord(ForOthers):
     def select(self, rows: Sequence[int]) -> TimeRecord:
         """The record with some of its rows, in the order given."""
         return replace(self, data=self.data[list(rows)], channels=tuple(self.channels[i] for i in rows))
+
+    def rows(self, wanted: Any) -> list[tuple[int, Dof | None]]:
+        """Rows of channels named by DOF or by name, and the DOF each was asked for (None: by its name).
+
+        Parameters
+        ----------
+        wanted : str, Dof, or several
+            ``"3+Z"`` (the sensor of motion there, else the force), ``"3+Z:force"`` (a quantity there), a channel name, a pattern
+            (``"*Z"``).
+
+        Raises
+        ------
+        DofError
+            If there is no such channel; one of a similar name is told.
+        """
+        if wanted is None or wanted is Ellipsis or (isinstance(wanted, slice) and wanted == slice(None)):
+            return [(i, None) for i in range(len(self.channels))]
+        if isinstance(wanted, int | float | slice):
+            raise DofError(
+                f"{wanted!r} is no channel", hint='write a DOF or a channel name: record["3+Z"]; rows by number: record.select([0])'
+            )
+        if isinstance(wanted, str | Dof):
+            names = [wanted] if not isinstance(wanted, str) or wanted in {c.name for c in self.channels} else wanted.split(",")
+        else:
+            names = list(wanted)
+        out: list[tuple[int, Dof | None]] = []
+        for name in names:
+            out += [found for found in self._channel(name) if found not in out]
+        return out
+
+    def _channel(self, wanted: str | Dof) -> list[tuple[int, Dof | None]]:
+        text = str(wanted).strip()
+        label, _, quantity = text.rpartition(":") if re.search(r":[a-z_]+$", text) else (text, "", "")
+        rows = [i for i, c in enumerate(self.channels) if not quantity or c.quantity == quantity]
+        if not quantity:
+            named = [i for i in rows if self.channels[i].name == text]
+            if named and (len(named) == 1 or not any(str(self.channels[i].dof) == text for i in rows)):
+                return [(i, None) for i in named]
+        motion = set(self.response_indices)
+        if "*" in label or "?" in label:
+            found = [i for i in rows if fnmatchcase(self.channels[i].label, label)]
+            if found:
+                return [(i, None) for i in found]
+        else:
+            try:
+                dof = Dof.parse(label)
+            except DofError:
+                dof = None
+            there = [] if dof is None else [i for i in rows if (d := self.channels[i].dof) is not None and d.same_axis(dof)]
+            if there:
+                return [(next((i for i in there if i in motion), there[0]), dof)]
+        labels = [c.label + ("" if i in motion else f":{c.quantity}") for i, c in enumerate(self.channels)]
+        near = get_close_matches(text, [*labels, *(c.name for c in self.channels)], 1, 0.5)
+        hint = (f"did you mean {near[0]!r}? " if near else "") + "channels: " + ", ".join(labels[:40])
+        raise DofError(f"there is no channel {text!r}", where=self.name or None, hint=hint)
+
+    def __getitem__(self, channels: Any) -> TimeRecord:
+        """Some of the channels: ``record["3+Z"]``, ``record["3+Z:force"]``, ``record["*Z"]``, ``record[["1+Z", "ch2"]]``.
+
+        A DOF in the other sense changes sign. A DOF alone means the sensor of motion where there is one.
+
+        Raises
+        ------
+        DofError
+            If there is no such channel.
+        """
+        found = self.rows(channels)
+        part = self.select([i for i, _ in found])
+        turned = [dof is not None and (d := self.channels[i].dof) is not None and dof.sign != d.sign for i, dof in found]
+        if not any(turned):
+            return part
+        signs = np.where(turned, -1, 1).astype(part.data.dtype)
+        labels = tuple(replace(c, dof=c.dof.opposite) if t and c.dof is not None else c for c, t in zip(part.channels, turned, strict=True))
+        return replace(part, data=np.asarray(part.data) * signs[:, None], channels=labels)
 
     def cut(self, start_s: float | None = None, stop_s: float | None = None) -> TimeRecord:
         """The part of the record from one time to another, on its own time axis.

@@ -2,7 +2,7 @@
 
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.fit import EmaDetails, fit_ema
-from operando.ema.indicator_functions import cmif
+from operando.ema.indicator_functions import cmif, mmif
 from operando.ema.lsfd import lsfd
 from operando.ema.plscf import OrderPoles, plscf
 from operando.ema.rigid_body import RigidBodyMass, rigid_body_mass
@@ -22,6 +22,7 @@ __all__ = [
     "lsfd",
     "mac",
     "mean_phase_deviation",
+    "mmif",
     "phase_collinearity",
     "plscf",
     "rigid_body_mass",

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord
-from operando.dof import Dof
+from operando.data import Finding, Frf, ModalModel, TimeRecord, expect
+from operando.dof import Dof, DofIndex
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
 from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
@@ -171,6 +171,7 @@ def fit_ema(
     """
     from threadpoolctl import threadpool_limits
 
+    expect(frf, Frf, "modes are identified from FRFs", "estimate_frf(records) makes them of records, read(file).frfs holds measured ones")
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with threadpool_limits(1, "blas"):
@@ -194,8 +195,8 @@ def fit_ema(
 
 def model_dofs(frf: Frf) -> tuple[Dof, ...]:
     """DOFs of the model: the responses, then references that are not among them."""
-    have = {(d.node, d.axis) for d in frf.responses}
-    return (*frf.responses, *(d for d in frf.references if (d.node, d.axis) not in have))
+    have = DofIndex(frf.responses)
+    return (*frf.responses, *(d for d in frf.references if d not in have))
 
 
 def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, float]:

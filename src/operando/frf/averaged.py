@@ -172,5 +172,5 @@ def _least_averages(runs: Sequence[RunEstimate]) -> float:
     total: dict[tuple[Node, str], float] = {}
     for run in runs:
         for d in run.responses:
-            total[d.node, d.axis] = total.get((d.node, d.axis), 0.0) + run.averages
+            total[d.key] = total.get(d.key, 0.0) + run.averages
     return min(total.values())

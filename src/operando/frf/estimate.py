@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings
+from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings, several
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.averaged import averaged_run, few_averages
@@ -100,7 +100,7 @@ def estimate_frf(
     DataError
         If no record can be used, a reference was not excited, a hit named is not there, or an option does not fit.
     """
-    given = [records] if isinstance(records, TimeRecord) else list(records)
+    given = several(records, TimeRecord, "FRFs are estimated from time records", "read(file).records holds them")
     if not given:
         raise DataError("no records given", hint="estimate_frf needs at least one run with a force channel")
     usable_records, lost = usable_channels(given)

@@ -44,9 +44,9 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
     references: dict[tuple[Node, str], Dof] = {}
     for h in same:
         for d in h.responses:
-            responses.setdefault((d.node, d.axis), d)
+            responses.setdefault(d.key, d)
         for d in h.references:
-            references.setdefault((d.node, d.axis), d)
+            references.setdefault(d.key, d)
     shape = (len(responses), len(references), len(first.axis))
     data = np.full(shape, np.nan, complex)
     variance = np.full(shape, np.nan) if any(h.variance is not None for h in same) else None
@@ -120,7 +120,7 @@ def _by_pair(
             for b, e in enumerate(h.references):
                 if np.all(np.isnan(h.data[a, b].real)):
                     continue
-                key, other = (d.node, d.axis), (e.node, e.axis)
+                key, other = d.key, e.key
                 sign = d.sign * responses[key].sign * e.sign * references[other].sign
                 variance = None if h.variance is None or not np.isfinite(h.variance[a, b]).any() else h.variance[a, b]
                 coherence = None if h.coherence is None else h.coherence[a, b]

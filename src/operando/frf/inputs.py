@@ -118,7 +118,7 @@ def _unique(record: TimeRecord, rows: Sequence[int], what: str, findings: list[F
         if channel.dof is None:
             message = f"{what} channel {channel.name or i} has no DOF and is not used"
             findings.append(Finding("missing_dof", message, file=where, set=channel.set, action="give its DOF in [channels]"))
-        elif (channel.dof.node, channel.dof.axis) in seen:
+        elif channel.dof.key in seen:
             message = f"{what} channel {channel.name or i} repeats DOF {channel.dof}; the first one is used"
             findings.append(
                 Finding("duplicate_dof", message, file=where, set=channel.set, dof=channel.label, action="exclude one in [channels]")
@@ -127,7 +127,7 @@ def _unique(record: TimeRecord, rows: Sequence[int], what: str, findings: list[F
             message = f"{what} channel {channel.label} is constant and is not used"
             findings.append(Finding("flat", message, file=where, set=channel.set, dof=channel.label, action="check cable and sensor"))
         else:
-            seen.add((channel.dof.node, channel.dof.axis))
+            seen.add(channel.dof.key)
             out.append(i)
     return out
 

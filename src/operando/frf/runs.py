@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, FrequencyAxis, Frf, Provenance, one_level
-from operando.dof import Dof, Node
+from operando.dof import Dof, DofIndex, Node
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
 
@@ -75,7 +75,7 @@ def by_references(runs: Sequence[RunEstimate]) -> list[list[RunEstimate]]:
 
 def same_references(first: RunEstimate, second: RunEstimate) -> bool:
     """Whether two runs excite the same DOFs, in whatever sense and order."""
-    key = lambda run: {(d.node, d.axis) for d in run.references}  # noqa: E731
+    key = lambda run: {d.key for d in run.references}  # noqa: E731
     return key(first) == key(second)
 
 
@@ -84,18 +84,17 @@ def aligned(run: RunEstimate, responses: Sequence[Dof], references: Sequence[Dof
     shape = (len(responses), len(references), run.frequencies_hz.size)
     data, variance, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
     gain = np.zeros((len(references), run.frequencies_hz.size))
-    rows = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(run.responses)}
-    columns = {(d.node, d.axis): (j, d.sign) for j, d in enumerate(run.references)}
+    rows, columns = DofIndex(run.responses), DofIndex(run.references)
     for j, reference in enumerate(references):
-        column = columns.get((reference.node, reference.axis))
+        column = columns.find(reference)
         if column is None:
             continue
         gain[j] = run.gain[column[0]]
         for i, response in enumerate(responses):
-            row = rows.get((response.node, response.axis))
+            row = rows.find(response)
             if row is None:
                 continue
-            sign = row[1] * column[1] * response.sign * reference.sign
+            sign = row[1] * column[1]
             data[i, j] = sign * run.data[row[0], column[0]]
             variance[i, j] = run.variance[row[0], column[0]]
             coherence[i, j] = run.coherence[row[0], column[0]]
@@ -140,7 +139,7 @@ def union(runs: Sequence[RunEstimate]) -> tuple[Dof, ...]:
     out: dict[tuple[Node, str], Dof] = {}
     for run in runs:
         for d in run.responses:
-            out.setdefault((d.node, d.axis), d)
+            out.setdefault(d.key, d)
     return tuple(out.values())
 
 
@@ -291,14 +290,14 @@ def measured_by(
 
     So it is where all parts have the same responses, and where one of them only lost a channel.
     """
-    sensors = [{(d.node, d.axis) for d in part.responses} for part in parts]
+    sensors = [{d.key for d in part.responses} for part in parts]
     if all(s == sensors[0] for s in sensors):
         return None
-    forces = [{(d.node, d.axis) for d in part.references} for part in parts]
+    forces = [{d.key for d in part.references} for part in parts]
     out = np.full((len(responses), len(references)), -1)
     for i, d in enumerate(responses):
         for j, e in enumerate(references):
-            having = [k for k in range(len(parts)) if (d.node, d.axis) in sensors[k] and (e.node, e.axis) in forces[k]]
+            having = [k for k in range(len(parts)) if d.key in sensors[k] and e.key in forces[k]]
             if len(having) == 1:
                 out[i, j] = having[0]
     return out if np.unique(out[out >= 0]).size > 1 else None
@@ -336,8 +335,8 @@ def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEst
     ordered = sorted(group, key=lambda r: r.level)
     used, apart = [ordered[0]], []
     for run in ordered[1:]:
-        mine = {(d.node, d.axis) for d in run.responses}
-        sharing = [u for u in used if any((d.node, d.axis) in mine for d in u.responses)]
+        mine = DofIndex(run.responses)
+        sharing = [u for u in used if any(d in mine for d in u.responses)]
         if not sharing:
             findings += _shift_finding(used[0], run)
         ratio, relative = inhomogeneity(run, pool(sharing, run.responses)) if sharing else (0.0, 0.0)
@@ -356,11 +355,11 @@ def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEst
 
 def _own_rows(base: RunEstimate, runs: Sequence[RunEstimate]) -> list[RunEstimate | None]:
     """Of runs that differ from the others the rows that no earlier one has; None for a run that has none."""
-    have = {(d.node, d.axis) for d in base.responses}
+    have = {d.key for d in base.responses}
     out: list[RunEstimate | None] = []
     for run in runs:
-        own = [d for d in run.responses if (d.node, d.axis) not in have]
-        have |= {(d.node, d.axis) for d in own}
+        own = [d for d in run.responses if d.key not in have]
+        have |= {d.key for d in own}
         out.append(aligned(run, own, run.references) if own else None)
     return out
 

@@ -26,7 +26,7 @@ def average_hits(runs: Sequence[RunEstimate]) -> list[RunEstimate]:
     """
     groups: dict[tuple[object, ...], list[RunEstimate]] = {}
     for k, run in enumerate(runs):
-        same = (frozenset((d.node, d.axis) for d in run.references), frozenset((d.node, d.axis) for d in run.responses))
+        same = (frozenset(d.key for d in run.references), frozenset(d.key for d in run.responses))
         groups.setdefault(same if run.hit_s is not None else (k,), []).append(run)
     return [group[0] if len(group) == 1 else _averaged(group) for group in groups.values()]
 

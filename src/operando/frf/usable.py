@@ -82,7 +82,7 @@ def usable_channels(records: Sequence[TimeRecord]) -> tuple[list[TimeRecord], li
         for fault in faults[k]:
             dof = records[k].channels[fault.row].dof
             if fault.row in motion and dof is not None:
-                bad.setdefault((dof.node, dof.axis), []).append((k, fault))
+                bad.setdefault(dof.key, []).append((k, fault))
     drop: dict[int, set[int]] = {k: set() for k in kept}
     for key, cases in bad.items():
         holders = {k: rows for k in kept if (rows := _rows_at(records[k], key))}
@@ -105,15 +105,14 @@ def usable_channels(records: Sequence[TimeRecord]) -> tuple[list[TimeRecord], li
 
 def _rows_at(record: TimeRecord, key: tuple[Node, str]) -> list[int]:
     """Rows of the responses at a DOF, in either sense."""
-    return [i for i in record.response_indices if (d := record.channels[i].dof) is not None and (d.node, d.axis) == key]
+    return [i for i in record.response_indices if (d := record.channels[i].dof) is not None and d.key == key]
 
 
 def _runs_with_forces(records: Sequence[TimeRecord], faults: Sequence[list[ChannelFault]], findings: list[Finding]) -> list[int]:
     """Runs to keep: one whose force is faulty only where no other run has the same forces."""
     faulty = [[f for f in fault if records[k].channels[f.row].is_force] for k, fault in enumerate(faults)]
     forces = [
-        frozenset((d.node, d.axis) for i in r.force_indices if (d := r.channels[i].dof) is not None) if r.force_indices else None
-        for r in records
+        frozenset(d.key for i in r.force_indices if (d := r.channels[i].dof) is not None) if r.force_indices else None for r in records
     ]
     kept = []
     for k, record in enumerate(records):

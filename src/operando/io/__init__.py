@@ -4,11 +4,12 @@ from operando.io.columns import NoHeader
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
-from operando.io.detect import detect_format, read
+from operando.io.detect import detect_format, natural_order, read
 from operando.io.hdf5 import UNREADABLE, check_objects, read_hdf5, read_object, write_hdf5, write_object
 from operando.io.hints import check_fields
 from operando.io.inspect import inspect_content, inspect_files
 from operando.io.matlab import read_matlab, write_matlab
+from operando.io.objects import load_object, object_names
 from operando.io.safe import opened_hdf5
 from operando.io.sep005 import from_sep005, make_record, to_sep005
 from operando.io.uff import read_uff, read_uff_sets, write_uff
@@ -26,7 +27,10 @@ __all__ = [
     "from_sep005",
     "inspect_content",
     "inspect_files",
+    "load_object",
     "make_record",
+    "natural_order",
+    "object_names",
     "opened_hdf5",
     "read",
     "read_csv",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from operando.data import Finding, Frf, Geometry, ModalModel, TimeRecord
+from operando.data import Finding, Frf, Geometry, ModalModel, Short, TimeRecord, counted, names_text
 
 Status = Literal["used", "ignored", "not understood"]
 
@@ -64,8 +64,8 @@ class FileHeader:
     written: str = ""
 
 
-@dataclass(frozen=True)
-class Content:
+@dataclass(frozen=True, repr=False)
+class Content(Short):
     """Everything found in one file.
 
     Parameters
@@ -98,6 +98,22 @@ class Content:
     findings: tuple[Finding, ...] = ()
     header: FileHeader | None = None
     unkept: tuple[str, ...] = ()
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        held = [
+            counted(len(part), noun)
+            for part, noun in ((self.records, "record"), (self.frfs, "FRF matrix"), (self.models, "modal model"))
+            if part
+        ]
+        unused = [s for s in self.sets if s.status != "used"]
+        return {
+            "File": f"{self.path} ({self.format})",
+            "Holds": ", ".join(held + (["a geometry"] if self.geometry is not None else [])) or "nothing that is used",
+            "Records": names_text(r.name for r in self.records),
+            "Not used": f"{counted(len(unused), 'set')} not used" if unused else "",
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
 
     @property
     def objects(self) -> tuple[Any, ...]:

@@ -50,18 +50,16 @@ def convert(
         If the source holds nothing that the target format can take, or the name of the target tells no format.
     """
     target = Path(target)
-    kind = _SUFFIXES.get(target.suffix.lower())
-    if kind is None:
-        raise FormatError(f"{target.suffix or 'no suffix'!r} tells no format", where=str(target), hint="use .uff, .unv, .h5, .mat or .csv")
+    kind = format_of(target)
     content = read(source, units=units, channels=channels)
     passed = [s for s in content.sets if s.raw and s.status != "used"] if kind == "uff" and content.format == "uff" else []
-    kept = [obj for obj in content.objects if _fits(obj, kind)]
+    kept = [obj for obj in content.objects if holds(kind, obj)]
     if kind == "csv":
         kept = kept[:1]
     if not kept and not passed:
         held = ", ".join(type(o).__name__ for o in content.objects) or "no object"
         raise FormatError(f"nothing to write: the file holds {held}, which {kind} cannot take", where=str(source))
-    _write(kind, target, kept, _raw_sets(content, passed), binary, content.header)
+    write_objects(kind, target, kept, _raw_sets(content, passed), binary, content.header)
     lost = [f"{_describe(obj)}: {kind} cannot hold it" for obj in content.objects if not any(obj is k for k in kept)]
     lost += [text for obj in kept for text in losses(obj, kind, binary)]
     lost += _lost_of_file(content, kind)
@@ -77,6 +75,20 @@ def convert(
         "lost": list(dict.fromkeys(lost)),
         "findings": [f.to_dict() for f in content.findings],
     }
+
+
+def format_of(path: str | Path) -> str:
+    """Format that the name of a file to be written tells: ``uff``, ``hdf5``, ``matlab`` or ``csv``.
+
+    Raises
+    ------
+    FormatError
+        If it tells none.
+    """
+    suffix = Path(path).suffix
+    if suffix.lower() not in _SUFFIXES:
+        raise FormatError(f"{suffix or 'no suffix'!r} tells no format", where=str(path), hint="use .uff, .unv, .h5, .mat or .csv")
+    return _SUFFIXES[suffix.lower()]
 
 
 def _raw_sets(content: Content, passed: list[SetInfo]) -> list[bytes]:
@@ -121,18 +133,22 @@ def _has_components(content: Content) -> bool:
     return any(isinstance(node, str) for node in nodes)
 
 
-def _fits(obj: Any, kind: str) -> bool:
-    if kind == "csv":
+def holds(kind: str, obj: Any) -> bool:
+    """Whether a format can take an object."""
+    if kind in ("csv", "matlab"):
         return isinstance(obj, TimeRecord | Frf)
-    return isinstance(obj, TimeRecord | Frf) if kind == "matlab" else True
+    return kind == "hdf5" or isinstance(obj, TimeRecord | Frf | ModalModel | Geometry)
 
 
-def _write(kind: str, target: Path, kept: list[Any], raws: list[bytes], binary: bool, header: FileHeader | None) -> None:
+def write_objects(
+    kind: str, target: Path, kept: list[Any], raws: list[bytes] | None = None, binary: bool = True, header: FileHeader | None = None
+) -> None:
+    """Write objects that a format holds into one file; CSV takes the first alone."""
     if kind == "uff":
         from operando.io.uff.writer import write_uff
 
         own = None if header is None else replace(header, writer="operando", written="")
-        write_uff(target, *kept, binary=binary, header=own, passthrough=raws)
+        write_uff(target, *kept, binary=binary, header=own, passthrough=raws or ())
     elif kind == "hdf5":
         from operando.io.hdf5 import write_hdf5
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import glob
 import importlib
+import re
+from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
+from operando.data import Finding
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
@@ -79,11 +84,12 @@ def read(
     units: Units | None = None,
     channels: ChannelSpecs | None = None,
 ) -> Content:
-    """Read a measurement file of any known format, converted to SI.
+    """Read a measurement file of any known format, converted to SI; a pattern reads all files it matches.
 
     Parameters
     ----------
     path : path
+        Of a file, or a pattern over files (``"idle/*.uff"``, ``"**/*.unv"``): their objects in natural order of the names.
     units : mapping, optional
         Quantity → unit text where the file is silent (``{"acceleration": "g", "force": "lbf", "length": "mm"}``); ``sampling_hz`` gives
         a sampling rate to a table without a time column, and ``columns`` says what the columns of a table without a header line are
@@ -107,6 +113,8 @@ def read(
     UnitError, ConfigError
         If ``units`` or ``channels`` hold something that is not known.
     """
+    if is_pattern(path):
+        return _read_all(str(path), units, channels)
     kind = detect_format(path)
     if kind not in READERS:
         return _read_own_hdf5(path)
@@ -115,9 +123,47 @@ def read(
     return content
 
 
+def is_pattern(path: str | Path) -> bool:
+    """Whether a path is a pattern over files: it has a ``*``, ``?`` or ``[`` and no file is called so."""
+    return any(mark in str(path) for mark in "*?[") and not Path(path).exists()
+
+
+def _read_all(pattern: str, units: Units | None, channels: ChannelSpecs | None) -> Content:
+    """The content of all files that a pattern matches, as one."""
+    files = sorted((p for p in map(Path, glob.glob(pattern, recursive=True)) if p.is_file()), key=natural_order)
+    if not files:
+        near = get_close_matches(pattern, [str(p) for p in Path(pattern).parent.glob("*")][:2000], 1, 0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"paths are relative to {Path.cwd()}"
+        raise MissingError("no file matches the pattern", where=pattern, hint=hint)
+    parts = [read(file, units=units, channels=channels) for file in files]
+    geometries = [p for p in parts if p.geometry is not None]
+    findings = [f for p in parts for f in p.findings]
+    if len(geometries) > 1:
+        text = f"{len(geometries)} of {len(files)} files hold a geometry; that of {geometries[0].path} is used"
+        findings.append(Finding("several_geometries", text, "info", action="read the file of the other alone"))
+    formats = dict.fromkeys(p.format for p in parts)
+    return Content(
+        pattern,
+        next(iter(formats)) if len(formats) == 1 else "several",
+        tuple(r for p in parts for r in p.records),
+        tuple(f for p in parts for f in p.frfs),
+        tuple(m for p in parts for m in p.models),
+        geometries[0].geometry if geometries else None,
+        tuple(s for p in parts for s in p.sets),
+        tuple(dict.fromkeys(findings)),
+        parts[0].header if len(parts) == 1 else None,
+        tuple(text for p in parts for text in p.unkept),
+    )
+
+
+def natural_order(path: Path) -> list[Any]:
+    """Sorting key of paths: run2 before run10."""
+    return [int(part) if part.isdecimal() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
+
+
 def _read_own_hdf5(path: str | Path) -> Content:
     """Objects of operando's own HDF5 file, wherever they stand in it."""
-    from operando.data import Finding, Frf, Geometry, ModalModel, TimeRecord
+    from operando.data import Frf, Geometry, ModalModel, TimeRecord
     from operando.io.hdf5 import read_hdf5
 
     found = read_hdf5(path)

@@ -196,11 +196,11 @@ def _missing_of_frf(f: Frf) -> list[str]:
 
 def _drive_point(r: TimeRecord, path: str) -> list[Finding]:
     """Forces that have no sensor at their own DOF."""
-    sensed = {(c.dof.node, c.dof.axis) for i in r.response_indices if (c := r.channels[i]).dof is not None}
+    sensed = {c.dof.key for i in r.response_indices if (c := r.channels[i]).dof is not None}
     out = []
     for i in r.force_indices:
         channel = r.channels[i]
-        if channel.dof is not None and r.response_indices and (channel.dof.node, channel.dof.axis) not in sensed:
+        if channel.dof is not None and r.response_indices and channel.dof.key not in sensed:
             out.append(
                 Finding(
                     "missing_drive_point", f"no response is measured at the force DOF {channel.dof}", "warning", path, channel.set,

@@ -69,7 +69,7 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
     for i in first.response_indices:
         dof = first.channels[i].dof
         assert dof is not None
-        if (dof.node, dof.axis) in seen:
+        if dof.key in seen:
             findings.append(
                 Finding(
                     "duplicate_dof",
@@ -80,7 +80,7 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
                 )
             )
             continue
-        seen[dof.node, dof.axis] = i
+        seen[dof.key] = i
         rows.append(i)
     if not rows:
         unlabelled = [c.name or "unnamed" for c in first.channels if c.dof is None and not c.is_force]
@@ -98,12 +98,12 @@ def gather_responses(records: TimeRecord | Sequence[TimeRecord]) -> Responses:
             raise DataError(
                 f"sampled at {run.sampling_hz:g} Hz, {first.name or 'the first run'} at {first.sampling_hz:g} Hz", where=run.name or None
             )
-        where = {(c.dof.node, c.dof.axis): i for i in reversed(run.response_indices) if (c := run.channels[i]).dof is not None}
+        where = {c.dof.key: i for i in reversed(run.response_indices) if (c := run.channels[i]).dof is not None}
         picked, signs = [], []
         for channel in channels:
             dof = channel.dof
             assert dof is not None
-            k = where.get((dof.node, dof.axis))
+            k = where.get(dof.key)
             if k is None:
                 raise DofError(
                     f"DOF {dof} of {first.name or 'the first run'} is not in this run",

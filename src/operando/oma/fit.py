@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
-from operando.data import ModalModel, TimeRecord
+from operando.data import ModalModel, TimeRecord, several
 from operando.errors import ConfigError
 from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
@@ -90,7 +90,7 @@ def fit_oma(
         raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}")
     if weighting not in WEIGHTINGS:
         raise ConfigError(f"weighting {weighting!r} is none of {', '.join(WEIGHTINGS)}")
-    setups = group_setups([record] if isinstance(record, TimeRecord) else list(record))
+    setups = group_setups(several(record, TimeRecord, "operating modes are identified from time records", "read(file).records holds them"))
     records = [r for group in setups for r in group]
     with threadpool_limits(1, "blas"):
         if band is None:

@@ -108,18 +108,18 @@ def fit_joint(setups: Sequence[SetUpData], band: tuple[float, float], tolerances
 def _layout(setups: Sequence[SetUpData]) -> _Layout:
     first = setups[0].responses
     common, signs, others, where = [], [], [], []
-    keys = [{(d.node, d.axis): (i, d.sign, int(s.responses.derivative[i])) for i, d in enumerate(s.responses.dofs)} for s in setups]
-    shared = [d for d in first.dofs if all((d.node, d.axis) in k for k in keys)]
-    shared = [d for d in shared if len({k[d.node, d.axis][2] for k in keys}) == 1]
+    keys = [{d.key: (i, d.sign, int(s.responses.derivative[i])) for i, d in enumerate(s.responses.dofs)} for s in setups]
+    shared = [d for d in first.dofs if all(d.key in k for k in keys)]
+    shared = [d for d in shared if len({k[d.key][2] for k in keys}) == 1]
     if not shared:
         raise IdentificationError("no sensor is in all set-ups with the same quantity")
     dofs = list(shared)
-    derivative = [keys[0][d.node, d.axis][2] for d in shared]
-    names = {(d.node, d.axis) for d in shared}
+    derivative = [keys[0][d.key][2] for d in shared]
+    names = {d.key for d in shared}
     for s, key in zip(setups, keys, strict=True):
-        common.append(np.array([key[d.node, d.axis][0] for d in shared]))
-        signs.append(np.array([key[d.node, d.axis][1] * d.sign for d in shared], float))
-        rest = [i for i, d in enumerate(s.responses.dofs) if (d.node, d.axis) not in names]
+        common.append(np.array([key[d.key][0] for d in shared]))
+        signs.append(np.array([key[d.key][1] * d.sign for d in shared], float))
+        rest = [i for i, d in enumerate(s.responses.dofs) if d.key not in names]
         others.append(np.array(rest, int))
         where.append(len(dofs) + np.arange(len(rest)))
         dofs += [s.responses.dofs[i] for i in rest]

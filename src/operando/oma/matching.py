@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
+from operando.dof import DofIndex
 
 MAX_SHIFT = 0.02
 """Largest relative difference of frequency of one mode between two set-ups: moved sensors (mass loading) and temperature shift modes by a
@@ -29,9 +30,8 @@ class Cluster:
 
 def shared_rows(a: ModalModel, b: ModalModel) -> tuple[list[int], list[int], NDArray[np.float64]]:
     """Rows of the sensors both models have, and the sign between their senses."""
-    place = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(b.dofs)}
-    rows = [(i, *place[d.node, d.axis], d.sign) for i, d in enumerate(a.dofs) if (d.node, d.axis) in place]
-    return [r[0] for r in rows], [r[1] for r in rows], np.array([r[2] * r[3] for r in rows], float)
+    rows = DofIndex(a.dofs).common(b.dofs)
+    return [r[0] for r in rows], [r[1] for r in rows], np.array([r[2] for r in rows], float)
 
 
 def likeness(a: ModalModel, i: int, b: ModalModel, j: int) -> tuple[float, bool]:

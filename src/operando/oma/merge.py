@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from operando.data import ModalModel
-from operando.dof import Dof, Node
+from operando.dof import Dof, DofIndex, Node
 from operando.oma.matching import Cluster
 from operando.oma.uncertainty import student_widening, unit_changes
 
@@ -44,7 +44,7 @@ def union_of_dofs(models: Sequence[ModalModel]) -> tuple[Dof, ...]:
     found: dict[tuple[Node, str], Dof] = {}
     for model in models:
         for d in model.dofs:
-            found.setdefault((d.node, d.axis), d)
+            found.setdefault(d.key, d)
     return tuple(found.values())
 
 
@@ -107,9 +107,9 @@ def merge(models: Sequence[ModalModel], clusters: Sequence[Cluster], seconds: Se
         Blocks each covariance comes from: it was widened by Student's t for them, all together have more.
     """
     dofs = union_of_dofs(models)
-    row_of = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(dofs)}
-    rows = [np.array([row_of[d.node, d.axis][0] for d in m.dofs]) for m in models]
-    signs = [np.array([row_of[d.node, d.axis][1] * d.sign for d in m.dofs], float) for m in models]
+    places = [DofIndex(dofs).match(m.dofs) for m in models]
+    rows = [np.array(index) for index, _ in places]
+    signs = [np.array(sense, float) for _, sense in places]
     together = student_widening(sum(b - 1 for b in blocks))
     roots = [covariance_root(m.covariance) * (together / student_widening(b - 1)) for m, b in zip(models, blocks, strict=True)]
     starts = np.concatenate([[0], np.cumsum([r.shape[1] for r in roots])]).astype(int)

@@ -54,7 +54,7 @@ def group_setups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
         raise DataError("no operating record given")
     groups: dict[frozenset[tuple[Node, str]], list[TimeRecord]] = {}
     for r in records:
-        sensors = frozenset((d.node, d.axis) for i in r.response_indices if (d := r.channels[i].dof) is not None)
+        sensors = frozenset(d.key for i in r.response_indices if (d := r.channels[i].dof) is not None)
         groups.setdefault(sensors, []).append(r)
     return list(groups.values())
 
@@ -121,12 +121,12 @@ def _sensors(group: Sequence[TimeRecord]) -> tuple[Dof, ...]:
     for i in first.response_indices:
         d = first.channels[i].dof
         if d is not None:
-            found.setdefault((d.node, d.axis), d)
+            found.setdefault(d.key, d)
     return tuple(found.values())
 
 
 def _keys(m: _Member) -> set[tuple[Node, str]]:
-    return {(d.node, d.axis) for d in m.sensors}
+    return {d.key for d in m.sensors}
 
 
 def _check_connected(members: list[_Member]) -> None:
@@ -164,7 +164,7 @@ def _identify(m: _Member, options: Options) -> None:
     if options.references is not None:
         wanted = parse_dofs(options.references)
         have = _keys(m)
-        own = replace(own, references=tuple(d for d in wanted if (d.node, d.axis) in have) or None)
+        own = replace(own, references=tuple(d for d in wanted if d.key in have) or None)
     try:
         found = identify(m.records, own)
         near = tuple(f for f in options.select_hz if _has_pole(found, f))
@@ -403,7 +403,7 @@ _CHECKED = ("frequencies_hz", "frequency_std_hz", "damping_ratios", "damping_rat
 def _setup(m: _Member, members: list[_Member], used: list[_Member], clusters: list[Cluster], place: dict[int, int]) -> SetUp:
     """What is stated of a set-up."""
     elsewhere = {key for other in members if other is not m for key in _keys(other)}
-    shared = tuple(str(d) for d in m.sensors if (d.node, d.axis) in elsewhere)
+    shared = tuple(str(d) for d in m.sensors if d.key in elsewhere)
     sensors = tuple(str(d) for d in m.sensors)
     if m.model is None:
         return SetUp(m.name, sensors, shared, failed=m.failed)

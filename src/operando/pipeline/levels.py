@@ -26,7 +26,7 @@ def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
     by_reference: dict[frozenset[tuple[Node, str]], list[TimeRecord]] = {}
     for record in records:
         dofs = (record.channels[i].dof for i in record.force_indices)
-        by_reference.setdefault(frozenset((d.node, d.axis) for d in dofs if d is not None), []).append(record)
+        by_reference.setdefault(frozenset(d.key for d in dofs if d is not None), []).append(record)
     groups: list[list[TimeRecord]] = []
     for runs in by_reference.values():
         ranked = sorted(runs, key=force_rms)

@@ -154,9 +154,9 @@ def _check_dofs(test: Test, names: Mapping[Path, Names]) -> None:
         ("oma_references", analysis.oma_references, of(test.operating, "responses"), "no operating record has a sensor at"),
         ("places", analysis.places, anywhere, "no file has a channel at"),
     ):
-        axes = {(d.node, d.axis) for d in known}
+        axes = {d.key for d in known}
         for dof in map(Dof.parse, wanted or ()):
-            if axes and (dof.node, dof.axis) not in axes:
+            if axes and dof.key not in axes:
                 raise _unknown(f"{lacks} {dof}", str(dof), {str(d) for d in known}, test.where("analysis", key))
 
 

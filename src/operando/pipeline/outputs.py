@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from operando.data import Finding, Frf, ModalModel, node_motion
-from operando.dof import Dof
+from operando.dof import Dof, DofIndex
 from operando.errors import MissingError
 from operando.io.atomic import write_json
 from operando.results import Results
@@ -242,8 +242,8 @@ def ofrf(results: Results, findings: list[Finding]) -> Frf:
     dofs = results.hybrid.modal.dofs
     references: tuple[Any, ...] | None = None
     if len(dofs) ** 2 * lines.size * 24 > MAX_BYTES and results.idle_frf is not None:
-        known = {(d.node, d.axis) for d in dofs}
-        references = tuple(d for d in results.idle_frf.references if (d.node, d.axis) in known)
+        known = DofIndex(dofs)
+        references = tuple(d for d in results.idle_frf.references if d in known)
         findings.append(
             Finding(
                 "partial_output",
@@ -260,10 +260,10 @@ def ofrf(results: Results, findings: list[Finding]) -> Frf:
 
 def _band(modal: ModalModel, frf: Frf, results: Results, findings: list[Finding]) -> Any:
     """Variance of each line; where all pairs would take long, of the columns of the measured references, NaN elsewhere."""
-    known = {(d.node, d.axis) for d in ([] if results.idle_frf is None else results.idle_frf.references)}
+    known = DofIndex(() if results.idle_frf is None else results.idle_frf.references)
     columns = list(range(len(frf.references)))
     if frf.data.size > MAX_BAND_VALUES:
-        columns = [j for j, d in enumerate(frf.references) if (d.node, d.axis) in known]
+        columns = [j for j, d in enumerate(frf.references) if d in known]
         findings.append(
             Finding(
                 "partial_output",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, ModalModel, TimeRecord
+from operando.dof import DofIndex
 from operando.quality.record import check_runs
 
 GAIN_DB = 5.0
@@ -72,7 +73,7 @@ def _check_units(records: Sequence[tuple[str, TimeRecord]]) -> list[Finding]:
     for _, record in records:
         for channel in record.channels:
             if channel.dof is not None:
-                axis = ((channel.dof.node, channel.dof.axis), channel.is_force)
+                axis = (channel.dof.key, channel.is_force)
                 seen.setdefault(axis, []).append((record.name, channel.quantity, bool(channel.unit)))
     lacking: dict[str, list[str]] = {}
     out = []
@@ -125,7 +126,7 @@ def check_gains(idle: Frf, check: Frf, name: str = "", band: tuple[float, float]
     if idle.quantity != check.quantity or not (idle.si and check.si):
         return []
     lines, nearest = _shared_lines(idle, check, band)
-    rows, columns = ({(d.node, d.axis): (i, d.sign) for i, d in enumerate(dofs)} for dofs in (idle.responses, idle.references))
+    rows, columns = DofIndex(idle.responses), DofIndex(idle.references)
     if lines.size < LEAST_LINES:
         return []
     still, now = _moving(idle, lines), _moving(check, nearest)
@@ -133,14 +134,13 @@ def check_gains(idle: Frf, check: Frf, name: str = "", band: tuple[float, float]
     by_response: dict[str, list[tuple[float, bool]]] = {}
     whole: set[str] = set()
     for j, reference in enumerate(check.references):
-        column = columns.get((reference.node, reference.axis))
+        column = columns.find(reference)
         found: dict[str, tuple[float, bool]] = {}
         for i, response in enumerate(check.responses):
-            row = rows.get((response.node, response.axis))
+            row = rows.find(response)
             if row is None or column is None or not (still[row[0], column[0]] or now[i, j]):
                 continue
-            sense = row[1] * response.sign * column[1] * reference.sign
-            gain = _gain(idle.data[row[0], column[0], lines], sense * check.data[i, j, nearest])
+            gain = _gain(idle.data[row[0], column[0], lines], row[1] * column[1] * check.data[i, j, nearest])
             if gain is not None:
                 found[str(response)] = gain
         told = [g for g in found.values() if _told(g)]
@@ -217,12 +217,11 @@ def check_shapes(idle: ModalModel, operating: ModalModel, pairs: Sequence[tuple[
     pairs : sequence of (int, int)
         Idle and operational mode that belong together.
     """
-    rows = {(d.node, d.axis): (i, d.sign) for i, d in enumerate(idle.dofs)}
-    common = [(i, *rows[(d.node, d.axis)], d.sign) for i, d in enumerate(operating.dofs) if (d.node, d.axis) in rows]
+    common = DofIndex(operating.dofs).common(idle.dofs)
     if len(pairs) < LEAST_MODES or len(common) < 4:
         return []
     at_o, at_e = [c[0] for c in common], [c[1] for c in common]
-    signs = np.array([c[2] * c[3] for c in common], float)
+    signs = np.array([c[2] for c in common], float)
     a, b = idle.shapes[at_e][:, [p[0] for p in pairs]], operating.shapes[at_o][:, [p[1] for p in pairs]] * signs[:, None]
     large = np.abs(a) > LARGE * np.max(np.abs(a), axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

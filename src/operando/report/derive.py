@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.compare.comparison import lowest_level
+from operando.compare.maps import clear_lines as clear_lines
+from operando.compare.maps import error_map
+from operando.compare.maps import level_error_db as level_error_db
+from operando.compare.maps import rms_over as rms_over
 from operando.data import Finding, Frf, ModalModel
 from operando.dof import Dof
-from operando.errors import OperandoError
+from operando.errors import DataError, OperandoError
+from operando.plots.shapes import real_shape
 from operando.report.svg import thin
 from operando.report.text import number
 from operando.report.words_diagnosis import changed_by_hand
 from operando.results import CheckRun, Results
 
-SNR_POWER = 100.0
-"""Lines count for dB errors where |H|² is more than so many times its variance (contract, ``error_db``)."""
+error_by_dof_band = error_map
 
 BAND_LINES = 500
 """Intervals of frequency in which the variance of a curve is worked out at its least and its greatest line."""
@@ -79,25 +82,10 @@ def judge_run(results: Results) -> CheckRun | None:
 
 def beside(runs: Sequence[CheckRun]) -> CheckRun | None:
     """Runs with the same responses and lines but other references as one; None where they do not fit."""
-    first = runs[0].frf
-    names = [(d.node, d.axis) for run in runs for d in run.frf.references]
-    if len(set(names)) != len(names):
+    try:
+        frf = runs[0].frf.beside(*(run.frf for run in runs[1:]))
+    except DataError:
         return None
-    for run in runs[1:]:
-        frf = run.frf
-        if frf.responses != first.responses or frf.quantity != first.quantity or frf.si != first.si:
-            return None
-        if len(frf.axis) != len(first.axis) or not np.allclose(frf.frequencies_hz, first.frequencies_hz):
-            return None
-    stack = lambda arrays: None if any(a is None for a in arrays) else np.concatenate(arrays, axis=1)  # noqa: E731
-    frf = replace(
-        first,
-        data=np.concatenate([run.frf.data for run in runs], axis=1),
-        references=tuple(d for run in runs for d in run.frf.references),
-        variance=stack([run.frf.variance for run in runs]),
-        coherence=stack([run.frf.coherence for run in runs]),
-        findings=tuple(dict.fromkeys(f for run in runs for f in run.frf.findings)),
-    )
     return CheckRun(", ".join(run.name for run in runs), runs[0].level, frf)
 
 
@@ -140,35 +128,6 @@ def scaled_idle(results: Results) -> ModalModel | None:
     return results.idle if results.idle is not None and results.idle.scaling == "unit_modal_mass" else None
 
 
-def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.bool_]:
-    """(n_responses, n_references, n_lines) mask of finite lines in band well above the noise."""
-    size2 = np.abs(frf.data) ** 2
-    mask = np.isfinite(size2) & (size2 > 0)
-    if frf.variance is not None:
-        with np.errstate(invalid="ignore"):
-            mask &= size2 > SNR_POWER * frf.variance
-    if band is not None:
-        f = frf.frequencies_hz
-        mask &= ((f >= band[0]) & (f <= band[1]))[None, None, :]
-    return mask
-
-
-def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
-    """20·log10(|H_model|/|H_measured|) for each pair and line [dB]; NaN where either is zero or not finite."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.abs(model.data) / np.abs(measured.data)
-        out = 20 * np.log10(ratio)
-    return np.where(np.isfinite(out), out, np.nan)
-
-
-def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = None) -> Any:
-    """Root mean square of the masked finite values along some axes; NaN where there are none."""
-    use = mask & np.isfinite(values)
-    total = np.sum(np.where(use, values, 0.0) ** 2, axis=axis)
-    n = np.sum(use, axis=axis)
-    return np.sqrt(np.divide(total, n, out=np.full(np.shape(total), np.nan), where=n > 0))
-
-
 def analysis_band(results: Results) -> tuple[float, float] | None:
     """The band of the analysis [Hz], from the models or the settings."""
     for model in (results.idle, results.operating):
@@ -187,16 +146,6 @@ def band_edges(band: Sequence[float], n: int = 8) -> NDArray[np.float64]:
     """n bands, equal in log frequency (contract, ``by_band``)."""
     low = max(float(band[0]), 1e-3 * float(band[1]))
     return np.geomspace(low, float(band[1]), n + 1)
-
-
-def error_by_dof_band(model: Frf, measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """rms dB error by response DOF and band, over all references: (n_responses, n_bands), NaN where no line is clear."""
-    error, mask, f = level_error_db(model, measured), clear_lines(measured), measured.frequencies_hz
-    columns = []
-    for low, high in pairwise(edges):
-        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
-        columns.append(rms_over(error, mask & inside, axis=(1, 2)))
-    return np.column_stack(columns)
 
 
 def choose_pairs(frf: Frf, error: NDArray[np.float64] | None, most_drive: int = 2, most_worst: int = 2) -> list[tuple[int, int, str]]:
@@ -313,13 +262,5 @@ def sensor_redundancy(shapes: NDArray[Any], dofs: Sequence[Dof]) -> dict[str, An
 
 
 def real_shapes(model: ModalModel) -> NDArray[np.float64]:
-    """Shapes turned to the real axis (principal axis of each), greatest entry 1: for drawing only."""
-    out = np.zeros(model.shapes.shape)
-    for k in range(model.n_modes):
-        v = np.asarray(model.shapes[:, k])
-        if np.iscomplexobj(v):
-            angle = 0.5 * np.angle(np.sum(v**2))  # principal axis of the complex entries
-            v = np.real(v * np.exp(-1j * angle))
-        peak = np.max(np.abs(v)) if v.size else 0.0
-        out[:, k] = v / peak if peak > 0 else v
-    return out
+    """Shapes turned to the real axis, greatest entry 1: for drawing only."""
+    return np.array([real_shape(model.shapes[:, k]) for k in range(model.n_modes)]).T.reshape(model.shapes.shape)

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.report.maps import value_maps
-from operando.report.svg import GREEN, GREY, IDLE, INK, MODEL, ORANGE, PURPLE, SKY, drawn, new_figure
-from operando.report.text import number
+from operando.plots import plot_changes, plot_error_map, plot_errors
+from operando.plots.errors import error_scale, error_top
+from operando.report.svg import drawn, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_COLORS = {"ofrf": MODEL, "idle": IDLE, "idle_shapes": ORANGE, "msf_all": SKY, "effect": GREEN}
 
 
 def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, noise_floor_db: float | None) -> str:
@@ -38,24 +36,9 @@ def _error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, 
     height = 0.62 + 0.3 * values.size
     figure = new_figure(7.6, height)
     axes = figure.add_axes((0.36, 0.42 / height, 0.56, (height - 0.58) / height))
-    axes.barh(np.arange(values.size), values, color=[_COLORS.get(k, PURPLE) for k in keys], height=0.66)
-    for i, v in enumerate(values):
-        axes.text(v, i, f" {v:.2f} dB", va="center", fontsize=8.5, fontweight="bold" if keys[i] == "ofrf" else "normal")
-    if noise_floor_db is not None:
-        axes.axvline(noise_floor_db, color=INK, lw=1.0, ls=(0, (3, 2)))
-        axes.annotate(
-            f"noise floor {noise_floor_db:.2f} dB",
-            (noise_floor_db, 1.0),
-            (2, 1),
-            xycoords=("data", "axes fraction"),
-            textcoords="offset points",
-            fontsize=7.5,
-        )
-    axes.set_yticks(np.arange(values.size), list(names), fontsize=8.5)
-    axes.invert_yaxis()
-    axes.set_xlim(0, 1.18 * max(float(np.nanmax(values)), 1e-9))
-    axes.set_xlabel("Level error against the check, rms over lines and pairs [dB]")
-    axes.tick_params(axis="y", length=0)
+    plot_errors(
+        names, values, axes, keys=keys, noise_floor_db=noise_floor_db, label="Level error against the check, rms over lines and pairs [dB]"
+    )
     return figure, "Error of each model in dB: " + ", ".join(f"{n} {v:.2f}" for n, v in zip(names, values, strict=True))
 
 
@@ -72,9 +55,26 @@ def error_maps(
     measure : str
         What the numbers are.
     """
-    limits = [number(f, 3) for f in np.asarray(edges, float)]
-    alt = "Error by response DOF and frequency band: " + ", ".join(title for title, _ in maps)
-    return value_maps(maps, rows, limits, measure, ("Band limits [Hz]", "Response DOF"), alt)
+    return _error_maps(maps, rows, edges, measure)
+
+
+@drawn
+def _error_maps(maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike, measure: str) -> tuple[Figure, str]:
+    n, k = max(len(rows), 1), max(len(maps), 2)
+    cell = float(np.clip(4.2 / n, 0.13, 0.26))
+    foot, left, gap, width = 0.5, 0.68, 0.62, 10.2
+    height = n * cell + foot + 0.3
+    panel = (width - left - 0.85 - gap * (k - 1)) / k
+    figure = new_figure(width, height)
+    top = error_top([values for _, values in maps])
+    for i, (title, values) in enumerate(maps):
+        axes = figure.add_axes(((left + i * (panel + gap)) / width, foot / height, panel / width, n * cell / height))
+        plot_error_map(values, rows, edges, axes, top=top, measure=measure, title=title)
+        if i:
+            axes.set_ylabel("")
+    beside = figure.add_axes(((width - 0.7) / width, foot / height, 0.125 / width, n * cell / height))
+    error_scale(figure.colorbar(axes.collections[0], cax=beside), measure)
+    return figure, "Error by response DOF and frequency band: " + ", ".join(title for title, _ in maps)
 
 
 def frequency_changes(
@@ -97,21 +97,9 @@ def _frequency_changes(
     labels: Sequence[str], frequency_percent: ArrayLike, damping_percent: ArrayLike, frequency_std: ArrayLike, damping_std: ArrayLike
 ) -> tuple[Figure, str]:
     figure = new_figure(10.2, 2.5)
-    for left, values, std, title, unit in (
-        (0.06, frequency_percent, frequency_std, "Frequency, operating against idle", "Change [%]"),
-        (0.56, damping_percent, damping_std, "Damping ratio, operating against idle", "Change [%]"),
+    for left, values, std, title in (
+        (0.06, frequency_percent, frequency_std, "Frequency, operating against idle"),
+        (0.56, damping_percent, damping_std, "Damping ratio, operating against idle"),
     ):
-        axes = figure.add_axes((left, 0.3, 0.43, 0.57))
-        y = np.asarray(values, float)
-        spread = 1.96 * np.nan_to_num(np.asarray(std, float))
-        x = np.arange(y.size)
-        axes.bar(x, y, color=MODEL, width=0.62)
-        axes.errorbar(x, y, yerr=spread, fmt="none", ecolor=INK, elinewidth=0.9, capsize=2.0)
-        axes.axhline(0, color=GREY, lw=0.8)
-        axes.set_xticks(x, list(labels), rotation=90 if y.size > 10 else 0, fontsize=7)
-        axes.set_title(title)
-        axes.set_ylabel(unit)
-        axes.set_xlabel("Idle frequency [Hz]")
-        axes.grid(True, axis="y")
-        axes.tick_params(axis="x", length=0)
+        plot_changes(labels, values, std, figure.add_axes((left, 0.3, 0.43, 0.57)), title=title)
     return figure, "Change of frequency and damping ratio of each mode from rest to operation"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-from operando.data import Frf
-from operando.report import derive, figures_frf, tables, tables_files
+from operando.data import Frf, unit_of
+from operando.report import derive, tables, tables_files
 from operando.report.parts import Numbering, missing, paragraph
 from operando.report.text import band_text, count, esc, number, plain, short_names
 from operando.results import CheckRun, Results
@@ -49,7 +49,7 @@ def _frf_cells(frf: Frf) -> list[str]:
     f = frf.frequencies_hz
     step = frf.axis.step
     responses = ", ".join(str(d) for d in frf.responses[:24]) + (f", … ({len(frf.responses)})" if len(frf.responses) > 24 else "")
-    unit = figures_frf.UNITS[frf.quantity] if frf.si else "not known: numbers as in the file, no mass scaling"
+    unit = unit_of(frf.quantity) if frf.si else "not known: numbers as in the file, no mass scaling"
     return [
         f"{len(frf.responses)}: {esc(responses)}",
         f"{len(frf.references)}: {esc(', '.join(str(d) for d in frf.references))}",

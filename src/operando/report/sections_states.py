@@ -148,7 +148,7 @@ def _stabilization(model: ModalModel | None, numbering: Numbering, results: Resu
         stabilization, model.band_hz or derive.analysis_band(results), model.frequencies_hz, harmonics, name
     )
     caption = (
-        f"Stabilisation diagram of the {which} state: poles of each model order, coloured by what has settled against the order below; "
+        f"Stabilisation diagram of the {which} state: poles of each model order, lettered by what is stable against the order below; "
         "lines are the modes taken, with their numbers; crosses are rejected candidates."
     )
     return numbering.figure(svg, caption) + told

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, ModalModel, ResidualTerms
+from operando.data import Finding, ModalModel, ResidualTerms, expect
 from operando.data.provenance import Provenance
-from operando.dof import Dof, match_dofs
+from operando.dof import Dof, DofIndex
 from operando.errors import ConfigError, DataError, IdentificationError
 from operando.scaling.carried import LEAST_LEFT, NOT_HELD, CommonShift, common_shift, lessened, part_left, shape_change
 from operando.scaling.common_factor import sampling_rate_finding
@@ -58,6 +58,8 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     IdentificationError
         If a method asked for by name cannot be applied.
     """
+    expect(idle, ModalModel, "idle modes are needed first", "fit_ema(frf) gives them")
+    expect(operating, ModalModel, "operating modes are needed second", "fit_oma(record) gives them")
     if method not in ("auto", *METHODS):
         raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")
     if idle.scaling != "unit_modal_mass":
@@ -281,15 +283,15 @@ def common_dofs(
     idle: ModalModel, operating: ModalModel, findings: list[Finding]
 ) -> tuple[tuple[Dof, ...], list[int], tuple[list[int], NDArray[np.float64]]]:
     """DOFs both models have, in the order and sense of the idle model; what is left out becomes a finding."""
-    known = {(d.node, d.axis) for d in operating.dofs}
-    rows = [i for i, d in enumerate(idle.dofs) if (d.node, d.axis) in known]
+    shared = DofIndex(idle.dofs).common(operating.dofs)
+    rows = [i for i, _, _ in shared]
     if not rows:
         raise DataError("the idle and the operational modes have no DOF in common", hint="check the DOF labels of both measurements")
     dofs = tuple(idle.dofs[i] for i in rows)
-    index, signs = match_dofs(dofs, operating.dofs)
-    common = {(d.node, d.axis) for d in dofs}
+    index, signs = [j for _, j, _ in shared], [sign for _, _, sign in shared]
+    common = DofIndex(dofs)
     for name, model in (("at rest", idle), ("in operation", operating)):
-        missing = [str(d) for d in model.dofs if (d.node, d.axis) not in common]
+        missing = [str(d) for d in model.dofs if d not in common]
         if missing:
             findings.append(
                 Finding(

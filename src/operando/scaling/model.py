@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from operando.data import Finding, Frf, ModalModel
+from operando.data import Finding, Frf, ModalModel, Saved, counted, plots
 from operando.scaling.condensed import CondensedBasis
 from operando.scaling.pairing import Pairing
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-@dataclass(frozen=True)
-class HybridModel:
+
+@dataclass(frozen=True, repr=False)
+class HybridModel(Saved):
     """Operational modes with the scale carried over from rest.
 
     Parameters
@@ -75,6 +78,50 @@ class HybridModel:
     def kappa(self) -> float | None:
         """Condition number of the idle shapes used, None without a condensed mass."""
         return None if self.basis is None else self.basis.kappa
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        modal, kinds = self.modal, [p.kind for p in self.pairing.pairs]
+        return {
+            "Modes": f"{counted(modal.n_modes, 'operational mode')} at {len(modal.dofs)} DOFs",
+            "Scaling": f"scaled by {self.method}",
+            "Reason": self.reason,
+            "Pairing": ", ".join(f"{kinds.count(k)} {k.replace('_', ' ')}" for k in dict.fromkeys(kinds)),
+            "Findings": counted(len(self.findings), "finding") if self.findings else "",
+        }
+
+    def __repr__(self) -> str:
+        facts = self.facts()
+        return f"<HybridModel: {facts['Modes']}; {facts['Scaling']}; {facts['Pairing']}>"
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        response: object = None,
+        reference: object = None,
+        measured: Frf | None = None,
+        frequencies: ArrayLike | None = None,
+    ) -> Axes:
+        """One operational FRF with its 95 % band, beside the idle model and a validation measurement (:func:`operando.plots.plot_hybrid`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        response, reference : DOF label, optional
+            Default: the first pair of the measurement, else the DOF of the largest shape values with itself.
+        measured : Frf, optional
+            Running, force measured; its lines are used.
+        frequencies : array, optional
+            Lines [Hz]; default: the band in steps that resolve every mode.
+
+        Returns
+        -------
+        matplotlib Axes
+            Of the magnitude.
+        """
+        made: Axes = plots().plot_hybrid(self, axes, response=response, reference=reference, measured=measured, frequencies=frequencies)
+        return made
 
     def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
         """Operational FRFs (Shen & Lu 2024, Eq 4) with the variance of each line where both models carry a covariance.

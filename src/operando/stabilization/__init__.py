@@ -1,7 +1,18 @@
 """Stabilisation diagrams, automatic mode selection, reasons of rejected poles (shared by EMA and OMA)."""
 
-from operando.stabilization.classify import Tolerances, classify
+from operando.stabilization.classify import classify, stability_letters
 from operando.stabilization.select import demote, select_modes, track_poles
-from operando.stabilization.table import STATUS, PoleTable, RejectedPole, Stabilization
+from operando.stabilization.table import STATUS, PoleTable, RejectedPole, Stabilization, Tolerances
 
-__all__ = ["STATUS", "PoleTable", "RejectedPole", "Stabilization", "Tolerances", "classify", "demote", "select_modes", "track_poles"]
+__all__ = [
+    "STATUS",
+    "PoleTable",
+    "RejectedPole",
+    "Stabilization",
+    "Tolerances",
+    "classify",
+    "demote",
+    "select_modes",
+    "stability_letters",
+    "track_poles",
+]

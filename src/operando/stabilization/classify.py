@@ -3,40 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.errors import DataError
-from operando.stabilization.table import PoleTable
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """When two poles of neighbouring orders count as the same.
-
-    Parameters
-    ----------
-    frequency : float
-        Largest relative difference of frequency.
-    damping : float
-        Largest difference of damping ratio, relative to the larger of the two.
-    mac : float
-        Smallest MAC of the vectors.
-    max_damping : float
-        Poles with a larger damping ratio, and those with none or negative damping, are no vibration modes (status ``invalid``).
-    """
-
-    frequency: float = 0.01
-    damping: float = 0.1
-    mac: float = 0.95
-    max_damping: float = 0.25
-
-    def __post_init__(self) -> None:
-        if not (self.frequency > 0 and self.damping > 0 and 0 <= self.mac <= 1 and self.max_damping > 0):
-            raise DataError(f"tolerances out of range: {self}", hint="frequency, damping, max_damping > 0 and 0 <= mac <= 1")
+from operando.stabilization.table import PoleTable, Tolerances
 
 
 def pole_differences(
@@ -123,3 +97,40 @@ def classify(
         np.concatenate(rows["vectors"], axis=1),
         np.concatenate(rows["status"]),
     )
+
+
+def stability_letters(table: PoleTable, tolerances: Tolerances | None = None) -> NDArray[np.str_]:
+    """The usual letter of each pole: what of it agrees with a pole of the order below.
+
+    Parameters
+    ----------
+    table : PoleTable
+    tolerances : Tolerances, optional
+        Those the table was made with.
+
+    Returns
+    -------
+    (p,) array of str
+        ``o`` nothing, ``f`` frequency, ``d`` frequency and damping, ``v`` frequency and vector, ``s`` all three; empty for a pole that
+        is not physical.
+
+    Examples
+    --------
+    >>> one = np.ones((2, 1))
+    >>> table = classify([2, 4], [[10.0], [10.01]], [[0.01], [0.02]], [one, one])
+    >>> "".join(stability_letters(table))
+    'ov'
+    """
+    tol = tolerances or Tolerances()
+    letters = np.array(["o", "f", "d", "s", ""])[table.status]
+    unit = unit_vectors(np.where(np.isfinite(table.vectors), table.vectors, 0))
+    levels = np.unique(table.order)
+    for below, order in pairwise(levels):
+        old = np.flatnonzero((table.order == below) & (table.status != 4))
+        new = np.flatnonzero((table.order == order) & (table.status == 1))
+        if not old.size or not new.size:
+            continue
+        part = lambda rows: (table.frequency_hz[rows], table.damping_ratio[rows], unit[:, rows])  # noqa: E731
+        df, _, dv = pole_differences(*part(new), *part(old))
+        letters[new[np.any((df <= tol.frequency) & (dv <= 1 - tol.mac), axis=1)]] = "v"
+    return letters

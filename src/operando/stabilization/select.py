@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.errors import IdentificationError
-from operando.stabilization.classify import Tolerances, pole_differences, unit_vectors
-from operando.stabilization.table import PoleTable, RejectedPole, Stabilization
+from operando.stabilization.classify import pole_differences, unit_vectors
+from operando.stabilization.table import PoleTable, RejectedPole, Stabilization, Tolerances
 
 Members = NDArray[np.int_]
 
@@ -165,6 +165,7 @@ def select_modes(
         tuple(sorted(rejected, key=lambda r: r.frequency_hz)),
         indicator_hz,
         indicator,
+        tol,
     )
 
 

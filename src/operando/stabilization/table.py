@@ -2,16 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.data import Frf, Short, counted, plots
 from operando.errors import DataError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 STATUS = ("unstable", "frequency", "frequency_damping", "stable", "invalid")
 """Stability class of a pole against the order below: none, frequency only, frequency and damping, also the vector; or not physical."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When two poles of neighbouring orders count as the same.
+
+    Parameters
+    ----------
+    frequency : float
+        Largest relative difference of frequency.
+    damping : float
+        Largest difference of damping ratio, relative to the larger of the two.
+    mac : float
+        Smallest MAC of the vectors.
+    max_damping : float
+        Poles with a larger damping ratio, and those with none or negative damping, are no vibration modes (status ``invalid``).
+    """
+
+    frequency: float = 0.01
+    damping: float = 0.1
+    mac: float = 0.95
+    max_damping: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not (self.frequency > 0 and self.damping > 0 and 0 <= self.mac <= 1 and self.max_damping > 0):
+            raise DataError(f"tolerances out of range: {self}", hint="frequency, damping, max_damping > 0 and 0 <= mac <= 1")
 
 
 @dataclass(frozen=True)
@@ -54,8 +85,8 @@ class RejectedPole:
     reason: str
 
 
-@dataclass(frozen=True)
-class Stabilization:
+@dataclass(frozen=True, repr=False)
+class Stabilization(Short):
     """Stabilisation diagram with selection.
 
     Parameters
@@ -69,6 +100,8 @@ class Stabilization:
     rejected : tuple of RejectedPole
     indicator_hz, indicator : arrays
         What is drawn behind the diagram (CMIF for EMA, first singular values for OMA): (k,), (n_curves, k), positive.
+    tolerances : Tolerances or None
+        What counted as stable; None in files of older versions.
     """
 
     table: PoleTable
@@ -79,3 +112,44 @@ class Stabilization:
     rejected: tuple[RejectedPole, ...] = ()
     indicator_hz: NDArray[np.float64] | None = None
     indicator: NDArray[np.float64] | None = None
+    tolerances: Tolerances | None = None
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        orders = np.unique(self.table.order)
+        span = f"{counted(orders.size, 'order')} up to {orders[-1]}" if orders.size else "no order"
+        return {
+            "Poles": f"{counted(self.table.order.size, 'pole')} of {span}",
+            "Modes": f"{counted(self.selected_hz.size, 'mode')} taken",
+            "Rejected": f"{counted(len(self.rejected), 'candidate')} rejected",
+        }
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        frf: Frf | None = None,
+        band: Sequence[float] | None = None,
+        modes_hz: Sequence[float] | None = None,
+        harmonics_hz: Sequence[float] = (),
+    ) -> Axes:
+        """Poles by model order with the usual symbols over mode indicators (:func:`operando.plots.plot_stabilization`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        frf : Frf, optional
+            FRFs whose CMIF and MMIF are drawn behind.
+        band : (float, float), optional
+            Analysis band [Hz].
+        modes_hz : sequence of float, optional
+            Final frequencies of the modes [Hz]; default: those selected.
+        harmonics_hz : sequence of float
+            Harmonics of rotation [Hz].
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_stabilization(self, axes, frf=frf, band=band, modes_hz=modes_hz, harmonics_hz=harmonics_hz)
+        return made

@@ -210,13 +210,13 @@ def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside
     responses: dict[tuple[Node, str], Dof] = {}
     references: dict[tuple[Node, str], Dof] = {}
     for f in group:
-        responses.setdefault((f.response.node, f.response.axis), f.response)
-        references.setdefault((f.reference.node, f.reference.axis), f.reference)
+        responses.setdefault(f.response.key, f.response)
+        references.setdefault(f.reference.key, f.reference)
     rows, columns = {k: i for i, k in enumerate(responses)}, {k: i for i, k in enumerate(references)}
     data = np.full((len(rows), len(columns), group[0].frequencies.size), np.nan + 0j)
     filled: dict[tuple[int, int], int] = {}
     for f in group:
-        i, j = rows[f.response.node, f.response.axis], columns[f.reference.node, f.reference.axis]
+        i, j = rows[f.response.key], columns[f.reference.key]
         if (i, j) in filled:
             inventory.ignore(f.raw, f.header.title, f"the same pair of DOFs as set {filled[i, j]}, which is used")
             inventory.note(
@@ -250,9 +250,9 @@ def _matched(beside: list[_Beside], group: list[_Function], rows: dict[Any, int]
         raw, header, key, values, _ = entry
         if key != group[0].axis_key or header.response is None or header.ordinate.code not in codes:
             continue
-        i = rows.get((header.response.node, header.response.axis))
+        i = rows.get(header.response.key)
         reference = header.reference
-        j = None if reference is None else columns.get((reference.node, reference.axis))
+        j = None if reference is None else columns.get(reference.key)
         everywhere = header.function_type == 26 or (reference is None and len(columns) == 1)
         if i is None or (j is None and not everywhere) or np.all(np.isnan(data[i, slice(None) if everywhere else j])):
             continue

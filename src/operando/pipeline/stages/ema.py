@@ -61,10 +61,10 @@ def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:
         return any(path in used for path, _ in record.provenance.inputs) and all(call in calls for call in cuts)
 
     runs = [r for r in records if behind(r)] or records
-    measured, driven = ({(d.node, d.axis) for d in dofs} for dofs in (frf.responses, frf.references))
+    measured, driven = ({d.key for d in dofs} for dofs in (frf.responses, frf.references))
     out = []
     for run in runs:
-        at = [None if (d := c.dof) is None else (d.node, d.axis) for c in run.channels]
+        at = [None if (d := c.dof) is None else d.key for c in run.channels]
         keep = [i for i in run.response_indices if at[i] in measured] + [i for i in run.force_indices if at[i] in driven]
         if len(keep) == len(run.response_indices) + len(run.force_indices):
             out.append(run)

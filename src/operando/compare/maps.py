@@ -1,0 +1,80 @@
+"""Where a model fails: level error by response DOF and frequency band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operando.compare.measures import SNR_LIMIT
+from operando.data import Frf
+from operando.errors import DataError
+
+
+def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.bool_]:
+    """(n_responses, n_references, n_lines) mask of finite lines in band well above the noise."""
+    size2 = np.abs(frf.data) ** 2
+    mask = np.isfinite(size2) & (size2 > 0)
+    if frf.variance is not None:
+        with np.errstate(invalid="ignore"):
+            mask &= size2 > SNR_LIMIT * frf.variance
+    if band is not None:
+        f = frf.frequencies_hz
+        mask &= ((f >= band[0]) & (f <= band[1]))[None, None, :]
+    return mask
+
+
+def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
+    """20·log10(|H_model|/|H_measured|) for each pair and line [dB]; NaN where either is zero or not finite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.abs(model.data) / np.abs(measured.data)
+        out = 20 * np.log10(ratio)
+    return np.where(np.isfinite(out), out, np.nan)
+
+
+def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = None) -> Any:
+    """Root mean square of the masked finite values along some axes; NaN where there are none."""
+    use = mask & np.isfinite(values)
+    total = np.sum(np.where(use, values, 0.0) ** 2, axis=axis)
+    n = np.sum(use, axis=axis)
+    return np.sqrt(np.divide(total, n, out=np.full(np.shape(total), np.nan), where=n > 0))
+
+
+def error_map(model: Frf, measured: Frf, edges_hz: ArrayLike) -> NDArray[np.float64]:
+    """Level error by response DOF and frequency band, over all references.
+
+    Parameters
+    ----------
+    model, measured : Frf
+        On the same pairs and lines.
+    edges_hz : (n_bands + 1,) array
+        Limits of the bands [Hz], increasing.
+
+    Returns
+    -------
+    (n_responses, n_bands) array
+        Rms error [dB] over the lines that stand clear of the noise; NaN where there is none.
+
+    Raises
+    ------
+    DataError
+        If pairs or lines differ.
+
+    Examples
+    --------
+    >>> frf = Frf(np.ones((1, 1, 4)), [1.0, 2.0, 3.0, 4.0], "1+Z", "1+Z")
+    >>> error_map(Frf(2 * frf.data, frf.axis, "1+Z", "1+Z"), frf, [1, 2.5, 4]).round(2)
+    array([[6.02, 6.02]])
+    """
+    if model.data.shape != measured.data.shape or not model.same_lines(measured):
+        raise DataError(f"FRFs {model.data.shape} and {measured.data.shape} are not on the same pairs and lines")
+    edges = np.asarray(edges_hz, float)
+    error, mask, f = level_error_db(model, measured), clear_lines(measured), measured.frequencies_hz
+    columns = []
+    for low, high in pairwise(edges):
+        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
+        columns.append(rms_over(error, mask & inside, axis=(1, 2)))
+    return np.column_stack(columns)

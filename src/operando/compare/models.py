@@ -1,0 +1,173 @@
+"""Two modal models side by side: paired modes, what changed, and the MAC of all."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import ModalModel, Saved, counted, plots
+from operando.errors import DataError, ObjectError
+from operando.indicators import common_shapes
+from operando.scaling import pair_modes
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+
+THRESHOLD = 0.7
+"""MAC from which a mode has kept its shape, as in scaling."""
+
+
+@dataclass(frozen=True, repr=False)
+class ModelComparison(Saved):
+    """Modes of one model paired with those of another.
+
+    Parameters
+    ----------
+    first, second : ModalModel
+        The models, within the band asked for.
+    modes : tuple of dict
+        One a pair, by frequency: ``first``, ``second`` (mode numbers), ``frequency_hz`` and ``damping_ratio`` (of both),
+        ``frequency_percent``, ``damping_percent`` (change from the first to the second), ``mac``, ``same_shape`` (bool).
+    only_first, only_second : tuple of int
+        Modes without a partner.
+    mac : (n_first, n_second) array
+        At the DOFs that both have.
+    n_dofs : int
+        How many these are.
+    """
+
+    first: ModalModel
+    second: ModalModel
+    modes: tuple[dict[str, Any], ...]
+    only_first: tuple[int, ...]
+    only_second: tuple[int, ...]
+    mac: NDArray[np.float64]
+    n_dofs: int
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        shift = [abs(m["frequency_percent"]) for m in self.modes]
+        lonely = len(self.only_first) + len(self.only_second)
+        return {
+            "Pairs": f"{counted(len(self.modes), 'mode')} paired over {counted(self.n_dofs, 'DOF')}",
+            "Shapes": f"{sum(m['same_shape'] for m in self.modes)} with MAC ≥ {THRESHOLD:g}",
+            "Frequencies": f"frequencies differ by up to {max(shift):.3g} %" if shift else "",
+            "Alone": f"{lonely} without a partner" if lonely else "",
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: pairs, modes without a partner, MAC matrix."""
+        return {
+            "modes": [dict(m) for m in self.modes],
+            "only_first": list(self.only_first),
+            "only_second": list(self.only_second),
+            "mac": self.mac.tolist(),
+            "n_dofs": self.n_dofs,
+        }
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """One row a pair of modes.
+
+        Raises
+        ------
+        MissingError
+            If pandas is not installed.
+        """
+        rows = [
+            {k: v for k, v in m.items() if not isinstance(v, list)}
+            | {f"{k}_{side}": m[k][i] for k in ("frequency_hz", "damping_ratio") for i, side in enumerate(("first", "second"))}
+            for m in self.modes
+        ]
+        table: pandas.DataFrame = importlib.import_module("operando.io.frames").library("pandas").DataFrame(rows)
+        return table
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """The cross-MAC of both models (:func:`operando.plots.plot_mac`).
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_mac(self.first, self.second, axes)
+        return made
+
+
+def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None = None) -> ModelComparison:
+    """Pair the modes of two models by shape and frequency.
+
+    Parameters
+    ----------
+    first, second : ModalModel, or a model with modes
+        A hybrid model counts by its scaled modes, a model with effects by those of the running structure.
+    band_hz : (float, float), optional
+        Modes used; default all.
+
+    Raises
+    ------
+    ObjectError
+        If one has no modes to pair.
+    DataError
+        If they have no DOF in common, or one has no mode in the band.
+    """
+    a, b = (_in_band(modal_of(m), band_hz) for m in (first, second))
+    shapes_a, shapes_b, dofs = common_shapes(a, b)
+    pairing = pair_modes(shapes_a, a.frequencies_hz, shapes_b, b.frequencies_hz, THRESHOLD)
+    rows: list[dict[str, Any]] = []
+    for p in pairing.pairs:
+        if p.idle is None:
+            continue
+        f = float(a.frequencies_hz[p.idle]), float(b.frequencies_hz[p.operating])
+        z = float(a.damping_ratios[p.idle]), float(b.damping_ratios[p.operating])
+        rows.append(
+            {
+                "first": int(p.idle), "second": int(p.operating), "frequency_hz": list(f), "damping_ratio": list(z),
+                "frequency_percent": 100 * (f[1] - f[0]) / f[0] if f[0] else None,
+                "damping_percent": 100 * (z[1] - z[0]) / z[0] if z[0] else None,
+                "mac": float(p.mac), "same_shape": bool(p.mac >= THRESHOLD),
+            }
+        )  # fmt: skip
+    rows.sort(key=lambda r: r["first"])
+    taken = {r["second"] for r in rows}
+    alone = tuple(j for j in range(b.n_modes) if j not in taken)
+    return ModelComparison(a, b, tuple(rows), tuple(pairing.idle_without_partner), alone, pairing.mac, len(dofs))
+
+
+def modal_of(model: Any) -> ModalModel:
+    """The modes of a model: itself, the scaled ones of a hybrid model, those of the running structure of a model with effects.
+
+    Raises
+    ------
+    ObjectError
+        If it has none.
+    """
+    if isinstance(model, ModalModel):
+        return model
+    inner = getattr(model, "modal", None)
+    if isinstance(inner, ModalModel):
+        return inner
+    modes = getattr(model, "modes", None)
+    made = modes() if callable(modes) else None
+    if not isinstance(made, ModalModel):
+        raise ObjectError(f"a {type(model).__name__} has no modes to pair", hint="give models, or FRFs as the second")
+    return made
+
+
+def _in_band(model: ModalModel, band_hz: tuple[float, float] | None) -> ModalModel:
+    if band_hz is None:
+        if not model.n_modes:
+            raise DataError("a model without modes cannot be compared")
+        return model
+    f = model.frequencies_hz
+    keep = (f >= band_hz[0]) & (f <= band_hz[1])
+    if not keep.any():
+        raise DataError(f"a model has no mode in {band_hz[0]:g} to {band_hz[1]:g} Hz")
+    return model.select_modes(keep)

@@ -1,0 +1,139 @@
+"""What all nouns can do: show themselves in short, be saved, take the forms of other libraries.
+
+The work is done in rooms below this one (io, plots), loaded by name when it is asked for: data imports nothing of them.
+"""
+
+from __future__ import annotations
+
+import html
+import importlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from operando.errors import ObjectError
+from operando.printable import printable
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+T = TypeVar("T")
+
+MOST_NAMES = 4
+"""Names shown of a list in the short form of an object."""
+
+
+def plots() -> Any:
+    """The room of figures, with matplotlib behind it."""
+    return importlib.import_module("operando.plots")
+
+
+def names_text(names: Iterable[object], most: int = MOST_NAMES) -> str:
+    """``1+Z, 2+Z, 3+Z, … (13)``: the first few of a list of names, and how many there are."""
+    words = [str(n) for n in names]
+    return ", ".join(words) if len(words) <= most else f"{', '.join(words[: most - 1])}, … ({len(words)})"
+
+
+def counted(n: int, noun: str) -> str:
+    """``1 force``, ``3 forces``."""
+    return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+class Short:
+    """Short ``repr``, and a table in notebooks; both from the facts that an object states about itself."""
+
+    def facts(self) -> dict[str, str]:
+        """What the short form of the object says: name of each fact → words."""
+        return {}
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {'; '.join(printable(v) for v in self.facts().values() if v)}>"
+
+    def _repr_html_(self) -> str:
+        text = lambda value: html.escape(printable(value), quote=True)  # noqa: E731
+        rows = "".join(
+            f'<tr><th scope="row" style="text-align:left">{text(k)}</th><td style="text-align:left">{text(v)}</td></tr>'
+            for k, v in self.facts().items()
+            if v
+        )
+        caption = f'<caption style="text-align:left;font-weight:bold">{text(type(self).__name__)}</caption>'
+        return f"<table>{caption}<tbody>{rows}</tbody></table>"
+
+
+class Saved(Short):
+    """Adds ``save`` to an object that the HDF5 file of operando can hold."""
+
+    def save(self, path: str | Path) -> None:
+        """Write the object into a file, which appears whole or not at all; :func:`operando.load` gives it back.
+
+        Parameters
+        ----------
+        path : path
+            ``.h5`` keeps everything. ``.uff``, ``.unv``, ``.mat`` and ``.csv`` take what these formats can hold; what they cannot is
+            said in a warning.
+
+        Raises
+        ------
+        FormatError
+            If the name tells no format, or the format cannot take such an object.
+        """
+        importlib.import_module("operando.io.objects").save(self, path)
+
+
+class Noun(Saved):
+    """Adds the forms of other libraries to records, FRFs, modal models and geometries."""
+
+    def to_pyuff(self) -> list[dict[str, Any]]:
+        """Sets of UFF as the dictionaries of pyuff (:func:`operando.io.uff.dictionaries.dictionaries`)."""
+        sets: list[dict[str, Any]] = importlib.import_module("operando.io.uff.dictionaries").dictionaries(self)
+        return sets
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Numbers as a table of pandas, with units in ``.attrs`` (:func:`operando.io.frames.dataframe`).
+
+        Raises
+        ------
+        MissingError
+            If pandas is not installed.
+        """
+        table: pandas.DataFrame = importlib.import_module("operando.io.frames").dataframe(self)
+        return table
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Arrays with their labels as a dataset of xarray (:func:`operando.io.frames.dataset`).
+
+        Raises
+        ------
+        MissingError
+            If xarray is not installed.
+        """
+        made: xarray.Dataset = importlib.import_module("operando.io.frames").dataset(self)
+        return made
+
+
+def several(value: Any, kind: type[T], what: str, hint: str) -> list[T]:
+    """One object of a kind, or several in a list or tuple, as a list.
+
+    Raises
+    ------
+    ObjectError
+        If it is something else; it says what was given and what to do.
+    """
+    items = list(value) if isinstance(value, list | tuple) else [value]
+    for item in items:
+        expect(item, kind, what, hint)
+    return items
+
+
+def expect(value: Any, kinds: type | tuple[type, ...], what: str, hint: str) -> None:
+    """Refuse an object of another kind than a function works on.
+
+    Raises
+    ------
+    ObjectError
+        It says what was given and what to do.
+    """
+    if not isinstance(value, kinds):
+        found = f"a list of {type(value[0]).__name__}" if isinstance(value, list | tuple) and value else f"{type(value).__name__}"
+        raise ObjectError(f"{what}, not {found}", hint=hint)

@@ -1,0 +1,74 @@
+"""Objects to files and back: what ``save`` and ``load`` do for one object."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.errors import FormatError, OperandoError
+from operando.io.convert import format_of, holds, losses, write_objects
+from operando.io.hdf5 import UNREADABLE, read_hdf5, write_hdf5
+from operando.io.safe import opened_hdf5
+
+NAMES = {TimeRecord: "record", Frf: "frf", ModalModel: "model", Geometry: "geometry"}
+"""Group of each noun in an HDF5 file."""
+
+
+def save(obj: Any, path: str | Path) -> None:
+    """Write one object; the format follows from the name of the file.
+
+    Parameters
+    ----------
+    obj : any object of operando
+    path : path
+        ``.h5`` keeps everything; other formats take what they can hold, and a warning says what they cannot.
+
+    Raises
+    ------
+    FormatError
+        If the name tells no format, or the format cannot take such an object.
+    """
+    kind = format_of(path)
+    if kind == "hdf5":
+        write_hdf5(path, {NAMES.get(type(obj), type(obj).__name__.lower()): obj})
+        return
+    if not holds(kind, obj):
+        raise FormatError(f"{kind} cannot hold a {type(obj).__name__}", where=str(path), hint="save it as .h5")
+    write_objects(kind, Path(path), [obj])
+    for text in losses(obj, kind, True):
+        warnings.warn(f"{Path(path).name}: {text}", stacklevel=4)
+
+
+def load_object(path: str | Path) -> Any:
+    """The one object that :func:`save` wrote into an HDF5 file.
+
+    Raises
+    ------
+    FormatError
+        If the file is no HDF5 file of operando, or holds several objects.
+    """
+    found = read_hdf5(path)
+    if len(found) != 1:
+        raise FormatError(
+            f"the file holds {len(found)} objects: {', '.join(found)}", where=str(path), hint="operando.read gives all of them"
+        )
+    return next(iter(found.values()))
+
+
+def object_names(path: str | Path) -> tuple[str, ...]:
+    """Names of the objects in an HDF5 file of operando.
+
+    Raises
+    ------
+    FormatError
+        If it is none, or damaged.
+    """
+    try:
+        with opened_hdf5(path) as file:
+            return tuple(str(name) for name in file)
+    except OperandoError:
+        raise
+    except UNREADABLE as error:
+        raise FormatError(f"cannot be read as HDF5: {error}", where=str(path), hint="operando.read takes files of other formats") from error

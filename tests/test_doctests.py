@@ -1,0 +1,36 @@
+"""The examples in the docstrings of what users call run and show what they say."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import warnings
+
+import pytest
+
+MODULES = (
+    "operando.dof", "operando.indicators", "operando.store", "operando.data.frf", "operando.data.quantities", "operando.io.frames",
+    "operando.compare.comparison", "operando.compare.maps", "operando.ema.indicator_functions", "operando.stabilization.classify",
+    "operando.plots.errors", "operando.plots.fits", "operando.plots.frfs", "operando.plots.modes", "operando.plots.ofrfs",
+    "operando.plots.records", "operando.plots.shapes", "operando.plots.stabilization",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_run(name):
+    import matplotlib.pyplot as plt
+
+    if name == "operando.io.frames":
+        pytest.importorskip("pandas")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "More than 20 figures")
+        found = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    plt.close("all")
+    assert found.attempted > 0, "a module of this list has an example"
+    assert found.failed == 0
+
+
+def test_every_figure_has_an_example():
+    plots = importlib.import_module("operando.plots")
+    without = [name for name in plots.__all__ if ">>> " not in (getattr(plots, name).__doc__ or "")]
+    assert set(without) <= {"plot_hybrid", "plot_stabilization_of"}, "these two need a whole identification; the one-liners show them"

@@ -1,0 +1,291 @@
+"""Figures: Axes in and out, what is drawn where, with which units; curves in the figure are the numbers of the objects."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from operando import plots
+from operando.data import Channel, Finding, Frf, Geometry, ModalModel, TimeRecord
+from operando.dof import Dof
+from operando.ema import cmif, mmif
+from operando.errors import DataError, ObjectError
+from operando.indicators import frf_correlation
+from operando.plots.fits import fit_circle
+from operando.plots.mesh import Mesh
+from operando.plots.shapes import draw_shape, real_shape
+from operando.plots.style import log_axis, new_axes, number, thin
+from operando.stabilization import classify, select_modes, stability_letters
+from structures import Chain
+
+LINES = np.linspace(5.0, 90.0, 900)
+
+
+@pytest.fixture(autouse=True)
+def no_figure_stays_open():
+    yield
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def model():
+    chain = Chain(n=4, mass=2.0, stiffness=1.2e5, zeta=0.01, seed=3)
+    dofs = tuple(Dof(k + 1, "Z") for k in range(4))
+    zeta = np.full(4, 0.01)
+    return ModalModel(chain.hz, zeta, chain.phi, dofs, "unit_modal_mass", covariance=np.eye(24) * 1e-10, band_hz=(10.0, 80.0))
+
+
+@pytest.fixture(scope="module")
+def frf(model):
+    made = model.frf(LINES, references="1+Z, 3+Z")
+    return Frf(
+        made.data, LINES, made.responses, made.references, variance=np.abs(made.data) ** 2 / 1e4, coherence=np.full(made.data.shape, 0.9)
+    )
+
+
+@pytest.fixture(scope="module")
+def chain_geometry():
+    return Geometry((1, 2, 3, 4), np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), ((1, 2, 3, 4),))
+
+
+def words(axes):
+    return [t.get_text() for t in axes.get_legend().get_texts()]
+
+
+def test_importing_the_figures_loads_no_matplotlib():
+    code = "import sys, operando.plots; assert not {'matplotlib', 'scipy.signal', 'pandas'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# FRFs.
+
+
+def test_frf_is_drawn_with_its_numbers_and_units(frf):
+    top = plots.plot_frf(frf["2+Z", "1+Z"])
+    magnitude, phase, coherence = top.figure.axes
+    assert magnitude is top
+    assert np.allclose(top.lines[0].get_ydata(), np.abs(frf.data[1, 0]))
+    shown = phase.lines[0].get_ydata()
+    expected = np.degrees(np.angle(frf.data[1, 0]))
+    assert np.allclose(shown[np.isfinite(shown)], expected[np.isfinite(shown)])
+    assert np.allclose(coherence.lines[0].get_ydata(), 0.9)
+    assert top.get_yscale() == "log"
+
+
+def test_large_matrices_say_how_much_is_drawn(model):
+    many = model.frf(LINES)
+    assert plots.plot_frf(many).get_title(loc="left").startswith("1 of 16 pairs")
+    assert len(plots.plot_frf(many, responses="*", references="1+Z").lines) == 4
+
+
+def test_own_axes_get_the_magnitude_alone(frf):
+    own = new_axes()
+    assert plots.plot_frf(frf["1+Z", "1+Z"], own) is own
+    assert len(own.figure.axes) == 1
+
+
+def test_difference_and_noise(frf, model):
+    pair = frf["1+Z", "1+Z"]
+    made = model.frf(LINES, "1+Z", "1+Z")
+    top = plots.plot_frf([pair, made], labels=("measured", "synthesised"), noise=True, difference=True, band=(10, 80))
+    assert words(top) == ["noise level (1 σ)", "difference", "measured", "synthesised"]
+    with pytest.raises(DataError, match="same pairs and lines"):
+        plots.plot_frf([pair, made.decimate(2)], difference=True)
+    with pytest.raises(DataError, match="1 labels for 2"):
+        plots.plot_frf([pair, made], labels=["one"])
+    with pytest.raises(DataError, match="no part"):
+        plots.plot_frf(pair, parts=("magnitude", "fase"))
+
+
+def test_unknown_units_are_said(frf):
+    from dataclasses import replace
+
+    assert plots.plot_frf(replace(frf, si=False)["1+Z", "1+Z"]).get_ylabel() == "Accelerance [units of the file]"
+
+
+def test_ofrf_has_its_band_in_magnitude_and_phase(model):
+    ofrf = model.frf(LINES, "2+Z", "1+Z")
+    top = plots.plot_ofrf(ofrf, idle=model.frf(LINES), response="2+Z", reference="1+Z")
+    magnitude, phase = top.figure.axes
+    assert words(top) == ["idle model", "95 % band", "operating FRF"]
+    half = 1.96 * np.sqrt(ofrf.variance[0, 0] / 2)
+    corners = magnitude.collections[0].get_paths()[0].vertices[:, 1]
+    assert corners.max() == pytest.approx((np.abs(ofrf.data[0, 0]) + half).max(), rel=1e-6)
+    assert len(phase.collections) == 1
+    with pytest.raises(DataError, match="no FRF"):
+        plots.plot_ofrf(None)
+
+
+# Identification.
+
+
+def test_symbols_of_the_stabilisation_diagram():
+    one = np.ones((2, 1))
+    other = np.array([[1.0], [-1.0]])
+    table = classify(
+        [2, 4, 6, 8, 10], [[10.0]] * 5, [[0.01], [0.01], [0.02], [0.02], [-0.1]], [one, one, one, other, other]
+    )  # all, vector alone, damping alone, not physical
+    assert list(stability_letters(table)) == ["o", "s", "v", "d", ""]
+    axes = plots.plot_stabilization(select_modes(table, min_size=2), frf=None, harmonics_hz=[9.9])
+    told = words(axes)
+    assert {"o  new pole", "s  all stable", "v  frequency and vector", "d  frequency and damping", "not physical"} <= set(told)
+    assert any("Δf ≤ 1 %, Δζ ≤ 10 %, MAC ≥ 0.95" in t.get_text() for t in axes.texts)
+    with pytest.raises(ObjectError, match=r"details\.stabilization"):
+        plots.plot_stabilization(table)
+
+
+def test_mode_indicators(frf, model):
+    dips = mmif(frf.data)[0]
+    for hz in model.frequencies_hz:
+        near = np.abs(LINES - hz) < 1.0
+        assert dips[near].min() < 0.1
+        assert np.argmax(cmif(frf.data)[0][near]) == pytest.approx(np.argmin(dips[near]), abs=3)
+    mobility = frf.to_quantity("mobility")
+    assert np.allclose(mmif(mobility.data, "mobility"), mmif(frf.data), atol=1e-6)
+    assert np.array_equal(mmif(np.zeros((2, 2, 3))), np.ones((2, 3)))
+
+
+def test_mmif_is_the_least_in_phase_part_of_any_force():
+    """Against its definition: the least of fᵀAf/fᵀ(A+B)f over real forces f, by a scan."""
+    rng = np.random.default_rng(4)
+    h = rng.normal(size=(3, 2, 1)) + 1j * rng.normal(size=(3, 2, 1))
+    a, b = (p[:, :, 0].T @ p[:, :, 0] for p in (h.real, h.imag))
+    angle = np.linspace(0, np.pi, 20001)
+    f = np.array([np.cos(angle), np.sin(angle)])
+    ratio = np.einsum("ik,ij,jk->k", f, a, f) / np.einsum("ik,ij,jk->k", f, a + b, f)
+    assert mmif(h)[:, 0] == pytest.approx([ratio.min(), ratio.max()], abs=1e-6)
+
+
+def test_circle_and_nyquist(frf, model):
+    turn = np.exp(1j * np.linspace(0.3, 4, 9))
+    centre, radius = fit_circle(3 - 2j + 5e-3 * turn)
+    assert (centre, radius) == (pytest.approx(3 - 2j), pytest.approx(5e-3))
+    axes = plots.plot_nyquist(frf, model, mode=1)
+    assert words(axes) == ["measured lines", "synthesised", "circle fitted"]
+    assert axes.get_aspect() == 1.0
+    with pytest.raises(DataError, match="no mode 7"):
+        plots.plot_nyquist(frf, model, mode=7)
+    with pytest.raises(DataError, match="give a model"):
+        plots.plot_nyquist(frf, mode=0)
+
+
+def test_synthesis_correlation_is_by_pair(frf, model):
+    assert np.allclose(frf_correlation(frf, frf), 1)
+    shifted = model.with_terms(frequencies_hz=model.frequencies_hz * 1.02)
+    axes = plots.plot_synthesis_correlation(frf, shifted)
+    values = frf_correlation(frf.band(10, 80), shifted.frf(frf.band(10, 80).frequencies_hz, references="1+Z, 3+Z"))
+    assert sorted(p.get_height() for p in axes.patches) == pytest.approx(sorted(100 * values.ravel()))
+    assert values.max() < 0.9
+
+
+# Models.
+
+
+def test_mac_and_participation_write_their_values(model):
+    axes = plots.plot_mac(model, model["4-Z, 2+Z, 1+Z"])
+    assert axes.get_title(loc="left") == "Cross-MAC over 3 DOFs"
+    assert [t.get_text() for t in axes.texts].count("1") == 4
+    share = plots.plot_participation(model, dofs="1+Z")
+    peak = np.abs(model.shapes).max(axis=0)
+    assert [t.get_text() for t in share.texts] == [f"{100 * abs(v) / p:.0f}" for v, p in zip(model.shapes[0], peak, strict=True)]
+    with pytest.raises(ObjectError, match=r"hybrid model its \.modal"):
+        plots.plot_participation("model")
+
+
+def test_shapes_stand_where_the_nodes_move(model, chain_geometry):
+    axes = plots.plot_shape(model, -1, chain_geometry)
+    assert axes.get_title() == f"Mode 3: {model.frequencies_hz[3]:.2f} Hz, ζ 1.00 %"
+    assert [axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()] == ["x [m]", "y [m]", "z [m]"]
+    assert [t.get_text() for t in axes.texts] == ["1", "2", "3", "4"]
+    mesh = Mesh(chain_geometry, model.dofs)
+    drawn = draw_shape(new_axes(4, 4, "3d"), mesh, real_shape(model.shapes[:, 3]))
+    moved, signed = drawn.placed(real_shape(model.shapes[:, 3]))
+    assert np.abs(moved[:, 2]).max() == pytest.approx(0.13 * 3.0)
+    assert np.allclose(np.abs(signed), np.abs(real_shape(model.shapes[:, 3])))
+    back = drawn.move(-real_shape(model.shapes[:, 3]))
+    assert np.allclose(drawn.parts["nodes"]._offsets3d[2], -moved[:, 2])
+    assert back
+    with pytest.raises(DataError, match="no mode 4"):
+        plots.plot_shape(model, 4, chain_geometry)
+    with pytest.raises(ObjectError, match="flat axes"):
+        plots.plot_shape(model, 0, chain_geometry, new_axes())
+    with pytest.raises(DataError, match="two measured nodes"):
+        plots.plot_shape(model, 0, Geometry((9,), np.zeros((1, 3))))
+    with pytest.raises(DataError, match="moves on a geometry"):
+        plots.animate_shape(model, 0)
+
+
+def test_complex_shapes_are_turned_to_the_real_axis():
+    assert np.allclose(np.abs(real_shape(np.array([1.0, -0.5]) * np.exp(0.7j))), [1.0, 0.5])
+    assert plots.plot_complexity(ModalModel([1.0], [0.01], np.array([[1.0], [1j]]), "1+Z, 2+Z")).patches[0].get_height() == pytest.approx(0)
+
+
+# Records.
+
+
+def hammer_record():
+    rng = np.random.default_rng(1)
+    force = 0.01 * rng.normal(size=8000)
+    for start, level in ((1000, 100.0), (3000, 80.0), (5000, 10.0), (7000, 90.0)):
+        force[start : start + 5] += level * np.array([0.2, 0.8, 1.0, 0.7, 0.1])
+    channels = (Channel(Dof(1, "Z"), "force", "N"), Channel(Dof(2, "Z"), "acceleration", "m/s2"))
+    finding = Finding("overload", "too much", dof="2+Z", time_s=(2.0, 3.0))
+    return TimeRecord(np.array([force, rng.normal(size=8000)]), 1000.0, channels, findings=(finding,))
+
+
+def test_hits_are_numbered_and_rejected_ones_say_why():
+    axes = plots.plot_hits(hammer_record())
+    told = words(axes)
+    assert [w.split()[0] for w in told] == ["0", "1", "2", "3"]
+    assert "not used: weak hit" in told[2]
+    assert axes.get_title(loc="left") == "1+Z: 4 hits, 3 used"
+    spectra = plots.plot_force_spectra(hammer_record())
+    first = spectra.lines[0]
+    assert first.get_ydata()[0] == pytest.approx(2.8 * 100 / 1000, rel=0.02)  # at 0 Hz the impulse, N·s
+    with pytest.raises(DataError, match="no hits"):
+        plots.plot_hits(hammer_record().select([1]))
+    with pytest.raises(DataError, match="no force"):
+        plots.plot_force_spectra(hammer_record().select([1]))
+
+
+def test_records_stand_below_one_another_and_findings_are_marked():
+    axes = plots.plot_record(hammer_record())
+    assert [a.get_ylabel() for a in axes.figure.axes] == ["1+Z\n[N]", "2+Z\n[m/s²]"]
+    assert [t.get_text() for t in axes.figure.axes[1].texts] == ["overload"]
+    with pytest.raises(DataError, match="do not fit the same axes"):
+        plots.plot_record(hammer_record(), new_axes())
+    assert plots.plot_record(hammer_record(), new_axes(), channels="2+Z").get_ylabel() == "Acceleration [m/s²]"
+
+
+def test_densities_hold_the_mean_square():
+    record = hammer_record()
+    axes = plots.plot_psd(record, channels="2+Z", block_seconds=1.0)
+    f, y = axes.lines[0].get_data()
+    assert np.sum(y) * (f[1] - f[0]) == pytest.approx(np.var(record.data[1]), rel=0.1)
+    assert axes.get_ylabel() == "Acceleration [(m/s²)²/Hz]"
+
+
+# Style.
+
+
+def test_curves_keep_their_extremes_when_thinned():
+    x = np.arange(20000.0)
+    y = np.random.default_rng(3).normal(size=x.size)
+    keep = thin(x, y, 300)
+    assert keep.size < 1300
+    assert {int(np.argmax(y)), int(np.argmin(y)), 0, x.size - 1} <= set(keep.tolist())
+
+
+def test_numbers_on_logarithmic_axes_are_readable():
+    axes = new_axes()
+    axes.set_yscale("log")
+    axes.set_ylim(0.15, 0.8)  # less than a decade: 2 and 5 are numbered
+    log_axis(axes.yaxis)
+    axes.figure.canvas.draw()
+    assert {"0.2", "0.5"} <= {t.get_text() for t in axes.get_yticklabels()}
+    assert [number(v) for v in (0.0, 1234.5, 1.5e-6, -2e7)] == ["0", "1234", "1.50·10⁻⁶", "−2.00·10⁷"]
