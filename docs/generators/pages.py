@@ -10,13 +10,14 @@ from typing import Any
 
 from generators import api, commands, effects, findings, test_file
 
-MADE = "_made"
+MADE, API = "_made", "api"
 
 
 def make(docs: Path) -> Path:
-    """Write everything that comes from the code into ``docs/_made``, anew."""
+    """Write everything that comes from the code into ``docs/_made`` and ``docs/api``, anew."""
     out = docs / MADE
-    shutil.rmtree(out, ignore_errors=True)
+    for folder in (out, docs / API):
+        shutil.rmtree(folder, ignore_errors=True)
     out.mkdir(parents=True)
     parts = {
         "test_file": test_file.page(),
@@ -26,7 +27,7 @@ def make(docs: Path) -> Path:
     }
     for name, text in parts.items():
         (out / f"{name}.inc.md").write_text(text + "\n", encoding="utf-8")
-    api.write(out / "api")
+    api.write(docs / API)
     return out
 
 
@@ -36,7 +37,7 @@ def plain(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[st
         parts = re.split(r"(``[^`]*``|:[a-z]+:`[^`]*`|`[^`]*`_?)", line)
         if line.lstrip().startswith((":", ".. ")) and not re.match(r"\s*:(param|returns|raises|ivar)", line):
             continue
-        lines[i] = "".join(part if n % 2 else re.sub(r"(?<!\\)([|])", r"\\\1", part) for n, part in enumerate(parts))
+        lines[i] = "".join(part if n % 2 else re.sub(r"(?<!\\)([|]|(?<=\w)_(?!\w))", r"\\\1", part) for n, part in enumerate(parts))
 
 
 class _Docstrings(logging.Filter):
