@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import html
 from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.util import logging
+
+LOG = logging.getLogger(__name__)
 
 
 def formula(text: str, block: bool = False) -> str:
@@ -22,13 +26,21 @@ def formula(text: str, block: bool = False) -> str:
         raise ValueError(f"the formula {text!r} cannot be drawn: {error}") from error
 
 
+def _drawn(node: nodes.Node, block: bool) -> str:
+    try:
+        return formula(node.astext(), block)
+    except ValueError as error:
+        LOG.warning("%s", error, location=node)
+        return f"<code>{html.escape(node.astext())}</code>"
+
+
 def _inline(self: Any, node: nodes.math) -> None:
-    self.body.append(formula(node.astext()))
+    self.body.append(_drawn(node, block=False))
     raise nodes.SkipNode
 
 
 def _block(self: Any, node: nodes.math_block) -> None:
-    self.body.append(f'<div class="formula">{formula(node.astext(), block=True)}</div>')
+    self.body.append(f'<div class="formula">{_drawn(node, block=True)}</div>')
     raise nodes.SkipNode
 
 
