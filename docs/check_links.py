@@ -1,6 +1,6 @@
 """Checks every link inside the built site: the page and the place on it must exist, and nothing is loaded from the network.
 
-    python docs/check_links.py build/docs
+python docs/check_links.py build/docs
 """
 
 from __future__ import annotations

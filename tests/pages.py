@@ -105,7 +105,7 @@ def run_page(page: Path, folder: Path) -> list[str]:
                     out.write(run_command(words, folder))
             elif block.language == "toml":
                 first = block.text.splitlines()[0]
-                assert first.startswith("# ") and first.endswith(".toml"), "the first line of a TOML block names its file"
+                assert re.fullmatch(r"# \S+\.toml", first), "the first line of a TOML block names its file"
                 (folder / first.removeprefix("# ")).write_text(block.text, encoding="utf-8")
             else:
                 with contextlib.redirect_stdout(out):

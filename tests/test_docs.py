@@ -1,4 +1,4 @@
-"""The documentation: every command, test file and snippet of README and docs/ runs; the references hold what the code takes; the site builds."""
+"""The documentation: every command and snippet of README and docs/ runs, references hold what the code takes, the site builds."""
 
 from __future__ import annotations
 
@@ -56,9 +56,10 @@ def test_blocks_are_programs_or_say_that_they_are_not():
 
 
 def test_pages_name_commands_that_exist():
-    called = {words[1] for page in pages() for b in programs(page) if b.language == "sh" for words in command_lines(b) if words[0] == "operando"}
+    shell = [b for page in pages() for b in programs(page) if b.language == "sh"]
+    called = {words[1] for b in shell for words in command_lines(b) if words[0] == "operando"}
     assert called <= set(COMMANDS)
-    assert called >= {"demo", "init", "inspect", "run", "ema", "oma", "ofrf", "compare", "diagnose", "add", "remove", "report", "campaign", "convert"}
+    assert called >= set(COMMANDS) - {"frf"}, "a command that no page shows"
 
 
 def test_links_of_written_pages_lead_somewhere():

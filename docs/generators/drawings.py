@@ -74,7 +74,7 @@ def curves(kind: Any) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, str, s
     """Abscissa, curve before (or None), curve after, and the names of both axes."""
     values, idle = values_of(kind), frf()[:, WHERE, OTHER]
     decibel = lambda h: 20 * np.log10(np.abs(h))  # noqa: E731
-    hz, level = "frequency [Hz]", "accelerance [dB re 1 (m/s²)/N]"
+    hz, level = "frequency [Hz]", "accelerance [dB]"
     if kind.acts == "pseudo_force":
         t = np.arange(0, 2 / SPEED_HZ, 1e-5)
         x, v = STROKE * np.sin(2 * np.pi * SPEED_HZ * t), STROKE * 2 * np.pi * SPEED_HZ * np.cos(2 * np.pi * SPEED_HZ * t)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import operando
-
 from generators.drawings import draw
 
 GROUPS = {
@@ -25,7 +24,12 @@ DRAWN = {
     "pseudo_force": "Restoring force over one period of a sinusoidal motion.",
     "excitation": "Spectrum of a response: grey without, orange with the lines.",
 }
-MOVES = {"frequencies": "natural frequencies", "damping": "damping", "both": "natural frequencies and damping", "nothing": "only what is measured"}
+MOVES = {
+    "frequencies": "natural frequencies",
+    "damping": "damping",
+    "both": "natural frequencies and damping",
+    "nothing": "only what is measured",
+}
 
 
 def kinds() -> dict[str, Any]:

@@ -19,8 +19,12 @@ GROUPS = (
     ("FRF estimation", "frf", "Found in hits, runs and FRFs."),
     ("EMA", "ema", "Found by the modal analysis of the idle FRFs."),
     ("OMA", "oma", "Found by the modal analysis of operating records."),
-    ("Scaling and comparison", "scaling compare diagnose nonlinear diagnosis structure", "Found where the idle and the operating state are put together."),
-)  # fmt: skip
+    (
+        "Scaling and comparison",
+        "scaling compare diagnose nonlinear diagnosis structure",
+        "Found where the idle and the operating state are put together.",
+    ),
+)
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import html
 from typing import Any
+from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 LOG = logging.getLogger(__name__)
+NAMESPACE = "{http://www.w3.org/1998/Math/MathML}"
+ACCENTS = "ˆ~¯˙¨→"
 
 
 def formula(text: str, block: bool = False) -> str:
@@ -21,9 +24,27 @@ def formula(text: str, block: bool = False) -> str:
         If the formula uses what is not known, with the formula in the message.
     """
     try:
-        return tex2mathml(text, as_block=block)
+        drawn = tex2mathml(text, as_block=block)
     except Exception as error:
         raise ValueError(f"the formula {text!r} cannot be drawn: {error}") from error
+    tree = ElementTree.fromstring(drawn.replace("&ApplyFunction;", "\u2061"))
+    for parent in [*tree.iter()]:
+        for place, child in enumerate(parent):
+            if child.tag == NAMESPACE + "munderover" and (child[2].text or "") in ACCENTS:
+                parent[place] = _accented(child)
+    ElementTree.register_namespace("", NAMESPACE[1:-1])
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _accented(node: ElementTree.Element) -> ElementTree.Element:
+    """An accented letter with an index: the index stands beside, not below, as the converter has it."""
+    base, index, accent = node
+    letter = ElementTree.Element(NAMESPACE + "mover", {"accent": "true"})
+    letter.extend((base, accent))
+    out = ElementTree.Element(NAMESPACE + "msub")
+    out.extend((letter, index))
+    out.tail = node.tail
+    return out
 
 
 def _drawn(node: nodes.Node, block: bool) -> str:

@@ -1,4 +1,4 @@
-"""The reference of the test file and the campaign file: keys, defaults and values from the code, one sentence a key from here or from docstrings.
+"""The reference of the test file and the campaign file: keys, defaults and values from the code, a sentence for each key.
 
 The parser itself is asked which keys it knows, so the page cannot fall behind; a key without a sentence is an error.
 """
@@ -19,12 +19,19 @@ from operando.errors import ConfigError
 NOT_A_KEY = "%%%%"
 
 SECTIONS: dict[str, tuple[str, str]] = {
-    "": ("The file itself", "Paths and patterns are relative to the test file. An unknown key is an error that names the nearest known one."),
+    "": (
+        "The file itself",
+        "Paths and patterns are relative to the test file. An unknown key is an error that names the nearest known one.",
+    ),
     "idle": ("`[idle]`: reference state, force measured", "Either `records` or `frfs`, not both."),
-    "operating": ("`[operating]`: operating state, force unknown", "The same keys as `[idle]`. FRFs cannot stand here: without a force there are none."),
+    "operating": (
+        "`[operating]`: operating state, force unknown",
+        "Records only: without a force there are no FRFs, and `frfs` is refused.",
+    ),
     "check": (
         "`[check]`: validation measurement (optional)",
-        "The operating state with a measured force. The model is compared with it and never fitted to it. The same keys as `[idle]`.",
+        "The operating state with a measured force. The OFRFs of the hybrid route are compared with it and never use it. "
+        "The same keys as `[idle]`.",
     ),
     "records": (
         "A part of a record",
@@ -44,7 +51,7 @@ SECTIONS: dict[str, tuple[str, str]] = {
         "For sensors along no axis: a label and its unit vector in the frame of the geometry. The label is a node, a sign and a name in "
         'lower case (`"5+a" = [0.86, 0.47, -0.15]`), or the label that the file has.',
     ),
-}  # fmt: skip
+}
 
 STATE = {
     "records": "Raw time histories: a list of paths, patterns or tables. One file is one run.",
@@ -70,12 +77,15 @@ WORDS: dict[str, dict[str, str]] = {
         "start_s": "First time used, on the record's own time axis [s]. Default: the beginning.",
         "stop_s": "Last time used [s]. Default: the end.",
     },
-    "geometry": {"file": "UFF file with nodes; exactly one.", "units": "Unit of the coordinates where the file does not say, as in `\"mm\"`."},
+    "geometry": {
+        "file": "UFF file with nodes; exactly one.",
+        "units": 'Unit of the coordinates where the file does not say, as in `"mm"`.',
+    },
     "units": {
         "length": "Unit of coordinates in the measurement files.",
         "sampling_hz": "Sampling rate of tables that have no time column [Hz].",
-        "columns": 'What the columns of a table without a header line are: `["Hz", "dB", "deg"]`, `["Hz", "real", "imag"]` or, for records, '
-        '`["s", "g", "N"]`.',
+        "columns": 'What the columns of a table without a header line are: `["Hz", "dB", "deg"]`, `["Hz", "real", "imag"]` or, '
+        'for records, `["s", "g", "N"]`.',
     },
     "channels": {
         "dof": "DOF of the channel: node, sign, axis, as in `12+Z`.",
@@ -85,7 +95,7 @@ WORDS: dict[str, dict[str, str]] = {
         "exclude": "`true` leaves the channel out.",
         "reason": "Why; it stands in the report.",
     },
-}  # fmt: skip
+}
 
 CAMPAIGN: dict[str, str] = {
     "name": "Name of the campaign. Default: the name of the folder.",
@@ -97,7 +107,8 @@ CAMPAIGN: dict[str, str] = {
     "over": "Parameter on the horizontal axis of the report. Default: the first that varies.",
     "baseline": "The test every state is compared with, by name or parameters. Default: the first.",
     "until": "Last stage of each test.",
-    "workers": 'What the tests run on: `{processes = 4}`, `{scheduler = "tcp://host:8786"}`, or `{cluster = "slurm", jobs = 20, options = {…}}`.',
+    "workers": 'What the tests run on: `{processes = 4}`, `{scheduler = "tcp://host:8786"}`, or '
+    '`{cluster = "slurm", jobs = 20, options = {…}}`.',
 }
 
 
@@ -113,7 +124,7 @@ def known_keys(section: str) -> tuple[str, ...]:
     bad = f'"{NOT_A_KEY}" = 1'
     text = {
         "": bad,
-        "records": f'[idle]\nrecords = [{{{bad}}}]',
+        "records": f"[idle]\nrecords = [{{{bad}}}]",
         "channels": f'[operating]\nrecords = ["test.toml"]\n[channels]\nch1 = {{{bad}}}',
     }.get(section, f'[operating]\nrecords = ["test.toml"]\n[{section}]\n{bad}' if section != "operating" else f"[operating]\n{bad}")
     with tempfile.TemporaryDirectory() as folder:
@@ -222,9 +233,10 @@ def page() -> str:
             units = _quantities() if section == "units" else {}
             if units:
                 names = ", ".join(f"`{q}` ({u or 'no unit'})" for q, u in units.items())
-                out.append(f"| a quantity | Its unit, as in `acceleration = \"g\"`. Quantities, with the SI unit used inside: {names} |")
+                out.append(f'| a quantity | Its unit, as in `acceleration = "g"`. Quantities, with the SI unit used inside: {names} |')
             out += [f"| `{key}` | {_cell(WORDS[section][key])} |" for key in known_keys(section) if key not in units]
         out.append("")
-    out += ["## The campaign file", "", "`operando campaign campaign.toml` runs many tests. Give `tests`, or `template` with `rows` or `table`.", ""]
+    words = "`operando campaign campaign.toml` runs many tests. Give `tests`, or `template` with `rows` or `table`."
+    out += ["## The campaign file", "", words, ""]
     out += ["| key | meaning |", "| --- | --- |", *(f"| `{key}` | {_cell(CAMPAIGN[key])} |" for key in known_campaign_keys()), ""]
     return "\n".join(out)
