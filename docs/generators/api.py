@@ -1,4 +1,4 @@
-"""API pages from the public names: one page a name of `import operando`, one page a room for the rest; new names join by themselves."""
+"""API pages from the public names: one a name of `import operando`, one a package for the rest; new names join by themselves."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def write(folder: Path) -> None:
         page = [*_title(f"operando.{name}"), ".. currentmodule:: operando", "", *_entry("operando", name, thing)]
         (folder / f"operando.{name}.rst").write_text("\n".join(page), encoding="utf-8")
     index += ["", ".. toctree::", "   :hidden:", "", *(f"   operando.{name}" for name in names), ""]
-    index += ["Rooms of the package", "--------------------", "", "Public names of each room, for who needs the parts.", ""]
+    index += ["Packages", "--------", "", "Public names of each package, for who needs the parts.", ""]
     index += [".. toctree::", "   :maxdepth: 1", "", *(f"   room.{name}" for name in rooms()), ""]
     (folder / "index.rst").write_text("\n".join(index), encoding="utf-8")
     for name in rooms():

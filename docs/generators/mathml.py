@@ -30,10 +30,17 @@ def formula(text: str, block: bool = False) -> str:
     tree = ElementTree.fromstring(drawn.replace("&ApplyFunction;", "\u2061"))
     for parent in [*tree.iter()]:
         for place, child in enumerate(parent):
-            if child.tag == NAMESPACE + "munderover" and (child[2].text or "") in ACCENTS:
+            if _is_accented(child):
                 parent[place] = _accented(child)
+        if parent.tag == NAMESPACE + "msup" and parent[0].get("class") == "accented":  # a power beside the index, not above it
+            (letter, index), power = list(parent[0]), parent[1]
+            parent.tag, parent[:] = NAMESPACE + "msubsup", [letter, index, power]
     ElementTree.register_namespace("", NAMESPACE[1:-1])
     return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _is_accented(node: ElementTree.Element) -> bool:
+    return node.tag == NAMESPACE + "munderover" and (node[2].text or "") in ACCENTS
 
 
 def _accented(node: ElementTree.Element) -> ElementTree.Element:
@@ -41,7 +48,7 @@ def _accented(node: ElementTree.Element) -> ElementTree.Element:
     base, index, accent = node
     letter = ElementTree.Element(NAMESPACE + "mover", {"accent": "true"})
     letter.extend((base, accent))
-    out = ElementTree.Element(NAMESPACE + "msub")
+    out = ElementTree.Element(NAMESPACE + "msub", {"class": "accented"})
     out.extend((letter, index))
     out.tail = node.tail
     return out
