@@ -39,7 +39,7 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True  # an attribute is listed in its class, not as a second target
 add_module_names = False
-templates_path = ["_templates"]
+suppress_warnings = ["ref.python"]  # types that docstrings name, where two classes have a member of that name
 
 html_theme = "furo"
 html_title = f"operando {release}"
