@@ -29,22 +29,6 @@ def own_kinds_gone():
         unregister(name)
 
 
-@pytest.fixture(scope="module")
-def chain(tmp_path_factory):
-    """A folder in which the tutorials were followed from the first on, and what each printed."""
-    folder = tmp_path_factory.mktemp("pages")
-    (folder / "data").symlink_to(ROOT / "data")
-    before = set(catalogue())
-    printed = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for name in FIRST:
-            printed[name] = run_page(ROOT / name, folder)
-    for name in set(catalogue()) - before:
-        unregister(name)
-    return folder, printed
-
-
 def page_name(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
@@ -72,12 +56,26 @@ def test_links_of_written_pages_lead_somewhere():
             assert target.startswith(("http", "mailto")) or there.exists() or there in made, f"{page_name(page)} points to {target}"
 
 
-def test_tutorials_of_the_whole_chain_run(chain):
-    folder, printed = chain
+def test_tutorials_of_the_whole_chain_and_readme_run(tmp_path, monkeypatch, own_kinds_gone):
+    folder, again = tmp_path / "tutorials", tmp_path / "readme"
+    for place in (folder, again):
+        place.mkdir()
+        (place / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(folder)
+    printed = {name: run_page(ROOT / name, folder) for name in FIRST}
     assert (folder / "frame-results" / "report.html").exists()
     assert "idle model as it is" in "".join(printed[FIRST[0]])
     assert "(1, 1, 1400)" in printed[FIRST[0]][-1]
     assert "coulomb_friction" in "".join(printed[FIRST[2]])
+
+    # The README on the same files: stages that ran are taken from their results, as for any user who runs a test again.
+    for name in ("frame-results", "demo-results"):
+        shutil.copytree(folder / "frame-results", again / name)
+    monkeypatch.chdir(again)
+    told = run_page(ROOT / "README.md", again)
+    assert "(1, 1, 1400)" in told[-1]
+    assert (again / "pair.uff").exists()
+    assert (again / "demo-results" / "report.html").exists()
 
 
 @pytest.mark.parametrize("page", [p for p in pages() if programs(p) and page_name(p) not in (*FIRST, "README.md")], ids=page_name)
@@ -85,19 +83,6 @@ def test_page_runs(page, tmp_path, monkeypatch, own_kinds_gone):
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
     run_page(page, tmp_path)
-
-
-def test_readme_runs(chain, tmp_path, monkeypatch):
-    """Stages that the tutorials ran on the same files are taken from their results, as for any user who runs a test again."""
-    folder, _ = chain
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    for name in ("frame-results", "demo-results"):
-        shutil.copytree(folder / "frame-results", tmp_path / name)
-    monkeypatch.chdir(tmp_path)
-    printed = run_page(ROOT / "README.md", tmp_path)
-    assert "(1, 1, 1400)" in printed[-1]
-    assert (tmp_path / "pair.uff").exists()
-    assert (tmp_path / "demo-results" / "report.html").exists()
 
 
 def test_test_file_reference_describes_every_key():
