@@ -67,7 +67,7 @@ class Comparison:
     misfit_meas: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object as it stands in ``comparison.json``."""
+        """JSON object as in the contract."""
         return {
             "error_db": self.error_db,
             "relative_error": self.relative_error,
@@ -88,7 +88,7 @@ def compare(
     measured: Frf | Sequence[Frf],
     band_hz: tuple[float, float] | None = None,
 ) -> Comparison:
-    """Error measures of a model against a measurement.
+    """Error measures of a model against a measurement (contract, "Error measures").
 
     Parameters
     ----------
