@@ -120,6 +120,29 @@ def test_pages_name_no_path_of_a_machine():
         assert not re.search(r"(?<![\w.])/(work|tmp|home|root|usr)/", page.read_text(encoding="utf-8")), page_name(page)
 
 
+def test_link_checker_finds_what_is_broken(tmp_path):
+    from check_links import broken
+
+    (tmp_path / "index.html").write_text('<a href="other.html#here">x</a><a href="gone.html">x</a><a href="other.html#nowhere">x</a>')
+    (tmp_path / "other.html").write_text('<p id="here"></p><script src="https://example.org/a.js"></script>')
+    assert broken(tmp_path) == [
+        "index.html points to gone.html, which is not there",
+        "index.html points to other.html#nowhere, which has no such place",
+        "other.html loads https://example.org/a.js from the network",
+    ]
+
+
+def test_formulas_put_indices_beside_accented_letters():
+    pytest.importorskip("sphinx", reason="the site needs the extra: pip install 'operando[docs]'")
+    from generators.mathml import formula
+
+    drawn = formula(r"\hat\phi_e^{\mathsf T} + \sum_{r=1}^n x_r")
+    assert "msubsup" in drawn
+    assert drawn.count("munderover") == 2  # the limits of the sum alone
+    with pytest.raises(ValueError, match="nosuch"):
+        formula(r"\nosuch{x}")
+
+
 @pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="the site needs the extra: pip install 'operando[docs]'")
 def test_site_builds_without_warnings_and_its_links_hold(tmp_path):
     source, site = tmp_path / "docs", tmp_path / "site"
