@@ -6,6 +6,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO ?= demo-results
 PAPER ?= paper-results
+SITE ?= build/docs
 WORKERS ?= 2
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
@@ -19,13 +20,14 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
-.PHONY: help demo test lint types tests slow bench wheel example paper clean
+.PHONY: help demo test lint types tests slow bench docs wheel example paper clean
 
 help:
 	@echo "make demo   install into $(VENV) and run the example, from raw files to the report in $(DEMO)/"
 	@echo "make test   install what development needs and run ruff, mypy and the tests"
 	@echo "make slow   the longer studies among the tests"
 	@echo "make bench  speed and memory of the stages against their peers; fails where one falls short of its goal"
+	@echo "make docs   build the documentation site into $(SITE)/; fails on any warning"
 	@echo "make wheel  build dist/operando-*.whl"
 	@echo "make example  make data/example again from benchmarks/example_data/make.py"
 	@echo "make paper  reproduce the paper's simulation example: tables, figures and raw files through operando, in $(PAPER)/paper.html"
@@ -54,6 +56,12 @@ slow: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/bench.py
 
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs $(SITE)
+	$(BIN)/python docs/check_links.py $(SITE)
+	@echo
+	@echo "The site: $(abspath $(SITE))/index.html"
+
 wheel: $(VENV)/.installed
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
@@ -74,6 +82,10 @@ $(VENV)/bin/python:
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	$(PIP) --editable .
 	@touch $@
+
+$(VENV)/.installed-docs: pyproject.toml | $(VENV)/bin/python
+	$(PIP) --editable ".[docs]"
+	@touch $(VENV)/.installed $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	$(PIP) --editable ".[dev]"

@@ -24,8 +24,8 @@ from operando.store import load_results
 ROOT = Path(__file__).resolve().parents[1]
 RESPONSE, REFERENCE = "13+Z", "12+Z"
 COLOURS = {"measured": "#222222", "ofrf": "#d55e00", "idle": "#0072b2", "idle_shapes": "#8aa9c4", "msf_all": "#b9a58c"}
-OWN = "operando: model at rest + accelerations of the running machine"
-NAMES = {"idle": "model at rest", "idle_shapes": "idle shapes,\noperational poles", "msf_all": "all shapes\nby MSF", "ofrf": "operando"}
+OWN = "operando: idle model + accelerations of the running machine"
+NAMES = {"idle": "idle model", "idle_shapes": "idle shapes,\noperational poles", "msf_all": "all shapes\nby MSF", "ofrf": "operando"}
 
 
 def magnitude(values: np.ndarray) -> np.ndarray:
@@ -51,10 +51,10 @@ def main(folder: Path) -> None:
         color=COLOURS["measured"],
         lw=3.2,
         alpha=0.35,
-        label="measured on a shaker (check)",
+        label="measured with a shaker (validation)",
     )
     idle = results.idle.frf(frequencies, RESPONSE, REFERENCE).data[0, 0]
-    left.plot(frequencies, magnitude(idle), color=COLOURS["idle"], lw=1.2, ls=(0, (4, 2)), label="model of the machine at rest")
+    left.plot(frequencies, magnitude(idle), color=COLOURS["idle"], lw=1.2, ls=(0, (4, 2)), label="idle model")
     running = results.hybrid.frf(frequencies, RESPONSE, REFERENCE)
     if running.variance is not None:
         spread = 1.96 * np.sqrt(running.variance[0, 0] / 2)
@@ -66,7 +66,7 @@ def main(folder: Path) -> None:
         magnitude(running.data[0, 0]),
         color=COLOURS["ofrf"],
         lw=1.3,
-        label="operando: model at rest + accelerations of the running machine",
+        label="operando: idle model + accelerations of the running machine",
     )
     left.set(xlim=(low, high), xlabel="Frequency [Hz]", ylabel="Accelerance [dB re 1 (m/s²)/N]")
     left.set_title(f"The running machine, response {RESPONSE}, force {REFERENCE}", loc="left", fontsize=11)
@@ -86,7 +86,7 @@ def main(folder: Path) -> None:
     right.set_xticks([])
     right.spines["bottom"].set_visible(False)
     right.tick_params(axis="y", length=0)
-    right.set_title("Error against the check,\nall measured pairs", loc="left", fontsize=11)
+    right.set_title("Error against the validation\nmeasurement, all pairs", loc="left", fontsize=11)
 
     target = ROOT / "docs" / "operando.png"
     target.parent.mkdir(exist_ok=True)

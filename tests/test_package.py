@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import json
 import os
-import re
 import subprocess
 import sys
 import tomllib
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 
 import operando
-from operando.campaign import load_campaign
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "data" / "example"
@@ -224,52 +222,3 @@ def test_ci_calls_make_test_and_passes_its_exit_code_on(tmp_path):
     done = subprocess.run(["bash", str(script)], capture_output=True, text=True, env=environment)
     assert done.stdout.strip() == "asked for: test"
     assert done.returncode == 3
-
-
-def readme_blocks(language: str) -> list[str]:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return [block.split("\n", 1)[1] for block in text.split("```")[1::2] if block.split("\n", 1)[0].strip() == language]
-
-
-def test_readme_names_commands_and_files_that_exist():
-    from operando.cli import COMMANDS
-
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    called = {line.split()[1] for block in readme_blocks("") for line in block.splitlines() if line.startswith("operando ")}
-    assert called >= {"init", "inspect", "run", "ofrf", "compare"}
-    assert called <= set(COMMANDS)
-    for target in re.findall(r"\]\(([^)#]+)\)", text):
-        assert target.startswith("http") or (ROOT / target).exists(), f"README points to {target}, which is not there"
-
-
-def test_readme_test_file_is_understood(tmp_path):
-    import shutil
-
-    block, campaign = readme_blocks("toml")
-    shutil.copytree(EXAMPLE, tmp_path / "frame")
-    (tmp_path / "frame" / "test.toml").write_text(block, encoding="utf-8")
-    test = operando.load_test(tmp_path / "frame" / "test.toml")
-    assert len(test.files) == 9
-    (tmp_path / "pump").mkdir()
-    (tmp_path / "pump" / "test.toml").write_text('[operating]\nrecords = ["operating/{speed}/*.uff"]\n', encoding="utf-8")
-    (tmp_path / "campaign.toml").write_text(campaign, encoding="utf-8")
-    found = load_campaign(tmp_path / "campaign.toml")
-    assert [found.title(member) for member in found.members] == ["speed 600 rpm", "speed 900 rpm", "speed 1200 rpm"]
-    assert found.baseline == "speed-600"
-
-
-@pytest.mark.slow
-def test_readme_python_runs(monkeypatch, capsys):
-    monkeypatch.chdir(ROOT)
-    from operando.effects import unregister
-
-    names: dict[str, object] = {}
-    try:
-        for block in readme_blocks("python"):  # later blocks go on from what the first one made
-            exec(compile(block, "README.md", "exec"), names)
-    finally:
-        unregister("inerter")
-        unregister("power_spring")
-    out = capsys.readouterr().out
-    assert out.count("(1, 1, 1400)") >= 3
-    assert "A mass of 0.2 kg sits on 7+Z" in out

@@ -25,38 +25,53 @@ class Analysis:
     Parameters
     ----------
     band : (float, float) or None
-        Analysis band [Hz]; None: chosen from the data.
-    block_seconds, overlap, window, estimator : optional
-        Block length [s], overlap (0 ≤ overlap < 1), window name, and ``h1``, ``h2``, ``hv``, ``lrm`` or ``periodic`` of the FRF
-        estimate (None: chosen from the force and the length of the records).
+        Analysis band [Hz]. Default: chosen from the data.
+    block_seconds : float or None
+        Block length of the FRF estimate [s]. Default: chosen from the force and the length of the records.
+    overlap : float or None
+        Overlap of the blocks as a share, 0 to below 1.
+    window : str or None
+        Window of the blocks, or of the hits.
+    estimator : str or None
+        FRF estimator: ``h1``, ``h2``, ``hv``, ``lrm`` (local rational model) or ``periodic``. Default: chosen from the force.
     hits : str
         Hammer records: ``auto`` (consistent single hits), ``all``, or ``off`` (a record is taken as continuous).
     hits_reject : tuple of str
         Hits not to be used, as ``FILE#NUMBER``: numbers from 0, as in the findings, the inventory and the report.
     references : tuple of str or None
-        Force DOFs to use (None: all).
+        Force DOFs to use. Default: all.
     max_order : int or None
         Largest model order of the EMA.
     ema : {"auto", "linear", "polished"}
-        Which answer of the EMA to give.
+        Which answer of the EMA to give: the linear stage, the maximum-likelihood fit, or what the data support.
     modes_hz : tuple of float
-        Exactly these idle modes [Hz].
-    select_hz, reject_hz : tuple of float
-        Idle modes besides the automatic ones, and automatic ones to leave out, by hand [Hz].
+        Exactly these idle modes [Hz]: the nearest stable pole of each; an error where there is none near.
+    select_hz : tuple of float
+        Idle modes besides the automatic ones [Hz].
+    reject_hz : tuple of float
+        Automatic idle modes to leave out [Hz]: the one nearest to each.
     threshold : float
         MAC from which an operational mode counts as unchanged.
     scaling : str
-        Scaling method.
+        Scaling method; ``auto`` chooses by evidence and says why.
     known_harmonics_hz : tuple of float
         Rotor orders and other harmonics of the operating state [Hz].
     exclude_bands : tuple of (float, float)
-        Bands [Hz] that neither fit nor comparison use.
-    kinds, places : tuple of str or None
-        What the diagnosis may look for, and where (None: everything, everywhere).
-    oma_max_order, oma_references, oma_select_hz, oma_reject_hz : optional
-        The same for the operational modes: largest order, reference channels, modes by hand [Hz].
+        Bands [Hz] that neither fit nor comparison nor diagnosis use.
+    kinds : tuple of str or None
+        Kinds of effects that the diagnosis may look for. Default: all.
+    places : tuple of str or None
+        DOFs at which the diagnosis may look. Default: all.
+    oma_max_order : int or None
+        Largest model order of the OMA.
+    oma_references : tuple of str or None
+        Reference channels of the OMA. Default: chosen.
+    oma_select_hz : tuple of float
+        Operational modes besides the automatic ones [Hz].
+    oma_reject_hz : tuple of float
+        Automatic operational modes to leave out [Hz].
     second_opinion : bool
-        Whether sdypy-EMA and pyOMA-2 are asked as well.
+        Whether sdypy-EMA and pyOMA-2 fit the same data for comparison.
     """
 
     band: tuple[float, float] | None = None

@@ -19,7 +19,7 @@ class Finding:
     Parameters
     ----------
     kind : str
-        One of the kinds of the contract (``overload``, ``double_hit``, …) or a new one.
+        What it is, in one word (``overload``, ``double_hit``, …).
     message : str
         What was found, in one sentence with numbers and units.
     severity : {"info", "warning", "error"}
@@ -47,7 +47,7 @@ class Finding:
             raise DataError(f"severity {self.severity!r} is none of info, warning, error")
 
     def to_dict(self) -> dict[str, object]:
-        """JSON object as in the contract."""
+        """JSON object as it stands in ``summary.json``."""
         out: dict[str, object] = {
             "kind": self.kind,
             "severity": self.severity,

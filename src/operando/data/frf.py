@@ -82,7 +82,7 @@ class Frf(Noun):
     quantity : {"accelerance", "mobility", "receptance"}
         Accelerance in (m/s²)/N, mobility in (m/s)/N, receptance in m/N.
     variance : (n_responses, n_references, n_lines) float array, optional
-        E|ΔH|² of the complex line (contract, ``var_meas``).
+        E|ΔH|² of the complex line (``var_meas`` of the error measures).
     coherence : array of the same shape, optional
         Ordinary coherence (single reference) or multiple coherence.
     averages : float, optional

@@ -36,7 +36,7 @@ class Pair:
     mac : float
         MAC with the partner (Shen & Lu 2024, Eq 1); the best with any idle mode where there is no partner.
     kind : {"unchanged", "changed", "beyond_idle_band", "unpaired"}
-        ``class`` of the contract.
+        ``class`` in ``summary.json``.
     note : str
         Conflict or reason in words; empty where there is nothing to say.
     """
