@@ -9,7 +9,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
 from operando.compare.peaks import by_mode, fit_peaks
@@ -17,6 +16,7 @@ from operando.data import Frf
 from operando.dof import Dof, Node
 from operando.errors import DataError
 from operando.results import CheckRun
+from operando.threads import one_blas_thread
 
 
 class FrfModel(Protocol):
@@ -105,7 +105,7 @@ def compare(
         If model and measurement share no pair or no line.
     """
     runs = [measured] if isinstance(measured, Frf) else list(measured)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         return _compare(model, runs, band_hz)
 
 

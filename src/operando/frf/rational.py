@@ -297,7 +297,7 @@ def _last_pass(windows: _Windows, d: Array, noise: Array) -> tuple[Array, Array,
     inside, upper, outside = _factored(windows, weight)
     normal = _normal(_rest(windows, weight, outside), sigma)
     d = _denominator(normal)
-    inverse = np.linalg.inv(upper)[:, :: order + 1][:, :n_f]  # rows of N_j(0): (c, n_f, p)
+    inverse: Array = np.linalg.inv(upper)[:, :: order + 1][:, :n_f]  # rows of N_j(0): (c, n_f, p)
     pick = (inverse @ np.conj(np.swapaxes(inside, 1, 2)) * weight[:, None, :])[:, :, None, :] * windows.powers.swapaxes(1, 2)[:, None]
     parts = (pick.reshape(c, -1, n) @ np.swapaxes(windows.x, 1, 2)).reshape(c, n_f, order + 1, -1)  # N(0) for each power of r on X
     h = np.einsum("cjpx,cp->cjx", parts, d)
