@@ -106,9 +106,7 @@ def mode_strength(runs: Sequence[RunSpectra], theta: Parameters) -> Real:
     return out
 
 
-def complete_start(
-    runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, log: OrderLog
-) -> tuple[Real, Real, Polished | None]:
+def complete_start(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, log: OrderLog) -> tuple[Real, Real, Polished | None]:
     """Starting poles, with modes added first where the free fit would bend others to explain them, and the free fit of them.
 
     The fit (on thinned lines, no kernels below the band) is what any later one from these poles ends at; None where it did not settle.

@@ -138,12 +138,11 @@ def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list
     return out
 
 
-def _needs_lower(
-    runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, without: Polished | None
-) -> tuple[bool, float, Parameters]:
+def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, without: Polished | None) -> tuple[bool, float, Parameters]:
     """Whether kernels below the band lower the cost by more than their number earns, the relative error that remains, and that fit.
 
-    ``without`` is the fit without them where it is known. The error is 0 where the candidates already describe the data to within a few times their noise.
+    ``without`` is the fit without them where it is known. The error is 0 where the candidates already describe the data to within a few
+    times their noise.
     """
     thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
     if without is None:
