@@ -61,7 +61,7 @@ def test_no_step_is_taken_for_less_than_a_fifth_of_a_standard_deviation(times):
     best = replace(true, hz=true.hz * np.exp(bent[0]), zeta=true.zeta * np.exp(bent[1]))
     off = times * np.sqrt(2 * LEAST_FALL) * std
     start = replace(best, zeta=best.zeta * np.exp(off))
-    found, _, fall = search_poles(pairs, start, variance, before, ends, steps=3, max_damping=0.15)
+    found, _, fall, _ = search_poles(pairs, start, variance, before, ends, steps=3, max_damping=0.15)
     if times < 1:
         assert found.zeta[0] == start.zeta[0]
     else:
