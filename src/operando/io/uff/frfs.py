@@ -190,7 +190,7 @@ def _lines(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[tuple[A
 def _even_lines(start: float, step: float, points: int) -> NDArray[np.float64]:
     """Even lines [Hz], checked: the functions of a file mostly share them."""
     with np.errstate(over="ignore"):  # a step of a damaged file; the axis refuses what is not finite
-        return FrequencyAxis(start + step * np.arange(points)).values
+        return FrequencyAxis(np.asarray(start + step * np.arange(points), np.float64)).values
 
 
 _Beside = list[Any]
