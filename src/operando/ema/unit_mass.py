@@ -28,7 +28,7 @@ NEGATIVE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class ModalCovariance:
-    """Covariance of [f (Hz), ζ, shapes mode by mode], n·(2 + M) values: what the poles carry, and what residues of a mode add by themselves.
+    """Covariance of [f (Hz), ζ, shapes mode by mode], n·(2 + M) values: what the poles carry, and what residues add by themselves.
 
     The matrix itself is a hundred times as large where there are many places, so it is made where it is kept.
 
