@@ -247,32 +247,35 @@ def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
     """Re Σ_l w_pl c_i c̄_j of all pairs, j ≥ i, (P, K, K); the other half is filled with :func:`_mirrored`.
 
     Real and imaginary parts carry the same weight, so real products do. With u = g, r and z = u_i ū_j three of them serve the four
-    products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z. Those of g with r follow from those of r alone under two
-    further powers of ω, since g = r(ω₀² + 2ζω₀s + s²)/ω₀²: a third less to multiply.
+    products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z.
     """
     n, core, s = c.n, c.core, c.s
     k = core if core_only else core + 2 * n
+    kinds = c.four[:2] if core_only else c.four
+    u = np.concatenate([c.rows[at] for at in kinds[::2]])
+    re, im, w0 = np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag), np.tile(c.w0, len(kinds) // 2)
+    by_omega, by_square, rate = weight * s.imag, weight * power_of(s), float(s.real[0])
     out = np.empty((weight.shape[0], k, k))
-    g, h, r, q = c.four
-    omega, rate = s.imag, float(s.real[0])
-    by_omega = weight * omega
-    own = _sums(c.rows[g], (weight, weight * power_of(s)), (by_omega,))
-    others = () if core_only else _sums(c.rows[r], (weight, by_omega * omega, by_omega * omega**3), (by_omega, by_omega * omega**2))
-    # g_i = (fixed + i·turning·ω − curving·ω²) r_i
-    w0 = c.w0[:, None]
-    fixed, turning, curving = 1 + 2 * c.zeta[:, None] * rate / w0 + (rate / w0) ** 2, 2 * c.zeta[:, None] / w0 + 2 * rate / w0**2, w0**-2
-    few = _few(k)
-    for at in (slice(first, first + few) for first in range(0, weight.shape[0], few)):
-        plain, square, cross = (values[at] for values in own)
-        _put(out[at], (g, h), (g, h), c.w0, rate, plain, cross, square)
-        if core_only:
-            continue
-        even0, even2, even4, odd1, odd3 = (values[at] for values in others)
-        _put(out[at], (r, q), (r, q), c.w0, rate, even0, odd1, rate**2 * even0 + even2)
-        plain = fixed * even0 - curving * even2 - turning * odd1
-        cross = fixed * odd1 - curving * odd3 + turning * even2
-        square = rate**2 * plain + fixed * even2 - curving * even4 - turning * odd3
-        _put(out[at], (g, h), (r, q), c.w0, rate, plain, cross, square)
+    sums = (np.zeros((0, 0, 0)),) * 3
+    begin = stop = 0
+    for i in range(w0.size):
+        if i >= stop:  # a few rows at a time: a product of larger matrices is faster
+            begin, stop = i, min(w0.size, i + max(1, GEMM_ROWS // (w0.size - i)))
+            sums = _triple_sums(re, im, slice(begin, stop), (weight, by_omega, by_square))
+        plain, cross, square = (part[:, i - begin, i - begin :] for part in sums)
+        forth, back = (rate * plain + cross, rate * plain - cross) if rate else (cross, cross)
+        over_i, over_j, over_both = w0[i] if rate else -w0[i], w0[i:], w0[i] * w0[i:]
+        own, row = divmod(i, n)
+        for other in range(own, len(kinds) // 2):
+            some = slice(other * n - i + (row if other == own else 0), (other + 1) * n - i)
+            first = row if other == own else 0
+            u_i, cu_i = kinds[2 * own].start + row, kinds[2 * own + 1].start + row
+            u_j, cu_j = (slice(at.start + first, at.stop) for at in kinds[2 * other : 2 * other + 2])
+            # each written once where it stands: the matrices are larger than any cache
+            out[:, u_i, u_j] = plain[:, some]
+            np.divide(forth[:, some], over_j[some], out=out[:, u_i, cu_j])
+            np.divide(back[:, some], over_i, out=out[:, u_j, cu_i] if other == own else out[:, cu_i, u_j])
+            np.divide(square[:, some], over_both[some], out=out[:, cu_i, cu_j])
     re, im = np.ascontiguousarray(c.rows[:k].real), np.ascontiguousarray(c.rows[:k].imag)
     for i in range(2 * n, core):
         row_i = weight @ (re[i] * re + im[i] * im).T
@@ -280,38 +283,15 @@ def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
     return out
 
 
-def _sums(u: Complex, even: tuple[Real, ...], odd: tuple[Real, ...]) -> tuple[Real, ...]:
-    """Σw Re z for the weights ``even`` and Σw Im z for the weights ``odd`` of z = u_i ū_j, each (P, n, n)."""
-    n, lines = u.shape
-    re, im = np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag)
-    out = tuple(np.empty((w.shape[0], n, n)) for w in (*even, *odd))
-    begin = 0
-    while begin < n:  # a few rows at a time: a product of larger matrices is faster
-        stop = min(n, begin + max(1, GEMM_ROWS // (n - begin)))
-        rows = slice(begin, stop)
-        real = re[rows, None] * re[None, begin:]
-        real += im[rows, None] * im[None, begin:]
-        imag = im[rows, None] * re[None, begin:]
-        imag -= re[rows, None] * im[None, begin:]
-        for k, (w, full) in enumerate(zip((*even, *odd), out, strict=True)):
-            z, sign = (real, 1) if k < len(even) else (imag, -1)
-            part = (w @ z.reshape(-1, lines).T).reshape(-1, *z.shape[:2])
-            np.multiply(part.transpose(0, 2, 1), sign, out=full[:, begin:, rows])
-            full[:, rows, begin:] = part
-        begin = stop
-    return out
-
-
-def _put(
-    out: Real, first: tuple[slice, slice], second: tuple[slice, slice], w0: Real, rate: float, plain: Real, cross: Real, square: Real
-) -> None:
-    """Write the products of u_i, cu_i with v_j, cv_j that the three sums of u_i v̄_j make; those below the diagonal only where at hand."""
-    (u, cu), (v, cv) = first, second
-    out[:, u, v] = plain
-    out[:, u, cv] = (rate * plain + cross) / w0
-    out[:, cu, cv] = square / (w0[:, None] * w0)
-    if u != v:
-        out[:, cu, v] = (rate * plain - cross) / w0[:, None]
+def _triple_sums(re: Real, im: Real, rows: slice, weights: tuple[Real, Real, Real]) -> tuple[Real, Real, Real]:
+    """Σw Re z, Σw′ Im z and Σw″ Re z of z = u_i ū_j for some i and all j from the first of them on, each (P, i, j)."""
+    real = re[rows, None] * re[None, rows.start :]
+    real += im[rows, None] * im[None, rows.start :]
+    imag = im[rows, None] * re[None, rows.start :]
+    imag -= re[rows, None] * im[None, rows.start :]
+    shape, lines = (-1, *real.shape[:2]), real.shape[2]
+    plain, cross, square = (w @ z.reshape(-1, lines).T for w, z in zip(weights, (real, imag, real), strict=True))
+    return plain.reshape(shape), cross.reshape(shape), square.reshape(shape)
 
 
 def _mirrored(upper: Real) -> Real:
