@@ -51,7 +51,7 @@ def table(rows: list[dict[str, Any]], wrong: list[str]) -> str:
     lines = [
         f"# Speed and memory against peers\n\n`make bench`, last on {date.today().isoformat()}: processor time, one BLAS thread, "
         f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}. "
-        "Ratio: how many times better than the peer; rows in bold miss their goal.\n",
+        "Ratio: how many times better than the peer; rows in bold miss their goal." + _loaded() + "\n",
         "| " + " | ".join(COLUMNS) + " |",
         "| --- " * len(COLUMNS) + "|",
     ]
@@ -65,6 +65,16 @@ def table(rows: list[dict[str, Any]], wrong: list[str]) -> str:
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     lines += [f"\nNot measured: {text}" for text in wrong]
     return "\n".join(lines) + "\n"
+
+
+def _loaded() -> str:
+    """What to bear in mind where other programs ran beside."""
+    if os.getloadavg()[0] <= 1.5:
+        return ""
+    return (
+        " The machine was loaded: all times are processor time, but caches and memory were shared, so that seconds are longer than on a"
+        " quiet machine and differ by a tenth or two from run to run; ours and the peer's ran in turn and share that."
+    )
 
 
 def _number(value: Any) -> str:

@@ -11,6 +11,7 @@ from operando.data.time import Channel
 from operando.dof import Dof
 from operando.ema import fit_ema
 from operando.ema.polish import normal_equations, residual, start_parameters
+from operando.ema.polish_model import run_model, transfer
 from operando.ema.spectra import excited_limits, noise_from_spectra, record_spectra
 from operando.errors import DataError, IdentificationError
 from structures import Chain
@@ -210,6 +211,31 @@ def test_gradient_is_that_of_the_cost(fitted):
             shapes[row, mode] += eps
         up = residual(run, replace(theta, hz=hz, zeta=zeta, shapes=shapes), 0).cost
         assert (up - base) / eps == pytest.approx(-2 * gradient[index], rel=2e-3, abs=1e-4 * abs(base))
+
+
+def test_normal_equations_are_those_of_the_whole_noise_covariance(fitted, monkeypatch):
+    """Re(JᴴC⁻¹J) for shape values, C = D + hσ²hᴴ line by line; the same where few lines are taken at a time."""
+    chain, records, _, _ = fitted
+    run = record_spectra(records[0], DOFS, (15, 130))
+    run = run.lines(np.arange(run.frequencies_hz.size) % 7 == 0)
+    theta = start_parameters([run], chain.hz, chain.zeta, chain.phi, np.array([150.0, 300.0]))
+    state = residual(run, theta, 0)
+    normal = normal_equations(run, theta, 0, state)[0]
+    model = run_model(run, theta, 0, state.clean_force)
+    h = transfer(run, theta, 0, run_model(run, theta, 0, run.forces))[0]
+    n, m, mode, rows = 6, 6, 3, run.response_rows
+    other = [i for i, row in enumerate(rows) if row != run.force_rows[0]][:2]  # shape values that move one response alone
+    expected = np.zeros((2, 2))
+    for line in range(run.frequencies_hz.size):
+        noise = np.diag(run.response_variance[:, line]) + run.force_variance[0, line] * np.outer(h[:, line], h[:, line].conj())
+        slopes = np.zeros((rows.size, 2), complex)
+        slopes[other, [0, 1]] = model.modal[mode, line]
+        expected += (slopes.conj().T @ np.linalg.solve(noise, slopes)).real
+    at = 2 * n + mode * m + rows[other]
+    np.testing.assert_allclose(normal[np.ix_(at, at)], expected, rtol=1e-6)
+    assert abs(expected[0, 1]) > 1e-3 * expected[0, 0]  # through the noise of the force
+    monkeypatch.setattr("operando.ema.polish._COMMON_VALUES", 1)
+    np.testing.assert_allclose(normal_equations(run, theta, 0, state)[0], normal, rtol=1e-9, atol=1e-12 * np.abs(normal).max())
 
 
 def test_modes_added_to_a_fit_keep_what_it_has(fitted):

@@ -12,6 +12,7 @@ from operando.ema.fit import model_dofs
 from operando.ema.pairs import Pairs
 from operando.ema.polished import SCAN_STEPS, polish_runs, polish_work
 from operando.ema.projection import DRIFT_MOST, LEAST_FALL, PEAK_LINES, PEAK_MOST, PEAK_WIDTHS, Poles, basis, largest, project, search_poles
+from operando.ema.unit_mass import ModalCovariance
 
 MODE = 100.0
 
@@ -61,12 +62,53 @@ def test_no_step_is_taken_for_less_than_a_fifth_of_a_standard_deviation(times):
     best = replace(true, hz=true.hz * np.exp(bent[0]), zeta=true.zeta * np.exp(bent[1]))
     off = times * np.sqrt(2 * LEAST_FALL) * std
     start = replace(best, zeta=best.zeta * np.exp(off))
-    found, _, fall = search_poles(pairs, start, variance, before, ends, steps=3, max_damping=0.15)
+    found, _, fall, _ = search_poles(pairs, start, variance, before, ends, steps=3, max_damping=0.15)
     if times < 1:
         assert found.zeta[0] == start.zeta[0]
     else:
         assert fall == pytest.approx(times**2 * LEAST_FALL, rel=0.02)
         assert abs(np.log(found.zeta[0] / best.zeta[0])) < 0.02 * off
+
+
+def test_a_step_without_another_behind_it_makes_normal_equations_when_asked_only():
+    """What is foreseen of the next step decides; cost and residues are the same with and without."""
+    f, true = np.arange(30.0, 300.0, 0.2), Poles(np.array([MODE]), np.array([0.01]), np.array([0.05]), np.array([1e-6]))
+    h = np.array([[1.0], [0.5]]) * basis(f, true, 0.0)[0]
+    pairs, ends, variance = pairs_of(f, h), (30.0, 300.0), np.full(h.shape, 1e-4)
+    before = project(pairs, true, variance, None, ends).coefficients
+    start = replace(true, zeta=1.01 * true.zeta)
+    found, now, fall, whole = search_poles(pairs, start, variance, before, ends, steps=1, max_damping=0.15)
+    assert fall > LEAST_FALL
+    assert not now.normal.any()
+    full = whole()
+    assert full.normal[1, 1] > 0
+    for name in ("cost", "a", "b", "shift", "error", "evidence"):
+        np.testing.assert_array_equal(getattr(full, name), getattr(now, name))
+    again, last, _, _ = search_poles(pairs, start, variance, before, ends, steps=4, max_damping=0.15)
+    assert abs(np.log(again.zeta[0] / true.zeta[0])) <= abs(np.log(found.zeta[0] / true.zeta[0]))
+    assert last.cost.sum() <= now.cost.sum()
+
+
+def test_the_covariance_of_modes_is_the_same_by_parts():
+    """Carried by the poles, and a block of its own for each shape; some of the modes, and in places among other terms with signs turned."""
+    rng = np.random.default_rng(3)
+    n, m = 3, 4
+    carry, half, own = rng.standard_normal((n * (2 + m), 2 * n)), rng.standard_normal((2 * n, 2 * n)), rng.standard_normal((n, m, m))
+    parts = ModalCovariance(carry, half @ half.T, own)
+    whole = carry @ half @ half.T @ carry.T
+    for r in range(n):
+        at = slice(2 * n + r * m, 2 * n + (r + 1) * m)
+        whole[at, at] += own[r]
+    np.testing.assert_allclose(parts.of_modes(range(n)), whole, rtol=1e-12, atol=1e-12)
+    some = [0, 2, n, n + 2, *(2 * n + np.arange(m)), *(2 * n + 2 * m + np.arange(m))]
+    np.testing.assert_allclose(parts.of_modes([0, 2]), whole[np.ix_(some, some)], rtol=1e-12, atol=1e-12)
+    signs, out = np.where(rng.random(len(carry)) > 0.5, 1.0, -1.0), np.zeros((30, 30))
+    places = slice(0, n), slice(5, 5 + n), slice(10, 10 + n * m)
+    parts.fill(out, places, signs)
+    at = np.r_[0:n, 5 : 5 + n, 10 : 10 + n * m]
+    np.testing.assert_allclose(out[np.ix_(at, at)], whole * np.outer(signs, signs), rtol=1e-12, atol=1e-12)
+    out[np.ix_(at, at)] = 0
+    assert not out.any()
 
 
 def test_the_scans_for_missing_modes_count_as_work(monkeypatch):

@@ -80,6 +80,28 @@ def test_synthesis_and_its_variance_do_not_depend_on_the_order_given(quantity):
     np.testing.assert_allclose(made.variance, expected, rtol=1e-9)
 
 
+def test_the_variance_of_synthesised_frfs_is_that_of_their_derivatives(monkeypatch):
+    """JCJᴴ with derivatives by differences; the same in pieces of a few lines and pairs, for pairs in any order and twice."""
+    rng = np.random.default_rng(5)
+    n, m, hz = 3, 4, np.linspace(5.0, 60.0, 70)
+    f, zeta, shapes = np.array([11.0, 23.0, 31.0]), np.array([0.01, 0.02, 0.015]), rng.standard_normal((m, n))
+    half = 1e-3 * rng.standard_normal((n * (2 + m), n * (2 + m)))
+    rows, columns = [2, 0, 2], [1, 2]
+    theta = np.concatenate([f, zeta, shapes.T.ravel()])
+
+    def at(t):
+        own = t[2 * n :].reshape(n, m).T
+        return synthesise(hz, t[:n], t[n : 2 * n], own[rows], own[columns])
+
+    steps = 1e-6 * np.eye(theta.size)
+    slopes = np.array([(at(theta + step) - at(theta - step)) / 2e-6 for step in steps])
+    expected = np.einsum("aijl,ab,bijl->ijl", slopes, half @ half.T, slopes.conj()).real
+    found = synthesis_variance(hz, f, zeta, shapes, half @ half.T, rows, columns)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    monkeypatch.setattr("operando.synthesis._FORM_VALUES", 1)
+    np.testing.assert_allclose(synthesis_variance(hz, f, zeta, shapes, half @ half.T, rows, columns), found, rtol=1e-12)
+
+
 @pytest.mark.parametrize("complex_shapes", [False, True])
 def test_theta_runs_over_modes_then_residual_terms(complex_shapes):
     """θ = [f, ζ, shapes term by term] of all terms, modes first, residual terms last; complex: all real parts, then all imaginary ones."""

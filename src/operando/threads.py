@@ -1,4 +1,4 @@
-"""Threads over places, laws and runs: NumPy frees the interpreter on arrays of a record's length."""
+"""Threads over places, laws and runs: NumPy frees the interpreter on arrays of a record's length. Inside them BLAS has one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import os
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -57,3 +58,19 @@ def each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Resu
             _here.busy = False
 
     return list(_pool().map(guarded, todo))
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """While it lasts BLAS uses one thread: with more, products of small matrices take two to four times as long."""
+    limited: AbstractContextManager[Any] = _blas().limit(limits=1, user_api="blas")
+    return limited
+
+
+@lru_cache(maxsize=1)
+def _blas() -> Any:
+    """The BLAS libraries of this process, looked for once: that takes as long as a small fit."""
+    import numpy  # noqa: F401
+    import scipy.linalg  # noqa: F401  (has a BLAS of its own)
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

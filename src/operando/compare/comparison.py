@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
 from operando.compare.models import ModelComparison, compare_models
@@ -19,6 +18,7 @@ from operando.dof import Dof, DofIndex
 from operando.errors import DataError, ObjectError
 from operando.results import CheckRun
 from operando.scaling import HybridModel
+from operando.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -160,7 +160,7 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
     runs = [measured] if isinstance(measured, Frf) else list(measured) if isinstance(measured, list | tuple) else [measured]
     for run in runs or [None]:
         expect(run, Frf, "a model is compared with FRFs or another model", "read(file).frfs and estimate_frf(records) give FRFs")
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         return _compare(model, runs, band_hz)
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from operando.data import Geometry, ModalModel
 from operando.diagnose.diagnosis import effects_of, judged_on, ladder, make_problem, with_what_was_learnt
@@ -20,6 +19,7 @@ from operando.diagnose.result import model_of
 from operando.effects import Effect, parse_effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
+from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
 
@@ -107,7 +107,7 @@ def apply_effects(
     if not check:
         raise MissingError("no check FRFs to judge an added effect by", hint="measure the running structure with a known force")
     wanted = [parse_effect(e, band or idle.band_hz) if isinstance(e, str) else e for e in effects]
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         problem = make_problem(idle, check, None, None, band or idle.band_hz, progress)
         span = (float(problem.lines.hz.min()), float(problem.lines.hz.max()))
         terms = [Term.of(e if refit else _held(e), idle, span, geometry) for e in wanted]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from operando.data import Frf, ModalModel, one_level
 from operando.diagnose.model import Model
@@ -17,6 +16,7 @@ from operando.effects import Effect
 from operando.errors import MissingError
 from operando.nonlinear.levels import at_level
 from operando.results import CheckRun, Results
+from operando.threads import one_blas_thread
 
 TWICE = 2.0
 """Level beyond those measured that the report shows."""
@@ -70,7 +70,7 @@ def level_frf(
     """
     driven = idle.dofs if references is None else tuple(parse_dofs(references))
     columns: list[Frf] = []
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         for reference in driven:
             standing = at_level(idle, effects, level, reference, band)
             columns.append(Model(idle, tuple(standing)).frf(frequencies, responses, (reference,), quantity, variance=False))

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.compare.verdict import GOOD, floor_reason, verdict_of
@@ -33,6 +32,7 @@ from operando.diagnose.verdict import FURTHER_PART, ambiguous_with, one_mode
 from operando.effects import Effect
 from operando.errors import DataError, MissingError
 from operando.results import CheckRun
+from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
 
@@ -192,7 +192,7 @@ def diagnose(
         from operando.diagnose.output_only import diagnose_output_only
 
         return diagnose_output_only(idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         problem = make_problem(idle, check, kinds, places, band or idle.band_hz, progress)
         return _search(problem, check, operating, geometry, band or idle.band_hz, compared)
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof, match_dofs, parse_dofs
@@ -18,6 +17,7 @@ from operando.effects.running import with_spread
 from operando.effects.update import update_variance, woodbury_core
 from operando.errors import ConfigError, DataError
 from operando.synthesis import modal_kernel
+from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -174,7 +174,7 @@ class Model:
         resp = self.idle.dofs if responses is None else parse_dofs(responses)
         refs = self.idle.dofs if references is None else parse_dofs(references)
         axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             data = self._receptance(axis.values, resp, refs)
             own = self._variance(axis.values, resp, refs) if variance else None
         power = _POWER[quantity]
@@ -197,7 +197,7 @@ class Model:
         """
         base = self._base()
         placed = [(e, place_weights(e, base, self.geometry)) for e in self._acting()]
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             modes = running_modes(base, placed)
             if variance:
                 modes = with_spread(modes, base, placed, self._pole_changes(modes))

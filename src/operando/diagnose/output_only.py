@@ -121,11 +121,11 @@ def diagnose_output_only(
     ConfigError
         If no kind asked for can be told from modes.
     """
-    from threadpoolctl import threadpool_limits
+    from operando.threads import one_blas_thread
 
     if idle.scaling != "unit_modal_mass":
         raise DataError("the idle shapes have no scale: no effect can be sized", hint="give units to the idle test")
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         parts = tuple(getattr(operating.details, "halves", ()) if halves is None else halves)
         inside = [model if band is None else _within(model, band) for model in (operating, *parts)]
         return _diagnose(idle, inside[0], inside[1:], kinds, places, geometry, progress)

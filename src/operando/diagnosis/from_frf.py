@@ -8,7 +8,6 @@ from itertools import permutations
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
@@ -34,6 +33,7 @@ from operando.diagnosis.verdict import others, verdict
 from operando.dof import Dof, parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
+from operando.threads import one_blas_thread
 
 
 def diagnose_frf(
@@ -93,7 +93,7 @@ def diagnose_frf(
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so it predicts no FRF to fail", hint="give the units of force and acceleration")
     say = progress or (lambda text: None)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         run = chosen_run(check)
         band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
         driven = run.frf.references if idle_frf is None else idle_frf.references

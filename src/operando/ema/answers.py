@@ -20,7 +20,7 @@ from operando.ema.polished import PolishedAnswer
 from operando.ema.projection import tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
-from operando.ema.unit_mass import UnitMassShapes
+from operando.ema.unit_mass import ModalCovariance, UnitMassShapes
 from operando.synthesis import real_inner
 
 FREQUENCY_FLOOR = 1e-6
@@ -107,7 +107,7 @@ def _assemble(
     band: tuple[float, float],
     poles: tuple[Real, Real],
     shapes: Real,
-    covariance: Real,
+    covariance: Real | ModalCovariance,
     outside: OutsideModes,
     residual: NDArray[np.bool_],
     misfit: float,
@@ -125,11 +125,18 @@ def _assemble(
     total = n + outside.hz.size
     whole = np.zeros((total * (2 + m), total * (2 + m)))
     # frequencies, damping ratios and shape values of the modes, and where they stand among those of all terms
-    places = [(slice(n), slice(n)), (slice(n, 2 * n), slice(total, total + n)), (slice(2 * n, None), slice(2 * total, 2 * total + n * m))]
-    for i, row in places:
-        for j, column in places:
-            np.multiply(covariance[i, j], units[j], out=whole[row, column])
-            whole[row, column] *= units[i, None]
+    parts, places = (
+        (slice(n), slice(n, 2 * n), slice(2 * n, None)),
+        (slice(n), slice(total, total + n), slice(2 * total, 2 * total + n * m)),
+    )
+    if isinstance(covariance, ModalCovariance):
+        covariance.fill(whole, places, units)
+    else:
+        for i, row in zip(parts, places, strict=True):
+            for j, column in zip(parts, places, strict=True):
+                np.multiply(covariance[i, j], units[j], out=whole[row, column])
+                whole[row, column] *= units[i, None]
+    for i, row in zip(parts, places, strict=True):
         whole[row, row][np.diag_indices(floor[i].size)] += floor[i]
     rest = 2 * total + n * m + np.arange(outside.hz.size * m)
     whole[np.ix_(rest, rest)] = outside.covariance
@@ -193,7 +200,7 @@ def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, floa
         information = np.stack([2 * real_inner(physical / variance, physical) for variance in run.response_variance])
         estimates.append((local.ravel(), information))
     lines = fit.pairs.accelerance.size
-    polished = Polished(parameters, mass.covariance, tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)
+    polished = Polished(parameters, np.zeros((0, 0)), tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)
     m, n = mass.shapes.shape
     local_terms = (n + 14 + m) * (2 + m) <= MOST_PARAMETERS
     return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms)

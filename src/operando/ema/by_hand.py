@@ -122,9 +122,7 @@ def _with_new(
     poles = sorted((h, z) for h, z, _ in chosen)
     fit, mass = add_modes(np.array([h for h, _ in poles]), np.array([z for _, z in poles]))
     at = [int(np.argmin(np.abs(fit.poles.hz - h))) for h, _ in new]
-    t, m, n = model.terms, len(model.dofs), fit.n_modes
-    k = len(at)
-    rows = np.concatenate([at, [n + i for i in at], *(2 * n + i * m + np.arange(m) for i in at)]).astype(int)
+    t, m, k = model.terms, len(model.dofs), len(at)
     covariance = None
     if t.covariance is not None:
         total = t.n + k
@@ -132,7 +130,7 @@ def _with_new(
         old = np.concatenate([np.arange(t.n), total + np.arange(t.n), 2 * total + np.arange(t.n * m)])
         added = np.concatenate([t.n + np.arange(k), total + t.n + np.arange(k), 2 * total + t.n * m + np.arange(k * m)])
         covariance[np.ix_(old, old)] = t.covariance
-        covariance[np.ix_(added, added)] = mass.covariance[np.ix_(rows, rows)]
+        covariance[np.ix_(added, added)] = mass.covariance.of_modes(at)
     low, high = model.band_hz or (0.0, np.inf)
     hz = np.concatenate([t.frequencies_hz, fit.mean_hz[at]])
     others = {name: getattr(model, name) for name in ("scaling", "band_hz", "misfit", "si", "findings", "provenance", "details")}

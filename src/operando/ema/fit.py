@@ -27,6 +27,7 @@ from operando.ema.spectra import RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
 from operando.stabilization import RejectedPole, Stabilization
+from operando.threads import one_blas_thread
 
 ANSWERS = ("auto", "linear", "polished")
 
@@ -169,12 +170,11 @@ def fit_ema(
     DataError
         If records and FRFs do not belong together, or ``ema`` is unknown.
     """
-    from threadpoolctl import threadpool_limits
 
     expect(frf, Frf, "modes are identified from FRFs", "estimate_frf(records) makes them of records, read(file).frfs holds measured ones")
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         frf = frf.to_quantity("accelerance").without_bands(exclude_bands)
         records = whole_records(records)
         excluded = tuple(exclude_bands)

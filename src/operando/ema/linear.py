@@ -190,11 +190,12 @@ def fit_linear(
             free = float(np.median(variance.alpha)) < NOISE_LIMITED
             poles = updated_spreads(poles, now.spread_sums, QUADRATURE_FREE if free else QUADRATURE_MOST)
         last = now.curvature
-        poles, now, fall = search_poles(
+        poles, now, fall, whole = search_poles(
             pairs, poles, variance.total, now.coefficients, ends_hz, steps=steps, max_damping=MAX_DAMPING, least=least
         )
         bent = float(np.sum(np.abs(now.curvature - last) ** 2 / variance.total))
         if number >= 2 and max(fall, bent) < SETTLED * last.size:
+            now = whole()
             break
     else:
         now = project(pairs, poles, variance.total, now.coefficients, ends_hz, least)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
-from threadpoolctl import threadpool_limits
 
 from operando.errors import DataError
+from operando.threads import one_blas_thread
 
 __all__ = ["Residues", "lsfd"]
 
@@ -116,7 +116,7 @@ def lsfd(
     w = _checked_weights(data, weights)
     if w is not None:
         data = np.where(np.isfinite(data), data, 0)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         if u is None:
             # every pair is a response of its own with one reference
             flat = None if w is None else w.reshape(-1, 1, f.size)

@@ -106,19 +106,21 @@ def mode_strength(runs: Sequence[RunSpectra], theta: Parameters) -> Real:
     return out
 
 
-def complete_start(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, log: OrderLog) -> tuple[Real, Real]:
-    """Starting poles, with modes added first where the free fit would bend others to explain them.
+def complete_start(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, log: OrderLog) -> tuple[Real, Real, Polished | None]:
+    """Starting poles, with modes added first where the free fit would bend others to explain them, and the free fit of them.
 
+    The fit (on thinned lines, no kernels below the band) is what any later one from these poles ends at; None where it did not settle.
     A mode missing from the start makes a neighbour broad and moves it away before the residuals can show where it is. So where a
     free fit moves a pole out of its resonance or makes it several times broader, the poles are held and what is missing is added.
     """
     order = np.argsort(hz)
     hz, zeta = np.asarray(hz, float)[order], np.clip(np.asarray(zeta, float)[order], 2e-4, 0.1)
     thinned = thin_lines(runs, hz, zeta)
-    theta = refine(thinned, n_dofs, hz, zeta, lower=False, max_iterations=8).parameters
+    free = refine(thinned, n_dofs, hz, zeta, lower=False, max_iterations=8, log=log)
+    theta = free.parameters
     bent = (np.abs(theta.hz - hz) > 1.5 * zeta * hz) | (theta.zeta > 2.5 * zeta)
     if not bent.any():
-        return hz, zeta
+        return hz, zeta, free if free.converged else None
     for _ in range(3):
         held = refine(thinned, n_dofs, hz, zeta, lower=False, hold_poles=True, max_iterations=4)
         near = [h + k * z * h for h, z in zip(hz, zeta, strict=True) for k in (-3, 0, 3)]
@@ -132,7 +134,7 @@ def complete_start(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real
         bent = (np.abs(grown.hz - hz) > 1.5 * zeta * hz) | (grown.zeta > 2.5 * zeta)
         if not bent.any():
             break
-    return hz, zeta
+    return hz, zeta, None
 
 
 def search_order(
@@ -144,6 +146,7 @@ def search_order(
     lower: bool,
     max_rounds: int = 10,
     max_modes: int = 200,
+    first: Polished | None = None,
     log: OrderLog | None = None,
     progress: Callable[[str], None] | None = None,
     unseen: Callable[[Sequence[float]], Sequence[float]] | None = None,
@@ -159,6 +162,8 @@ def search_order(
         Candidate poles.
     lower : bool
         Whether a pseudo-mode below the band is needed (rigid-body or suspension modes).
+    first : Polished, optional
+        Fit of these poles where it is known (of :func:`complete_start`).
     unseen : callable, optional
         Which of these frequencies [Hz] are not to be added, however much they lower the cost.
 
@@ -177,7 +182,7 @@ def search_order(
     order = np.argsort(hz)
     hz, zeta = np.asarray(hz, float)[order], np.clip(np.asarray(zeta, float)[order], 2e-4, 0.1)
     thinned = thin_lines(runs, hz, zeta)
-    fit = refine(thinned, n_dofs, hz, zeta, lower=lower, log=log)
+    fit = refine(thinned, n_dofs, hz, zeta, lower=lower, log=log) if first is None else first
     tried: list[float] = []
     for number in range(max_rounds):
         misfit = fit.cost / fit.n_data

@@ -263,20 +263,19 @@ def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
             begin, stop = i, min(w0.size, i + max(1, GEMM_ROWS // (w0.size - i)))
             sums = _triple_sums(re, im, slice(begin, stop), (weight, by_omega, by_square))
         plain, cross, square = (part[:, i - begin, i - begin :] for part in sums)
-        rest = slice(i, None)
-        square = square / (w0[i] * w0[rest])
-        plain_cross, cross_plain = (rate * plain + cross) / w0[rest], (rate * plain - cross) / w0[i]
+        forth, back = (rate * plain + cross, rate * plain - cross) if rate else (cross, cross)
+        over_i, over_j, over_both = w0[i] if rate else -w0[i], w0[i:], w0[i] * w0[i:]
         own, row = divmod(i, n)
         for other in range(own, len(kinds) // 2):
             some = slice(other * n - i + (row if other == own else 0), (other + 1) * n - i)
             first = row if other == own else 0
             u_i, cu_i = kinds[2 * own].start + row, kinds[2 * own + 1].start + row
             u_j, cu_j = (slice(at.start + first, at.stop) for at in kinds[2 * other : 2 * other + 2])
-            out[:, u_i, u_j], out[:, u_i, cu_j], out[:, cu_i, cu_j] = plain[:, some], plain_cross[:, some], square[:, some]
-            if other == own:
-                out[:, u_j, cu_i] = cross_plain[:, some]
-            else:
-                out[:, cu_i, u_j] = cross_plain[:, some]
+            # each written once where it stands: the matrices are larger than any cache
+            out[:, u_i, u_j] = plain[:, some]
+            np.divide(forth[:, some], over_j[some], out=out[:, u_i, cu_j])
+            np.divide(back[:, some], over_i, out=out[:, u_j, cu_i] if other == own else out[:, cu_i, u_j])
+            np.divide(square[:, some], over_both[some], out=out[:, cu_i, cu_j])
     re, im = np.ascontiguousarray(c.rows[:k].real), np.ascontiguousarray(c.rows[:k].imag)
     for i in range(2 * n, core):
         row_i = weight @ (re[i] * re + im[i] * im).T

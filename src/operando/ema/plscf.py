@@ -16,10 +16,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
-from threadpoolctl import threadpool_limits
 
 from operando.ema.matrix_roots import polynomial_values, roots_near
 from operando.errors import DataError, IdentificationError
+from operando.threads import one_blas_thread
 
 __all__ = ["OrderPoles", "plscf"]
 
@@ -150,7 +150,7 @@ def plscf(
     interval = arc * (0.5 if real else 1.0) / (f[-1] - f[0])
     shift_hz = float(f[0] if real else (f[0] + f[-1]) / 2)
     theta = 2 * np.pi * (f - shift_hz) * interval
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         normal = _normal_matrix(theta, data, None if w is None else _response_weights(w), max_order, extra, real)
         scale, solved = _denominators(normal, n_in, range(min_order, max_order + 1, step), constraint)
         out = []

@@ -31,9 +31,13 @@ from operando.ema.polish_model import (
 )
 from operando.ema.spectra import RunSpectra
 from operando.errors import IdentificationError
-from operando.synthesis import power_of, real_inner
+from operando.synthesis import combined, power_of, real_inner
 
 _BAND_GRAMS = 12
+
+_COMMON_VALUES = 1 << 18
+"""Complex values of V at a time: four megabytes, large enough for a product and still in the cache."""
+
 MAX_STEP_WIDTHS = 2.0
 """Largest move of a pole in one step, in units of its half bandwidth ζ·f."""
 
@@ -201,39 +205,41 @@ def _grams(run: RunSpectra, theta: Parameters, stack: Complex) -> NDArray[np.flo
     return np.asarray(grams[:, of[:, None], of[None, :]] * np.outer(factor, factor))
 
 
-def _common_rows(run: RunSpectra, theta: Parameters, stack: Complex, rows: Complex, n_all: int) -> Real:
-    """V (n_all, 2·k·L): the Jacobian seen through the force-noise direction of each line."""
-    k, m, n_lines = rows.shape
-    m_dofs, n = theta.shapes.shape
-    out = np.zeros((n_all, k, 2, n_lines), float)
+def _common_rows(run: RunSpectra, theta: Parameters, stack: Complex, rows: Complex, out: Complex) -> None:
+    """Fill V (n_all, k, L), zero before: the Jacobian of some lines seen through the force-noise direction of each."""
+    n, m_dofs = theta.hz.size, theta.shapes.shape[0]
     phi = theta.shapes[run.response_rows]
-    mode = np.arange(n)
+    by_dof = out[2 * n : 2 * n + m_dofs * n].reshape(n, m_dofs, *out.shape[1:])
     b = n_local(run, theta.outside_hz.size)
-
-    def put(where: NDArray[np.int_] | slice, values: Complex, i: int) -> None:
-        out[where, i, 0] += values.real
-        out[where, i, 1] += values.imag
-
-    for i in range(k):
-        w = rows[i]  # (m, L)
-        through = phi.T @ w  # (n, L)
-        put(slice(0, n), through * stack[n : 2 * n], i)
-        put(slice(n, 2 * n), through * stack[2 * n : 3 * n], i)
+    nuisance = out[2 * n + m_dofs * n :]
+    local = nuisance[nuisance.shape[0] - b * run.response_rows.size :].reshape(-1, b, *out.shape[1:])
+    for i, w in enumerate(rows):  # w (m, L)
+        through = combined(phi.T, w)  # (n, L)
+        np.multiply(through, stack[n : 2 * n], out=out[:n, i])
+        np.multiply(through, stack[2 * n : 3 * n], out=out[n : 2 * n, i])
         for j, row in enumerate(run.response_rows):
-            put(2 * n + mode * m_dofs + row, w[j] * stack[:n], i)
+            by_dof[:, row, i] += w[j] * stack[:n]
+            np.multiply(stack[stack.shape[0] - b :], w[j], out=local[j, :, i])
         position = 3 * n
         for row in run.force_rows:
-            put(2 * n + mode * m_dofs + row, through * stack[position : position + n], i)
+            by_dof[:, row, i] += through * stack[position : position + n]
             position += n
-        base = 2 * n + m_dofs * n
         if run.step_s is not None:
-            put(slice(base, base + n), through * stack[position : position + n], i)
-            put(slice(base + n, base + 2 * n), through * stack[position + n : position + 2 * n], i)
-            base += 2 * n
-        local = stack[stack.shape[0] - b :]
-        for j in range(m):
-            put(slice(base + j * b, base + (j + 1) * b), w[j] * local, i)
-    return out.reshape(n_all, -1)
+            np.multiply(through, stack[position : position + n], out=nuisance[:n, i])
+            np.multiply(through, stack[position + n : position + 2 * n], out=nuisance[n : 2 * n, i])
+
+
+def _common_gram(run: RunSpectra, theta: Parameters, stack: Complex, rows: Complex, n_all: int) -> Real:
+    """−Re(V Vᴴ): what the noise of the forces, which all responses share, takes from the normal matrix; some lines at a time."""
+    k, n_lines = rows.shape[0], rows.shape[2]
+    step = max(64, _COMMON_VALUES // (n_all * k))
+    half = np.zeros((n_all, n_all), order="F")
+    for first in range(0, n_lines, step):
+        part = slice(first, first + step)
+        v = np.zeros((n_all, k, min(step, n_lines - first)), complex)
+        _common_rows(run, theta, stack[:, part], rows[:, :, part], v)
+        half = dsyrk(-1.0, v.reshape(n_all, -1).view(float).T, beta=1.0, c=half, trans=1, overwrite_c=1)  # half the work of a product
+    return np.asarray(half + np.triu(half, 1).T)
 
 
 def normal_equations(run: RunSpectra, theta: Parameters, index: int, state: Residual | None = None) -> tuple[Real, Real]:
@@ -247,9 +253,7 @@ def normal_equations(run: RunSpectra, theta: Parameters, index: int, state: Resi
     if state.common is None:
         normal = np.zeros((n_all, n_all))
     else:
-        v = _common_rows(run, theta, stack, state.common, n_all)
-        half = dsyrk(-1.0, v.T, trans=1)  # half the work of a product
-        normal = half + np.triu(half, 1).T
+        normal = _common_gram(run, theta, stack, state.common, n_all)
     grams = _grams(run, theta, stack)
     for at, factor, gram in zip(positions, factors, grams, strict=True):
         _add_block(normal, at, gram * np.outer(factor, factor))

@@ -85,10 +85,11 @@ def polished_answer(
     n_dofs = len(dofs) if core is None else len(core)
     core_runs, turned = _turned(core_runs, hz, zeta)
     log = OrderLog()
-    hz, zeta = complete_start(core_runs, n_dofs, hz, zeta, log)
-    lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta)
+    hz, zeta, free = complete_start(core_runs, n_dofs, hz, zeta, log)
+    lower, share, theta = _needs_lower(core_runs, n_dofs, hz, zeta, free)
     weighted = with_model_error(core_runs, theta, share)
-    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, log=log, progress=progress, unseen=unseen)
+    first = None if lower or share > 0 else free  # of other kernels or weights
+    fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, first=first, log=log, progress=progress, unseen=unseen)
     final = _final(weighted, n_dofs, fit, lower, log, progress)
     misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
     gone = make_up(core_runs, final)
@@ -137,13 +138,15 @@ def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list
     return out
 
 
-def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real) -> tuple[bool, float, Parameters]:
+def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, without: Polished | None) -> tuple[bool, float, Parameters]:
     """Whether kernels below the band lower the cost by more than their number earns, the relative error that remains, and that fit.
 
-    The error is 0 where the candidates already describe the data to within a few times their noise.
+    ``without`` is the fit without them where it is known. The error is 0 where the candidates already describe the data to within a few
+    times their noise.
     """
     thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
-    without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
+    if without is None:
+        without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
     theta = without.parameters
     with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, max_iterations=6)
     unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)

@@ -15,7 +15,9 @@ columns and differ in their weights: the Gram matrices of all pairs come from on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -288,22 +290,27 @@ def search_poles(
     steps: int,
     max_damping: float,
     least: float = np.inf,
-) -> tuple[Poles, Projection, float]:
+) -> tuple[Poles, Projection, float, Callable[[], Projection]]:
     """A few Levenberg steps on the poles under a given variance.
 
     Returns
     -------
     poles, projection
-        The best found.
+        The best found; without the normal equations where no further step was foreseen.
     float
         Fall of the cost.
+    callable
+        Gives the projection with them.
     """
     n = poles.hz.size
     most = largest(pairs, poles)  # as it is here: a prior that moved with the poles would be no part of their gradient
-    now = project(pairs, poles, variance, previous, ends_hz, least, most)
-    total, damping = float(now.cost.sum()), 1e-3
+    whole = partial(project, pairs, poles, variance, previous, ends_hz, least, most)
+    now = whole()
+    has_slopes, total, damping = True, float(now.cost.sum()), 1e-3
     at_start = total
-    for _ in range(steps):
+    for number in range(steps):
+        if not has_slopes:
+            now, has_slopes = whole(), True
         pull = now.gradient.sum(axis=0)
         diagonal = np.diag(now.normal)
         floor = 1e-12 * float(diagonal.max(initial=0.0)) + 1e-300
@@ -312,13 +319,17 @@ def search_poles(
             step = np.linalg.solve(now.normal + np.diag(damping * diagonal + floor), pull)
             limit = np.concatenate([0.7 * poles.zeta, np.full(n, 0.6)])
             step = np.clip(step, -limit, limit)  # each on its own: a pole that runs away must not hold the others
-            if 2 * step @ pull - step @ now.normal @ step < max(LEAST_FALL, 1e-6 * total):
+            worth = max(LEAST_FALL, 1e-6 * total)
+            foreseen = float(2 * step @ pull - step @ now.normal @ step)
+            if foreseen < worth:
                 break  # even if all went as foreseen
             zeta = np.clip(poles.zeta * np.exp(step[n:]), 1e-5, max_damping * 1.02)
             trial = replace(poles, hz=poles.hz * np.exp(step[:n]), zeta=zeta)
             # shifts are counted from the pole: it moves, they do the other way
             a, b, shift = now.coefficients
-            found = project(pairs, trial, variance, (a, b, shift - step[:n]), ends_hz, least, most)
+            trial_whole = partial(project, pairs, trial, variance, (a, b, shift - step[:n]), ends_hz, least, most)
+            further = number < steps - 1 and foreseen > 2 * worth  # a third of the work is for a step that will hardly be made
+            found = trial_whole(with_slopes=further)
             if found.cost.sum() <= total * (1 + 1e-12):
                 better = found
                 break
@@ -327,7 +338,7 @@ def search_poles(
             break
         damping = max(damping / 10, 1e-9)
         fall = total - float(better.cost.sum())
-        poles, now, total = trial, better, total - fall
+        poles, now, total, whole, has_slopes = trial, better, total - fall, trial_whole, further
         if fall < max(LEAST_FALL, 1e-6 * total):
             break
-    return poles, now, at_start - total
+    return poles, now, at_start - total, whole if not has_slopes else lambda: now

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,50 @@ NEGATIVE_SHARE = 0.5
 
 
 @dataclass(frozen=True)
+class ModalCovariance:
+    """Covariance of [f (Hz), ζ, shapes mode by mode], n·(2 + M) values: what the poles carry, and what residues add by themselves.
+
+    The matrix itself is a hundred times as large where there are many places, so it is made where it is kept.
+
+    Parameters
+    ----------
+    carry : (n·(2 + M), 2n) array
+        Derivatives by [ln f, ln ζ].
+    poles : (2n, 2n) array
+        Covariance of [ln f, ln ζ].
+    own : (n, M, M) array
+        Of each shape at known poles.
+    """
+
+    carry: Real
+    poles: Real
+    own: Real
+
+    def fill(self, out: Real, places: Sequence[slice], factors: Real) -> None:
+        """Write the matrix of the values times ``factors`` into ``out``, where frequencies, damping ratios and shapes stand."""
+        n, m = self.own.shape[:2]
+        carry = factors[:, None] * self.carry
+        half = carry @ self.poles
+        parts = slice(n), slice(n, 2 * n), slice(2 * n, None)
+        for i, rows in zip(parts, places, strict=True):
+            for j, columns in zip(parts, places, strict=True):
+                np.matmul(half[i], carry[j].T, out=out[rows, columns])
+        shapes = out[places[2], places[2]]
+        for r, (own, sign) in enumerate(zip(self.own, factors[2 * n :].reshape(n, m), strict=True)):
+            shapes[r * m : (r + 1) * m, r * m : (r + 1) * m] += own * np.outer(sign, sign)
+
+    def of_modes(self, modes: Sequence[int]) -> Real:
+        """The matrix of some of the modes."""
+        n, m = self.own.shape[:2]
+        rows = np.concatenate([modes, [n + r for r in modes], *(2 * n + r * m + np.arange(m) for r in modes)]).astype(int)
+        k = len(modes)
+        out = np.empty((rows.size, rows.size))
+        places = slice(k), slice(k, 2 * k), slice(2 * k, None)
+        ModalCovariance(self.carry[rows], self.poles, self.own[list(modes)]).fill(out, places, np.ones(rows.size))
+        return out
+
+
+@dataclass(frozen=True)
 class UnitMassShapes:
     """Shapes with R_jk ≈ φ_j φ_k.
 
@@ -36,8 +81,7 @@ class UnitMassShapes:
         Whether a drive point gives the mode its scale; where none does the shape keeps an arbitrary one.
     drive : tuple of (pair, t (n,) array)
         Residue over standard deviation of each drive point: positive, absent (|t| < 3) or negative.
-    covariance : (n·(2 + M),)² array
-        Of [f (Hz), ζ, shapes mode by mode].
+    covariance : ModalCovariance
     chi_square : (n,) array
         Mean squared standardised residual of the rank-one fit; NaN where there are no more residues than shape values.
     """
@@ -45,7 +89,7 @@ class UnitMassShapes:
     shapes: Real
     scaled: NDArray[np.bool_]
     drive: tuple[tuple[int, Real], ...]
-    covariance: Real
+    covariance: ModalCovariance
     chi_square: Real
 
 
@@ -103,10 +147,7 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
         own[r] = variance
     # poles in Hz and as ratios; what they do to the shapes, and what the residues leave by themselves
     carry = np.concatenate([np.diag(poles), by_poles])
-    covariance = (carry @ stated_covariance(fit)) @ carry.T
-    for r in range(n):
-        at = slice(2 * n + r * n_dofs, 2 * n + (r + 1) * n_dofs)
-        covariance[at, at] += own[r]
+    covariance = ModalCovariance(carry, stated_covariance(fit), own)
     drive = tuple((int(p), fit.projection.a[p] / std[p]) for p in fit.pairs.drive_points)
     return UnitMassShapes(shapes, scaled, drive, covariance, chi)
 

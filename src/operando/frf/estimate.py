@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings, several
 from operando.dof import parse_dofs
@@ -23,6 +22,7 @@ from operando.frf.runs import RunEstimate, merge_runs
 from operando.frf.singles import average_hits
 from operando.frf.usable import usable_channels
 from operando.frf.wholerecord import choose_lines, rational_run, usable
+from operando.threads import one_blas_thread
 
 MOST_VALUES = 4e6
 """FRF values (pairs times lines) of one run from which the default blocks become no longer: 64 MB, of which an estimate holds some copies.
@@ -125,7 +125,7 @@ def estimate_frf(
     automatic = estimator in (None, "auto")
     if hits_reject and hits == "off":
         raise DataError("hits_reject names hits, and hits is off", hint='set hits to "auto" or "all"')
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         lost_names = {record.name for record in given} - {run.record.name for run in runs}
         rejected = _rejected(runs, [text for text in hits_reject if text.rpartition("#")[0] not in lost_names])
         cut: list[_Cut] = [(run, None, numbers) for run, numbers in zip(runs, rejected, strict=True)]

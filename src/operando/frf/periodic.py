@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as sfft
-from scipy import interpolate, ndimage, signal
+from scipy import ndimage
 
 from operando.data import row_statistics
 from operando.data.mapped import PIECE
@@ -287,8 +287,12 @@ def clock_drift(force: Array, period: int) -> float:
 
 def _resampled(x: Array, at: Array) -> Array:
     """Values of a band-limited signal between its samples: cubic splines through four times as many (within 1e-4 below 0.4 of the rate)."""
-    fine = signal.resample_poly(x, FINER, 1)
-    return np.asarray(interpolate.CubicSpline(np.arange(fine.size), fine)(np.minimum(at * FINER, fine.size - 1)))
+    # here, not at the top: they take half a second to import, and few measurements need them
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import resample_poly
+
+    fine = resample_poly(x, FINER, 1)
+    return np.asarray(CubicSpline(np.arange(fine.size), fine)(np.minimum(at * FINER, fine.size - 1)))
 
 
 def _end_of_force(forces: Array) -> int:

@@ -20,6 +20,7 @@ from scipy import fft
 
 from operando.data import MappedSamples
 from operando.errors import DataError
+from operando.synthesis import power_of
 
 Array = NDArray[Any]
 
@@ -172,7 +173,7 @@ def local_rational(
         else:
             r = coordinates[columns] - np.interp(centres[s], lines, coordinates)[:, None]
             r = r / np.max(np.abs(r), axis=1, keepdims=True)
-        return _prepare(np.moveaxis(force[:, columns], 0, -1), np.moveaxis(response[:, columns], 0, -1), r, order, transient)
+        return _prepare(np.moveaxis(force[:, columns], 0, -1), response.take(columns, axis=1), r, order, transient)
 
     noise = np.empty((n_x, n_c))
     denominators = np.empty((n_c, order + 1), complex)
@@ -237,32 +238,32 @@ def smooth(values: Array, width: int) -> Array:
 
 @dataclass(frozen=True)
 class _Windows:
-    """Scaled windows of one chunk: basis (c, n, p) of forces and transient, z (c, n, order+1, n_x) = r^k·X."""
+    """Windows of one chunk: basis (c, n, p) of forces and transient, responses (c, n_x, n), powers r^k (c, n, order+1)."""
 
     basis: Array
-    z: Array
+    x: Array
     powers: Array
     f_scale: Array
-    x_scale: Array
+    least: Array  # (c, n_x): variances below are rounding
 
 
 def _prepare(f: Array, x: Array, r: Array, order: int, transient: bool) -> _Windows:
-    """Windows f (c, n, n_forces), x (c, n, n_responses), r (c, n), scaled to unit rms."""
+    """Windows f (c, n, n_forces), scaled to unit rms, x (n_responses, c, n), r (c, n)."""
     c, n, _ = f.shape
     tiny = np.finfo(float).tiny
-    f_scale = np.sqrt(np.mean(np.abs(f) ** 2, axis=1)) + tiny
-    x_scale = np.sqrt(np.mean(np.abs(x) ** 2, axis=1)) + tiny
+    f_scale = np.sqrt(np.mean(power_of(f), axis=1)) + tiny
+    parts = x.view(float)
+    least = 1e-28 * np.einsum("xcn,xcn->cx", parts, parts) / n + tiny
     powers = r[:, :, None] ** np.arange(order + 1)
     # Transient polynomial last, so that row j·(order+1) of the solution is N_j(0).
     inputs = np.concatenate([f / f_scale[:, None, :], np.ones((c, n, int(transient)))], axis=2)
     basis = (inputs[:, :, :, None] * powers[:, :, None, :]).reshape(c, n, -1)
-    z = (x / x_scale[:, None, :])[:, :, None, :] * powers[:, :, :, None]
-    return _Windows(basis, z, powers, f_scale, x_scale)
+    return _Windows(basis, x.swapaxes(0, 1), powers, f_scale, least)
 
 
 def _weights(windows: _Windows, d: Array) -> tuple[Array, Array]:
     """|D| on the lines of each window, and the weight 1/|D| with a floor, scaled to a maximum of 1."""
-    size = np.abs(np.einsum("cnp,cp->cn", windows.powers, d))
+    size = np.abs(windows.powers @ d[:, :, None])[:, :, 0]
     weight = 1 / np.maximum(size, 1e-4 * size.max(axis=1, keepdims=True))
     return size, weight / weight.max(axis=1, keepdims=True)
 
@@ -271,16 +272,19 @@ def _first_pass(windows: _Windows, passes: int, dof: float) -> tuple[Array, Arra
     """Denominators (c, order+1) and noise variance of each response (n_x, c)."""
     c, n, p = windows.basis.shape
     weight = np.ones((c, n))
-    sigma = np.ones((c, windows.z.shape[3]))
+    sigma = windows.least * 1e28  # the power of each response, so that all count alike
     for _ in range(passes):
-        _, _, rest, free = _project(windows.basis, windows.z, weight)
-        d = _denominator(rest, sigma)
+        _, _, outside = _factored(windows, weight)
+        rest = _rest(windows, weight, outside)
+        d = _denominator(_normal(rest, sigma))
         size, next_weight = _weights(windows, d)
+        free = np.sum(power_of(outside), axis=2)  # one minus the leverage of each line
         spread = np.sum(free * (size * weight) ** 2, axis=1) * dof / (n - p)
-        residual = np.sum(np.abs(np.einsum("cnpx,cp->cnx", rest, d)) ** 2, axis=1)
-        sigma = np.maximum(residual / np.maximum(spread, 1e-300)[:, None], 1e-28)
+        left = (d[:, None, :] @ rest.reshape(c, d.shape[1], -1)).reshape(c, -1, sigma.shape[1])
+        residual = np.sum(power_of(left), axis=1)
+        sigma = np.maximum(residual / np.maximum(spread, 1e-300)[:, None], windows.least)
         weight = next_weight
-    return d, (sigma * windows.x_scale**2).T
+    return d, sigma.T
 
 
 def _last_pass(windows: _Windows, d: Array, noise: Array) -> tuple[Array, Array, Array]:
@@ -288,51 +292,61 @@ def _last_pass(windows: _Windows, d: Array, noise: Array) -> tuple[Array, Array,
     c, n, _ = windows.basis.shape
     n_f = windows.f_scale.shape[1]
     order = d.shape[1] - 1
-    sigma = np.maximum(noise / windows.x_scale**2, 1e-28)
+    sigma = np.maximum(noise, windows.least)
     size, weight = _weights(windows, d)
-    q, upper, rest, _ = _project(windows.basis, windows.z, weight)
-    d = _denominator(rest, sigma)
-    inverse = np.linalg.inv(upper)[:, :: order + 1][:, :n_f]  # rows of N_j(0): (c, n_f, p)
-    inside = np.conj(np.swapaxes(q, 1, 2)) @ (windows.z * weight[:, :, None, None]).reshape(c, n, -1)
-    parts = (inverse @ inside).reshape(c, n_f, order + 1, -1)  # N(0) for each power of r on X
+    inside, upper, outside = _factored(windows, weight)
+    normal = _normal(_rest(windows, weight, outside), sigma)
+    d = _denominator(normal)
+    inverse: Array = np.linalg.inv(upper)[:, :: order + 1][:, :n_f]  # rows of N_j(0): (c, n_f, p)
+    pick = (inverse @ np.conj(np.swapaxes(inside, 1, 2)) * weight[:, None, :])[:, :, None, :] * windows.powers.swapaxes(1, 2)[:, None]
+    parts = (pick.reshape(c, -1, n) @ np.swapaxes(windows.x, 1, 2)).reshape(c, n_f, order + 1, -1)  # N(0) for each power of r on X
     h = np.einsum("cjpx,cp->cjx", parts, d)
     # Noise of the weighted equations: (|D|·weight)², constant where the floor of the weight is not hit.
     level = np.mean((size * weight) ** 2, axis=1)[:, None]
-    direct = np.sum(np.abs(inverse) ** 2, axis=2)
+    direct = np.sum(power_of(inverse), axis=2)
     variance = direct[:, :, None] * (level * sigma)[:, None, :]
     if order:
-        y = (rest[:, :, 1:] / np.sqrt(level * sigma)[:, None, None, :]).swapaxes(2, 3).reshape(c, -1, order)
-        normal = np.conj(y.swapaxes(1, 2)) @ y
-        ridge = (1e-12 * np.trace(normal, axis1=1, axis2=2).real + 1e-300)[:, None, None] * np.eye(order)
-        covariance = np.linalg.inv(normal + ridge)
+        inner = normal[:, 1:, 1:] / level[:, :, None]
+        ridge = (1e-12 * np.trace(inner, axis1=1, axis2=2).real + 1e-300)[:, None, None] * np.eye(order)
+        covariance = np.linalg.inv(inner + ridge)
         slope = parts[:, :, 1:].swapaxes(2, 3)
         variance = variance + np.real(np.sum((slope @ covariance[:, None]) * slope.conj(), axis=3))
-    unit = windows.x_scale[:, None, :] / windows.f_scale[:, :, None]
+    unit = 1 / windows.f_scale[:, :, None]
     gain = windows.f_scale**2 / np.maximum(direct * level, 1e-300)
     return np.transpose(h * unit, (2, 1, 0)), np.transpose(variance * unit**2, (2, 1, 0)), gain.T
 
 
-def _project(basis: Array, z: Array, weight: Array) -> tuple[Array, Array, Array, Array]:
-    """QR of the weighted basis; part of the weighted z outside its span; one minus the leverage of each row."""
-    c, n, p, n_x = z.shape
-    q, upper = np.linalg.qr(basis * weight[:, :, None])
-    flat = (z * weight[:, :, None, None]).reshape(c, n, p * n_x)
-    rest = flat - q @ (np.conj(np.swapaxes(q, 1, 2)) @ flat)
-    leverage = np.maximum(1 - np.sum(np.abs(q) ** 2, axis=2), 0)
-    return q, upper, rest.reshape(c, n, p, n_x), leverage
+def _factored(windows: _Windows, weight: Array) -> tuple[Array, Array, Array]:
+    """QR of the weighted basis: an orthonormal basis (c, n, p) of its span, the triangle, and one (c, n, n−p) of what is outside."""
+    p = windows.basis.shape[2]
+    q, upper = np.linalg.qr(windows.basis * weight[:, :, None], mode="complete")
+    return q[:, :, :p], upper[:, :p], q[:, :, p:]
 
 
-def _denominator(rest: Array, sigma: Array) -> Array:
-    """Least-squares D with D(0) = 1 (c, order+1), responses weighted by their noise.
+def _rest(windows: _Windows, weight: Array, outside: Array) -> Array:
+    """Part of the weighted r^k·X outside the span, in coordinates of the basis there, (c, order+1, n−p, n_x)."""
+    c, n, free = outside.shape
+    onto = np.empty((c, windows.powers.shape[2], free, n), complex)
+    weighted = outside.conj() * weight[:, :, None]
+    np.multiply(weighted.swapaxes(1, 2)[:, None], windows.powers.swapaxes(1, 2)[:, :, None], out=onto)
+    return np.asarray(onto.reshape(c, -1, n) @ windows.x.swapaxes(1, 2)).reshape(*onto.shape[:3], -1)
+
+
+def _normal(rest: Array, sigma: Array) -> Array:
+    """Normal matrix of the denominator (c, order+1, order+1), responses weighted by their noise."""
+    y = (rest / np.sqrt(sigma)[:, None, None, :]).reshape(*rest.shape[:2], -1)
+    return np.asarray(y.conj() @ y.swapaxes(1, 2))
+
+
+def _denominator(normal: Array) -> Array:
+    """Least-squares D with D(0) = 1 (c, order+1).
 
     Taking the noise off the normal matrix (total least squares) was tried and is worse: where the FRF is smooth D cannot be
     identified, and the pull of the noise towards D = 1 is what keeps the estimate from wild values.
     """
-    c, _, p, _ = rest.shape
+    c, p, _ = normal.shape
     d = np.ones((c, p), complex)
     if p > 1:
-        y = (rest / np.sqrt(sigma)[:, None, None, :]).swapaxes(2, 3).reshape(c, -1, p)
-        normal = np.conj(y.swapaxes(1, 2)) @ y
         ridge = (1e-13 * np.trace(normal, axis1=1, axis2=2).real + 1e-300)[:, None, None] * np.eye(p - 1)
         d[:, 1:] = -np.linalg.solve(normal[:, 1:, 1:] + ridge, normal[:, 1:, :1])[:, :, 0]
     return d

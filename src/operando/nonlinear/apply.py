@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from operando.data import ModalModel, TimeRecord
 from operando.dof import match_dofs
@@ -23,6 +22,7 @@ from operando.nonlinear.records import wanted_kinds
 from operando.nonlinear.search import Case, Field, Spot, examine, make_case, rank_places, settled
 from operando.nonlinear.simulate import law_of
 from operando.nonlinear.steps import Tried, choose, search_step, settle_law, weighed, with_law
+from operando.threads import one_blas_thread
 
 ENOUGH = 1.5
 """A judge misfit above this after an effect was added is held against the best effect that the search finds."""
@@ -96,7 +96,7 @@ def apply_to_records(
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
     say = progress or (lambda message: None)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         first = make_case(idle, records, band, None, exclude_bands)
         held = [not refit or _held(e) for e in effects]
         # The noise of each line is what no force at the best place explains: what is added has no part in it.

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from operando.data import Geometry, ModalModel, TimeRecord
 from operando.dof import Dof, parse_dofs
 from operando.effects import catalogue, kind_of
@@ -19,6 +17,7 @@ from operando.nonlinear.polish import polished
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case, make_case
 from operando.nonlinear.steps import Step, Tried, choose, earns, search_step, with_law
+from operando.threads import one_blas_thread
 
 MAX_EFFECTS = 3
 ONE_PLACE = 1.5
@@ -71,7 +70,7 @@ def diagnose_records(
     """
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so it predicts no response to fail", hint="give the units of force and acceleration")
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands)
         wanted = wanted_kinds(kinds)
         return _diagnose(case, wanted, geometry, progress)
@@ -94,7 +93,7 @@ def measured_distortion(
     MissingError
         If there is no record.
     """
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         return distortion(make_case(idle, records, band, (), exclude_bands))
 
 

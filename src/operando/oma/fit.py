@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from threadpoolctl import threadpool_limits
-
 from operando.data import ModalModel, TimeRecord, several
 from operando.errors import ConfigError
 from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
 from operando.oma.single import Band, Options, default_block_rows, identify
 from operando.stabilization import Tolerances
+from operando.threads import one_blas_thread
 
 METHODS = ("ssi-cov", "ssi-dat")
 WEIGHTINGS = ("cva", "none")
@@ -92,7 +91,7 @@ def fit_oma(
         raise ConfigError(f"weighting {weighting!r} is none of {', '.join(WEIGHTINGS)}")
     setups = group_setups(several(record, TimeRecord, "operating modes are identified from time records", "read(file).records holds them"))
     records = [r for group in setups for r in group]
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         if band is None:
             channels = max(len(r.response_indices) for r in records)
             choice = default_band(records, block_rows or default_block_rows(max(channels, 1), [r.n_samples for r in records]))

@@ -21,6 +21,7 @@ from operando.pipeline.inputs import Inputs, UnfitTest
 from operando.pipeline.outputs import OUTPUTS, Output
 from operando.pipeline.stages import STEPS, Lacking, Stage, Work
 from operando.results import Results
+from operando.threads import one_blas_thread
 
 STAGES = ("inspect", "frf", "ema", "oma", "ofrf", "compare", "diagnose", "report")
 """Stages of the contract, in order."""
@@ -63,8 +64,6 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     WriteError
         If the results folder cannot be written.
     """
-    from threadpoolctl import threadpool_limits
-
     if not isinstance(test, Test):
         test = load_test(test)
     if until is not None and until not in STAGES:
@@ -72,7 +71,7 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     out = Path(out)
     if out.exists() and not out.is_dir():
         raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
-    with threadpool_limits(1, "blas"), results_folder(out, "run", make=True) as folder:
+    with one_blas_thread(), results_folder(out, "run", make=True) as folder:
         return _Run(test, folder, progress or (lambda stage, message: None)).all(until)
 
 

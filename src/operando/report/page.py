@@ -14,6 +14,7 @@ from operando.report.parts import Section
 from operando.report.sections import build
 from operando.report.text import band_text, esc
 from operando.results import Results
+from operando.threads import one_blas_thread
 
 # folded tables print too
 _SCRIPT = "addEventListener('beforeprint',function(){document.querySelectorAll('details').forEach(function(d){d.open=true})});"
@@ -79,9 +80,7 @@ def write_report(results: Results, path: str | Path) -> None:
     path : path
         Target file; it appears whole or not at all (written beside, then renamed).
     """
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         text = render_report(results)
     with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
         stream.write(text)

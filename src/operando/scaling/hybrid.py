@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from operando.data import Finding, ModalModel, ResidualTerms, expect
 from operando.data.provenance import Provenance
@@ -27,6 +26,7 @@ from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes
 from operando.scaling.reciprocity import complexity, reciprocity_finding
 from operando.scaling.uncertainty import covariance_of, scaled_covariance, shape_block, with_unseen_change
+from operando.threads import one_blas_thread
 
 KAPPA_LARGE = 100.0
 """κ from which sensors are said to be badly placed."""
@@ -69,7 +69,7 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
         )
     for name, model in (("idle", idle), ("operational", operating)):
         _check_size(name, model)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         return _scale(idle, operating, threshold, method)
 
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from operando.data import Finding, Frf, ModalModel, Saved, counted, plots
 from operando.scaling.condensed import CondensedBasis
 from operando.scaling.pairing import Pairing
+from operando.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,7 +134,7 @@ class HybridModel(Saved):
             Default: all common DOFs.
         quantity : {"accelerance", "mobility", "receptance"}
         """
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             return self.modal.frf(frequencies, responses, references, quantity)
 
     def to_dict(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -178,14 +179,18 @@ def _lines(raw: RawSet, header: Header58, inventory: Inventory) -> tuple[tuple[A
             inventory.note("unit_conflict", f"set {raw.index}: frequency axis in {header.abscissa.unit!r}, taken as Hz", raw)
     abscissa, values = read_values(inventory.buffer, raw)
     if abscissa is None:
-        with np.errstate(over="ignore"):  # a step of a damaged file; the axis refuses what is not finite
-            frequencies = np.asarray(header.start * factor + header.step * factor * np.arange(header.points), np.float64)
-        key: tuple[Any, ...] = (float(f"{header.start * factor:.9g}"), float(f"{header.step * factor:.9g}"), header.points)
-    else:
-        frequencies = abscissa * factor
-        key = (header.points, frequencies.tobytes())
-    FrequencyAxis(frequencies)
-    return key, frequencies, values
+        start, step = header.start * factor, header.step * factor
+        key: tuple[Any, ...] = (float(f"{start:.9g}"), float(f"{step:.9g}"), header.points)
+        return key, _even_lines(start, step, header.points), values
+    frequencies = FrequencyAxis(abscissa * factor).values
+    return (header.points, frequencies.tobytes()), frequencies, values
+
+
+@lru_cache(maxsize=2)
+def _even_lines(start: float, step: float, points: int) -> NDArray[np.float64]:
+    """Even lines [Hz], checked: the functions of a file mostly share them."""
+    with np.errstate(over="ignore"):  # a step of a damaged file; the axis refuses what is not finite
+        return FrequencyAxis(np.asarray(start + step * np.arange(points), np.float64)).values
 
 
 _Beside = list[Any]
@@ -226,8 +231,12 @@ def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside
             continue
         # One DOF measured in both senses is one row: the sense of its first set.
         sign = f.response.sign * list(responses.values())[i].sign * f.reference.sign * list(references.values())[j].sign
-        with np.errstate(over="ignore", invalid="ignore"):
-            data[i, j] = f.values * (f.factor * sign)
+        factor = f.factor * sign
+        if factor == 1.0:
+            data[i, j] = f.values
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):
+                data[i, j] = f.values * factor
         filled[i, j] = f.raw.index
         inventory.use(f.raw, f.header.title, "SI" if f.si else "numbers kept: unit unknown")
     coherence = _matched(coherences, group, rows, columns, data, "coherence of the FRF", inventory)

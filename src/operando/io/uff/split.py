@@ -255,7 +255,8 @@ def _closed(buffer: Buffer, bare: RawSet, after: int, separator: bytes, problem:
     if end < 0:
         notes = (*bare.notes, "no closing separator at the end of the file")
         return replace(bare, end=len(buffer), stop=len(buffer), problem=problem, notes=notes)
-    return replace(bare, end=end, stop=_line_end(buffer, end), problem=problem)
+    b, stop = bare, _line_end(buffer, end)
+    return RawSet(b.index, b.number, b.binary, b.start, b.body, end, stop, problem=problem, notes=b.notes)
 
 
 def _next_separator(buffer: Buffer, position: int, separator: bytes) -> int:
