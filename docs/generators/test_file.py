@@ -46,6 +46,11 @@ SECTIONS: dict[str, tuple[str, str]] = {
         '`"ch1" = {dof = "12+Z", quantity = "acceleration", unit = "g"}`. What stands here takes the place of the label in the file.',
     ),
     "analysis": ("`[analysis]` (optional)", "Every setting has a default; the values used are stated in `summary.json` and in the report."),
+    "between": (
+        "`[between]` (optional)",
+        "What may differ between the measurements at rest and in operation and is no missing physics, each as one standard deviation; 0 says "
+        "that it does not. Without this section two days in a laboratory and one set-up are both tried, and the more probable one is told.",
+    ),
     "directions": (
         "`[directions]` (optional)",
         "For sensors along no axis: a label and its unit vector in the frame of the geometry. The label is a node, a sign and a name in "
@@ -67,7 +72,16 @@ WORDS: dict[str, dict[str, str]] = {
         "units": "Section: units where the files do not say.",
         "channels": "Section: DOF, quantity, unit and sensitivity of channels.",
         "analysis": "Section: settings.",
+        "between": "Section: what may differ between rest and operation.",
         "directions": "Section: sensor directions that are no axes.",
+    },
+    "between": {
+        "sensor_gain": "Gain of each sensor, relative. Two days: 0.01.",
+        "force_gain": "Gain of each force channel, relative. Two days: 0.01.",
+        "stiffness": "Stiffness of the whole, relative, as by temperature. Two days: 0.003.",
+        "damping": "Damping, relative. Two days: 0.1.",
+        "offset": "How far sensors and exciter are put back beside their place, as a share of the rms of a mode shape. Two days: 0.015.",
+        "skew": "Delay of the responses against the forces [s]. Two days: 3e-5.",
     },
     "idle": STATE,
     "operating": STATE,

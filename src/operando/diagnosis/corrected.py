@@ -44,7 +44,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     part = between.shared_parts(x.d)
     root = np.sqrt(max(1 + float(part["stiffness"].sum()), 0.05))
     more = float(np.exp(part["damping_whole"].sum()))
-    by_mode, by_damping = np.ones(n), np.ones(n)
+    by_mode, by_damping = np.ones(n), np.full(n, more)
     by_mode[modes], by_damping[modes] = np.exp(part["mode"]), more * np.exp(part["damping"])
     f = (moved.f + moved.f_root @ x.g) * root * by_mode
     zeta = (moved.zeta + moved.zeta_root @ x.g) / root * by_damping
@@ -65,7 +65,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     shared[g, n : 2 * n] = (moved.zeta_root * (by_damping / root)[:, None]).T
     slopes = {
         "stiffness": (f / 2 / root**2, -zeta / 2 / root**2),
-        "damping_whole": (np.zeros(n), np.where(moved.residual, 0.0, zeta)),
+        "damping_whole": (np.zeros(n), zeta),
         "mode": (np.diag(f)[modes], np.zeros((modes.size, n))),
         "damping": (np.zeros((modes.size, n)), np.diag(zeta)[modes]),
     }

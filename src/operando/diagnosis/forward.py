@@ -171,7 +171,7 @@ class Forward:
         whole = float(part["stiffness"].sum()) + sum(t.size or 0.0 for t in terms if t.kind == "global_stiffness")
         root = np.sqrt(max(1 + whole, 0.05))
         more = np.exp(part["damping_whole"].sum() + sum(t.values[0] for t in terms if t.kind == "global_damping"))
-        by_mode, by_damping = np.ones(self.n_terms), np.ones(self.n_terms)
+        by_mode, by_damping = np.ones(self.n_terms), np.full(self.n_terms, more)
         by_mode[m], by_damping[m] = np.exp(part["mode"]), more * np.exp(part["damping"])
         f = (idle.f + idle.f_root @ x.g) * root * by_mode
         zeta = (idle.zeta + idle.zeta_root @ x.g) / root * by_damping
@@ -259,7 +259,7 @@ class Forward:
         blocks.append(by_g)
         # d
         by_whole = by_f @ (f / 2 / (1 + whole)) - by_zeta @ (zeta / 2 / (1 + whole))
-        by_more = by_zeta[..., m] @ zeta[m] + by_between @ damping_between
+        by_more = by_zeta @ zeta + by_between @ damping_between
         unlike = np.zeros((n, nd, refs.size, refs.size * m.size), complex)
         column = np.zeros((refs.size, *structure.shape, 1), complex)
         for j in range(refs.size):

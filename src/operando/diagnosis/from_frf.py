@@ -320,9 +320,7 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
     if unused:
         notes.append(f"the diagnosis uses {run.name} alone; {', '.join(unused)} stand in the comparison only")
     if rest is None:
-        notes.append(
-            "there are no FRFs at rest: the idle model is taken as it is, and neighbouring lines as alike as a local model makes them"
-        )
+        notes.append("there are no FRFs at rest: the idle model is taken as it is, and the noise of neighbouring lines as independent")
     elif rest.again:
         notes.append(
             f"the idle model was fitted to the FRFs at rest again, with complex modes; {100 * rest.state.alpha:.2g} % of them stay "

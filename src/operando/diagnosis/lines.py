@@ -12,6 +12,7 @@ from operando.diagnosis.criteria import BLOCKS, CORRELATED_LINES, FIT_LINES, POO
 from operando.errors import DataError
 
 Array = NDArray[Any]
+_FLOOR_LINES = 25  # to each side, for the floor of the noise: wider than any peak
 _NOTHING = 1e12  # variance of a pair that was not measured, over the mean square of those that were
 
 
@@ -61,7 +62,7 @@ class Lines:
                 hint="name the bad channel in the test file, or widen the band",
             )
         hz, h = hz[good], np.where(self.there, h[good], 0)
-        variance = np.maximum(_mean(np.where(self.there, variance[good], 0), np.full(hz.size, POOLED_LINES)), 1e-8 * np.abs(h) ** 2)
+        variance = np.maximum(_pooled(np.where(self.there, variance[good], 1.0), np.abs(h) ** 2), 1e-8 * np.abs(h) ** 2)
         # a pair that was not measured weighs nothing
         variance = np.where(self.there, variance, _NOTHING * np.mean(np.abs(h[:, self.there]) ** 2))
         block = np.minimum(np.arange(hz.size) * BLOCKS // hz.size, BLOCKS - 1)
@@ -149,6 +150,21 @@ class Lines:
         nearest = np.argmin(away, axis=1)
         width = np.maximum(np.abs(self.zeta[nearest]) * self.f[nearest], away.min(1) / 2)
         return np.asarray(np.interp(f, fine, np.concatenate([[0], np.cumsum(np.diff(fine) / width[1:])])))
+
+
+def _pooled(variance: Array, power: Array) -> Array:
+    """Variances of few averages, averaged over lines where their shape is known: a floor, and a share of the FRF's own power.
+
+    Noise of the response is smooth over frequency; that of the force, and what changes from hit to hit, is a share of |H|², and a
+    plain mean would take it from the peaks to their flanks.
+    """
+    count = len(variance)
+    # a harmonic mean over a wide stretch is the floor beside the peaks
+    floor = 1 / _mean(1 / np.maximum(variance, 1e-300), np.full(count, _FLOOR_LINES))
+    loud = power > 10 * np.median(power, axis=0)
+    share = np.sum(np.where(loud, variance - floor, 0), axis=0) / np.maximum(np.sum(np.where(loud, power, 0), axis=0), 1e-300)
+    shape = floor + np.maximum(share, 0) * power
+    return np.asarray(shape * _mean(variance / shape, np.full(count, POOLED_LINES)))
 
 
 def _mean(values: Array, half: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from operando.data import Frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
+from operando.diagnosis.criteria import CORRELATED_LINES, LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
 from operando.diagnosis.forward import Point, Prediction
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.terms import Term, moved
@@ -292,6 +292,12 @@ def fit(case: Case, start: Point, alpha: float = 0.1, turns: int = 18, floor: fl
         change = abs(np.log(alpha / before))
         done = turn == turns - 2 or (begun - now < 0.3 and change < 0.1)
         done = done or (begun - now < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
+        if done and turn < turns - 2:  # expectation maximisation is slow where little is known: a step along the evidence itself
+            here = linear_evidence(problem, left, shared, own, x, alpha)[0]
+            for other in (alpha / 2, 2 * alpha):
+                if LEAST_DISCREPANCY <= other <= MOST_DISCREPANCY and linear_evidence(problem, left, shared, own, x, other)[0] > here + 0.3:
+                    alpha, done = other, False
+                    break
     return State(problem.point(x), alpha, evidence, factor, problem)
 
 
@@ -402,11 +408,17 @@ class AtRest:
 
 def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
-    case = Case(idle, frf, band, spreads={}, number=REST_LINES)
+    asked: dict[str, Any] = {"spreads": {}, "number": REST_LINES}
+    case = Case(idle, frf, band, **asked)
     state = fit(case, case.forward.start, alpha=0.02)
+    # noise taken for alike on neighbouring lines where it is not would count as misfit, so that is told first
+    correlated = _correlation(state)
+    if correlated > 1.5 * CORRELATED_LINES:
+        case = Case(idle, frf, band, correlated=correlated, **asked)
+        state = fit(case, state.x if state.x.g.size == case.forward.n_g else case.forward.start, state.alpha)
     if state.alpha < REST_DISCREPANCY:
-        return AtRest(idle, state, _correlation(state), False)
-    case = Case(idle.loose(case.forward.references), frf, band, spreads={}, number=REST_LINES)
+        return AtRest(idle, state, correlated, False)
+    case = Case(idle.loose(case.forward.references), frf, band, correlated=correlated, **asked)
     state = fit(case, approach(case, case.forward.start)[1], 0.02)
     factor = state.factor
     own = np.zeros((case.forward.n_dofs, factor.inverse.shape[1], factor.inverse.shape[1]))
@@ -415,7 +427,7 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     own[state.problem.order], across[state.problem.order] = factor.inverse, factor.across
     g = case.forward.n_g
     after = case.idle.moved(state.x.g, state.x.own, Factor(own, across[:, :, :g], factor.lower[:g, :g]))
-    return AtRest(after, state, _correlation(state), True)
+    return AtRest(after, state, correlated, True)
 
 
 def _correlation(state: State) -> float:
