@@ -440,7 +440,6 @@ def test_pairs_that_were_not_measured_weigh_nothing():
     terms = (Term("point_mass", (1,), (np.log(0.35),)),)
     states = [fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside(terms))), terms=terms)) for one in (whole, lacking)]
     assert states[1].terms[0].size == pytest.approx(0.4, rel=0.05)
-    assert states[1].covariance[0, 0] > states[0].covariance[0, 0]
     assert on_validation_lines(states[1])[0] < 1.3
 
 

@@ -48,8 +48,9 @@ SECTIONS: dict[str, tuple[str, str]] = {
     "analysis": ("`[analysis]` (optional)", "Every setting has a default; the values used are stated in `summary.json` and in the report."),
     "between": (
         "`[between]` (optional)",
-        "What may differ between the measurements at rest and in operation and is no missing physics, each as one standard deviation; 0 says "
-        "that it does not. Without this section two days in a laboratory and one set-up are both tried, and the more probable one is told.",
+        "What may differ between the measurements at rest and in operation and is no missing physics, each as one standard deviation; "
+        "0 says that it does not. Without this section two days in a laboratory and one set-up are both tried, and the more probable one "
+        "is told.",
     ),
     "directions": (
         "`[directions]` (optional)",

@@ -21,6 +21,7 @@ SPREADS = {
     "sensor_corner": 0.003,  # phase at the lower end of the band, falling with 1/f (time constant)
     "force_corner": 0.003,
     "sensor_late": 0.003,  # phase at the upper end of the band, growing with f
+    "force_late": 0.003,
     "stiffness": 0.003,  # relative, of the whole
     "damping": 0.12,  # log, of each mode
     "damping_whole": 0.1,  # log, of all modes alike
@@ -38,7 +39,7 @@ SPREADS = {
 
 FAMILIES = {
     "sensor_gain": (0.01, ("sensor", "sensor_slope", "sensor_corner", "sensor_late")),
-    "force_gain": (0.01, ("force", "force_slope", "force_corner")),
+    "force_gain": (0.01, ("force", "force_slope", "force_corner", "force_late")),
     "stiffness": (0.003, ("stiffness", "mode", "stiffness_between")),
     "damping": (0.1, ("damping", "damping_whole", "damping_between")),
     "offset": (0.015, ("driven", "seen", "rest_above", "rest_below")),
@@ -46,6 +47,7 @@ FAMILIES = {
 }
 """What a test file may state (``[between]``): the value that stands for the spreads above, and which of them go with it."""
 
+OF_A_FORCE = ("force", "force_slope", "force_corner", "force_late")
 OF_A_CHANNEL = ("sensor", "sensor_slope", "sensor_corner", "sensor_late")
 OUTSIDE = {
     "own_above": 1.0,  # own compliance of an undriven place, over half of what lies above the band there
@@ -103,7 +105,7 @@ class Between:
         one, each, pair = np.ones(1), np.ones(m), np.ones(first.size)
         shared = {
             "stiffness": one, "damping": each, "damping_whole": one, "mode": each, "driven": np.tile(rms, references),
-            "force": np.ones(references), "force_slope": np.ones(references), "force_corner": np.ones(references),
+            **{name: np.ones(references) for name in OF_A_FORCE},
             "late": one, "stiffness_between": pair, "damping_between": pair,
         }  # fmt: skip
         own = {name: np.ones((dofs, 1)) for name in OF_A_CHANNEL}
@@ -138,7 +140,7 @@ class Between:
         """Values by name; zeros for a part without unknowns."""
         m, references = self.idle.modes.size, self.driven.size
         sizes = {"damping": m, "mode": m, "driven": references * m} | dict.fromkeys(("stiffness", "damping_whole", "late"), 1)
-        sizes |= dict.fromkeys(("force", "force_slope", "force_corner"), references)
+        sizes |= dict.fromkeys(OF_A_FORCE, references)
         sizes |= dict.fromkeys(("stiffness_between", "damping_between"), self.first.size)
         values = d * self.shared_spread
         return {name: values[part] if part.stop > part.start else np.zeros(sizes[name]) for name, part in self.shared.items()}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.between import OF_A_CHANNEL, OUTSIDE, Between, channel_laws
+from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, channel_laws
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.terms import Term, added, slopes, touched
 
@@ -275,6 +275,7 @@ class Forward:
             "force": lambda: of_force,
             "force_slope": lambda: of_force * laws["_slope"][:, None, None, None],
             "force_corner": lambda: of_force * laws["_corner"][:, None, None, None],
+            "force_late": lambda: of_force * laws["_late"][:, None, None, None],
             "late": lambda: (-1j * w[:, None, None] * structure)[..., None],
             "stiffness_between": lambda: -both * known.stiffness_scale,
             "damping_between": lambda: by_between,
@@ -366,7 +367,7 @@ class Forward:
         """Measured over true of each DOF's sensor (lines, DOFs) and of each force, inverted (lines, references)."""
         sensors = np.exp(sum(own[name][:, 0] * laws[name.removeprefix("sensor")][:, None] for name in OF_A_CHANNEL))
         sensors = sensors * np.exp(-1j * w * part["late"])[:, None]
-        forces = np.exp(sum(part[f"force{p}"] * laws[p][:, None] for p in ("", "_slope", "_corner"))).astype(complex)
+        forces = np.exp(sum(part[name] * laws[name.removeprefix("force")][:, None] for name in OF_A_FORCE)).astype(complex)
         for term in terms:
             definition = term.definition
             if definition.acts != "sensor_map" or term.kind == "channel_swap":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,7 +21,15 @@ Array = NDArray[Any]
 
 _STEP = 0.7  # of a value on its search scale, at most
 _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
-_FIXED_SPREADS = ("force", "force_slope", "force_corner", "stiffness", "late", "damping_whole")  # too few numbers to estimate from
+_FIXED_SPREADS = (
+    "force",
+    "force_slope",
+    "force_corner",
+    "force_late",
+    "stiffness",
+    "late",
+    "damping_whole",
+)  # too few numbers to estimate from
 _PRIOR_COUNT, _SPREAD_FACTOR = 5.0, (0.3, 3.0)
 
 
@@ -408,18 +416,12 @@ class AtRest:
 
 def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
-    asked: dict[str, Any] = {"spreads": {}, "number": REST_LINES}
-    case = Case(idle, frf, band, **asked)
-    state = fit(case, case.forward.start, alpha=0.02)
-    # noise taken for alike on neighbouring lines where it is not would count as misfit, so that is told first
-    correlated = _correlation(state)
-    if correlated > 1.5 * CORRELATED_LINES:
-        case = Case(idle, frf, band, correlated=correlated, **asked)
-        state = fit(case, state.x if state.x.g.size == case.forward.n_g else case.forward.start, state.alpha)
+    state, correlated = _settled(idle, frf, band, None)
     if state.alpha < REST_DISCREPANCY:
         return AtRest(idle, state, correlated, False)
-    case = Case(idle.loose(case.forward.references), frf, band, correlated=correlated, **asked)
-    state = fit(case, approach(case, case.forward.start)[1], 0.02)
+    driven = state.case.forward.references
+    state, correlated = _settled(idle.loose(driven), frf, band, approach)
+    case = state.case
     factor = state.factor
     own = np.zeros((case.forward.n_dofs, factor.inverse.shape[1], factor.inverse.shape[1]))
     across = np.zeros((case.forward.n_dofs, *factor.across.shape[1:]))
@@ -430,9 +432,25 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     return AtRest(after, state, correlated, True)
 
 
-def _correlation(state: State) -> float:
-    lines = state.case.lines
-    return lines.correlation(state.case.forward.predict(state.x, lines.w_all, derivatives=False).h, state.alpha)
+def _settled(
+    idle: Idle, frf: Frf, band: tuple[float, float], way: Callable[[Case, Point], tuple[float, Point]] | None
+) -> tuple[State, float]:
+    """A model on the FRFs at rest, and how many neighbouring lines have noise that is alike.
+
+    Noise taken for alike where it is not would count as a misfit, so the lines are taken for independent first; what a model leaves
+    that does not fit is no noise.
+    """
+    case = Case(idle, frf, band, spreads={}, number=REST_LINES)
+    start = case.forward.start
+    state = fit(case, start if way is None else way(case, start)[1], alpha=0.02)
+    if state.alpha > REST_DISCREPANCY:
+        return state, CORRELATED_LINES
+    predicted = case.forward.predict(state.x, case.lines.w_all, derivatives=False).h
+    correlated = case.lines.correlation(predicted, state.alpha)
+    if correlated < 1.5 * CORRELATED_LINES:
+        return state, correlated
+    case = Case(idle, frf, band, spreads={}, number=REST_LINES, correlated=correlated)
+    return fit(case, case.forward.start if way is None else way(case, case.forward.start)[1], state.alpha), correlated
 
 
 def names(case: Case, terms: Sequence[Term]) -> list[str]:
