@@ -11,11 +11,12 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
+from operando.diagnose.diagnosis import diagnose as linear
 from operando.diagnose.verdict import spacing
 from operando.diagnosis.between import spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import CORRELATED_LINES
+from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED
 from operando.diagnosis.document import (
     between_rows,
     candidate_rows,
@@ -34,6 +35,8 @@ from operando.dof import Dof, parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
 from operando.threads import one_blas_thread
+
+SURE = ("explained", "ambiguous", "no_misfit")
 
 
 def diagnose_frf(
@@ -115,7 +118,23 @@ def diagnose_frf(
             found, odds = search_both(
                 case, Case(model, run.frf, band, {}, like=case, **asked), say, 0.0 if rest is None else rest.state.alpha
             )
-        return told(idle, check, run, found, rest, geometry, band, compared, odds)
+        answer = told(idle, check, run, found, rest, geometry, band, compared, odds)
+        good_at_rest = rest is None or rest.state.alpha <= EXPLAINED
+        if answer.verdict not in SURE and good_at_rest and kinds is None and places is None:
+            say("places between sensors, and a mode that the idle model lacks")
+            return _elsewhere(answer, linear(idle, check=check, geometry=geometry, band=band, progress=progress, compared=compared))
+        return answer
+
+
+def _elsewhere(answer: Diagnosis, other: Diagnosis) -> Diagnosis:
+    """The answer of the search that knows places between sensors and missing modes, where it has one and this one has none.
+
+    It takes both measurements for one set-up: where they are not, it explains nothing.
+    """
+    if other.verdict not in ("explained", "ambiguous"):
+        return answer
+    found = (*other.notes, "found by the search over places between sensors and modes that the idle model lacks", *answer.notes)
+    return replace(other, notes=found, between=(), discrepancy=answer.discrepancy)
 
 
 def diagnose(
@@ -177,15 +196,15 @@ def diagnose(
     asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band}
     asked |= {"progress": progress, "compared": compared}
 
-    def linear() -> Diagnosis:
+    def from_frf() -> Diagnosis:
         return diagnose_frf(idle, check, idle_frf=idle_frf, between=between, **asked)
 
     if records:
         from operando.diagnose.from_records import diagnose_levels
 
-        return diagnose_levels(linear if check else None, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
+        return diagnose_levels(from_frf if check else None, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
     if check:
-        return linear()
+        return from_frf()
     if operating is None:
         raise MissingError("neither check FRFs nor operational modes to diagnose from")
     from operando.diagnose.output_only import diagnose_output_only
