@@ -13,12 +13,13 @@ from operando.diagnosis import Diagnosis, diagnose_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SPREADS, spreads_of
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EARNED, POOLED_LINES, REST_DISCREPANCY
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
-from operando.diagnosis.search import search, search_both
+from operando.diagnosis.search import contained, score, search, search_both
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
@@ -448,3 +449,34 @@ def _heavier():
     mass = mass.copy()
     mass[1, 1] += 0.4
     return mass, modes()[3], stiff
+
+
+def test_a_kind_that_contains_another_must_earn_more():
+    one = case(add_mass)
+    absorber = Term("tuned_absorber", (1,), (np.log(0.4), np.log(400.0), np.log(0.02)))
+    simple, rich = (
+        fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside(terms))), terms=terms))
+        for terms in ((Term("point_mass", (1,), (np.log(0.4),)),), (absorber,))
+    )
+    assert score(simple) == pytest.approx(simple.log_evidence - EARNED)
+    assert score(rich) == pytest.approx(rich.log_evidence - EARNED - CONTAINING)
+    assert {t.kind for t in contained(one, absorber)} == {"point_mass", "ground_spring", "ground_damper"}
+
+
+def test_nothing_is_searched_where_the_idle_model_misses_rest_and_check_alike():
+    both = case(add_mass), case(add_mass, spreads={})
+    alone = fit(both[0], both[0].forward.start)
+    at_rest = max(alone.alpha, 2 * EXPLAINED) / HOPELESS * 1.1
+    found, odds = search_both(*both, at_rest=at_rest)
+    assert found.best.terms == ()
+    assert len(found.pool) == 1
+    assert odds == -np.inf
+
+
+def test_a_gain_beyond_four_spreads_is_told_as_unusual():
+    gains = np.ones(N)
+    gains[2] = 1 + 1.5 * UNUSUAL * SPREADS["sensor"]
+    found = search(case(gains=gains, kinds=("ground_spring",)))
+    rows = {tuple(r["location"]): r for r in between_rows(found.best) if r["what"] == "sensor_gain"}
+    assert [r["location"] for r in rows.values() if r["unusual"]] == [["3+Z"]]
+    assert rows["3+Z",]["value"] == pytest.approx(gains[2], abs=3 * rows["3+Z",]["std"])
