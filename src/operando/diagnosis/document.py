@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import UNUSUAL
-from operando.diagnosis.posterior import Problem, State
+from operando.diagnosis.posterior import Problem, State, left_on
 from operando.diagnosis.search import Found, score
 from operando.diagnosis.terms import Term, added
 from operando.diagnosis.verdict import Verdict
@@ -76,49 +76,25 @@ def between_rows(state: State) -> list[dict[str, Any]]:
     return rows
 
 
-def ladder(found: Found) -> list[dict[str, Any]]:
-    """Error and reduced chi-square of each step, all with what differs between the days; noise and discrepancy as of the last step."""
-    best = found.best
-    steps = [_without(found, best, number) for number in range(len(best.terms))] + [best]
+def ladder(best: State) -> list[dict[str, Any]]:
+    """Error and reduced chi-square of each step, with what differs between the days, noise and discrepancy as of the last step."""
+    lines = best.case.lines
+    share = lines.validation.size / (lines.validation.size + lines.fit.size)
     out = []
-    for number, state in enumerate(steps):
-        measures = [_measures(state, at, best.alpha) for at in (best.case.lines.validation, best.case.lines.fit)]
-        (chi, square, size), (chi_fit, square_fit, size_fit) = measures
-        whole = size + size_fit
+    for number in range(len(best.terms) + 1):
+        x = best.carried(best.terms[:number])
+        (chi, db), (chi_fit, db_fit) = (left_on(best.case, x, best.alpha, at) for at in (lines.validation, lines.fit))
         out.append(
             {
                 "step": number,
                 "added": effects_of(best)[number - 1].to_dict() if number else None,
-                "error_db": float(np.sqrt((square * size + square_fit * size_fit) / whole)),
-                "heldout_error_db": float(np.sqrt(square)),
-                "misfit": float((chi * size + chi_fit * size_fit) / whole),
+                "error_db": float(np.sqrt(share * db**2 + (1 - share) * db_fit**2)),
+                "heldout_error_db": db,
+                "misfit": share * chi + (1 - share) * chi_fit,
                 "heldout_misfit": chi,
             }
         )
     return out
-
-
-def _without(found: Found, best: State, count: int) -> State:
-    """The state with the first terms of the best alone, as fitted in the search or here."""
-    from operando.diagnosis.posterior import fit
-
-    terms = best.terms[:count]
-    key = tuple(sorted(t.key for t in terms))
-    if key in found.pool:
-        return found.pool[key]
-    return fit(best.case, best.carried(terms), max(best.alpha, 0.02))
-
-
-def _measures(state: State, at: Array, alpha: float) -> tuple[float, float, int]:
-    """Reduced chi-square under noise, a discrepancy and the posterior; mean square of the error [dB²]; number of values."""
-    problem = Problem(state.case, state.terms, at)
-    prediction = problem.predict(problem.packed(state.x))
-    variance = problem.variance(alpha)
-    spread = 2 * state.factor.of_rows(problem.rows(prediction.shared), problem.rows(prediction.own))
-    residual = problem.residual(prediction.h)
-    there = state.case.lines.there
-    db = 20 * np.log10(np.abs(prediction.h[:, there]) / np.abs(problem.measured[:, there]))
-    return float(np.mean(2 * residual**2 / (variance + spread)) / there.mean()), float(np.mean(db**2)), db.size
 
 
 def floor_db(state: State) -> float:

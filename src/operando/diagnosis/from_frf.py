@@ -262,8 +262,7 @@ def told(
         name, why = ("partial" if said.terms else "unexplained"), "runs of different level disagree: no linear effect explains both"
     shown = best.terms if said.terms and name != "unexplained" else ()
     final = best if shown else found.empty
-    # what was found without support is a candidate, and the ladder ends where the model does
-    rows = ladder(found if shown else Found(found.empty, found.empty, found.pool))
+    rows = ladder(final)  # what was found without support is a candidate, and the ladder ends where the model does
     elsewhere = [t for rival in rivals for t in rival.terms if t.key not in {o.key for o in best.terms}]
     ambiguous = [e for rival in rivals for e in effects_of(rival, [t for t in rival.terms if t in elsewhere])]
     return Diagnosis(

@@ -376,20 +376,29 @@ def update_spreads(state: State) -> tuple[Point, dict[str, list[float]]]:
 
 def on_validation_lines(state: State) -> tuple[float, float]:
     """Reduced chi-square of the validation lines under noise, discrepancy and posterior, per independent value; their error [dB, rms]."""
-    case = state.case
-    problem = Problem(case, state.terms, case.lines.validation)
-    prediction = problem.predict(problem.packed(state.x))
-    root = np.sqrt(2 / problem.variance(state.alpha))
-    shared, own = (problem.rows(v) * root[..., None] for v in (prediction.shared, prediction.own))
+    return left_on(state.case, state.x, state.alpha, state.case.lines.validation)
+
+
+def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float]:
+    """What a point leaves of some lines: reduced chi-square per independent value, and error [dB, rms].
+
+    Under noise, a discrepancy, and what the fitted lines leave open of the unknowns; of the fitted lines themselves under the first two.
+    """
+    problem, there = Problem(case, x.terms, at), case.lines.there
+    packed = problem.packed(x)
+    prediction = problem.predict(packed)
+    root = np.sqrt(2 / problem.variance(alpha))
     residual = problem.residual(prediction.h) * root
-    fitted = state.problem.predict(state.problem.packed(state.x))
-    root = np.sqrt(2 / state.problem.variance(state.alpha))
-    known = Information.of(*(state.problem.rows(v) * root[..., None] for v in (fitted.shared, fitted.own)))
-    factor = Factor.of(known + Information.of(shared, own), problem.precision, problem.own_precision)
-    along = np.tensordot(shared, residual, ((0, 1), (0, 1))), (np.swapaxes(own, 1, 2) @ residual[..., None])
-    a, b = factor.whitened(along[0][:, None], along[1])
-    chi = np.sum(residual**2) - np.sum(a**2) - np.sum(b**2)
-    there = case.lines.there
+    chi = np.sum(residual**2)
+    if at is not case.lines.fit:
+        fitted = Problem(case, x.terms, case.lines.fit)
+        made, weights = fitted.predict(packed), np.sqrt(2 / fitted.variance(alpha))
+        known = Information.of(*(fitted.rows(v) * weights[..., None] for v in (made.shared, made.own)))
+        shared, own = (problem.rows(v) * root[..., None] for v in (prediction.shared, prediction.own))
+        factor = Factor.of(known + Information.of(shared, own), problem.precision, problem.own_precision)
+        along = np.tensordot(shared, residual, ((0, 1), (0, 1)))
+        a, b = factor.whitened(along[:, None], np.swapaxes(own, 1, 2) @ residual[..., None])
+        chi -= np.sum(a**2) + np.sum(b**2)
     db = 20 * np.log10(np.abs(prediction.h[:, there]) / np.abs(problem.measured[:, there]))
     return float(chi / (residual.size * there.mean())), float(np.sqrt(np.mean(db**2)))
 
