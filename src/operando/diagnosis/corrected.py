@@ -83,12 +83,9 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     row = problem.values_at
     for term, size in zip(state.terms, sizes, strict=True):
         for number in range(size):
-            # a place taken away has its size stated positive: the slope of the logarithm is that of the size
-            shared[row + number, column + number] = abs(term.slope(number, case.band)) * (
-                1.0 if term.definition.removable or term.kind.endswith("_delay") or number else np.sign(term.size or 1.0)
-            )
-            if term.kind in ("global_damping", "sensor_gain", "force_gain"):
-                shared[row + number, column + number] = abs(term.slope(number, case.band))
+            # what was taken away has its size stated positive; a negative coefficient falls as its logarithm grows
+            sign = term.sign if number == 0 and not term.definition.removable else 1
+            shared[row + number, column + number] = sign * term.slope(number, case.band)
         row, column = row + size, column + size
     at = problem.values_at + problem.n_values
     for dof, reaching in problem.reaching:

@@ -104,12 +104,10 @@ def floor_db(state: State) -> float:
     problem = Problem(case, state.terms, at)
     prediction = problem.predict(problem.packed(state.x))
     variance = case.lines.variance[at] + (state.alpha * case.lines.level[at]) ** 2
-    own = case.forward.n_own
     shared = np.concatenate([prediction.shared.real, prediction.shared.imag], 0)
     mine = np.concatenate([prediction.own.real, prediction.own.imag], 0)
     lay = lambda v: np.moveaxis(v, 1, 0).reshape(v.shape[1], -1, v.shape[3])  # noqa: E731
     spread = state.factor.of_rows(lay(shared), lay(mine)).reshape(mine.shape[1], 2, at.size, -1).sum(1)
-    assert own == mine.shape[3]
     total = variance + np.moveaxis(spread, 0, 1)
     there = case.lines.there
     return float(8.685889638 * np.sqrt(np.mean(total[:, there] / 2 / np.abs(problem.measured[:, there]) ** 2)))
@@ -143,7 +141,7 @@ def candidate_rows(found: Found, shown: Sequence[Term]) -> list[dict[str, Any]]:
     return out
 
 
-def picture(state: State, empty: State) -> dict[str, Any]:
+def picture(state: State) -> dict[str, Any]:
     """Places ranked by what a force of any kind there leaves of the error; δz(ω) at each structural effect.
 
     With e = H0·f − x, one force s(ω) at a place b explains s = bᴴH0ᴴWe/(bᴴH0ᴴWH0b) of it, line by line; δz(ω) = s/(bᵀx) is the

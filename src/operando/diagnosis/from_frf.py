@@ -275,7 +275,7 @@ def told(
         where_it_fails(idle, check, band, compared),
         floor_db(final),
         ("check_frf",),
-        picture(final, found.empty),
+        picture(final),
         notes,
         idle,
         model_of(idle, final, geometry),

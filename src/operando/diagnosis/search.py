@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED, STRICT
 from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines, update_spreads
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
@@ -95,14 +95,16 @@ def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_r
         return Found(alone, alone, {alone.key: alone}), -np.inf
     say("with nothing touched between the measurements:")
     same = search(one_set_up, say, score(alone))
-    if same.best.alpha < LOOSE and score(same.best) > score(alone) and on_validation_lines(same.best)[0] < MOST_CHI_SQUARE:
+    few = len(same.best.terms) <= 1  # several may stand for what the stricter hypothesis leaves out
+    if few and same.best.alpha < LOOSE and score(same.best) > score(alone) and on_validation_lines(same.best)[0] < MOST_CHI_SQUARE:
         rival = fit(days, days_point(days, same.best), same.best.alpha) if same.best.terms else alone
         odds = score(same.best) - max(score(rival), score(alone))
         if odds > EARNED:
             return same, odds
     say("on another day:")
     found = search(days, say)
-    odds = score(same.best) - score(found.best)
+    more = max(0, len(same.best.terms) - len(found.best.terms))
+    odds = score(same.best) - score(found.best) - STRICT * more
     return (same if odds > 0 else found), odds
 
 
@@ -300,6 +302,3 @@ class _Search:
 
     def _listed(self, rows: Sequence[Candidate], zero: float) -> str:
         return ", ".join(f"{names(self.case, [c.term])[0]} {c.evidence - zero:+.0f}" for c in rows)
-
-
-Progress = Callable[[str], None]
