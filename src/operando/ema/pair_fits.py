@@ -19,8 +19,11 @@ from operando.synthesis import combined, compliance, power_of, real_inner, row_b
 
 RIDGE = 1e-9
 
-GRAM_BYTES, CACHE_BYTES = 2.5e8, 2e6
-"""Gram matrices held at a time, and those of them that are worked on together."""
+PRODUCT_BYTES, CACHE_BYTES, SOLVED_BYTES = 1e8, 2e6, 1.6e7
+"""Products over the lines held at a time, Gram matrices that are worked on together, and inverses held at a time.
+
+The last is below what the C library takes from the system anew each time (32 MB), whose pages the system clears: a quarter of all time.
+"""
 
 GEMM_ROWS = 400
 """Rows of a product over the lines."""
@@ -147,16 +150,16 @@ def modal_columns(f: Real, hz: Real, zeta: Real, tails: Complex, rate: float) ->
     return out
 
 
-def chunks(n_pairs: int, n_columns: int) -> Iterator[slice]:
-    """Pairs whose Gram matrices are held at a time."""
-    size = max(16, int(GRAM_BYTES / (8 * n_columns**2)))
+def chunks(n_pairs: int, n_modes: int) -> Iterator[slice]:
+    """Pairs whose products over the lines are held at a time."""
+    size = max(16, int(PRODUCT_BYTES / (32 * max(n_modes, 1) ** 2)))
     return (slice(k, k + size) for k in range(0, n_pairs, size))
 
 
 def fit_pairs(
     data: Complex, variance: Real, c: Columns, spreads: tuple[Real, Real, Real], before: Before | None, with_slopes: bool
-) -> PairFits:
-    """Residues, quadrature parts, shifts and tails of each pair, and what they say of the poles.
+) -> Iterator[PairFits]:
+    """Residues, quadrature parts, shifts and tails of each pair, and what they say of the poles; some pairs at a time.
 
     Parameters
     ----------
@@ -169,11 +172,32 @@ def fit_pairs(
     with_slopes : bool
         Whether normal equations and slopes by the poles are wanted; zeros without.
     """
+    most, quadrature, drift = spreads
+    weight = 1 / variance
+    grams = _Grams(c, weight, core_only=not with_slopes and before is None)
+    size = max(1, int(SOLVED_BYTES / (8 * (c.core + c.n) ** 2)))
+    for first in range(0, data.shape[0], size):
+        at = slice(first, min(first + size, data.shape[0]))
+        some = None if before is None else before.pairs(at)
+        yield _fit_some(data[at], weight[at], c, grams, first, (most[at], quadrature, drift), some, with_slopes)
+
+
+def _fit_some(
+    data: Complex,
+    weight: Real,
+    c: Columns,
+    grams: _Grams,
+    begin: int,
+    spreads: tuple[Real, Real, Real],
+    before: Before | None,
+    with_slopes: bool,
+) -> PairFits:
+    """The same for some pairs, the first of which is number ``begin`` of those with Gram matrices."""
     n, core, count = c.n, c.core, data.shape[0]
     rows = c.rows if with_slopes or before is not None else c.rows[:core]
-    weight = 1 / variance
-    gram = _upper_grams(c, weight, rows.shape[0] == core)
-    parts = [slice(k, k + _few(rows.shape[0])) for k in range(0, count, _few(rows.shape[0]))]
+    step = _few(rows.shape[0])
+    parts = [slice(k, min(k + step, count)) for k in range(0, count, step)]
+    gram = lambda at: grams.of(slice(begin + at.start, begin + at.stop))  # noqa: E731
     shifts = None if before is None else c.by_frequency(before.a, before.b)
     size = core if shifts is None else core + n
     inverse = np.empty((count, size, size))
@@ -181,7 +205,7 @@ def fit_pairs(
     most, quadrature, drift = spreads
     spread_b = None if before is None else np.maximum(quadrature * before.amplitude, 1e-150)
     for at in parts:
-        matrix = _matrix(_mirrored(gram[at]), c, None if shifts is None else _some(shifts, at))
+        matrix = _matrix(gram(at), c, None if shifts is None else _some(shifts, at))
         own = np.sqrt(np.einsum("pii->pi", matrix))
         own[own == 0] = 1
         matrix /= own[:, :, None] * own[:, None, :]
@@ -219,7 +243,7 @@ def fit_pairs(
         pull = real_inner(error * weight, rows)
         gradient = np.concatenate([_summed(pull, c, move) for move in moves], axis=1)
         for at in parts:
-            own, against = _against_slopes(gram[at], c, [_some(m, at) for m in moves], None if shifts is None else _some(shifts, at))
+            own, against = _against_slopes(gram(at), c, [_some(m, at) for m in moves], None if shifts is None else _some(shifts, at))
             scaled = against / scale[at, :, None]
             solved = inverse[at] @ scaled
             normal += own - scaled.reshape(-1, 2 * n).T @ solved.reshape(-1, 2 * n)
@@ -243,33 +267,39 @@ def _some(four: Four, at: slice) -> Four:
     return four[0][at], four[1][at], four[2][at], four[3][at]
 
 
-def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
-    """Re Σ_l w_pl c_i c̄_j of all pairs, j ≥ i, (P, K, K); the other half is filled with :func:`_mirrored`.
+class _Grams:
+    """Gram matrices Re Σ_l w_pl c_i c̄_j of the columns of each pair, made where they are used: they fit no cache together.
 
     Real and imaginary parts carry the same weight, so real products do. With u = g, r and z = u_i ū_j three of them serve the four
     products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z; of modes that lie apart one product serves for the three
     (:class:`_Moments`).
     """
-    n, core, rate = c.n, c.core, float(c.s.real[0])
-    k = core if core_only else core + 2 * n
-    out = np.empty((weight.shape[0], k, k))
-    moments = _Moments(c, weight, core_only)
-    g, h, r, q = c.four
-    for first in range(0, weight.shape[0], _few(k)):
-        at = slice(first, first + _few(k))
-        for own, other, plain, cross, square in moments.of(at):
+
+    def __init__(self, c: Columns, weight: Real, core_only: bool) -> None:
+        n, core = c.n, c.core
+        self.columns, self.size = c, core if core_only else core + 2 * n
+        self.moments = _Moments(c, weight, core_only)
+        re, im = np.ascontiguousarray(c.rows[: self.size].real), np.ascontiguousarray(c.rows[: self.size].imag)
+        self.tails = np.empty((weight.shape[0], core - 2 * n, self.size))
+        for i in range(2 * n, core):
+            np.matmul(weight, (re[i] * re + im[i] * im).T, out=self.tails[:, i - 2 * n])
+
+    def of(self, at: slice) -> Real:
+        """Those of some of the pairs, (P, K, K)."""
+        c, rate = self.columns, float(self.columns.s.real[0])
+        out = np.empty((at.stop - at.start, self.size, self.size))
+        g, h, r, q = c.four
+        for own, other, plain, cross, square in self.moments.of(at):
             u_i, cu_i, u_j, cu_j = (*((g, h) if own == 0 else (r, q)), *((g, h) if other == 0 else (r, q)))
-            some = out[at]
-            some[:, u_i, u_j] = plain
-            np.divide(rate * plain + cross, c.w0, out=some[:, u_i, cu_j])
+            out[:, u_i, u_j] = plain
+            np.divide(rate * plain + cross, c.w0, out=out[:, u_i, cu_j])
             if own != other:
-                np.divide(rate * plain - cross, c.w0[:, None], out=some[:, cu_i, u_j])
-            np.divide(square + rate**2 * plain if rate else square, c.w0[:, None] * c.w0, out=some[:, cu_i, cu_j])
-    re, im = np.ascontiguousarray(c.rows[:k].real), np.ascontiguousarray(c.rows[:k].imag)
-    for i in range(2 * n, core):
-        row_i = weight @ (re[i] * re + im[i] * im).T
-        out[:, : i + 1, i], out[:, i, i:] = row_i[:, : i + 1], row_i[:, i:]
-    return out
+                np.divide(rate * plain - cross, c.w0[:, None], out=out[:, cu_i, u_j])
+            np.divide(square + rate**2 * plain if rate else square, c.w0[:, None] * c.w0, out=out[:, cu_i, cu_j])
+        tails = self.tails[at]
+        out[:, 2 * c.n : c.core] = tails
+        out[:, :, 2 * c.n : c.core] = tails.transpose(0, 2, 1)
+        return _mirrored(out)
 
 
 class _Moments:
@@ -297,12 +327,15 @@ class _Moments:
         by_omega = weight * omega
         by_square = by_omega * omega
         self.second = np.zeros((weight.shape[0], u.shape[0], u.shape[0]))
+        own, more = (np.empty((max(GEMM_ROWS, u.shape[0]), omega.size)) for _ in range(2))
         begin = 0
         while begin < u.shape[0]:  # a few rows at a time: a product of larger matrices is faster
-            rows = slice(begin, begin + max(1, GEMM_ROWS // (u.shape[0] - begin)))
-            real = re[rows, None] * re[None, begin:]
-            real += im[rows, None] * im[None, begin:]
-            self.second[:, rows, begin:] = (by_square @ real.reshape(-1, omega.size).T).reshape(-1, *real.shape[:2])
+            rows = slice(begin, min(begin + max(1, GEMM_ROWS // (u.shape[0] - begin)), u.shape[0]))
+            shape = rows.stop - begin, u.shape[0] - begin
+            real, imag = (part[: shape[0] * shape[1]].reshape(*shape, -1) for part in (own, more))
+            np.multiply(re[rows, None], re[None, begin:], out=real)
+            real += np.multiply(im[rows, None], im[None, begin:], out=imag)
+            self.second[:, rows, begin:] = (by_square @ own[: shape[0] * shape[1]].T).reshape(-1, *shape)
             begin = rows.stop
         self.near = []
         for own, other in self.blocks():

@@ -241,9 +241,9 @@ def project(
     flat = pairs.accelerance - curvature
     most = largest(pairs, poles) if most is None else most
     parts = []
-    for rows in chunks(flat.shape[0], columns.rows.shape[0]):
+    for rows in chunks(flat.shape[0], poles.hz.size):
         spreads = most[rows], poles.quadrature, poles.drift
-        parts.append(fit_pairs(flat[rows], variance[rows], columns, spreads, None if before is None else before.pairs(rows), with_slopes))
+        parts += fit_pairs(flat[rows], variance[rows], columns, spreads, None if before is None else before.pairs(rows), with_slopes)
     gather = lambda name: np.concatenate([getattr(part, name) for part in parts])  # noqa: E731
     shift = gather("shift")
     shifted = np.zeros((flat.shape[0], 2 * poles.hz.size))
