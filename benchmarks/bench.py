@@ -22,7 +22,9 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
 RESULTS = FOLDER / "results"
-STAGES = ("read_uff.py", "estimate_frf.py", "long_record.py", "plscf.py", "fit_ema.py", "ssi_cov.py")
+STAGES = ("read_uff.py", "estimate_frf.py", "long_record.py", "plscf.py", "fit_ema.py", "ssi_cov.py", "campaign.py")
+OPTIONS = {"campaign.py": ("--tests", "28")}
+"""What a stage is called with here: the campaign of 200 tests takes a quarter of an hour."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SETTINGS = {"QT_QPA_PLATFORM": "offscreen", "MPLBACKEND": "Agg"}
 COLUMNS = ("stage", "size", "ours [s]", "peer", "peer [s]", "ratio", "goal", "ours [MB]", "peer [MB]", "accuracy")
@@ -34,7 +36,7 @@ def run(script: str) -> tuple[list[dict[str, Any]], str]:
         return [], f"{script}: there is no such script"
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rows.json"
-        call = [sys.executable, str(FOLDER / script), "--json", str(target)]
+        call = [sys.executable, str(FOLDER / script), *OPTIONS.get(script, ()), "--json", str(target)]
         code = subprocess.run(call, env={**os.environ, **ONE_THREAD, **SETTINGS}, check=False).returncode
         if code or not target.exists():
             return [], f"{script}: ended with {code}" if code else f"{script}: wrote no rows"

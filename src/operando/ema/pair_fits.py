@@ -327,15 +327,15 @@ class _Moments:
         by_omega = weight * omega
         by_square = by_omega * omega
         self.second = np.zeros((weight.shape[0], u.shape[0], u.shape[0]))
-        own, more = (np.empty((max(GEMM_ROWS, u.shape[0]), omega.size)) for _ in range(2))
+        one, more = (np.empty((max(GEMM_ROWS, u.shape[0]), omega.size)) for _ in range(2))
         begin = 0
         while begin < u.shape[0]:  # a few rows at a time: a product of larger matrices is faster
             rows = slice(begin, min(begin + max(1, GEMM_ROWS // (u.shape[0] - begin)), u.shape[0]))
             shape = rows.stop - begin, u.shape[0] - begin
-            real, imag = (part[: shape[0] * shape[1]].reshape(*shape, -1) for part in (own, more))
+            real, imag = (part[: shape[0] * shape[1]].reshape(*shape, -1) for part in (one, more))
             np.multiply(re[rows, None], re[None, begin:], out=real)
             real += np.multiply(im[rows, None], im[None, begin:], out=imag)
-            self.second[:, rows, begin:] = (by_square @ own[: shape[0] * shape[1]].T).reshape(-1, *shape)
+            self.second[:, rows, begin:] = (by_square @ one[: shape[0] * shape[1]].T).reshape(-1, *shape)
             begin = rows.stop
         self.near = []
         for own, other in self.blocks():
