@@ -16,7 +16,7 @@ import platform
 import subprocess
 import sys
 import tempfile
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ OPTIONS = {"campaign.py": ("--tests", "28")}
 """What a stage is called with here: the campaign of 200 tests takes a quarter of an hour."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SETTINGS = {"QT_QPA_PLATFORM": "offscreen", "MPLBACKEND": "Agg"}
-COLUMNS = ("stage", "size", "ours [s]", "peer", "peer [s]", "ratio", "goal", "ours [MB]", "peer [MB]", "accuracy")
+COLUMNS = ("stage", "size", "ours [s]", "peer", "peer [s]", "ratio", "goal", "ours [MB]", "peer [MB]", "accuracy", "taken")
 
 
 def run(script: str) -> tuple[list[dict[str, Any]], str]:
@@ -62,7 +62,7 @@ def table(rows: list[dict[str, Any]], wrong: list[str]) -> str:
         cells = [
             row["stage"], row["size"], _number(row["ours_s"]), row["peer"] or "", _number(row["peer_s"]),
             f"**{ratio}**" if falls_short(row) else ratio, _number(row["goal"]), _number(row["ours_mb"]), _number(row["peer_mb"]),
-            _number(row["accuracy"]),
+            _number(row["accuracy"]), row.get("taken", ""),
         ]  # fmt: skip
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     lines += [f"\nNot measured: {text}" for text in wrong]
@@ -93,7 +93,7 @@ def main() -> None:
     for script in options.only:
         print(f"== {script}", flush=True)
         found, problem = run(script)
-        rows += [row | {"script": script} for row in found]
+        rows += [row | {"script": script, "taken": f"{datetime.now():%Y-%m-%d %H:%M}"} for row in found]
         wrong += [problem] if problem else []
     known = RESULTS / "bench.json"
     before = json.loads(known.read_text(encoding="utf-8")) if known.exists() else []

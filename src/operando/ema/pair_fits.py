@@ -174,7 +174,7 @@ def fit_pairs(
     """
     most, quadrature, drift = spreads
     weight = 1 / variance
-    grams = _Grams(c, weight, core_only=not with_slopes and before is None)
+    grams = Grams(c, weight, core_only=not with_slopes and before is None)
     size = max(1, int(SOLVED_BYTES / (8 * (c.core + c.n) ** 2)))
     for first in range(0, data.shape[0], size):
         at = slice(first, min(first + size, data.shape[0]))
@@ -186,7 +186,7 @@ def _fit_some(
     data: Complex,
     weight: Real,
     c: Columns,
-    grams: _Grams,
+    grams: Grams,
     begin: int,
     spreads: tuple[Real, Real, Real],
     before: Before | None,
@@ -267,18 +267,18 @@ def _some(four: Four, at: slice) -> Four:
     return four[0][at], four[1][at], four[2][at], four[3][at]
 
 
-class _Grams:
+class Grams:
     """Gram matrices Re Σ_l w_pl c_i c̄_j of the columns of each pair, made where they are used: they fit no cache together.
 
     Real and imaginary parts carry the same weight, so real products do. With u = g, r and z = u_i ū_j three of them serve the four
     products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z; of modes that lie apart one product serves for the three
-    (:class:`_Moments`).
+    (:class:`Moments`).
     """
 
     def __init__(self, c: Columns, weight: Real, core_only: bool) -> None:
         n, core = c.n, c.core
         self.columns, self.size = c, core if core_only else core + 2 * n
-        self.moments = _Moments(c, weight, core_only)
+        self.moments = Moments(c, weight, core_only)
         re, im = np.ascontiguousarray(c.rows[: self.size].real), np.ascontiguousarray(c.rows[: self.size].imag)
         self.tails = np.empty((weight.shape[0], core - 2 * n, self.size))
         for i in range(2 * n, core):
@@ -302,7 +302,7 @@ class _Grams:
         return _mirrored(out)
 
 
-class _Moments:
+class Moments:
     """M₀ = Σw Re z, M₁ = Σwω Im z and M₂ = Σwω² Re z of z = u_i ū_j, u = g and r, over the lines, for each pair.
 
     With D_i = ω_i² + 2ζ_iω_i s + s² is D_i − D̄_j = Δ + iωτ, Δ = ω_i² − ω_j² + 2β(ζ_iω_i − ζ_jω_j), τ = 2(ζ_iω_i + ζ_jω_j + 2β), so that
