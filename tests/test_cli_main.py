@@ -44,9 +44,11 @@ def test_commands_of_the_contract_are_there():
         "diagnose",
         "add",
         "remove",
+        "effects",
         "convert",
         "report",
         "campaign",
+        "completion",
     ]
     assert all(name in done.output for name in COMMANDS)
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import importlib
 import io
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from operando import __version__
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 # command -> (module of this package, what it does); the texts stand here so that --help loads no command
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -25,9 +28,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diagnose": ("diagnose", "Where the idle model fails in operation, and which effect is missing."),
     "add": ("add", "Add effects to the idle model and see the error before and after."),
     "remove": ("remove", "Take an added effect back."),
+    "effects": ("effects", "The catalogue of effects, with locations, parameters and units."),
     "convert": ("convert", "Convert between file formats."),
     "report": ("report", "Rebuild report.html of a results folder."),
     "campaign": ("campaign", "Many tests: modes and missing effects over speed, load or date."),
+    "completion": ("completion", "Completion of commands and options at the Tab key of a shell."),
 }
 
 
@@ -63,6 +68,13 @@ class LazyGroup(click.Group):
             near = get_close_matches(name, COMMANDS, 1, 0.5)
             raise UnknownCommand(name, near[0] if near else None, ctx)
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Commands and options that begin so, without loading a command."""
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+        return found + (click.Command.shell_complete(self, ctx, incomplete) if incomplete.startswith("-") else [])
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of commands, without loading them."""

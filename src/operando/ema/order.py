@@ -195,7 +195,7 @@ def search_order(
             misfit = fit.cost / fit.n_data
         new = _missing_modes(thinned, fit, tried, misfit)
         if progress is not None:
-            progress(f"EMA order search: {fit.parameters.hz.size} modes, misfit {misfit:.3g}")
+            progress(f"EMA order search: {fit.parameters.hz.size} modes, normalised error {misfit:.3g}")
         if not new or fit.parameters.hz.size + len(new) > max_modes:
             log.rounds.append(f"round {number}: misfit {misfit:.3g}, {fit.parameters.hz.size} modes, nothing more to add")
             break
