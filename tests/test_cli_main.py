@@ -41,6 +41,7 @@ def test_commands_of_the_contract_are_there():
         "oma",
         "ofrf",
         "compare",
+        "compare-libraries",
         "diagnose",
         "add",
         "remove",

@@ -51,6 +51,8 @@ class Results(Short):
         route to the operational FRFs.
     effect_covariance : array or None
         Joint covariance of that idle model and the effects' values (see ``operando.diagnose.Model``).
+    libraries : list of dict
+        Other libraries on the same data, where asked for: ``LibraryComparison.to_dict()`` of ``operando.contrib``.
     left_out : dict
         Stage name → reason why it was left out.
     timings_s : dict
@@ -74,6 +76,7 @@ class Results(Short):
     effect_idle: ModalModel | None = None
     effect_covariance: Any = None
     automatic: ModalModel | None = None
+    libraries: list[dict[str, Any]] = field(default_factory=list)
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""

@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "oma": ("stages", "A test up to the operational modes."),
     "ofrf": ("ofrf", "Operational FRFs of any pair of DOFs."),
     "compare": ("compare", "Any model against any measurement."),
+    "compare-libraries": ("libraries", "The same data through sdypy-EMA and pyOMA-2 beside operando."),
     "diagnose": ("diagnose", "Where the idle model fails in operation, and which effect is missing."),
     "add": ("add", "Add effects to the idle model and see the error before and after."),
     "remove": ("remove", "Take an added effect back."),
@@ -56,7 +57,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"operando.cli.{COMMANDS[cmd_name][0]}")
-        command: click.Command = getattr(module, cmd_name)
+        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
         return command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:

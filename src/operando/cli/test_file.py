@@ -20,7 +20,9 @@ set_option = click.option(
 )
 output_option = click.option("-o", "--output", type=click.Path(), help="Results folder (default: results/NAME here).")
 open_option = click.option("--open", "show", is_flag=True, help="Open the report in the browser when it is done.")
-_second_opinion = click.option("--second-opinion", is_flag=True, help="Ask sdypy-EMA and pyOMA-2 too; the report shows where they differ.")
+_second_opinion = click.option(
+    "--second-opinion", is_flag=True, help="Compare with sdypy-EMA and pyOMA-2 on the same data; the report shows where they differ."
+)
 
 
 def test_options(function: Callable[..., Any]) -> Callable[..., Any]:

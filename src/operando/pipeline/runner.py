@@ -127,6 +127,8 @@ class _Run:
         """All stages up to ``until``, later ones only where their stored results still hold; then the files, all at once."""
         last = len(STAGES) if until is None else STAGES.index(until) + 1
         for stage in STEPS:
+            if not stage.wanted(self.test):
+                continue
             self.keys[stage.name] = self._key(stage)
             self._step(stage, asked=STAGES.index(stage.part_of) < last)
         self._write_outputs(last == len(STAGES) if report is None else report)
