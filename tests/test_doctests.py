@@ -11,6 +11,7 @@ import pytest
 MODULES = (
     "operando.dof", "operando.indicators", "operando.store", "operando.data.frf", "operando.data.quantities", "operando.io.frames",
     "operando.compare.comparison", "operando.compare.maps", "operando.ema.indicator_functions", "operando.stabilization.classify",
+    "operando.contrib.libraries", "operando.own_effects", "operando.plots.diagnosis",
     "operando.plots.errors", "operando.plots.fits", "operando.plots.frfs", "operando.plots.modes", "operando.plots.ofrfs",
     "operando.plots.records", "operando.plots.shapes", "operando.plots.stabilization",
 )  # fmt: skip

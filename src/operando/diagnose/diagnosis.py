@@ -14,6 +14,7 @@ from operando.compare.measures import Lines, error_db, noise_floor_db
 from operando.compare.verdict import GOOD, floor_reason, verdict_of
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.between import between_sensors
+from operando.diagnose.drawn import Drawn
 from operando.diagnose.law import alone_by_free_law, gain_by_free_law
 from operando.diagnose.learn import learn, on_all_lines
 from operando.diagnose.localise import localise
@@ -38,7 +39,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Drawn):
     """What is missing in the idle model, with evidence.
 
     Parameters
