@@ -236,10 +236,24 @@ def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
     changes : sequence of str, optional
         Entries that take the place of those in the file, each ``section.key=value`` with the value as TOML.
 
+    Returns
+    -------
+    Test
+
     Raises
     ------
     ConfigError
         If the file is no TOML, a key is unknown (the nearest known one is named), a value is wrong, or a pattern matches no file.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/idle.uff", operando.Frf([[[1.0, 2.0]]], [1.0, 2.0], "1+Z", "1+Z"))
+    ...     _ = Path(folder, "test.toml").write_text('name = "pump"\\n[idle]\\nfrfs = ["idle.uff"]')
+    ...     operando.load_test(folder, ["analysis.band=[1,2]"]).analysis.band
+    (1.0, 2.0)
     """
     path = Path(path)
     if path.is_dir():

@@ -111,6 +111,10 @@ def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None 
     band_hz : (float, float), optional
         Modes used; default all.
 
+    Returns
+    -------
+    ModelComparison
+
     Raises
     ------
     ObjectError
@@ -143,6 +147,15 @@ def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None 
 
 def modal_of(model: Any) -> ModalModel:
     """The modes of a model: itself, the scaled ones of a hybrid model, those of the running structure of a model with effects.
+
+    Parameters
+    ----------
+    model : object
+        ModalModel, HybridModel or Model.
+
+    Returns
+    -------
+    ModalModel
 
     Raises
     ------

@@ -85,6 +85,7 @@ def candidate_poles(
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
+        Lines [Hz].
     H : (n_resp, n_ref, n_lines) complex array
         Accelerance (other quantities work; the weightings then differ by powers of ω).
     weights : (n_resp, n_ref, n_lines) or (n_resp, n_lines) array, optional
@@ -296,11 +297,21 @@ def stabilization_diagram(
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
+        Lines [Hz].
     H : (n_resp, n_ref, n_lines) complex array
-    max_order, weights, band, window_rate
+        FRFs.
+    max_order : int
+        Highest polynomial order.
+    weights : array, optional
         As in :func:`operando.ema.plscf.plscf`.
-    tolerances, select_hz, reject_hz
-        As in :func:`operando.stabilization.select_modes`.
+    band : (float, float), optional
+        Lines used [Hz]. Default: all.
+    tolerances : Tolerances, optional
+        What counts as stable.
+    select_hz, reject_hz : sequences of float
+        Choice by hand [Hz], as in :func:`operando.stabilization.select_modes`.
+    window_rate : float
+        Decay rate [1/s] of an exponential window.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How many modes: start from candidate poles, refine, take out what does not earn its place, add what the residuals show."""
+"""How many modes: start from candidate poles, refine, take out what does not improve the model, add what the residuals show."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def search_order(
     Raises
     ------
     UnseenModesError
-        If such a mode earns its place.
+        If such a mode improves the model.
     """
     log = OrderLog() if log is None else log
     order = np.argsort(hz)

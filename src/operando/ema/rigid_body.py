@@ -48,6 +48,10 @@ def rigid_body_mass(model: ModalModel, dof: Dof | str, frequency_hz: float | Non
         Where to take it [Hz]; default: the lower edge of the band. Close above a mode of the suspension the figure is that of the
         suspension, not of the body.
 
+    Returns
+    -------
+    RigidBodyMass
+
     Raises
     ------
     DataError

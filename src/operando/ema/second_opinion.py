@@ -1,4 +1,4 @@
-"""sdypy-EMA as a second opinion on the poles of a fitted model: another program, another estimator (common-denominator LSCF)."""
+"""sdypy-EMA for comparison with the poles of a fitted model: another program, another estimator (common-denominator LSCF)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data import Frf, ModalModel
 from operando.errors import DataError, MissingError
 from operando.indicators import mac
 
@@ -45,7 +46,7 @@ def second_opinion(
     H : (n_resp, n_ref, n_lines) complex array
         A copy is handed over: that program changes its input. Responses with values that are not finite are left out.
     mode_hz, zeta : (n,) arrays
-        The model to be judged.
+        The model to compare with.
     references : sequence, optional
         Labels of the references.
     shapes : (n_resp, n) array, optional
@@ -98,6 +99,13 @@ def second_opinion(
                     judged[r]["mac"] = likeness
             out += judged
     return out
+
+
+def opinion_on(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:
+    """The same of a fitted model and its FRFs."""
+    # That program knows nothing of the window: it is compared with the damping that the FRFs carry.
+    damping = model.damping_ratios + frf.exponential_window_rate / (2 * np.pi * model.frequencies_hz)
+    return tuple(second_opinion(frf.frequencies_hz, frf.data, model.frequencies_hz, damping, references=[str(r) for r in frf.references]))
 
 
 def _on_multiples(f: NDArray[np.float64], data: NDArray[np.complex128], max_lines: int) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -203,6 +203,25 @@ def excited_limits(record: TimeRecord, band: tuple[float, float], share: float =
 
     Typical is the level above which half of the power in the band stands, so that a band wider than the excitation changes nothing. Where
     the force ends inside the band, so does what is returned; else it reaches beyond the band as far as the force does.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        Record with forces.
+    band : (float, float)
+        Band [Hz].
+    share : float, optional
+        Share of the typical power.
+
+    Returns
+    -------
+    (float, float)
+        Both [Hz].
+
+    Raises
+    ------
+    DataError
+        If the record has no force channel.
     """
     rows = record.force_indices
     if not rows:

@@ -48,7 +48,22 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
 
 
 def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
-    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point."""
+    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+    response : int
+        Index of the response.
+    reference : int
+        Index of the reference.
+
+    Returns
+    -------
+    (float, float)
+        Shares in and out.
+    """
     f = frf.frequencies_hz
     good = _significant(frf, response, reference) & (f > 0)
     if not good.any():
@@ -63,6 +78,11 @@ def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
 
 def check_drive_points(frf: Frf) -> list[Finding]:
     """Sign and phase of every drive-point FRF, and references without one.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
 
     Returns
     -------
@@ -189,6 +209,15 @@ def reciprocity_error(frf: Frf) -> float | None:
 
     sqrt(Σ|H_ij − H_ji|²/Σ½(|H_ij|² + |H_ji|²)) over the lines with a
     signal-to-noise ratio above 10, the expected noise power taken off the numerator.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+
+    Returns
+    -------
+    float or None
     """
     errors = reciprocity_pairs(frf)
     return max(errors.values()) if errors else None
@@ -212,7 +241,19 @@ def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
 
 
 def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:
-    """The FRF with the findings of all checks: drive points, reciprocity, and coherence in a band [Hz], else on all lines."""
+    """The FRF with the findings of all checks: drive points, reciprocity, and coherence in a band [Hz], else on all lines.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+    band : (float, float), optional
+        Band [Hz].
+
+    Returns
+    -------
+    Frf
+    """
     findings = [*check_drive_points(frf), *check_rigid_body_signs(frf)]
     for (first, second), error in reciprocity_pairs(frf).items():
         if error > NOT_RECIPROCAL:

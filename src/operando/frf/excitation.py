@@ -40,7 +40,17 @@ same noise stays below 2 at nine degrees of freedom and more)."""
 
 
 def is_periodic(record: TimeRecord) -> bool:
-    """Whether all forces of a record repeat with one period, three times at least, on enough lines to be a multisine."""
+    """Whether all forces of a record repeat with one period, three times at least, on enough lines to be a multisine.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    bool
+    """
     rows = record.force_indices
     return bool(rows) and _steady(record, rows, []) is not None
 

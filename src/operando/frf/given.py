@@ -23,13 +23,17 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
 
     A pair that several files hold is averaged where they agree within their variances (the homogeneity test of runs, pair by pair),
     each weighted by 1/variance: both are measurements of one quantity, and a sensor that stays while others rove should gain from it.
-    Where they disagree, or one of them has no variance to judge by, the first one counts, as it does in no mixture of two structures; a
+    Where they disagree, or one of them has no variance to compare by, the first one counts, as it does in no mixture of two structures; a
     finding says by how much they differ, and how far the modes are shifted.
 
     Parameters
     ----------
     frfs : sequence of Frf
         On the same lines; brought to the quantity of the first one.
+
+    Returns
+    -------
+    Frf
 
     Raises
     ------

@@ -30,6 +30,7 @@ def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None =
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
+        Lines [Hz].
     data : (n_responses, n_references, n_lines) complex array
         Accelerance (or any quantity; the weight only balances low and high modes).
     variance : array like ``data``, optional

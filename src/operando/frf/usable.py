@@ -36,7 +36,17 @@ class ChannelFault:
 
 
 def channel_faults(record: TimeRecord) -> list[ChannelFault]:
-    """Channels that hold samples that are not finite, or no signal."""
+    """Channels that hold samples that are not finite, or no signal.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    list of ChannelFault
+    """
     spreads, finite = record.statistics.std, record.statistics.finite
     out = []
     for i, channel in enumerate(record.channels):
@@ -160,12 +170,32 @@ def _left_out(records: Sequence[TimeRecord], cases: Sequence[tuple[int, ChannelF
 
 
 def whole(records: Sequence[TimeRecord]) -> list[TimeRecord]:
-    """The records that are finite in all forces and responses: those that an analysis of whole records can use."""
+    """The records that are finite in all forces and responses: those that an analysis of whole records can use.
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+        Records of one state.
+
+    Returns
+    -------
+    list of TimeRecord
+    """
     return [r for r in records if r.statistics.finite[[*r.force_indices, *r.response_indices]].all()]
 
 
 def trimmed(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
-    """The record without samples at either end at which no channel is finite (columns of a table that end early), and the finding."""
+    """The record without samples at either end at which no channel is finite (columns of a table that end early), and the finding.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    TimeRecord, list of Finding
+    """
     if record.statistics.finite.any():
         return record, []
     there = np.flatnonzero(np.isfinite(record.data).any(axis=0))

@@ -34,6 +34,7 @@ def convert(
     Parameters
     ----------
     source, target : paths
+        File to read.
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
     binary : bool

@@ -42,6 +42,21 @@ def read_csv(
 
     The rate comes from a time column (``t``, ``time``, …), a column or comment ``fs``, ``sampling_hz`` or ``units["sampling_hz"]``.
 
+    Parameters
+    ----------
+    path : path
+        File.
+    units : Units, optional
+        Quantity → unit, where the file does not say.
+    channels : ChannelSpecs, optional
+        Channel name or DOF → what it is, where the file is silent or wrong.
+    sampling_hz : float, optional
+        Sampling rate [Hz] of a table without a time column.
+
+    Returns
+    -------
+    Content
+
     Raises
     ------
     FormatError
@@ -105,6 +120,13 @@ def read_csv(
 
 def write_csv(path: str | Path, record: TimeRecord) -> None:
     """Write a record as CSV with a time column and a header of ``name [unit]``; all digits are kept.
+
+    Parameters
+    ----------
+    path : path
+        File.
+    record : TimeRecord
+        One record.
 
     Raises
     ------

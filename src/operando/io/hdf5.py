@@ -67,6 +67,15 @@ def read_object(group: h5py.Group) -> Any:
 
     Fields that this version of operando does not know are left out; fields the file lacks take their defaults.
 
+    Parameters
+    ----------
+    group : h5py Group
+        Group of the object.
+
+    Returns
+    -------
+    object
+
     Raises
     ------
     FormatError
@@ -92,6 +101,7 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     Parameters
     ----------
     path : path
+        File.
     objects : mapping of name to object
         See :func:`write_object`.
     """
@@ -110,6 +120,15 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
 
 def read_hdf5(path: str | Path) -> dict[str, Any]:
     """Objects of an HDF5 file of operando, by name.
+
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    dict
 
     Raises
     ------
@@ -133,6 +152,11 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
 
 def check_objects(file: h5py.File) -> None:
     """Refuse a file of operando that does not hold all objects it lists.
+
+    Parameters
+    ----------
+    file : h5py File
+        The open file.
 
     Raises
     ------

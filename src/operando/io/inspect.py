@@ -23,6 +23,7 @@ def inspect_files(paths: Iterable[str | Path], units: Units | None = None, chann
     Parameters
     ----------
     paths : iterable of paths
+        Files to look at.
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
 
@@ -76,6 +77,15 @@ def inspect_content(content: Content) -> tuple[dict[str, Any], list[Finding]]:
 
     ``sets`` is the whole inventory; ``found`` and ``missing`` are sentences; ``used`` counts the sets used by title, ``ignored`` lists
     sets not used with the reason.
+
+    Parameters
+    ----------
+    content : Content
+        What was read of the file.
+
+    Returns
+    -------
+    dict, list of Finding
     """
     extra = [f for record in content.records for f in _drive_point(record, content.path)]
     findings = [*content.findings, *extra]

@@ -26,6 +26,19 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
     Which arrays are what, see :func:`operando.io.variables.content_of`. What was taken for what stands in ``Content.sets``; what is not
     known (DOFs, units) in ``Content.findings``.
 
+    Parameters
+    ----------
+    path : path
+        File.
+    units : Units, optional
+        Quantity → unit, where the file does not say.
+    channels : ChannelSpecs, optional
+        Channel name or DOF → what it is, where the file is silent or wrong.
+
+    Returns
+    -------
+    Content
+
     Raises
     ------
     FormatError
@@ -46,6 +59,13 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
 
 def write_matlab(path: str | Path, *objects: TimeRecord | Frf) -> None:
     """Write records (``data`` samples × channels, ``fs``, ``channel_names``, ``units``) and FRFs (``H`` lines × responses × references).
+
+    Parameters
+    ----------
+    path : path
+        File.
+    *objects : TimeRecord or Frf
+        Records and FRFs to write.
 
     Raises
     ------

@@ -44,6 +44,15 @@ def save(obj: Any, path: str | Path) -> None:
 def load_object(path: str | Path) -> Any:
     """The one object that :func:`save` wrote into an HDF5 file.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    object
+
     Raises
     ------
     FormatError
@@ -59,6 +68,15 @@ def load_object(path: str | Path) -> Any:
 
 def object_names(path: str | Path) -> tuple[str, ...]:
     """Names of the objects in an HDF5 file of operando.
+
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    tuple of str
 
     Raises
     ------

@@ -31,15 +31,19 @@ def make_record(
     Parameters
     ----------
     data : (n_channels, n_samples) array
+        Samples (n_channels, n_samples).
     sampling_hz : float
+        Sampling rate [Hz].
     names, unit_texts : sequences of str
         Name of each channel (a DOF label such as ``12+Z`` becomes its DOF) and its unit, empty where not known.
     start_s : float
+        Time of the first sample [s].
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
     source : str
         File name, for findings.
     provenance : Provenance, optional
+        Where the samples come from.
 
     Returns
     -------
@@ -132,6 +136,11 @@ def from_sep005(
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
     name : str
+        Name of the record.
+
+    Returns
+    -------
+    TimeRecord
 
     Raises
     ------
@@ -212,7 +221,17 @@ def _text(item: Mapping[str, Any], key: str, i: int) -> str:
 
 
 def to_sep005(record: TimeRecord) -> list[dict[str, Any]]:
-    """A record as SEP005: one dict a channel with ``data``, ``time``, ``fs``, ``name``, ``unit_str``, ``quantity``."""
+    """A record as SEP005: one dict a channel with ``data``, ``time``, ``fs``, ``name``, ``unit_str``, ``quantity``.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    list of dict
+    """
     return [
         {
             "data": row,

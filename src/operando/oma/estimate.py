@@ -103,7 +103,17 @@ def to_displacement(shapes: NDArray[Any], lam: NDArray[np.complex128], derivativ
 
 
 def normalise_shapes(shapes: NDArray[Any]) -> NDArray[np.complex128]:
-    """Unit norm, largest component real and positive."""
+    """Unit norm, largest component real and positive.
+
+    Parameters
+    ----------
+    shapes : array
+        Shapes in columns.
+
+    Returns
+    -------
+    complex array
+    """
     out = np.array(shapes, complex)
     for column in out.T:
         peak = column[np.argmax(np.abs(column))]

@@ -102,7 +102,7 @@ def envelope(data: NDArray[Any], sampling_hz: float, hz: float, width_hz: float)
 
 
 def _lines_by_bins(data: NDArray[Any], middle: int, half: int) -> NDArray[np.complex128]:
-    """DFT lines ``middle`` ± ``half`` of a long record, whose middle line is turned to zero frequency and averaged in bins."""
+    """DFT lines ``middle`` ± ``half`` of a long record, whose middle line is shifted to zero frequency and averaged in bins."""
     r, n = data.shape
     edges = np.linspace(0, n, max(ENVELOPE_BINS, 32 * half) + 1).astype(int)
     bins = np.empty((r, edges.size - 1), complex)
@@ -129,12 +129,15 @@ def find_harmonics(
     Parameters
     ----------
     data : (r, n_samples) array
+        Samples (n_channels, n_samples).
     sampling_hz : float
+        Sampling rate [Hz].
     band : (low, high)
         Where to look [Hz].
     known_hz : sequence of float
         Rotor orders the user names: removed whether or not they stand out (searched within 0.5 %).
     max_count : int
+        Largest number of sinusoids.
 
     Returns
     -------

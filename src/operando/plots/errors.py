@@ -39,6 +39,7 @@ def plot_error_map(
     values : (n_dofs, n_bands) array
         Of :func:`operando.compare.error_map`; NaN (a dash) where no line stands clear of the noise.
     dofs : sequence of Dof or str
+        One DOF for each row.
     edges_hz : (n_bands + 1,) array
         Limits of the bands [Hz].
     axes : matplotlib Axes, optional
@@ -48,6 +49,7 @@ def plot_error_map(
     measure : str
         What the numbers are.
     title : str
+        Words above the axes.
 
     Returns
     -------
@@ -116,6 +118,7 @@ def plot_errors(
     names : sequence of str
         Words for each model.
     error_db : (n,) array [dB]
+        Level error of each model [dB].
     axes : matplotlib Axes, optional
         Default: of a new figure.
     keys : sequence of str, optional
@@ -161,6 +164,7 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     Parameters
     ----------
     comparison : Comparison
+        Comparison to draw.
     axes : matplotlib Axes, optional
         Default: of a new figure.
     by : {"dof", "band", "mode"}

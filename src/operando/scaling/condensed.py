@@ -62,6 +62,7 @@ def choose_dofs(shapes: ArrayLike, count: int | None = None) -> list[int]:
     Parameters
     ----------
     shapes : (m, n) real array
+        Shapes in columns.
     count : int, optional
         How many; default min(m, n).
 
@@ -84,6 +85,7 @@ def condensed_mass(shapes: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     shapes : (m, n) real array, n ≤ m, unit modal mass [kg^(−1/2)]
+        Shapes in columns.
 
     Returns
     -------
@@ -112,8 +114,15 @@ def condensed_basis(shapes: ArrayLike, hz: ArrayLike, in_band: ArrayLike) -> Con
     Parameters
     ----------
     shapes : (m, n) real array of unit modal mass
+        Shapes in columns.
     hz : (n,) array [Hz]
+        Frequencies of the modes [Hz].
     in_band : (n,) bool array
+        Whether each lies in the band.
+
+    Returns
+    -------
+    CondensedBasis
 
     Raises
     ------

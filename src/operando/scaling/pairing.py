@@ -97,13 +97,21 @@ def pair_modes(
     Parameters
     ----------
     idle_shapes : (m, n_idle) real array
+        Idle shapes in columns.
     idle_hz : (n_idle,) array [Hz]
+        Idle frequencies [Hz].
     operating_shapes : (m, n_operating) complex array of arbitrary scale
+        Operational shapes in columns, at the same DOFs.
     operating_hz : (n_operating,) array [Hz]
+        Operational frequencies [Hz].
     threshold : float
         ε, between 0 and 1.
     in_band : (n_idle,) bool array, optional
         Idle modes inside the analysis band; default all.
+
+    Returns
+    -------
+    Pairing
 
     Raises
     ------

@@ -47,6 +47,7 @@ def classify(
     vectors : sequence of (m, p_i) arrays
         Mode shape (OMA) or participation vector (EMA) of each pole.
     tolerances : Tolerances, optional
+        What counts as stable; default: those of the field.
 
     Returns
     -------
@@ -105,6 +106,7 @@ def stability_letters(table: PoleTable, tolerances: Tolerances | None = None) ->
     Parameters
     ----------
     table : PoleTable
+        Poles of all orders.
     tolerances : Tolerances, optional
         Those the table was made with.
 

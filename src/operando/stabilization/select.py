@@ -23,6 +23,15 @@ def track_poles(table: PoleTable, tolerances: Tolerances, max_gap: int = 3) -> l
     vector in units of their tolerance; a chain may miss up to ``max_gap − 1`` orders in a row. Because an order gives at most
     one pole to a chain, close modes stay apart however close they are.
 
+    Parameters
+    ----------
+    table : PoleTable
+        Poles of all orders.
+    tolerances : Tolerances
+        What counts as stable; default: those of the field.
+    max_gap : int, optional
+        Orders in a row that a chain may miss.
+
     Returns
     -------
     list of int arrays
@@ -99,9 +108,11 @@ def select_modes(
     Parameters
     ----------
     table : PoleTable
+        Poles of all orders.
     band : (low, high), optional
         Only modes in this band [Hz]; default all.
     tolerances : Tolerances, optional
+        What counts as stable; default: those of the field.
     min_size : int, optional
         Smallest number of orders a mode must appear in.
     max_gap : int
@@ -110,6 +121,7 @@ def select_modes(
         Choice by hand [Hz]: the chain nearest to each ``select_hz`` (within ``hand_tolerance``, relative) is taken whatever its length,
         beside what is chosen automatically; the modes nearest to each ``reject_hz`` are not.
     hand_tolerance : float
+        Largest relative distance of a pole from a frequency chosen by hand.
     indicator_hz, indicator : arrays, optional
         Passed through for the drawing.
 
@@ -175,9 +187,14 @@ def demote(stabilization: Stabilization, verdicts: Mapping[int, tuple[str, str]]
     Parameters
     ----------
     stabilization : Stabilization
+        The selection.
     verdicts : mapping of int to (code, reason)
         Index of the selected mode → why it is no mode after all (known only after the diagram: a sinusoid, too uncertain, negative
         modal mass, …).
+
+    Returns
+    -------
+    Stabilization
     """
     keep = [i for i in range(stabilization.selected_hz.size) if i not in verdicts]
     gone = [

@@ -35,10 +35,15 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
     Parameters
     ----------
     path : path
+        File.
     units : mapping, optional
         Quantity → unit text where the file is silent; ``length`` for coordinates.
     channels : mapping, optional
         Channel name or DOF label → dof, quantity, unit, sensitivity, exclude, reason.
+
+    Returns
+    -------
+    Content
 
     Raises
     ------
@@ -61,6 +66,15 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
 
 def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
     """All sets of a file as they stand: position, type, header of functions, and the raw bytes with separators.
+
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    list of (RawSet, bytes)
 
     Raises
     ------
