@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from operando.effects import EffectKind, Parameter, register, unregister
+from operando.effects import EffectKind, Parameter, catalogue, register, unregister
 
 
 @pytest.fixture
@@ -23,3 +23,12 @@ def inerter():
     register(Inerter)
     yield Inerter.kind
     unregister(Inerter.kind)
+
+
+@pytest.fixture
+def own_kinds_gone():
+    """Takes kinds of effects that a test registers out of the catalogue again."""
+    before = set(catalogue())
+    yield
+    for name in set(catalogue()) - before:
+        unregister(name)

@@ -10,10 +10,11 @@ from click.testing import CliRunner
 import measurements
 from operando import catalogue, load_test
 from operando.cli import main
-from operando.effects import unregister
 from operando.errors import ConfigError
 from operando.own_effects import load_effects
 from operando.pipeline import run
+
+pytestmark = pytest.mark.usefixtures("own_kinds_gone")
 
 LAW = '''
 import operando
@@ -39,15 +40,6 @@ def law(folder, name="my_laws.py", kind="strut_for_test", time=0.001):
     path = folder / name
     path.write_text(LAW.format(kind=kind, time=time), encoding="utf-8")
     return path
-
-
-@pytest.fixture(autouse=True)
-def nothing_left():
-    """Takes kinds that a test registers out of the catalogue again."""
-    before = set(catalogue())
-    yield
-    for name in set(catalogue()) - before:
-        unregister(name)
 
 
 @pytest.fixture
