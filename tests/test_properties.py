@@ -205,10 +205,11 @@ def test_covariance_of_a_selection_is_that_of_its_parameters(dofs, seed, complex
 
 # Add and remove
 
+EFFECTS = ("point_mass@1+Z=mass:0.3", "ground_spring@2+Z=stiffness:2e4", "coupling_damper@1+Z,3+Z=damping:20")
+
 
 @QUICK
-@given(SEEDS, st.lists(st.sampled_from(["point_mass@1+Z=mass:0.3", "ground_spring@2+Z=stiffness:2e4", "coupling_damper@1+Z,3+Z=damping:20"]),
-                       min_size=1, max_size=3), st.data())  # fmt: skip
+@given(SEEDS, st.lists(st.sampled_from(EFFECTS), min_size=1, max_size=3), st.data())
 def test_an_effect_added_and_removed_leaves_the_model(seed, texts, data):
     idle = replace(model_of(parse_dofs("1+Z, 2+Z, 3+Z"), seed), covariance=None)
     hz = np.linspace(5, 120, 7)
