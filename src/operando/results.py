@@ -57,6 +57,12 @@ class Results(Short):
         Stage name → reason why it was left out.
     timings_s : dict
         Stage name → wall seconds; in ``timings.json``, not in ``model.h5``.
+
+    Examples
+    --------
+    >>> import operando
+    >>> operando.Results("pump")
+    <Results: pump>
     """
 
     name: str

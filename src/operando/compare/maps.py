@@ -28,6 +28,15 @@ def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.boo
     -------
     bool array
         True where a line counts.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.compare import clear_lines
+    >>> clear_lines(frf, (10, 20)).sum(axis=2).tolist()
+    [[100, 100], [100, 100]]
     """
     size2 = np.abs(frf.data) ** 2
     mask = np.isfinite(size2) & (size2 > 0)
@@ -84,6 +93,12 @@ def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = N
     -------
     float or array
         One value for each index of the axes that are left.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> float(rms_over(np.array([3.0, 4.0, 100.0]), np.array([True, True, False])).round(3))
+    3.536
     """
     use = mask & np.isfinite(values)
     total = np.sum(np.where(use, values, 0.0) ** 2, axis=axis)

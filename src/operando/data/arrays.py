@@ -39,6 +39,11 @@ def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
     Returns
     -------
     complex array
+
+    Examples
+    --------
+    >>> complex_of([1.0, 2.0], [0.0, -1.0]).tolist()
+    [(1+0j), (2-1j)]
     """
     first = np.asarray(real, float)
     out = np.empty(first.shape, complex)

@@ -98,6 +98,12 @@ def group_findings(findings: Iterable[Finding]) -> list[Finding]:
     Returns
     -------
     list of Finding
+
+    Examples
+    --------
+    >>> finding = Finding("overload", "3 samples at full scale", "warning", file="run1.uff")
+    >>> len(group_findings([finding, finding]))
+    1
     """
     groups: dict[tuple[object, ...], list[Finding]] = {}
     for finding in dict.fromkeys(findings):

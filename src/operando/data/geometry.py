@@ -230,6 +230,11 @@ def direction_of(dof: Dof, directions: Mapping[str, Sequence[float]]) -> NDArray
     Returns
     -------
     (3,) array or None
+
+    Examples
+    --------
+    >>> direction_of(Dof.parse("7-X"), {}).tolist()
+    [-1.0, -0.0, -0.0]
     """
     vector = directions.get(str(dof.unsigned), _AXIS_VECTORS.get(dof.axis))
     return None if vector is None else dof.sign * np.asarray(vector, float)
@@ -254,6 +259,13 @@ def node_motion(dofs: Sequence[Dof], values: NDArray[Any], directions: Mapping[s
     -------
     dict
         Node → motion.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> motion = node_motion([Dof.parse("7+X"), Dof.parse("7-Z")], np.array([[1.0], [2.0]]), {})
+    >>> motion[7].ravel().tolist()
+    [1.0, 0.0, -2.0]
     """
     rows: dict[Node, list[tuple[NDArray[np.float64], int]]] = {}
     for i, dof in enumerate(dofs):

@@ -21,6 +21,11 @@ def one_level(first: float, second: float) -> bool:
     Returns
     -------
     bool
+
+    Examples
+    --------
+    >>> one_level(5.0, 5.2), one_level(5.0, 20.0)
+    (True, False)
     """
     low, high = sorted((first, second))
     return high == low or high < LEVEL_RATIO * low

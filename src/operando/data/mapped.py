@@ -159,6 +159,12 @@ def pieces(data: Any, length: int = PIECE) -> Iterator[tuple[int, NDArray[Any]]]
     ------
     int, array
         First sample and samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> [(first, part.shape) for first, part in pieces(np.zeros((2, 5)), 3)]
+    [(0, (2, 3)), (3, (2, 2))]
     """
     for first in range(0, data.shape[1], length):
         yield first, np.asarray(data[:, first : first + length])
@@ -426,6 +432,12 @@ def row_statistics(data: Any) -> RowStatistics:
     Returns
     -------
     RowStatistics
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> row_statistics(np.array([[1.0, -3.0, 2.0]])).finite.tolist()
+    [True]
     """
     if not isinstance(data, MappedSamples):
         return _row_statistics(data)

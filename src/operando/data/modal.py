@@ -395,6 +395,11 @@ def phase_collinearity(shape: ArrayLike) -> float:
     -------
     float
         0 to 1.
+
+    Examples
+    --------
+    >>> round(phase_collinearity([1.0, -0.5, 0.2]), 3)
+    1.0
     """
     v = np.asarray(shape)
     if not np.iscomplexobj(v):

@@ -48,6 +48,11 @@ def names_text(names: Iterable[object], most: int = MOST_NAMES) -> str:
     Returns
     -------
     str
+
+    Examples
+    --------
+    >>> names_text(["1+Z", "2+Z", "3+Z", "4+Z", "5+Z"])
+    '1+Z, 2+Z, 3+Z, … (5)'
     """
     words = [str(n) for n in names]
     return ", ".join(words) if len(words) <= most else f"{', '.join(words[: most - 1])}, … ({len(words)})"
@@ -66,6 +71,11 @@ def counted(n: int, noun: str) -> str:
     Returns
     -------
     str
+
+    Examples
+    --------
+    >>> counted(1, "force"), counted(3, "force")
+    ('1 force', '3 forces')
     """
     return f"{n} {noun}" + ("" if n == 1 else "s")
 
@@ -165,6 +175,11 @@ def several(value: Any, kind: type[T], what: str, hint: str) -> list[T]:
     ------
     ObjectError
         If it is something else; it says what was given and what to do.
+
+    Examples
+    --------
+    >>> several(3, int, "numbers are added", "give numbers"), several([3, 4], int, "numbers are added", "give numbers")
+    ([3], [3, 4])
     """
     items = list(value) if isinstance(value, list | tuple) else [value]
     for item in items:

@@ -316,6 +316,15 @@ def stabilization_diagram(
     Returns
     -------
     Stabilization
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import stabilization_diagram
+    >>> stabilization_diagram(frf.frequencies_hz, frf.data, max_order=20).selected_hz.round(2).tolist()
+    [20.0, 45.0]
     """
     f = np.asarray(frequencies_hz, float)
     low, high = (float(f[0]), float(f[-1])) if band is None else band

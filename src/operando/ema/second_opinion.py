@@ -73,6 +73,16 @@ def second_opinion(
         If shapes disagree or the lines are not even.
     MissingError
         If sdypy-EMA is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import second_opinion
+    >>> told = second_opinion(frf.frequencies_hz, frf.data[:, :1], [45.0], [0.02])
+    >>> round(told[0]["second_frequency_hz"], 2), told[0]["agrees"]
+    (45.0, True)
     """
     f, data = np.asarray(frequencies_hz, float), np.asarray(H, complex)
     hz, damping = np.atleast_1d(np.asarray(mode_hz, float)), np.atleast_1d(np.asarray(zeta, float))

@@ -63,6 +63,15 @@ def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
     -------
     (float, float)
         Shares in and out.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import power_signs
+    >>> power_signs(frf, 0, 0)
+    (1.0, 0.0)
     """
     f = frf.frequencies_hz
     good = _significant(frf, response, reference) & (f > 0)
@@ -90,6 +99,15 @@ def check_drive_points(frf: Frf) -> list[Finding]:
         ``inverted`` where nearly all dissipated power is negative (force or response channel of the wrong sign);
         ``drive_point_sign`` where the sign is mixed (force and response not at the same point, a delay, or a wrong label);
         ``missing_drive_point``, once, for the references without a response on their DOF.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import check_drive_points
+    >>> check_drive_points(frf)
+    []
     """
     out: list[Finding] = []
     pairs = {j: i for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()}
@@ -218,6 +236,15 @@ def reciprocity_error(frf: Frf) -> float | None:
     Returns
     -------
     float or None
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import reciprocity_error
+    >>> round(reciprocity_error(frf), 6)
+    0.0
     """
     errors = reciprocity_pairs(frf)
     return max(errors.values()) if errors else None
@@ -253,6 +280,15 @@ def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:
     Returns
     -------
     Frf
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import check_frf
+    >>> check_frf(frf).findings
+    ()
     """
     findings = [*check_drive_points(frf), *check_rigid_body_signs(frf)]
     for (first, second), error in reciprocity_pairs(frf).items():

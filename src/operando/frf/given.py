@@ -39,6 +39,15 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
     ------
     DataError
         If the lines differ.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import merge_frfs
+    >>> merge_frfs([frf[:, "1+Z"], frf[:, "2+Z"]]).references
+    (Dof('1+Z'), Dof('2+Z'))
     """
     first = frfs[0]
     if len(frfs) == 1:

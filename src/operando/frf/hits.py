@@ -134,6 +134,14 @@ def is_impact(force: ArrayLike) -> bool:
     Returns
     -------
     bool
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> force = np.zeros(1000)
+    >>> force[100:104] = [1.0, 3.0, 3.0, 1.0]
+    >>> is_impact(force)
+    True
     """
     energy = np.array(force, float)
     energy -= np.median(energy)
@@ -162,6 +170,15 @@ def find_hits(force: ArrayLike, sampling_hz: float, *, threshold: float | None =
     Returns
     -------
     Hits
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.frf import find_hits
+    >>> force = np.zeros(4000)
+    >>> force[[1000, 3000]] = 50.0
+    >>> find_hits(force, 1000.0).times_s.round(3).tolist()
+    [1.0, 3.0]
     """
     f = np.asarray(force, float)
     offset = float(np.median(f))
@@ -385,6 +402,16 @@ def hits_of(record: TimeRecord) -> Hits | None:
     Returns
     -------
     Hits or None
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import hits_of
+    >>> hits_of(record) is None  # random forces
+    True
     """
     rows = record.force_indices
     if len(rows) != 1:

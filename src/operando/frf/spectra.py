@@ -81,6 +81,12 @@ def effective_averages(window: ArrayLike, starts: ArrayLike) -> float:
     Returns
     -------
     float
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(effective_averages(np.hanning(100), np.arange(0, 1000, 50)), 1)
+    19.1
     """
     w = np.asarray(window, float)
     s = np.asarray(starts, int)

@@ -46,6 +46,16 @@ def channel_faults(record: TimeRecord) -> list[ChannelFault]:
     Returns
     -------
     list of ChannelFault
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import channel_faults
+    >>> channel_faults(record)
+    []
     """
     spreads, finite = record.statistics.std, record.statistics.finite
     out = []
@@ -80,6 +90,16 @@ def usable_channels(records: Sequence[TimeRecord]) -> tuple[list[TimeRecord], li
     records : list of TimeRecord
     findings : list of Finding
         ``nan``, ``flat`` (a response left out) and ``run_left_out``.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import usable_channels
+    >>> len(usable_channels([record])[0])
+    1
     """
     faults = [channel_faults(r) for r in records]
     if not any(faults):
@@ -180,6 +200,16 @@ def whole(records: Sequence[TimeRecord]) -> list[TimeRecord]:
     Returns
     -------
     list of TimeRecord
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import whole
+    >>> len(whole([record]))
+    1
     """
     return [r for r in records if r.statistics.finite[[*r.force_indices, *r.response_indices]].all()]
 
@@ -195,6 +225,16 @@ def trimmed(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     Returns
     -------
     TimeRecord, list of Finding
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import trimmed
+    >>> trimmed(record)[1]
+    []
     """
     if record.statistics.finite.any():
         return record, []

@@ -186,6 +186,12 @@ def natural_order(path: Path) -> list[Any]:
     -------
     list
         Texts and numbers of the name, in turn.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> [p.name for p in sorted([Path("run10.uff"), Path("run2.uff")], key=natural_order)]
+    ['run2.uff', 'run10.uff']
     """
     return [int(part) if part.isdecimal() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
 

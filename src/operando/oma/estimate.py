@@ -113,6 +113,12 @@ def normalise_shapes(shapes: NDArray[Any]) -> NDArray[np.complex128]:
     Returns
     -------
     complex array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> normalise_shapes(np.array([[3.0], [-4.0j]])).round(1).ravel().tolist()
+    [0.6j, (0.8-0j)]
     """
     out = np.array(shapes, complex)
     for column in out.T:

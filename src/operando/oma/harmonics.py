@@ -145,6 +145,16 @@ def find_harmonics(
         By frequency.
     data : (r, n_samples) array
         The record without them (the input itself if there are none).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.oma import find_harmonics
+    >>> t = np.arange(20_000) / 200
+    >>> rng = np.random.default_rng(0)
+    >>> found, rest = find_harmonics(5 * np.sin(2 * np.pi * 25 * t)[None] + rng.standard_normal((1, t.size)), 200.0, (5.0, 90.0))
+    >>> [round(h.hz, 2) for h in found], round(float(rest.std()), 1)
+    ([25.0], 1.0)
     """
     found: list[Harmonic] = []
     cleaned = data

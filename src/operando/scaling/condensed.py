@@ -70,6 +70,12 @@ def choose_dofs(shapes: ArrayLike, count: int | None = None) -> list[int]:
     -------
     list of int
         Row indices, most independent first.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> choose_dofs(np.array([[1.0, 0.0], [1.0, 0.1], [0.0, 1.0]]))
+    [1, 2]
     """
     from scipy.linalg import qr
 
@@ -95,6 +101,12 @@ def condensed_mass(shapes: ArrayLike) -> NDArray[np.float64]:
     ------
     IdentificationError
         If ΦᵀM_mΦ is not the identity: more modes than DOFs, or dependent shapes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> condensed_mass(np.diag([0.5, 0.25])).tolist()
+    [[4.0, 0.0], [0.0, 16.0]]
     """
     a = np.asarray(shapes, float)
     inverse = np.linalg.pinv(a)
@@ -128,6 +140,13 @@ def condensed_basis(shapes: ArrayLike, hz: ArrayLike, in_band: ArrayLike) -> Con
     ------
     IdentificationError
         If no idle mode can be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import condensed_basis
+    >>> condensed_basis(np.eye(2), [20.0, 45.0], [True, True]).modes.tolist()
+    [0, 1]
     """
     from scipy.linalg import qr
 

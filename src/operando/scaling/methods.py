@@ -50,6 +50,13 @@ def real_shapes(shapes: ArrayLike) -> tuple[Array, Array]:
         Columns of unit length, sign arbitrary.
     factor : (..., n) complex array
         real = Re(factor · shapes).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import real_shapes
+    >>> real_shapes(np.array([[3j], [4j]]))[0].round(3).ravel().tolist()
+    [0.6, 0.8]
     """
     v = np.asarray(shapes, complex)
     # Only the sum of squares decides; dividing by the largest value first keeps any scale safe from overflow.

@@ -117,6 +117,14 @@ def pair_modes(
     ------
     ConfigError
         If the threshold is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import pair_modes
+    >>> pairing = pair_modes(np.eye(2), [20.0, 45.0], np.eye(2)[:, ::-1], [21.0, 46.0])
+    >>> [(pair.operating, pair.idle) for pair in pairing.pairs]
+    [(0, 1), (1, 0)]
     """
     if not 0 < threshold <= 1:
         raise ConfigError(f"threshold {threshold} is not between 0 and 1", hint="the paper uses 0.7 (plate) and 0.8 (experiment)")
