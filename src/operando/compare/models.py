@@ -39,6 +39,13 @@ class ModelComparison(Saved):
         At the DOFs that both have.
     n_dofs : int
         How many these are.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> operando.compare(idle, idle)
+    <ModelComparison: 2 modes paired over 2 DOFs; 2 with MAC ≥ 0.7; frequencies differ by up to 0 %>
     """
 
     first: ModalModel

@@ -108,6 +108,15 @@ def candidate_poles(
     ------
     IdentificationError
         If no fit is possible in the band.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from operando.ema import candidate_poles
+    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> found = candidate_poles(np.arange(5, 80, 0.1), model.frf(np.arange(5, 80, 0.1)).data)
+    >>> min(round(abs(float(c.frequency_hz) - 45.0), 3) for c in found)
+    0.0
     """
     f = np.asarray(frequencies_hz, float)
     data = np.asarray(H, complex)

@@ -61,6 +61,16 @@ def read_csv(
     ------
     FormatError
         If there is no header line, no number, no sampling rate, or the time is not even.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_csv(f"{folder}/run.csv", record)
+    ...     read_csv(f"{folder}/run.csv").records[0].n_samples
+    10
     """
     from operando.io.uff.reader import open_file, quick_hash
 
@@ -132,6 +142,16 @@ def write_csv(path: str | Path, record: TimeRecord) -> None:
     ------
     MissingError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_csv(f"{folder}/run.csv", record)
+    ...     Path(folder, "run.csv").read_text().splitlines()[0]
+    '# sampling_hz = 500.0'
     """
     heads = ["time [s]"]
     for i, channel in enumerate(record.channels):

@@ -50,6 +50,15 @@ def detect_format(path: str | Path) -> str:
         If there is no such file.
     FormatError
         If it is none of these.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.dat", frf)
+    ...     detect_format(f"{folder}/frf.dat")
+    'uff'
     """
     from operando.io.uff.reader import open_file
     from operando.io.uff.split import find_first_set

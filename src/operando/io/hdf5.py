@@ -104,6 +104,15 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
         File.
     objects : mapping of name to object
         See :func:`write_object`.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_hdf5(f"{folder}/frf.h5", {"idle": frf})
+    ...     list(read_hdf5(f"{folder}/frf.h5"))
+    ['idle']
     """
     import h5py
 
@@ -134,6 +143,15 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
     ------
     FormatError
         If the file is no HDF5 file of operando, or is damaged.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_hdf5(f"{folder}/frf.h5", {"idle": frf})
+    ...     read_hdf5(f"{folder}/frf.h5")["idle"].references
+    (Dof('1+Z'),)
     """
     import h5py
 

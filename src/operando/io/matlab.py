@@ -43,6 +43,16 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
     ------
     FormatError
         If the file is damaged, or no data with a time or frequency axis are found.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_matlab(f"{folder}/run.mat", record)
+    ...     len(read_matlab(f"{folder}/run.mat").records[0].channels)
+    2
     """
     path = Path(path)
     variables, unread = read_variables(path)
@@ -71,6 +81,16 @@ def write_matlab(path: str | Path, *objects: TimeRecord | Frf) -> None:
     ------
     DataError
         If an object is neither record nor FRF.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_matlab(f"{folder}/run.mat", record)
+    ...     operando.read(f"{folder}/run.mat").records[0].sampling_hz
+    500.0
     """
     from scipy.io import savemat
 

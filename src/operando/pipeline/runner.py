@@ -73,6 +73,16 @@ def run(
         If another process is at work in the results folder.
     WriteError
         If the results folder cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/idle.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "1+Z"))
+    ...     _ = Path(folder, "test.toml").write_text('name = "pump"\\n[idle]\\nfrfs = ["idle.uff"]')
+    ...     operando.run(folder, f"{folder}/results", until="inspect").inventory[0]["file"]
+    'idle.uff'
     """
     if not isinstance(test, Test):
         test = load_test(test)

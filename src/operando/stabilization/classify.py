@@ -60,6 +60,15 @@ def classify(
     ------
     DataError
         If the sequences disagree in length or the orders do not increase.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> len(table.frequency_hz)
+    5
     """
     tol = tolerances or Tolerances()
     if not (len(orders) == len(hz) == len(zeta) == len(vectors)):

@@ -36,6 +36,15 @@ def track_poles(table: PoleTable, tolerances: Tolerances, max_gap: int = 3) -> l
     -------
     list of int arrays
         Rows of the table of each chain, single poles included.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, track_poles, Tolerances
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> [len(members) for members in track_poles(table, Tolerances())]
+    [5]
     """
     levels = np.unique(table.order)
     unit = unit_vectors(np.where(np.isfinite(table.vectors), table.vectors, 0))
@@ -135,6 +144,15 @@ def select_modes(
     ------
     IdentificationError
         If a frequency of ``select_hz`` has no pole within the tolerance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, select_modes
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> select_modes(table, band=(5, 50)).selected_hz.round(2).tolist()
+    [20.0]
     """
     tol = tolerances or Tolerances()
     n_orders = int(np.unique(table.order).size)
@@ -195,6 +213,16 @@ def demote(stabilization: Stabilization, verdicts: Mapping[int, tuple[str, str]]
     Returns
     -------
     Stabilization
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, demote, select_modes
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> selection = select_modes(table, band=(5, 50))
+    >>> demote(selection, {0: ("harmonic", "a line of the rotor")}).selected_hz.tolist()
+    []
     """
     keep = [i for i in range(stabilization.selected_hz.size) if i not in verdicts]
     gone = [
