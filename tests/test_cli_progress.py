@@ -151,7 +151,7 @@ def test_completion_scripts(shell):
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
-        ("operando co", {"compare", "convert", "completion"}),
+        ("operando co", {"compare", "compare-libraries", "convert", "completion"}),
         ("operando run --un", {"--until"}),
         ("operando run --until e", {"ema"}),
         ("operando effects cl", {"clearance"}),

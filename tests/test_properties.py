@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from operando.data import Channel, FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
@@ -117,10 +117,11 @@ UNITS = (
 
 
 @QUICK
-@given(st.sampled_from(UNITS), st.sampled_from(UNITS), NUMBERS)
+@given(st.sampled_from(UNITS), st.integers(0, 99), NUMBERS)
 def test_units_convert_there_and_back(first, second, value):
     quantity, factor = parse_unit(first)
-    assume(parse_unit(second)[0] == quantity)
+    other = [unit for unit in UNITS if parse_unit(unit)[0] == quantity]
+    second = other[second % len(other)]
     over = si_factor(first, quantity) / si_factor(second, quantity)
     assert si_factor(first) == factor > 0
     assert value * over * (si_factor(second) / si_factor(first)) == pytest.approx(value, rel=1e-12, abs=1e-300)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.abc
+import importlib.util
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 from operando.errors import ConfigError, OperandoError
@@ -59,11 +60,13 @@ def _load(path: Path, where: str | None) -> list[str]:
     before = {kind: definition for kind, definition in catalogue().items() if type(definition).__module__ != name}
     for kind in set(catalogue()) - set(before):
         unregister(kind)
-    module = ModuleType(name)
-    module.__file__ = str(path)
+    loader = _AsItStands(str(path), text)
+    spec = importlib.util.spec_from_loader(name, loader)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        exec(compile(text, str(path), "exec"), module.__dict__)
+        loader.exec_module(module)
     except (KeyboardInterrupt, MemoryError):
         raise
     except BaseException as error:  # whatever the file does, SystemExit too
@@ -81,6 +84,21 @@ def _load(path: Path, where: str | None) -> list[str]:
     if not own:
         raise ConfigError(f"{path} registers no kind of effect", where=where, hint=_HOW)
     return own
+
+
+class _AsItStands(importlib.abc.SourceLoader):
+    """Imports a file by its present content: no compiled copy is read, and none is left beside it."""
+
+    def __init__(self, path: str, text: bytes) -> None:
+        self._path, self._text = path, text
+
+    def get_filename(self, fullname: str) -> str:
+        """Where the file lies, for tracebacks."""
+        return self._path
+
+    def get_data(self, path: str) -> bytes:
+        """What it says."""
+        return self._text
 
 
 def _restore(before: Mapping[str, EffectKind]) -> None:

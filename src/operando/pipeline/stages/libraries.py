@@ -14,7 +14,7 @@ def idle_libraries(work: Work) -> dict[str, Any]:
     frf, model = needed(work.results.idle_frf, "idle FRFs"), needed(work.results.idle, "idle modes")
     taken = work.results.timings_s.get("ema")
     found = compare_libraries(frf, idle=model, own_seconds={} if taken is None else {"idle": taken})
-    return {"libraries": [*work.results.libraries, *(c.to_dict() for c in found)]}
+    return {"idle_libraries": [c.to_dict() for c in found]}
 
 
 def operating_libraries(work: Work) -> dict[str, Any]:
@@ -25,4 +25,4 @@ def operating_libraries(work: Work) -> dict[str, Any]:
     records = work.inputs.records(work.test.operating, force=False)
     taken = work.results.timings_s.get("oma")
     found = compare_libraries(records=records, operating=model, own_seconds={} if taken is None else {"operating": taken})
-    return {"libraries": [*work.results.libraries, *(c.to_dict() for c in found)]}
+    return {"operating_libraries": [c.to_dict() for c in found]}
