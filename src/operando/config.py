@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from operando import values
 from operando.entries import Entry, Given, lines_of
 from operando.errors import ConfigError, OperandoError
+from operando.own_effects import load_effects
 from operando.states import Span as Span
 from operando.states import State as State
 from operando.states import find_files, record_named, state_of
@@ -126,6 +127,8 @@ class Test:
         DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
     between : dict
         What may differ between the measurements at rest and in operation beside the missing physics → one standard deviation.
+    effects : tuple of Path
+        Python files with kinds of effects of the user's own, imported when the test file is read.
     given : mapping
         Which line or option gave each entry, for messages.
     """
@@ -144,6 +147,7 @@ class Test:
     analysis: Analysis = field(default_factory=Analysis)
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
     between: dict[str, float] = field(default_factory=dict)
+    effects: tuple[Path, ...] = ()
     given: Given = field(default_factory=dict, repr=False, compare=False)
 
     def where(self, section: str, key: str = "") -> str:
@@ -181,6 +185,7 @@ class Test:
         given: dict[str, Any] = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
         given["directions"] = {k: list(v) for k, v in self.directions.items()}
         given["between"] = dict(self.between)
+        given["effects"] = {"modules": [self.label(file) for file in self.effects]}
         parts = [
             {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
             for name, state in self.states.items()
@@ -231,10 +236,24 @@ def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
     changes : sequence of str, optional
         Entries that take the place of those in the file, each ``section.key=value`` with the value as TOML.
 
+    Returns
+    -------
+    Test
+
     Raises
     ------
     ConfigError
         If the file is no TOML, a key is unknown (the nearest known one is named), a value is wrong, or a pattern matches no file.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/idle.uff", operando.Frf([[[1.0, 2.0]]], [1.0, 2.0], "1+Z", "1+Z"))
+    ...     _ = Path(folder, "test.toml").write_text('name = "pump"\\n[idle]\\nfrfs = ["idle.uff"]')
+    ...     operando.load_test(folder, ["analysis.band=[1,2]"]).analysis.band
+    (1.0, 2.0)
     """
     path = Path(path)
     if path.is_dir():
@@ -325,7 +344,7 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
 
 
 _STATES = ("idle", "operating", "check")
-_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "effects")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
@@ -363,6 +382,7 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
     directions = values.directions(table.get("directions", {}), where.within("directions"))
     channels = values.channels(table.get("channels", {}), where.within("channels"))
     values.declared(channels, directions, where.within("channels"))
+    effects = _own_effects(table.get("effects", {}), folder, where.within("effects"))  # before settings that name kinds
     test = Test(
         name=name.strip(),
         path=path,
@@ -374,10 +394,22 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
         analysis=_analysis(table.get("analysis", {}), where.within("analysis")),
         directions=directions,
         between=values.between(table.get("between", {}), where.within("between")),
+        effects=effects,
         given=where.given,
     )
     test.rejected_hits(test.idle)
     return test
+
+
+def _own_effects(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[Path, ...]:
+    """The files of [effects], imported."""
+    check_keys(table, ("modules",), where)
+    names = table.get("modules", [])
+    good = isinstance(names, list) and all(isinstance(name, str) and name.strip() for name in names)
+    values.expect(names, good, "a list of Python files", where.at("modules"), 'for example modules = ["my_laws.py"]')
+    files = tuple(dict.fromkeys(folder / name for name in names))
+    load_effects(files, str(where.at("modules")))
+    return files
 
 
 def _analysis(table: Mapping[str, Any], where: Entry) -> Analysis:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from operando.contrib import library_rows
 from operando.data import Frf, ModalModel
 from operando.report import derive, figures_frf, figures_stabilization, sections_setups, tables
 from operando.report.parts import Numbering, left_out, missing, paragraph
@@ -161,7 +162,8 @@ def _harmonics(results: Results) -> list[float]:
 
 def _second_opinion(model: ModalModel, results: Results) -> str:
     """Where an independent program finds something else."""
-    opinion = getattr(model.details, "second_opinion", None)
+    state = "idle" if model is results.idle else "operating"
+    opinion = library_rows(results.libraries, state) or getattr(model.details, "second_opinion", None)
     if opinion is None or (not opinion and not results.settings.get("second_opinion")):
         return missing("No second opinion from another program was asked for.")
     out = "<h3>Second opinion</h3>"
