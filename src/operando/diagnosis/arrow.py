@@ -12,6 +12,8 @@ from scipy.linalg.blas import dsyrk
 
 Array = NDArray[Any]
 
+ROUNDING = 1e-13  # share of an information that its sums over some thousand values lose
+
 
 def _syrk(rows: Array) -> Array:
     """Lower triangle of rowsᵀ rows."""
@@ -69,7 +71,8 @@ class Factor:
         inverse = np.linalg.inv(np.linalg.cholesky(blocks))
         across = inverse @ information.across
         rest = information.shared - _syrk(across.reshape(across.shape[0] * k, across.shape[2]))
-        rest[np.diag_indices_from(rest)] += shared
+        # what two large numbers lose when one is taken from the other must not make it negative
+        rest[np.diag_indices_from(rest)] += shared + ROUNDING * np.diag(information.shared)
         return cls(inverse, across, cholesky(rest, lower=True, check_finite=False))
 
     @property

@@ -28,10 +28,14 @@ class Moves:
     own: Array  # (DOFs, terms, e)
 
     def scale(self, phi: Array, driven: Array) -> Array:
-        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g)."""
+        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g).
+
+        A scale known to worse than a factor e is not known; its standard deviation is cut to that.
+        """
         power = np.sum(phi[driven] ** 2, axis=0)
         along = np.einsum("dt,dtg->tg", phi[driven], self.shared[driven])
-        return np.asarray(np.divide(along, power[:, None], out=np.zeros_like(along), where=power[:, None] > 0))
+        scale = np.divide(along, power[:, None], out=np.zeros_like(along), where=power[:, None] > 0)
+        return np.asarray(scale / np.maximum(1, np.linalg.norm(scale, axis=1))[:, None])
 
     def at(self, base: Array, scale: Array, driven: Array, g: Array, own: Array) -> tuple[Array, Moves]:
         """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there.

@@ -155,11 +155,19 @@ def search_elsewhere(
         starts = [fit(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1], 0.03) for c in cases]
         first = max(starts, key=score)
         say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
-        if score(first) > score(best.best):
+        if score(first) > score(best.best) and _apart(first):
             best, known = _Search(first.case, say, first).run(), geometry
             odds = None if len(starts) < 2 else score(starts[1]) - score(starts[0])
             break
     return best, odds, known
+
+
+def _apart(state: State) -> bool:
+    """Whether a mode that was lacking lies beyond the half-power widths of all others: nearer, it may be one of them that differs."""
+    idle = state.case.idle
+    others = [r for r in idle.modes if r != idle.lacking]
+    f, zeta = (float(np.exp(v)) for v in next(t for t in state.terms if t.kind == "missing_mode").values)
+    return bool(np.all(np.abs(idle.f[others] / f - 1) > 2 * np.maximum(idle.zeta[others], zeta)))
 
 
 def days_point(days: Case, state: State) -> Point:
