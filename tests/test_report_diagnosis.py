@@ -20,7 +20,7 @@ from operando.report.assessment import RECIPROCITY
 from operando.report.figures_compare import error_maps
 from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
 from operando.report.figures_records import force_figure, level_figure, simulation_figure
-from operando.report.parts import Numbering
+from operando.report.parts import Numbering, render
 from operando.report.sections import build
 from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
 from operando.results import CheckRun, Results
@@ -126,8 +126,9 @@ def text_of(html):
 
 def sections(results):
     """The two sections of the diagnosis."""
-    numbering = Numbering()
-    return {"missing": sections_diagnosis.answer(results, numbering), "diagnosis": sections_diagnosis.diagnosis(results, numbering)}
+    page = Numbering()
+    makers = {"missing": sections_diagnosis.answer, "diagnosis": sections_diagnosis.diagnosis}
+    return {name: render(f"{name}.html.j2", page, results=results, **make(results, page)) for name, make in makers.items()}
 
 
 # Words.

@@ -326,9 +326,10 @@ def test_hits_rejected_through_the_command_line(tmp_path):
 
 
 def test_hits_stand_numbered_in_the_report():
-    from operando.report.tables_files import inventory_table
+    from operando.report.parts import render
+    from operando.report.sections_rest import inventory
 
     hits = [{"number": k, "time_s": 1.5 + k, "peak": 100.0, "unit": "N"} for k in range(20)]
-    text = inventory_table([{"file": "idle/p1.uff", "used_for": "idle", "format": "uff", "hits": hits}])
+    text = render("inventory.html.j2", **inventory([{"file": "idle/p1.uff", "used_for": "idle", "format": "uff", "hits": hits}]))
     assert "#0 1.50 s, 100 N" in text
     assert "#19 20.50 s, 100 N" in text

@@ -13,12 +13,13 @@ from operando.compare.route import CLOSE_DB, Route, is_good
 from operando.data import Finding
 from operando.indicators import phase_collinearity
 from operando.report.derive import (
+    ModePair,
     all_findings,
     analysis_band,
     comparison_models,
     judge_run,
     level_difference,
-    mode_rows,
+    mode_pairs,
     pairing_of,
     reciprocity,
     scaling_of,
@@ -37,6 +38,13 @@ MODEL_NAMES = {
     "idle": "idle model",
 }
 
+
+CLASS_WORDS = {
+    "unchanged": ("unchanged", "good"),
+    "changed": ("shape changed", "fair"),
+    "beyond_idle_band": ("beyond idle band", "fair"),
+    "unpaired": ("no idle partner", "poor"),
+}
 
 RECIPROCITY = "Reciprocity in operation"
 
@@ -164,13 +172,12 @@ def _what_they_are(results: Results) -> str:
         if residual
         else "."
     )
-    shifts = frequency_shifts(results)
-    if shifts:
-        worst = max(shifts, key=lambda s: abs(s["percent"]))
+    moved = {p.percent or 0.0: p for p in shifted(results)}
+    if moved:
+        worst = moved[max(moved, key=abs)]
         text += (
-            f" Against rest the frequencies moved by {fixed(min(s['percent'] for s in shifts), 2, sign=True)} to "
-            f"{fixed(max(s['percent'] for s in shifts), 2, sign=True)} %, most at {number(worst['idle_hz'], 4)} Hz "
-            f"(now {number(worst['operating_hz'], 4)} Hz)."
+            f" Against rest the frequencies moved by {fixed(min(moved), 2, sign=True)} to {fixed(max(moved), 2, sign=True)} %, "
+            f"most at {number(worst.idle_hz, 4)} Hz (now {number(worst.operating_hz, 4)} Hz)."
         )
     kappa = scaling.get("kappa")
     if scaling.get("method"):
@@ -235,21 +242,9 @@ def _without_hybrid(results: Results) -> tuple[str, ...]:
     return (text + ".", (listing(have)[:1].upper() + listing(have)[1:] + ".") if have else "Nothing has been identified yet.")
 
 
-def frequency_shifts(results: Results) -> list[dict[str, float]]:
-    """Frequency and damping of each paired operating mode against its idle mode."""
-    if results.idle is None or results.operating is None:
-        return []
-    rows = []
-    idle_index, operating_index = mode_rows(results.idle), mode_rows(results.operating)
-    for p in pairing_of(results):
-        if p.get("idle") is None or p.get("operating") is None:
-            continue
-        if not (0 <= p["idle"] < idle_index.size and 0 <= p["operating"] < operating_index.size):
-            continue
-        a, b = idle_index[p["idle"]], operating_index[p["operating"]]
-        f0, f1 = float(results.idle.frequencies_hz[a]), float(results.operating.frequencies_hz[b])
-        rows.append({"idle_hz": f0, "operating_hz": f1, "percent": 100 * (f1 / f0 - 1) if f0 > 0 else float("nan")})
-    return [r for r in rows if finite(r["percent"])]
+def shifted(results: Results) -> list[ModePair]:
+    """The modes that both states have."""
+    return [p for p in mode_pairs(results) if p.percent is not None]
 
 
 def assumptions(results: Results) -> list[Assumption]:

@@ -21,7 +21,8 @@ BADGE = {"good": "#00664a", "fair": "#7a5200", "poor": "#a33a00", "none": "#4b57
 """Colours of the verdict, as in the page."""
 
 
-def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> str:
+@drawn
+def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str]:
     """SVG: the error at each step, idle model first, each column with what was added, against the noise floor.
 
     Parameters
@@ -33,11 +34,6 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> str:
     grade : {"good", "fair", "poor", "none"}
         Its colour.
     """
-    return _ladder_figure(ladder, verdict, grade)
-
-
-@drawn
-def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str]:
     rungs = ladder.rungs
     values = np.array([r.heldout for r in rungs])
     n, slots = len(rungs), max(len(rungs), 2) + 0.4
@@ -144,7 +140,8 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> No
     )  # fmt: skip
 
 
-def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> str:
+@drawn
+def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
     """SVG: misfit of each operating mode by the idle model and by the model with the effects, against 1, the noise.
 
     Parameters
@@ -155,11 +152,6 @@ def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | N
     added : (n,) array or None
         With the effects.
     """
-    return _mode_misfit(frequencies_hz, idle, added)
-
-
-@drawn
-def _mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
     hz = np.asarray(frequencies_hz, float)
     figure = new_figure(10.2, 2.7)
     axes = figure.add_axes((0.075, 0.24, 0.91, 0.6))
@@ -185,7 +177,8 @@ def _mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | 
     return figure, f"Misfit of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
 
 
-def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> str:
+@drawn
+def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> tuple[Figure, str]:
     """SVG: dynamic stiffness δz(ω) that the check asks for at each place, real and imaginary part, with the fitted law.
 
     Parameters
@@ -194,11 +187,6 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
         ``frequency_hz``, ``real``, ``imag``, ``law_real``, ``law_imag`` (may be missing), ``unit``.
     titles : sequence of str
     """
-    return _stiffness_figure(pictures, titles)
-
-
-@drawn
-def _stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> tuple[Figure, str]:
     row, top = 2.75, 0.28
     height = row * len(pictures) + top
     figure = new_figure(10.2, height)
@@ -267,7 +255,8 @@ def running_median(values: NDArray[np.float64], lines: int = 15) -> NDArray[np.f
     return out
 
 
-def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]], most: int = 10) -> str:
+@drawn
+def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]], most: int = 10) -> tuple[Figure, str]:
     """SVG: part of the idle model's error that one free force at each place explains, best first, without asking what kind of effect.
 
     Parameters
@@ -279,11 +268,7 @@ def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset
     most : int
         Places shown.
     """
-    return _places_figure(list(places)[:most], found)
-
-
-@drawn
-def _places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]]) -> tuple[Figure, str]:
+    places = list(places)[:most]
     n = len(places)
     height = 0.65 + 0.2 * n
     figure = new_figure(7.6, height)
@@ -303,7 +288,8 @@ def _places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozense
     return figure, f"Places ranked by what a force there explains of the idle model's error: {best}"
 
 
-def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> str:
+@drawn
+def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> tuple[Figure, str]:
     """SVG: how far two sets of FRFs lie apart at each line, rms over the responses, one curve a reference.
 
     Parameters
@@ -314,11 +300,6 @@ def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64],
     names : sequence of str
         One a reference.
     """
-    return _routes_figure(frequencies_hz, difference_db, names)
-
-
-@drawn
-def _routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> tuple[Figure, str]:
     hz = np.asarray(frequencies_hz, float)
     figure = new_figure(10.2, 2.6)
     axes = figure.add_axes((0.075, 0.18, 0.91, 0.68))

@@ -31,7 +31,8 @@ class ShapePair:
         self.idle_text, self.operating_text = idle_text, operating_text
 
 
-def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
+@drawn
+def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> tuple[Figure, str]:
     """SVG: each mode at rest and running, side by side, deformed over the undeformed structure; as bars without a geometry.
 
     Parameters
@@ -41,17 +42,13 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
         One a row of each shape.
     pairs : list of ShapePair
     """
-    return _mode_shapes(geometry, tuple(dofs), pairs)
-
-
-@drawn
-def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequence[ShapePair]) -> tuple[Figure, str]:
     columns = min(_PER_ROW, max(len(pairs), 1))
     rows = -(-max(len(pairs), 1) // columns)
     width, head, cell = 10.2, 0.34, 1.75
     height = rows * (head + cell) + 0.1
     figure = new_figure(width, height)
     step = width / columns
+    dofs = tuple(dofs)
     mesh = None if geometry is None else Mesh(geometry, dofs)
     alone = all(p.idle is None for p in pairs)
     half = (step - 0.1) / (1 if alone else 2)
@@ -77,20 +74,16 @@ def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequen
     return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
 
 
+@drawn
 def mac_matrices(
     matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]],
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: MAC matrices side by side with values in the cells.
 
     Parameters
     ----------
     matrices : sequence of (title, (rows, columns) array, row labels, column labels, row axis name, column axis name)
     """
-    return _mac_matrices(matrices)
-
-
-@drawn
-def _mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]]) -> tuple[Figure, str]:
     width, n = 10.2, len(matrices)
     panel = (width - 0.1) / max(n, 2) - 0.85
     heights = [panel * np.shape(m[1])[0] / max(np.shape(m[1])[1], 1) for m in matrices]
@@ -107,13 +100,9 @@ def _mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequen
     return figure, "Modal assurance criterion matrices: " + "; ".join(m[0] for m in matrices)
 
 
-def conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> str:
-    """SVG: which sensors are nearly redundant and which combination of modes they barely tell apart, as shares of the weakest direction."""
-    return _conditioning(labels, share, modes, mode_share)
-
-
 @drawn
-def _conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> tuple[Figure, str]:
+def conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> tuple[Figure, str]:
+    """SVG: which sensors are nearly redundant and which combination of modes they barely tell apart, as shares of the weakest direction."""
     figure = new_figure(10.2, 2.3)
     for left, names, values, color, title in (
         (0.06, labels, share, MODEL, "Sensors in the weakest direction"),

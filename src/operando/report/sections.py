@@ -1,14 +1,15 @@
-"""The sections of the report in order."""
+"""The sections of the report in order: values collected for each, drawn by the template of its name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from operando.report import sections_answer, sections_diagnosis, sections_modes, sections_rest, sections_states
-from operando.report.parts import Numbering, Section
+from operando.report.parts import Numbering, Section, render
 from operando.results import Results
 
-_Maker = tuple[str, str, Callable[[Results, Numbering], str]]
+_Maker = tuple[str, str, Callable[[Results, Numbering], dict[str, Any]]]
 
 _DIAGNOSED: _Maker = ("missing", "Answer: what is missing in the idle model", sections_diagnosis.answer)
 _MAKERS: tuple[_Maker, ...] = (
@@ -25,7 +26,9 @@ _MAKERS: tuple[_Maker, ...] = (
 
 
 def build(results: Results) -> list[Section]:
-    """All sections in order; each is a pure function from results to HTML and says in one sentence what is missing."""
-    numbering = Numbering()
+    """All sections in order; each says in one sentence what is missing."""
+    page = Numbering()
     makers = (_DIAGNOSED, *_MAKERS) if results.diagnosis else _MAKERS
-    return [Section(anchor, title, make(results, numbering)) for anchor, title, make in makers]
+    return [
+        Section(anchor, title, render(f"{anchor}.html.j2", page, results=results, **make(results, page))) for anchor, title, make in makers
+    ]

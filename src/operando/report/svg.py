@@ -11,6 +11,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ParamSpec
 from xml.sax.saxutils import escape, quoteattr
 
+from markupsafe import Markup
+
 from operando.plots.style import GREEN, GREY, IDLE, INK, MEASURED, MODEL, ORANGE, PALE, PURPLE, SKY, dots, log_axis, thin
 from operando.plots.style import STYLE as HOUSE_STYLE
 
@@ -36,17 +38,17 @@ STYLE: dict[str, Any] = HOUSE_STYLE | {
 P = ParamSpec("P")
 
 
-def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, str]:
-    """Run a function that makes (figure, text alternative) under the report's style and return SVG text."""
+def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, Markup]:
+    """Run a function that makes (figure, text alternative) under the report's style and return SVG."""
 
     @functools.wraps(function)
-    def wrapper(*args: P.args, **kwargs: P.kwargs) -> str:
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> Markup:
         import matplotlib
 
         with matplotlib.rc_context(STYLE), warnings.catch_warnings():  # type: ignore[arg-type]
             warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has the letters, and what acts is shown by the page
             figure, alt = function(*args, **kwargs)
-            return to_svg(figure, alt)
+            return Markup(to_svg(figure, alt))
 
     return wrapper
 
