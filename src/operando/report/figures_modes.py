@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Geometry
 from operando.dof import Dof
+from operando.io.csv import cell_text
 from operando.plots import plot_mac, plot_shares
 from operando.plots.mesh import Mesh
 from operando.plots.shapes import draw_bars, draw_shape
+from operando.report.figure_csv import numbers, table_csv
 from operando.report.svg import GREY, IDLE, MODEL, drawn, new_figure
 
 if TYPE_CHECKING:
@@ -72,6 +74,16 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
             else:
                 draw_shape(figure.add_axes(box, projection="3d"), mesh, np.asarray(shape, float), bare=True, wide=0.65)
     return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
+
+
+def shapes_csv(dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
+    """The shapes as drawn: one row a DOF, one column a mode and state."""
+    columns = [("DOF", [cell_text(str(d)) for d in dofs])]
+    for pair in pairs:
+        for shape, state in ((pair.idle, "idle"), (pair.operating, "operating")):
+            if shape is not None:
+                columns.append((f"{pair.label} {state}", numbers(shape)))
+    return table_csv(columns)
 
 
 @drawn

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import functools
+import gzip
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -128,7 +130,7 @@ def environment() -> Environment:
     )  # fmt: skip
     names = ("band_text", "count", "decibel", "finite", "fixed", "listing", "number", "percent", "plain", "plus_minus", "short_names")
     made.globals |= {name: getattr(text, name) for name in names}
-    made.globals |= {f.__name__: f for f in (at, left_out, some, capital, words, tail, hz_list)} | {"DASH": text.DASH}
+    made.globals |= {f.__name__: f for f in (at, left_out, some, capital, words, tail, hz_list, csv_link)} | {"DASH": text.DASH}
     return made
 
 
@@ -167,6 +169,11 @@ def tail(path: object) -> str:
 def hz_list(frequencies_hz: Iterable[Any], digits: int = 5) -> list[str]:
     """Frequencies with their unit."""
     return [f"{text.number(f, digits)} Hz" for f in frequencies_hz if text.finite(f)]
+
+
+def csv_link(csv: str) -> Markup:
+    """Address that holds a CSV text, packed: unpacked it would be most of the page. The script of the page unpacks it on a click."""
+    return Markup("data:application/gzip;base64," + base64.b64encode(gzip.compress(csv.encode(), 9, mtime=0)).decode())
 
 
 def left_out(results: Results, stage: str, default: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from operando.data import Frf
-from operando.report import derive, figures_compare, figures_frf
+from operando.report import derive, figures_compare, figures_frf, live
 from operando.report.assessment import CLASS_WORDS, MODEL_NAMES, assumptions, headline, shifted
 from operando.report.parts import Numbering
 from operando.report.text import decibel, finite, fixed, number
@@ -99,6 +99,7 @@ def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
     out: dict[str, Any] = {
         "run": run, "model": model, "models": named, "drawn": None, "maps": None,
         "by_run": _by_run(results), "chosen": [BY_MODE_WORDS[k] for k in chosen], "by_mode": _by_mode(models, chosen), "unchecked": None,
+        "explorer": live.frfs(results, page) if results.hybrid is not None else None,
     }  # fmt: skip
     if results.hybrid is None:
         return out

@@ -45,7 +45,7 @@ def diagnosis(results: Results, page: Numbering) -> dict[str, Any]:
     if not found:
         return {"found": None}
     words = diagnosis_words(found)
-    model = derive_diagnosis.effect_model(results)
+    model = page.once("effect model", lambda: derive_diagnosis.effect_model(results))
     return {
         "found": found, "said": words, "kind_words": kind_words, "where": _where(results, page, words, model),
         "records": _records(found), "picture": _picture(found), "frfs": _before_after(results, page, words, model),

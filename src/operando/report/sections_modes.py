@@ -10,7 +10,7 @@ from markupsafe import Markup
 from operando.dof import match_dofs
 from operando.errors import DofError
 from operando.indicators import mac
-from operando.report import derive, figures_compare, figures_modes
+from operando.report import derive, figures_compare, figures_modes, live
 from operando.report.assessment import CLASS_WORDS
 from operando.report.parts import Numbering
 from operando.report.text import count, finite, fixed
@@ -27,10 +27,15 @@ def shapes(results: Results, page: Numbering) -> dict[str, Any]:
     """Shapes at rest and running on the geometry, then MAC matrices."""
     model = results.idle if results.idle is not None else results.operating
     pairs = _shape_pairs(results)
-    on_nodes = results.geometry is not None and model is not None
-    on_nodes = on_nodes and any(results.geometry.position(d.node) is not None for d in model.dofs)  # type: ignore[union-attr]
-    drawn = figures_modes.mode_shapes(results.geometry, model.dofs, pairs[:MOST_SHAPES]) if pairs and model is not None else None
-    return {"model": model, "on_nodes": on_nodes, "drawn": drawn, "n_pairs": len(pairs), "most": MOST_SHAPES} | _mac(results)
+    geometry = results.geometry
+    on_nodes = geometry is not None and model is not None and any(geometry.position(d.node) is not None for d in model.dofs)
+    drawn = None
+    if pairs and model is not None:
+        drawn = figures_modes.mode_shapes(results.geometry, model.dofs, pairs[:MOST_SHAPES])
+        drawn.csv = figures_modes.shapes_csv(model.dofs, pairs)
+    return {
+        "model": model, "on_nodes": on_nodes, "drawn": drawn, "n_pairs": len(pairs), "most": MOST_SHAPES, "live": live.shapes(results),
+    } | _mac(results)  # fmt: skip
 
 
 def _shape_pairs(results: Results) -> list[figures_modes.ShapePair]:

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from operando.data import Frf, ModalModel, phase_collinearity
-from operando.report import derive, figures_frf, figures_stabilization
+from operando.report import derive, figures_frf, figures_stabilization, live
 from operando.report.parts import Numbering, hz_list
 from operando.results import Results
 
@@ -24,6 +24,7 @@ def idle(results: Results, page: Numbering) -> dict[str, Any]:
         out |= {
             "overview": figures_frf.frf_overview(frf, synthesised, band), "drawn": figures_frf.frf_pairs(frf, synthesised, pairs, band),
             "error": error, "reciprocity": derive.reciprocity(frf, band),
+            "explorer": live.frfs(results, page) if results.hybrid is None else None,
         }  # fmt: skip
     if model is not None:
         by_dof = np.asarray(getattr(model.details, "misfit_by_dof", ()), float)
@@ -70,7 +71,8 @@ def _identified(results: Results, model: ModalModel | None, which: str) -> dict[
     given = getattr(details, "rejected", None) or getattr(stabilization, "rejected", None) or ()
     rejected = sorted(given, key=lambda r: float(r.frequency_hz))
     out: dict[str, Any] = {
-        "which": which, "details": details, "rejected": rejected, "drawing": None, "opinion": _second_opinion(details, results),
+        "which": which, "details": details, "rejected": rejected, "drawing": None, "live": None,
+        "opinion": _second_opinion(details, results),
         "codes": sorted(((sum(r.code == c for r in rejected), c) for c in {r.code for r in rejected}), key=lambda c: (-c[0], c[1])),
     }  # fmt: skip
     if model is None:
@@ -78,6 +80,7 @@ def _identified(results: Results, model: ModalModel | None, which: str) -> dict[
     band = model.band_hz or derive.analysis_band(results)
     if stabilization is not None:
         out["drawing"] = _diagram(results, model, stabilization, band, which)
+        out["live"] = live.poles(model, band, which)
     shapes = [np.asarray(model.shapes[:, i]) for i in range(model.n_modes)]
     std = [None if model.shape_std is None else float(np.linalg.norm(model.shape_std[:, i])) for i in range(model.n_modes)]
     return out | {
