@@ -475,3 +475,72 @@ def test_level_dependence_is_told_and_excuses_reciprocity(whole):
     assert states["Linear behaviour"] == "fails"
     assert states["Reciprocity in operation"] == "doubtful"
     assert "at b the operating FRFs are off by 5.40 dB and the idle model by 0.90 dB" in " ".join(headline(results).sentences)
+
+
+def test_title_block_says_what_was_measured_by_whom(whole):
+    block = {"object": "Pump <7>", "date": "2026-05-04", "operator": "A. Smith"}
+    text = render_report(replace_results(whole, settings=whole.settings | {"report": block}, hybrid=None, check=[], comparison=None))
+    Page(text)
+    top = text[text.index("<header>") : text.index("</header>")]
+    assert "<dt>Object</dt><dd>Pump &lt;7&gt;</dd>" in top
+    assert "2026-05-04" in top
+    assert "<dl" not in render_report(Results("nothing"))
+
+
+def only(results, **parts):
+    """Results of one state."""
+    none = {"idle": None, "operating": None, "idle_frf": None, "hybrid": None, "check": [], "comparison": None, "left_out": {}}
+    return replace_results(results, **(none | parts))
+
+
+def test_a_hammer_test_has_its_own_answer_without_empty_columns(whole):
+    results = only(whole, idle=whole.idle, idle_frf=whole.idle_frf, left_out={"oma": "no [operating] in the test"})
+    text = render_report(results)
+    page = Page(text)
+    head = headline(results)
+    assert head.verdict == "12 idle modes in 8–140 Hz"
+    assert head.grade == "good"
+    assert "no [operating] in the test" in head.sentences[-1]
+    assert {f"#{name}" for name in ("operating", "scaling", "ofrf", "diagnosis", "missing")}.isdisjoint(page.targets)
+    answer = text[text.index('id="answer"') : text.index('id="data"')]
+    assert "Oper" not in "".join(re.findall("<th.*?</th>", answer))
+    assert '<td class="n">–</td>' not in answer
+    assert "not tested" not in answer
+
+
+def test_an_output_only_test_has_its_own_answer(whole):
+    results = only(whole, operating=whole.operating, left_out={"ema": "no [idle] in the test"})
+    text = render_report(results)
+    Page(text)
+    assert headline(results).verdict == "12 operating modes in 8–140 Hz"
+    assert "arbitrary scale" in " ".join(headline(results).sentences)
+    assert 'href="#idle"' not in text
+    assert "Idle" not in "".join(re.findall("<th .*?</th>", text))
+    failed = only(whole, operating=whole.operating, left_out={"ema": "failed: too few lines"})
+    assert headline(failed).verdict == "No operating FRFs"
+
+
+def test_figures_and_texts_of_the_user_stand_in_sections_of_their_own(tmp_path):
+    from matplotlib.figure import Figure
+
+    from operando import Report
+    from operando.errors import DataError
+
+    figure = Figure(figsize=(4, 3))
+    axes = figure.subplots()
+    axes.plot([600.0, 900.0], [0.1, 0.4], label="level")
+    axes.set_title("<script>1</script>")
+    report = Report(Results("pump")).add_text("Measured at 40 °C & <dry>.", section="Run-up")
+    report.add_figure(figure, "Level <over> speed.", section="Run-up").add_figure(axes, "Again.", section="Second")
+    report.save(tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.counts["figure"] == 2
+    assert re.findall(r"<b>Figure (\d+)\.</b>", text) == ["1", "2"]
+    assert "Level &lt;over&gt; speed." in text
+    assert "40 °C &amp; &lt;dry&gt;" in text
+    assert text.count("<script") == 1
+    assert "Run-up</h2>" in text
+    assert report.html() == text, "the same whenever it is made"
+    with pytest.raises(DataError, match="no figure"):
+        report.add_figure([1, 2, 3])

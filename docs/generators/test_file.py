@@ -52,6 +52,10 @@ SECTIONS: dict[str, tuple[str, str]] = {
         "0 says that it does not. Without this section two days in a laboratory and one set-up are both tried, and the more probable one "
         "is told.",
     ),
+    "report": (
+        "`[report]` (optional)",
+        "The title block of the report, each line a text, a date or a list of them.",
+    ),
     "directions": (
         "`[directions]` (optional)",
         "For sensors along no axis: a label and its unit vector in the frame of the geometry. The label is a node, a sign and a name in "
@@ -75,6 +79,14 @@ WORDS: dict[str, dict[str, str]] = {
         "analysis": "Section: settings.",
         "between": "Section: what may differ between rest and operation.",
         "directions": "Section: sensor directions that are no axes.",
+        "report": "Section: title block of the report.",
+    },
+    "report": {
+        "object": "What was measured: machine, type, serial number.",
+        "date": "Day or days of the measurement.",
+        "operator": "Who measured.",
+        "sensors": 'Sensors and front end: `["13 × ABC 352C33", "hammer 086C03"]`.',
+        "comments": "Whatever else a reader must know: mounting, speed, load, temperature.",
     },
     "between": {
         "sensor_gain": "Gain of each sensor, relative. Two days: 0.01.",

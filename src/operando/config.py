@@ -126,6 +126,8 @@ class Test:
         DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
     between : dict
         What may differ between the measurements at rest and in operation beside the missing physics → one standard deviation.
+    report : dict
+        The title block of the report: ``object, date, operator, sensors, comments``.
     given : mapping
         Which line or option gave each entry, for messages.
     """
@@ -144,6 +146,7 @@ class Test:
     analysis: Analysis = field(default_factory=Analysis)
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
     between: dict[str, float] = field(default_factory=dict)
+    report: dict[str, str] = field(default_factory=dict)
     given: Given = field(default_factory=dict, repr=False, compare=False)
 
     def where(self, section: str, key: str = "") -> str:
@@ -181,6 +184,7 @@ class Test:
         given: dict[str, Any] = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
         given["directions"] = {k: list(v) for k, v in self.directions.items()}
         given["between"] = dict(self.between)
+        given["report"] = dict(self.report)
         parts = [
             {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
             for name, state in self.states.items()
@@ -325,7 +329,7 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
 
 
 _STATES = ("idle", "operating", "check")
-_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "report")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
@@ -374,6 +378,7 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
         analysis=_analysis(table.get("analysis", {}), where.within("analysis")),
         directions=directions,
         between=values.between(table.get("between", {}), where.within("between")),
+        report=values.report(table.get("report", {}), where.within("report")),
         given=where.given,
     )
     test.rejected_hits(test.idle)

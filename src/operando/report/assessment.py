@@ -74,10 +74,23 @@ class Headline:
     limits: tuple[str, ...]
 
 
+def scope(results: Results) -> str:
+    """``ema`` or ``oma`` for a test that has one state and its modes, else ``all``."""
+    failed = [reason for reason in results.left_out.values() if reason.startswith("failed")]
+    if failed or results.hybrid is not None or results.check or results.diagnosis:
+        return "all"
+    if results.idle is not None and results.operating is None:
+        return "ema"
+    alone = results.operating is not None and results.idle is None and results.idle_frf is None
+    return "oma" if alone else "all"
+
+
 def headline(results: Results) -> Headline:
-    """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers."""
+    """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers; the modes of a test of one state."""
     states = assumptions(results)
     limits = [f"{a.name}: {a.text}" for a in states if a.state == "fails"]
+    if scope(results) != "all":
+        return _modes_alone(results, tuple(limits))
     if results.hybrid is None:
         return Headline("No operating FRFs", "none", _without_hybrid(results), tuple(limits))
     sentences = [_what_they_are(results)]
@@ -217,6 +230,33 @@ def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
     if finite(ofrf.get("misfit")):
         text += f" (misfit {number(ofrf['misfit'], 3)}, where 1 is as good as the data allow)"
     return text + "."
+
+
+def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
+    """The answer of a test of one state: its modes, how well they fit, and what the other state would add."""
+    ema = results.idle is not None
+    model: Any = results.idle if ema else results.operating
+    f, z = model.frequencies_hz, 100 * model.damping_ratios
+    verdict = f"{count(model.n_modes, 'idle mode' if ema else 'operating mode')} in {band_text(analysis_band(results))}"
+    sentences = []
+    if model.n_modes:
+        text = f"Frequencies from {number(f.min(), 4)} to {number(f.max(), 4)} Hz, damping ratios from {number(z.min(), 2)} to "
+        sentences.append(text + f"{number(z.max(), 2)} %.")
+    good = model.n_modes > 0
+    if ema and finite(model.misfit):
+        good &= float(model.misfit) < 2
+        sentences.append(f"On lines the fit did not use the misfit is {number(model.misfit, 3)}, where 1 is as good as the data allow.")
+    why = results.left_out.get("oma" if ema else "ema", "").rstrip(".")
+    missing = f" ({why})" if why else ""
+    if ema and model.scaling == "unit_modal_mass":
+        sentences.append(f"Shapes have unit modal mass. Operating FRFs need a measurement in operation besides{missing}.")
+    elif ema:
+        cause = no_scale(model, results.findings)
+        text = "The shapes have no mass scaling" + (f": {cause[0]} ({cause[1]})." if cause else ".")
+        sentences.append(f"{text} Operating FRFs need it, and a measurement in operation{missing}.")
+    else:
+        sentences.append(f"Shapes are of arbitrary scale: operating FRFs need a measurement at rest with a known force besides{missing}.")
+    return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
 
 
 def _without_hybrid(results: Results) -> tuple[str, ...]:

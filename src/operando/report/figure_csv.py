@@ -84,7 +84,7 @@ def _columns(axes: Axes, title: str) -> list[Column]:
             add(*_xy(c.get_paths()[0].vertices), f"{c.get_label()} (outline of the band)".lstrip("_"))
     for p in axes.patches:
         if isinstance(p, PathPatch):
-            add(*_xy(p.get_path().vertices[::2]), "points")
+            add(*_xy(np.asarray(p.get_path().vertices)[::2]), "points")
     bars = [p for group in axes.containers if isinstance(group, BarContainer) for p in group.patches]
     return out + (_bars(axes, bars, head) if bars else [])
 

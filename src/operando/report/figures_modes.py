@@ -52,14 +52,15 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
     step = width / columns
     dofs = tuple(dofs)
     mesh = None if geometry is None else Mesh(geometry, dofs)
-    alone = all(p.idle is None for p in pairs)
+    sides = [any(p.idle is not None for p in pairs), any(p.operating is not None for p in pairs)]
+    alone = sum(sides) == 1
     half = (step - 0.1) / (1 if alone else 2)
     word = lambda x, y, text, size, **kw: figure.text(x / width, y / height, text, fontsize=size, **kw)  # noqa: E731
     for k, pair in enumerate(pairs):
         x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
         word(x0 + 0.06, y0 + cell + 0.14, pair.label, 9, fontweight="bold")
         both = ((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))
-        for side, (shape, text, color) in enumerate(both[1:] if alone else both):
+        for side, (shape, text, color) in enumerate([b for b, there in zip(both, sides, strict=True) if there] if alone else both):
             left = x0 + 0.04 + side * half
             word(left + half / 2, y0 + cell - 0.05, text, 7.5, ha="center", color=color)
             foot = 0.0 if mesh is not None and mesh.drawable else 0.38

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from operando.data import Frf
 from operando.report import derive, figures_compare, figures_frf, live
-from operando.report.assessment import CLASS_WORDS, MODEL_NAMES, assumptions, headline, shifted
+from operando.report.assessment import CLASS_WORDS, MODEL_NAMES, assumptions, headline, route_words, scope, shifted
 from operando.report.parts import Numbering
 from operando.report.text import decibel, finite, fixed, number
 from operando.results import CheckRun, Results
@@ -39,9 +39,12 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
     if run is not None and hybrid_frf is not None:
         pairs = derive.choose_pairs(run.frf, _pair_error(hybrid_frf, run.frf, results), 1, 0)[:1]
         pair = _drawn(results, run.frf, hybrid_frf, rest, pairs)
+    alone, route = scope(results) != "all", "" if results.diagnosis else route_words(results)  # with a diagnosis, its answer names it
+    tested = [a for a in assumptions(results) if not alone or a.state != "untested"]
     return {
-        "head": headline(results), "tiles": _tiles(results), "bars": bars, "pair": pair, "pairs": derive.mode_pairs(results),
-        "class_words": CLASS_WORDS, "assumptions": assumptions(results), "state_words": STATE_WORDS,
+        "head": headline(results), "route": route, "alone": alone, "tiles": _tiles(results), "bars": bars, "pair": pair,
+        "pairs": derive.mode_pairs(results),
+        "class_words": CLASS_WORDS, "assumptions": tested, "state_words": STATE_WORDS,
     }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from operando.dof import match_dofs
 from operando.errors import DofError
 from operando.indicators import mac
 from operando.report import derive, figures_compare, figures_modes, live
-from operando.report.assessment import CLASS_WORDS
+from operando.report.assessment import CLASS_WORDS, scope
 from operando.report.parts import Numbering
 from operando.report.text import count, finite, fixed
 from operando.results import Results
@@ -34,7 +34,8 @@ def shapes(results: Results, page: Numbering) -> dict[str, Any]:
         drawn = figures_modes.mode_shapes(results.geometry, model.dofs, pairs[:MOST_SHAPES])
         drawn.csv = figures_modes.shapes_csv(model.dofs, pairs)
     return {
-        "model": model, "on_nodes": on_nodes, "drawn": drawn, "n_pairs": len(pairs), "most": MOST_SHAPES, "live": live.shapes(results),
+        "model": model, "alone": scope(results) != "all",
+        "on_nodes": on_nodes, "drawn": drawn, "n_pairs": len(pairs), "most": MOST_SHAPES, "live": live.shapes(results),
     } | _mac(results)  # fmt: skip
 
 

@@ -56,7 +56,10 @@ class Drawing(Markup):
         csv : str, optional
             The numbers; default: those of its axes.
         """
-        made = cls(to_svg(figure, alt))
+        import matplotlib
+
+        with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "operando"}):
+            made = cls(to_svg(figure, alt))
         made.csv = figure_csv(figure) if csv is None else csv
         return made
 
