@@ -256,6 +256,8 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
         sentences.append(f"{text} Operating FRFs need it, and a measurement in operation{missing}.")
     else:
         sentences.append(f"Shapes are of arbitrary scale: operating FRFs need a measurement at rest with a known force besides{missing}.")
+    wrong = [f for f in all_findings(results) if f.severity == "error"]
+    limits += tuple(f"{f.message}" + (f": {f.consequence}." if f.consequence else ".") for f in wrong[:3])
     return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
 
 

@@ -42,7 +42,7 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
     alone, route = scope(results) != "all", "" if results.diagnosis else route_words(results)  # with a diagnosis, its answer names it
     tested = [a for a in assumptions(results) if not alone or a.state != "untested"]
     return {
-        "head": headline(results), "route": route, "alone": alone, "tiles": _tiles(results), "bars": bars, "pair": pair,
+        "head": headline(results), "route": route, "alone": alone, "tiles": [] if alone else _tiles(results), "bars": bars, "pair": pair,
         "pairs": derive.mode_pairs(results),
         "class_words": CLASS_WORDS, "assumptions": tested, "state_words": STATE_WORDS,
     }  # fmt: skip
