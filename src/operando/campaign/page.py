@@ -17,7 +17,7 @@ MOST_TRACKS = 20
 """Modes drawn in a figure: those seen in most states."""
 MOST_EFFECTS = 24
 MODEL_WORDS = {"idle": "idle model", "ofrf": "operating FRFs, hybrid route", "effect": "operating FRFs, idle model + effects"}
-KIND_WORDS = {"idle": "At rest", "operating": "In operation"}
+KIND_WORDS = {"idle": "Idle", "operating": "Operating"}
 STATE_WORDS = {"done": ("done", "good"), "incomplete": ("a stage failed", "fair"), "failed": ("failed", "poor")}
 VERDICT_GRADES = {"no_misfit": "good", "explained": "good", "unexplained": "poor"}
 
@@ -33,8 +33,8 @@ def render(document: Mapping[str, Any]) -> str:
     numbering = Numbering()
     makers = (
         ("answer", "Answer: what changes over the tests", _answer),
-        ("operating", "In operation: modes over the parameter", lambda d, n: _modes(d, n, "operating")),
-        ("idle", "At rest: modes over the parameter", lambda d, n: _modes(d, n, "idle")),
+        ("operating", "Operating state: modes over the parameter", lambda d, n: _modes(d, n, "operating")),
+        ("idle", "Idle state (reference): modes over the parameter", lambda d, n: _modes(d, n, "idle")),
         ("errors", "Error of the operating FRFs", _errors),
         ("effects", "What is missing in the idle model", _effects),
         ("tests", "All tests", _tests),
@@ -116,7 +116,7 @@ def _answer(document: Mapping[str, Any], numbering: Numbering) -> Markup:
         head = ["Test", "What stands out", "What its own data show that few others do"]
         html.append(Markup("<h3>Tests that stand out</h3>") + table(head, rows, wide=True))
     elif len(tests) < 7:
-        html.append(paragraph("Whether single tests stand out is judged from seven tests on."))
+        html.append(paragraph("Whether single tests stand out is decided from seven tests on."))
     return Markup("").join(html)
 
 
@@ -143,7 +143,7 @@ def _modes(document: Mapping[str, Any], numbering: Numbering, kind: str) -> Mark
     if not part["tracks"]:
         return missing(f"No test has modes {KIND_WORDS[kind].lower()}.")
     if part.get("same_everywhere"):
-        return paragraph("All tests share one measurement at rest, and so its modes.") + _track_table(part)
+        return paragraph("All tests share one idle measurement, and so its modes.") + _track_table(part)
     over, base = document["over"]["label"], _places(document).get((document["baseline"] or {}).get("test", ""))
     often = sorted(part["tracks"], key=lambda t: -t["seen"])
     tracks = sorted(often[:MOST_TRACKS], key=lambda t: t["track"])
@@ -216,7 +216,7 @@ def _errors(document: Mapping[str, Any], numbering: Numbering) -> Markup:
         if points:
             series[words] = points
     if not series:
-        return missing("No test has a validation measurement ([check]) to judge operating FRFs by.")
+        return missing("No test has a validation measurement ([check]) to compare operating FRFs with.")
     caption = "Error (rms, dB) of the models on the validation measurement of each test."
     return numbering.figure(figures.error_figure(series, document["over"]["label"]), caption)
 
@@ -243,7 +243,7 @@ def _effects(document: Mapping[str, Any], numbering: Numbering) -> Markup:
         shown = [place for test, place in diagnosed.items() if test in by_effect[name]]
         rows.append((name, shown, [place for test, place in diagnosed.items() if test not in by_effect[name]]))
     if rows:
-        caption = "Effects that the idle model lacks: full where the diagnosis of a test finds it, empty where it does not."
+        caption = "Effects missing in the idle model: full where the diagnosis of a test finds it, empty where it does not."
         out.append(numbering.figure(figures.effect_figure(rows, document["over"]["label"], list(places.values())), caption))
     cells = [[esc(e["words"]), esc(e["label"]), esc(e["size"] or DASH), str(len(e["tests"]))] for e in effects]
     head = ["Against the baseline", "Effect", "Size (95 %)", "Tests"]
@@ -279,7 +279,7 @@ def _how(document: Mapping[str, Any], numbering: Numbering) -> Markup:
         "A mode belongs to the one before where their MAC is above 0.5 and their frequencies differ by less than 30 %; of several the "
         "best of MAC weighted by nearness in frequency is taken. A crossing is named where two modes change order by more than their "
         "95 % intervals. A value stands out where it differs from the running median of five tests by more than five times the usual "
-        "scatter; the first and last two tests are not judged. A step is a change between two tests beyond five times the usual scatter "
+        "scatter; the first and last two tests are left out. A step is a change between two tests beyond five times the usual scatter "
         "of changes. An effect counts as another than the baseline's where the diagnosis of one has it and that of the other has not."
     )
     return (

@@ -13,7 +13,7 @@ from operando import __version__
 
 # command -> (module of this package, what it does); the texts stand here so that --help loads no command
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("demo", "The whole story on the packaged example, from raw UFF to the report."),
+    "demo": ("demo", "The packaged example, from raw UFF to the report."),
     "init": ("init", "Look at the files in a folder and write a test file."),
     "inspect": ("inspect", "What is in files: sets, channels, DOFs, units, sampling, findings."),
     "run": ("run", "All stages of a test, from raw files to the report."),
@@ -22,7 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "oma": ("stages", "A test up to the operational modes."),
     "ofrf": ("ofrf", "Operational FRFs of any pair of DOFs."),
     "compare": ("compare", "Any model against any measurement."),
-    "diagnose": ("diagnose", "Where the idle model fails in operation, and which effect is missing."),
+    "diagnose": ("diagnose", "Where the error of the idle model lies in operation, and which effect is missing."),
     "add": ("add", "Add effects to the idle model and see the error before and after."),
     "remove": ("remove", "Take an added effect back."),
     "convert": ("convert", "Convert between file formats."),

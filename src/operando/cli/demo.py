@@ -16,7 +16,7 @@ from operando.cli.test_file import read_test, test_options
 @test_options
 @answers
 def demo(output: str, changes: tuple[str, ...], second_opinion: bool) -> Answer:
-    """The whole story on the packaged example: a plate at rest and running, from raw UFF files to the report."""
+    """The packaged example: a plate, idle and operating, from raw UFF files to the report."""
     from operando.pipeline import run
 
     test = read_test(example_folder() / "test.toml", changes, second_opinion)

@@ -12,7 +12,7 @@ from operando.cli.answer import Answer, answers
 @click.argument("step", type=int)
 @answers
 def remove(folder: str, step: int) -> Answer:
-    """Take the effect of a step of the ladder back and refit the others (step 0 is the idle model)."""
+    """Take the effect of a step back and refit the others (step 0 is the idle model)."""
     from operando.cli.ladder import accepted, change, present
     from operando.cli.sources import changing
     from operando.errors import ConfigError

@@ -40,7 +40,7 @@ MODEL_NAMES = {
 
 
 CLASS_WORDS = {
-    "unchanged": ("unchanged", "good"),
+    "unchanged": ("same shape", "good"),
     "changed": ("shape changed", "fair"),
     "beyond_idle_band": ("beyond idle band", "fair"),
     "unpaired": ("no idle partner", "poor"),
@@ -97,15 +97,15 @@ def headline(results: Results) -> Headline:
     models = comparison_models(results)
     ofrf = models.get("ofrf")
     if not ofrf or not finite(ofrf.get("error_db")):
-        reason = "there is no check measurement (running, force measured)" if not results.check else "the comparison was not made"
+        reason = "there is no validation measurement (operating state, force measured)" if not results.check else "the comparison was not made"
         sentences.append(
             f"How far they are from the truth is not known: {reason}. "
             "The 95 % bands below hold what the identification is unsure of, no more."
         )
         if any(a.state == "fails" and a.name == RECIPROCITY for a in states):
-            verdict = "Operating FRFs made, not checked; a symmetric model cannot hold this machine"
+            verdict = "Operating FRFs made, not validated; non-reciprocal behaviour cannot be represented"
         else:
-            verdict = "Operating FRFs made, not checked"
+            verdict = "Operating FRFs made, not validated"
         return Headline(verdict, "poor" if limits else "fair", tuple(sentences), tuple(limits))
     error = float(ofrf["error_db"])
     others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
@@ -115,9 +115,9 @@ def headline(results: Results) -> Headline:
         sentences.append(by_level)
     idle = next((e for name, e in others if name == "idle"), None)
     if is_good(ofrf) and error >= CLOSE_DB:
-        verdict, grade = "The operating FRFs agree with the check as well as the data allow", "good"
+        verdict, grade = "The operating FRFs agree with the validation measurement as well as the noise allows", "good"
     elif error < CLOSE_DB:
-        verdict, grade = f"The operating FRFs agree with the check to within {CLOSE_DB:g} dB", "good"
+        verdict, grade = f"The operating FRFs agree with the validation measurement to within {CLOSE_DB:g} dB", "good"
     elif idle is not None and error > 0.95 * idle:
         judged = judge_run(results)
         where = f" at {judged.level}" if judged is not None and _levels_text(results) else ""
@@ -173,7 +173,7 @@ def _what_they_are(results: Results) -> str:
     modal = getattr(results.hybrid, "modal", None)
     dofs = len(modal.dofs) if modal is not None else 0
     classes = [str(p.get("class")) for p in pairing]
-    parts = [f"{classes.count('unchanged')} with the shape they have at rest"]
+    parts = [f"{classes.count('unchanged')} with the same shape as idle"]
     parts += [f"{n} {word}" for n, word in _class_words(classes)]
     residual = modal.n_residuals if modal is not None else 0
     text = (
@@ -181,7 +181,7 @@ def _what_they_are(results: Results) -> str:
         f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
     )
     text += (
-        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for what lies outside."
+        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for the residual terms of modes outside the band."
         if residual
         else "."
     )
@@ -189,13 +189,13 @@ def _what_they_are(results: Results) -> str:
     if moved:
         worst = moved[max(moved, key=abs)]
         text += (
-            f" Against rest the frequencies moved by {fixed(min(moved), 2, sign=True)} to {fixed(max(moved), 2, sign=True)} %, "
+            f" Against the idle state the frequencies moved by {fixed(min(moved), 2, sign=True)} to {fixed(max(moved), 2, sign=True)} %, "
             f"most at {number(worst.idle_hz, 4)} Hz (now {number(worst.operating_hz, 4)} Hz)."
         )
     kappa = scaling.get("kappa")
     if scaling.get("method"):
         words = IN_WORDS.get(scaling["method"], f"method {scaling['method']}")
-        text += f" How the scale was carried over: {words}" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
+        text += f" Scaling: {words}" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
     return text
 
 
@@ -218,17 +218,17 @@ def _levels_text(results: Results) -> str:
     if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
         return ""
     parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
-    return f"The level matters: {listing(parts)}. The lowest level judges; operating FRFs stand for the level of operation."
+    return f"The level matters: {listing(parts)}. The lowest level is the validation level; operating FRFs stand for the level of operation."
 
 
 def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
-    text = f"Measured with a known force while running, they are off by {decibel(ofrf['error_db'])} rms"
+    text = f"Against the validation measurement (known force, operating state) their error is {decibel(ofrf['error_db'])} rms"
     if others:
         text += " (" + ", ".join(f"{MODEL_NAMES.get(name, name)}: {decibel(e)}" for name, e in others) + ")"
     if finite(ofrf.get("noise_floor_db")):
         text += f"; noise of that measurement and the model's own uncertainty explain {decibel(ofrf['noise_floor_db'])} of it"
     if finite(ofrf.get("misfit")):
-        text += f" (misfit {number(ofrf['misfit'], 3)}, where 1 is as good as the data allow)"
+        text += f" (reduced chi-square {number(ofrf['misfit'], 3)}, 1 = as good as the noise allows)"
     return text + "."
 
 
@@ -245,7 +245,7 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
     good = model.n_modes > 0
     if ema and finite(model.misfit):
         good &= float(model.misfit) < 2
-        sentences.append(f"On lines the fit did not use the misfit is {number(model.misfit, 3)}, where 1 is as good as the data allow.")
+        sentences.append(f"On hold-out lines the reduced chi-square is {number(model.misfit, 3)}; 1 = as good as the noise allows.")
     why = results.left_out.get("oma" if ema else "ema", "").rstrip(".")
     missing = f" ({why})" if why else ""
     if ema and model.scaling == "unit_modal_mass":
@@ -255,7 +255,7 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
         text = "The shapes have no mass scaling" + (f": {cause[0]} ({cause[1]})." if cause else ".")
         sentences.append(f"{text} Operating FRFs need it, and a measurement in operation{missing}.")
     else:
-        sentences.append(f"Shapes are of arbitrary scale: operating FRFs need a measurement at rest with a known force besides{missing}.")
+        sentences.append(f"Shapes are of arbitrary scale: operating FRFs need an idle measurement with a known force besides{missing}.")
     wrong = [f for f in all_findings(results) if f.severity == "error"]
     limits += tuple(f"{f.message}" + (f": {f.consequence}." if f.consequence else ".") for f in wrong[:3])
     return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
@@ -328,16 +328,16 @@ def _light_and_real(results: Results) -> Assumption:
 
 
 def _dominant_modes(results: Results) -> Assumption:
-    name = "The idle model holds the dominant modes"
+    name = "The idle model has the dominant modes"
     if results.idle is None:
         return Assumption(name, "untested", "There is no idle model.")
     misfit, alone = results.idle.misfit, [p for p in pairing_of(results) if p.get("class") in ("unpaired", "beyond_idle_band")]
     residual = results.idle.n_residuals
     text = f"{count(results.idle.n_modes, 'idle mode')} and {count(residual, 'residual mode')}; "
     if finite(misfit):
-        text += f"misfit on lines the fit did not use {number(misfit, 3)} (1 is the noise alone)."
+        text += f"reduced chi-square on hold-out lines {number(misfit, 3)} (1 = as good as the noise allows)."
     else:
-        text += "no misfit was computed."
+        text += "no reduced chi-square was computed."
     state = "holds" if finite(misfit) and float(misfit or 0) < 2 else "doubtful" if finite(misfit) else "untested"
     if alone:
         text += f" {count(len(alone), 'operating mode')} without a partner among the idle modes in band."
@@ -346,7 +346,7 @@ def _dominant_modes(results: Results) -> Assumption:
 
 
 def _same_mass(results: Results, nonlinear: bool) -> Assumption:
-    name = "Same mass at rest and running"
+    name = "Same mass, idle and operating"
     models = comparison_models(results)
     if results.diagnosis:
         masses = [e for e in found_by_itself(results.diagnosis) if str(e.get("kind")).endswith("mass")]
@@ -369,10 +369,10 @@ def _same_mass(results: Results, nonlinear: bool) -> Assumption:
     scales = _scale_errors_db([] if nonlinear else by_mode)  # modes that move with the level have no one scale
     if scales.size:
         typical = float(np.median(np.abs(scales)))
-        text += f"Against the check the scale of the modes (peak height times damping) is off by {decibel(typical)} in the median, "
+        text += f"Against the validation measurement the scale of the modes (peak height times damping) has an error of {decibel(typical)} in the median, "
         text += "where a change of mass would show."
         state = "doubtful" if typical >= SCALE_DOUBT_DB else state
-    return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a check measurement with force would.")
+    return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a validation measurement would.")
 
 
 def _scale_errors_db(by_mode: list[dict[str, Any]]) -> NDArray[np.float64]:
@@ -405,7 +405,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
     consequence = (
-        "A sum over real shapes is symmetric by construction, so the operating FRFs cannot hold a gyroscopic or circulatory effect; "
+        "A sum over real shapes is symmetric by construction, so gyroscopic and circulatory effects cannot be represented by the operating FRFs; "
     )
     consequence += "only the route idle model + effect can."
     run = judge_run(results)
@@ -430,9 +430,9 @@ def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assu
         first = text if measured is False else named[0].message.rstrip(".")
         return Assumption(name, "fails", f"{first}. {consequence}")
     if named:
-        return Assumption(name, "doubtful", f"{named[0].message.rstrip('.')}; yet in the check {text}.")
+        return Assumption(name, "doubtful", f"{named[0].message.rstrip('.')}; yet in the validation measurement {text}.")
     if measured is None:
-        return Assumption(name, "untested", "Not tested: it takes a check measurement with two forced points. " + consequence)
+        return Assumption(name, "untested", "Not tested: it takes a validation measurement with two forced points. " + consequence)
     return Assumption(name, "holds", text + ".")
 
 
@@ -440,14 +440,14 @@ def _linear(results: Results, found: list[Finding]) -> Assumption:
     name = "Linear behaviour"
     named = _of_kind(found, "nonlinear")
     if named:
-        where = "At rest" if _at_rest(results, named[0]) else "In operation"
+        where = "Idle" if _at_rest(results, named[0]) else "In operation"
         return Assumption(name, "fails", f"{where}: {named[0].message.rstrip('.')}. The FRFs stand for the level they were measured at.")
     levels = level_difference(results.check, analysis_band(results))
     if levels is None:
         agree = [run for run in results.check if "agree" in run.level]
         if agree:
-            return Assumption(name, "holds", f"Check runs of several levels ({agree[0].level}) differ by no more than their noise.")
-        return Assumption(name, "untested", "It takes check measurements at two levels of force.")
+            return Assumption(name, "holds", f"Validation measurements at several levels ({agree[0].level}) differ by no more than their noise.")
+        return Assumption(name, "untested", "It takes validation measurements at two levels of force.")
     percent = number(100 * (levels["relative"] or 0), 2)
     text = f"FRFs of levels {levels['levels'][0]} and {levels['levels'][1]} differ by {percent} % of their size"
     ratio = levels["ratio"]

@@ -33,7 +33,7 @@ def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, n
     figure = new_figure(7.6, height)
     axes = figure.add_axes((0.36, 0.42 / height, 0.56, (height - 0.58) / height))
     plot_errors(
-        names, values, axes, keys=keys, noise_floor_db=noise_floor_db, label="Level error against the check, rms over lines and pairs [dB]"
+        names, values, axes, keys=keys, noise_floor_db=noise_floor_db, label="Level error against the validation measurement, rms [dB]"
     )
     return figure, "Error of each model in dB: " + ", ".join(f"{n} {v:.2f}" for n, v in zip(names, values, strict=True))
 
@@ -73,7 +73,7 @@ def error_maps(
 def frequency_changes(
     labels: Sequence[str], frequency_percent: ArrayLike, damping_percent: ArrayLike, frequency_std: ArrayLike, damping_std: ArrayLike
 ) -> tuple[Figure, str]:
-    """SVG: change of frequency and of damping ratio from rest to operation for each paired mode, with 95 % intervals.
+    """SVG: change of frequency and of damping ratio from idle to operating for each paired mode, with 95 % intervals.
 
     Parameters
     ----------
@@ -88,4 +88,4 @@ def frequency_changes(
         (0.56, damping_percent, damping_std, "Damping ratio, operating against idle"),
     ):
         plot_changes(labels, values, std, figure.add_axes((left, 0.3, 0.43, 0.57)), title=title)
-    return figure, "Change of frequency and damping ratio of each mode from rest to operation"
+    return figure, "Change of frequency and damping ratio of each mode from idle to operating"

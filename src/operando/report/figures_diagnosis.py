@@ -59,7 +59,7 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str
     if ladder.floor is not None and ladder.floor > bottom:
         axes.axhspan(bottom, ladder.floor, color=PALE, alpha=0.55, lw=0, zorder=1)
         axes.axhline(ladder.floor, color=INK, lw=1.1, ls=(0, (4, 2)), zorder=3)
-        words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the data allow"
+        words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the noise allows"
         axes.annotate(words, (1, ladder.floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
     for i, v in enumerate(values):
         axes.annotate(
@@ -79,13 +79,13 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str
     steps = [f"idle model {ladder.text(values[0])}"]
     steps += [f"with {r.effect.label if r.effect else 'effect'} {ladder.text(v)}" for r, v in zip(rungs[1:], values[1:], strict=True)]
     floor = "" if ladder.floor is None else f"; noise floor {ladder.text(ladder.floor)}"
-    return figure, f"Error ladder, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
+    return figure, f"Error by step, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
 
 
 def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> float:
     """Set the axis of the errors; the value its columns stand on."""
     top = float(np.max([*values, *(r.everything for r in ladder.rungs if np.isfinite(r.everything)), ladder.floor or 0.0]))
-    kind = "Held-out" if ladder.held_out else "Error on all data:"
+    kind = "Hold-out" if ladder.held_out else "Error on all data:"
     if ladder.decibel:
         axes.set_ylim(0, 1.2 * max(top, 1e-9))
         axes.set_ylabel(f"{kind} level error, rms [dB]")
@@ -94,7 +94,7 @@ def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> fl
     bottom = 0.3 * low
     axes.set_yscale("log")
     axes.set_ylim(bottom, max(top, 1.0) * (max(top, 1.0) / bottom) ** 0.2)
-    axes.set_ylabel(f"{kind} misfit [1 = noise]")
+    axes.set_ylabel(f"{kind} reduced χ² [1 = noise]")
     log_axis(axes.yaxis)
     return bottom
 
@@ -171,10 +171,10 @@ def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | N
     axes.set_xticks(np.arange(hz.size), [number(f, 4) for f in hz], fontsize=7.5, rotation=90 if hz.size > 16 else 0)
     axes.tick_params(axis="x", length=0)
     axes.set_xlabel("Operating mode [Hz]")
-    axes.set_ylabel("Misfit [1 = noise]")
+    axes.set_ylabel("Reduced χ² [1 = noise]")
     log_axis(axes.yaxis)
     figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.065, 1.02))
-    return figure, f"Misfit of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
+    return figure, f"Reduced chi-square of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
 
 
 @drawn
@@ -204,10 +204,10 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
             low, high = middle - both / 2, middle + both / 2  # one span for both parts: what is small looks small
             inside = np.isfinite(values) & (values > low) & (values < high)
             axes.axhline(0, color=GREY, lw=0.8)
-            dots(axes, hz[inside], values[inside], SKY, 2.2, "from the check, line by line")
+            dots(axes, hz[inside], values[inside], SKY, 2.2, "from the validation measurement, line by line")
             smooth = running_median(values)
             axes.plot(hz, np.clip(smooth, low, high), color=MEASURED, lw=1.1, label="running median")
-            axes.plot(hz, law, color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted")
+            axes.plot(hz, law, color=IDLE, lw=1.8, ls=(0, (4, 2)), label="force law fitted")
             axes.set_xlim(hz.min(), hz.max())
             axes.set_ylim(low, high)
             axes.set_ylabel(f"{word} of δz [{unit}]")
@@ -216,7 +216,7 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
             axes.grid(True)
             if k == 0 and j == 0:
                 figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
-    return figure, "Dynamic stiffness, real and imaginary part with the fitted law: " + "; ".join(titles)
+    return figure, "Dynamic stiffness, real and imaginary part with the fitted force law: " + "; ".join(titles)
 
 
 def _prefix(size: float) -> tuple[float, str]:
@@ -282,10 +282,10 @@ def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset
     axes.set_yticks(np.arange(n), names, fontsize=8.5)
     axes.invert_yaxis()
     axes.set_xlim(0, 112)
-    axes.set_xlabel("Part of the idle model's error that a force at this place explains [%]")
+    axes.set_xlabel("Part of the idle model's error that a force at this location explains [%]")
     axes.tick_params(axis="y", length=0)
     best = ", ".join(f"{name} {v:.1f} %" for name, v in list(zip(names, share, strict=True))[:3])
-    return figure, f"Places ranked by what a force there explains of the idle model's error: {best}"
+    return figure, f"Locations ranked by what a force there explains of the idle model's error: {best}"
 
 
 @drawn

@@ -105,15 +105,15 @@ def ofrf_pairs(
             ofrf, check, idle, axes, response=response, reference=reference, band=band, label=label, parts=("magnitude",), legend=False
         )
         for n, (low, high) in enumerate(held_out):
-            axes.axvspan(low, high, color=HELD_OUT, lw=0, zorder=0, label=None if n else "held-out lines")
+            axes.axvspan(low, high, color=HELD_OUT, lw=0, zorder=0, label=None if n else "hold-out lines")
         axes.set_title(f"{check.responses[i]} from {check.references[j]} ({why})")
         if k == 0:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="upper left", ncols=5, bbox_to_anchor=(left / width - 0.01, 1.0))
     names = listing(f"{check.responses[i]} from {check.references[j]}" for i, j, _ in pairs)
     if label != "operating FRF":
-        return figure, f"Frequency response functions of the {label} with 95 % band against check and idle model: {names}"
-    return figure, f"Operating frequency response functions with 95 % band against check and idle model: {names}"
+        return figure, f"Frequency response functions of the {label} with 95 % band against validation measurement and idle model: {names}"
+    return figure, f"Operating frequency response functions with 95 % band against validation measurement and idle model: {names}"
 
 
 @drawn

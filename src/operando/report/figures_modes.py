@@ -74,7 +74,7 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
                 axes.set_yticks([])
             else:
                 draw_shape(figure.add_axes(box, projection="3d"), mesh, np.asarray(shape, float), bare=True, wide=0.65)
-    return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
+    return figure, f"Mode shapes, idle and operating, {len(pairs)} modes side by side"
 
 
 def shapes_csv(dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:

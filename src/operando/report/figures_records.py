@@ -41,14 +41,14 @@ def force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
         dots(axes, over / factor, force, SKY, 2.0, "from the records, sample by sample")
         axes.errorbar(at / factor, mean, INTERVAL * spread, color=MEASURED, lw=0, elinewidth=0.9, marker="o", ms=3, label="mean, ± 95 %")
         if rows.get("law"):
-            axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted, mean")
+            axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="force law fitted, mean")
         axes.set_xlabel(f"{name.capitalize()} [{prefix}{unit}]")
         axes.set_ylabel("Restoring force [N]")
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)
         if k == 0:
             figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
-    return figure, f"Restoring force over displacement and velocity with the fitted law: {title}"
+    return figure, f"Restoring force over displacement and velocity with the fitted force law: {title}"
 
 
 def _prefix(size: float) -> tuple[float, str]:
@@ -82,7 +82,7 @@ def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure,
             least = 0.1 * max(abs(r["stiffness"]) * r["displacement_m"] / max(r["velocity_m_s"], 1e-300) for r in order)
             low, high = axes.get_ylim()
             axes.set_ylim(min(low, -least), max(high, least))
-        axes.set_xlabel(f"Displacement across the place, rms [{prefix}m]")
+        axes.set_xlabel(f"Displacement across the location, rms [{prefix}m]")
         axes.set_ylabel(f"Equivalent {name} [{unit}]")
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)

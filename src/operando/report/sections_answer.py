@@ -75,7 +75,7 @@ def _pair_error(model: Frf, measured_frf: Frf, results: Results) -> Any:
 def _tiles(results: Results) -> list[Tile]:
     models = derive.comparison_models(results)
     level = lambda key, what="error_db": (models.get(key) or {}).get(what)  # noqa: E731
-    tiles = [Tile(decibel(level("ofrf")), "operating FRFs against the check", True)] if finite(level("ofrf")) else []
+    tiles = [Tile(decibel(level("ofrf")), "operating FRFs against the validation measurement", True)] if finite(level("ofrf")) else []
     tiles += [Tile(decibel(level(k)), MODEL_NAMES[k]) for k in ("effect", "idle", "idle_shapes", "msf_all") if finite(level(k))]
     if finite(level("ofrf", "noise_floor_db")):
         tiles.append(Tile(decibel(level("ofrf", "noise_floor_db")), "noise floor"))
@@ -84,7 +84,7 @@ def _tiles(results: Results) -> list[Tile]:
     if results.idle is not None:
         tiles.append(Tile(str(results.idle.n_modes), "idle modes"))
         if finite(results.idle.misfit):
-            tiles.append(Tile(number(results.idle.misfit, 3), "misfit of the idle model (1 = noise)"))
+            tiles.append(Tile(number(results.idle.misfit, 3), "reduced chi-square of the idle model (1 = as good as the noise allows)"))
     if results.operating is not None:
         tiles.append(Tile(str(results.operating.n_modes), "operating modes"))
     if moved := shifted(results):

@@ -166,7 +166,7 @@ def _named(picture: Mapping[str, Any], found: Mapping[str, Any]) -> EffectWords 
 
 
 def _title(picture: Mapping[str, Any], effect: EffectWords | None) -> str:
-    place = listing(picture.get("location") or []) or (effect.place if effect is not None else "") or "the place found"
+    place = listing(picture.get("location") or []) or (effect.place if effect is not None else "") or "the location found"
     return place if effect is None else f"{place}: {effect.name}{' (taken away)' if effect.removed else ''} {effect.size}"
 
 
@@ -184,13 +184,13 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
     """FRFs before and after at telling pairs with the lines that judge, or the sentence why there are none."""
     run, idle, after = _judge(results, page, model)
     if run is None:
-        return {"why": "There is no check measurement to draw FRFs before and after against."}
+        return {"why": "There is no validation measurement to draw FRFs before and after against."}
     if idle is None:
         return {"why": "The idle model has no scale."}
     if not words.effects:
         return {"why": "There is no effect in the model: before and after are the same."}
     if after is None:
-        return {"why": "The model with the effects has no FRFs: an effect depends on the level, or the results lack what it is made of."}
+        return {"why": "The model with the effects has no FRFs: an effect depends on the level, or what it is made of is not in the results."}
     band = derive.analysis_band(results)
     clear = derive.clear_lines(run.frf, band)
     error = derive.rms_over(derive.level_error_db(idle, run.frf), clear, axis=2)
@@ -210,7 +210,7 @@ def _candidates(found: Mapping[str, Any]) -> list[tuple[EffectWords, Any, str, t
     accepted = {effect_key(e) for e in found_by_itself(found)}
     added = {effect_key(e) for e in found.get("effects") or []} - accepted
     rivals = {effect_key(e) for e in found.get("ambiguous_with") or []}
-    tags = ((accepted, ("accepted", "good")), (rivals, ("not told apart", "fair")), (added, ("added by hand", "none")))
+    tags = ((accepted, ("accepted", "good")), (rivals, ("not distinguished", "fair")), (added, ("added by hand", "none")))
     rows = []
     for c in found.get("candidates") or []:
         evidence = plain_powers(str(c.get("evidence") or "")).replace(" (-", " (−")

@@ -57,7 +57,7 @@ def _shape_pairs(results: Results) -> list[figures_modes.ShapePair]:
         label = f"Idle {p.idle}" if second is None else f"Operating {p.operating}"
         if first is not None and second is not None:
             label = f"Idle {p.idle} → operating {p.operating}   MAC {fixed(p.row.get('mac'), 2)}"
-        texts = [f"{word} {f:.2f} Hz" if f is not None else "" for word, f in (("idle", p.idle_hz), ("running", p.operating_hz))]
+        texts = [f"{word} {f:.2f} Hz" if f is not None else "" for word, f in (("idle", p.idle_hz), ("operating", p.operating_hz))]
         made.append(figures_modes.ShapePair(label, first, second, *texts))
     return made
 
