@@ -251,7 +251,7 @@ def replace_results(results, **changes):
 
 
 PARTS = {
-    "no check": ({"check": [], "comparison": None}, "no check measurement"),
+    "no check": ({"check": [], "comparison": None}, "no validation measurement"),
     "no geometry": ({"geometry": None, "check": [], "comparison": None, "idle_frf": None}, "There is no geometry"),
     "no operating": (
         {"operating": None, "hybrid": None, "comparison": None, "left_out": {"oma": "no [operating] in the test"}},
@@ -454,7 +454,11 @@ def test_scale_of_modes_leaves_damping_errors_out(whole):
 
 
 def test_what_the_fit_did_is_told(html):
-    body = " ".join(html[html.index("3. At rest: FRFs and idle model</h2>") : html.index("4. Running: operational modes</h2>")].split())
+    body = " ".join(
+        html[
+            html.index("3. Idle state (reference): FRFs and model</h2>") : html.index("4. Operating state: operational modes</h2>")
+        ].split()
+    )
     assert "It did not converge" in body
     assert "1.30 at worst, at 111+Z" in body
     assert "misfit 1.0 &lt;ok&gt;" in body
@@ -499,7 +503,9 @@ def test_a_hammer_test_has_its_own_answer_without_empty_columns(whole):
     page = Page(text)
     head = headline(results)
     assert head.verdict == "12 idle modes in 8–140 Hz"
-    assert head.grade == "good"
+    assert any("18 samples at full scale" in t for t in head.limits), "what is wrong with the data limits the answer"
+    assert head.grade == "fair"
+    assert headline(replace_results(results, findings=[])).grade == "good"
     assert "no [operating] in the test" in head.sentences[-1]
     assert {f"#{name}" for name in ("operating", "scaling", "ofrf", "diagnosis", "missing")}.isdisjoint(page.targets)
     answer = text[text.index('id="answer"') : text.index('id="data"')]

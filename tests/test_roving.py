@@ -285,7 +285,7 @@ def test_roving_files_through_the_command_line(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message", "hint"),
     [
-        ('references = ["1+Z", "33+Z"]', "no force at rest acts at 33+Z", "did you mean '3+Z'?"),
+        ('references = ["1+Z", "33+Z"]', "no idle force acts at 33+Z", "did you mean '3+Z'?"),
         ('oma_references = ["5+X"]', "no operating record has a sensor at 5+X", "'5+Z'|known: |did you mean"),
         ('[channels]\n"acc9" = {exclude = true}', "[channels] 'acc9' names no channel of any file", "did you mean 'acc"),
     ],

@@ -73,4 +73,6 @@ def ladder_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | No
         label = "idle model" if added is None else f"+ {added['kind']} {', '.join(added['location'])}".strip()
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
     said = lines_words(judged_on or {})
-    return table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"]) + (f"\nχ²: reduced chi-square, 1 = as good as the noise allows; hold-out set: {said}" if said else "")
+    return table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"]) + (
+        f"\nχ²: reduced chi-square, 1 = as good as the noise allows; hold-out set: {said}" if said else ""
+    )

@@ -97,7 +97,9 @@ def headline(results: Results) -> Headline:
     models = comparison_models(results)
     ofrf = models.get("ofrf")
     if not ofrf or not finite(ofrf.get("error_db")):
-        reason = "there is no validation measurement (operating state, force measured)" if not results.check else "the comparison was not made"
+        reason = (
+            "there is no validation measurement (operating state, force measured)" if not results.check else "the comparison was not made"
+        )
         sentences.append(
             f"How far they are from the truth is not known: {reason}. "
             "The 95 % bands below hold what the identification is unsure of, no more."
@@ -218,7 +220,9 @@ def _levels_text(results: Results) -> str:
     if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
         return ""
     parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
-    return f"The level matters: {listing(parts)}. The lowest level is the validation level; operating FRFs stand for the level of operation."
+    return (
+        f"The level matters: {listing(parts)}. The lowest level is the validation level; operating FRFs stand for the level of operation."
+    )
 
 
 def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
@@ -404,9 +408,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 
 def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
-    consequence = (
-        "A sum over real shapes is symmetric by construction, so gyroscopic and circulatory effects cannot be represented by the operating FRFs; "
-    )
+    consequence = "A sum over real shapes is symmetric by construction, so gyroscopic and circulatory effects cannot be represented by the operating FRFs; "
     consequence += "only the route idle model + effect can."
     run = judge_run(results)
     rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []
@@ -446,7 +448,9 @@ def _linear(results: Results, found: list[Finding]) -> Assumption:
     if levels is None:
         agree = [run for run in results.check if "agree" in run.level]
         if agree:
-            return Assumption(name, "holds", f"Validation measurements at several levels ({agree[0].level}) differ by no more than their noise.")
+            return Assumption(
+                name, "holds", f"Validation measurements at several levels ({agree[0].level}) differ by no more than their noise."
+            )
         return Assumption(name, "untested", "It takes validation measurements at two levels of force.")
     percent = number(100 * (levels["relative"] or 0), 2)
     text = f"FRFs of levels {levels['levels'][0]} and {levels['levels'][1]} differ by {percent} % of their size"

@@ -190,7 +190,9 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
     if not words.effects:
         return {"why": "There is no effect in the model: before and after are the same."}
     if after is None:
-        return {"why": "The model with the effects has no FRFs: an effect depends on the level, or what it is made of is not in the results."}
+        return {
+            "why": "The model with the effects has no FRFs: an effect depends on the level, or what it is made of is not in the results."
+        }
     band = derive.analysis_band(results)
     clear = derive.clear_lines(run.frf, band)
     error = derive.rms_over(derive.level_error_db(idle, run.frf), clear, axis=2)

@@ -382,13 +382,19 @@ def _errors(ladder: Ladder, output_only: bool) -> str:
     first, last = ladder.rungs[0].heldout, ladder.rungs[-1].heldout
     added = len(ladder.rungs) - 1
     modes, lines = "operating frequencies, damping ratios and shapes", "lines of the validation measurement"
-    where = f"{'the hold-out set' if ladder.held_out else 'all'} of {modes}" if output_only else f"{'hold-out' if ladder.held_out else 'all'} {lines}"
+    where = (
+        f"{'the hold-out set' if ladder.held_out else 'all'} of {modes}"
+        if output_only
+        else f"{'hold-out' if ladder.held_out else 'all'} {lines}"
+    )
     value = decibel if ladder.decibel else _deviations
     text = f"On {where}, the error of the idle model is {value(first)}"
     text += f", with {'the effect' if added == 1 else 'the effects'} {value(last)}" if added else ""
     if ladder.decibel:
         return text + (f"; noise and the model's own uncertainty explain {decibel(ladder.floor)}." if ladder.floor is not None else ".")
-    text += f" (reduced chi-square {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 = as good as the noise allows)"
+    text += (
+        f" (reduced chi-square {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 = as good as the noise allows)"
+    )
     return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
 
 
