@@ -13,13 +13,13 @@ from operando.diagnosis import Diagnosis, diagnose_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SPREADS, spreads_of
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, POOLED_LINES, REST_DISCREPANCY, STRICT, UNUSUAL
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
-from operando.diagnosis.search import Found, contained, score, search, search_both
+from operando.diagnosis.search import contained, score, search, search_both
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
@@ -480,20 +480,3 @@ def test_a_gain_beyond_four_spreads_is_told_as_unusual():
     rows = {tuple(r["location"]): r for r in between_rows(found.best) if r["what"] == "sensor_gain"}
     assert [r["location"] for r in rows.values() if r["unusual"]] == [["3+Z"]]
     assert rows["3+Z",]["value"] == pytest.approx(gains[2], abs=3 * rows["3+Z",]["std"])
-
-
-@pytest.mark.parametrize(("beyond", "wanted"), [(-1.0, "days"), (1.0, "one set-up")])
-def test_an_effect_that_only_one_set_up_needs_must_earn_more(monkeypatch, beyond, wanted):
-    both = case(), case(spreads={})
-    alone = fit(both[0], both[0].forward.start)
-    spring, mass = Term("ground_spring", (2,), (np.log(3e3),)), Term("point_mass", (1,), (np.log(0.4),))
-
-    def found(one, say, rival=-np.inf):
-        terms, gained = ((spring,), 0.0) if one is both[0] else ((spring, mass), EARNED + STRICT + beyond)
-        state = replace(alone, x=replace(alone.x, terms=terms), log_evidence=alone.log_evidence + gained)
-        return Found(state, alone, {})
-
-    monkeypatch.setattr("operando.diagnosis.search.search", found)
-    best, odds = search_both(*both)
-    assert odds == pytest.approx(beyond)
-    assert len(best.best.terms) == (1 if wanted == "days" else 2)

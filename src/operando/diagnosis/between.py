@@ -50,11 +50,13 @@ FAMILIES = {
 OF_A_FORCE = ("force", "force_slope", "force_corner", "force_late")
 OF_A_CHANNEL = ("sensor", "sensor_slope", "sensor_corner", "sensor_late")
 OUTSIDE = {
-    "own_above": 1.0,  # own compliance of an undriven place, over half of what lies above the band there
+    "own_above": 2.5,  # own compliance of an undriven place, over half of what lies above the band there
     "own_below": 1.0,  # own inverse mass, over what lies below
     "row_above": 0.6,  # compliance between a place and an undriven one, over the root of the product of the own ones
     "row_below": 1.0,
 }
+"""Standard deviations of what no column of the test tells: rms over the undriven places of 40 structures of ``benchmarks/hidden_effects``
+of what the idle model leaves of the true FRFs there, own 2.5 (one in fifty beyond 7), to others 0.5."""
 
 
 def spreads_of(stated: Mapping[str, float]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,7 @@ class Case:
                 hint="name responses and references of the check as in the measurement at rest",
             )
         self.dofs = idle.dofs
+        self.uncompressed = idle
         chosen = frf.select([idle.dofs[i] for i in responses], [idle.dofs[i] for i in references]).to_quantity("receptance")
         modes = idle.modes
         self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated)
@@ -106,7 +108,7 @@ class Case:
             columns = np.arange(first, min(first + _AT_ONCE, dofs))
             plain = Between(idle, columns, self.band, {})
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
-            made = some.predict(some.start, w)
+            made = some.predict(replace(some.start, terms=idle.lacking_term), w)
             by_g = (made.shared[..., :g] / noise[:, None, None, None]).reshape(-1, g)
             whole += (by_g.conj().T @ by_g).real
             # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
@@ -122,6 +124,12 @@ class Case:
         kept = max(1, int((values_own > LEAST_MOVE).sum(axis=1).max()))
         return idle.along(vectors[:, values > LEAST_MOVE], own[:, :, own.shape[2] - kept :])
 
+    def place(self, dof: int) -> str:
+        """In words."""
+        if dof in self.idle.midway:
+            return f"({', '.join(f'{v:.4g}' for v in self.idle.midway[dof])}) m, {str(self.dofs[dof])[-2:]}"
+        return str(self.dofs[dof])
+
     # priors of effects
 
     def candidates(self, terms: Sequence[Term]) -> list[Term]:
@@ -130,9 +138,9 @@ class Case:
         out = []
         for term in candidates(self.nodes, terms, self.kinds, self.allowed):
             group, where = term.definition.group, set(term.places)
-            if (group == "force" and not where <= driven) or (
-                group == "sensor" and term.definition.acts == "sensor_map" and not where <= measured
-            ):
+            unlike = term.definition.acts == "sensor_map" and not where <= measured
+            pair_without_sensor = len(where) > 1 and term.definition.coordinates != "node" and where & self.idle.midway.keys()
+            if (group == "force" and not where <= driven) or unlike or pair_without_sensor:
                 continue
             out.append(term)
         return out
@@ -148,6 +156,8 @@ class Case:
         """Logarithms of sizes that change the FRFs at rest by 0.1 and 10 dB (rms over lines and pairs)."""
         if kind == "global_stiffness":
             return float(np.log(5e-4)), float(np.log(0.2))
+        if kind == "missing_mode":
+            return float(np.log(self.band[0])), float(np.log(self.band[1]))
         kind = {"tuned_absorber": "point_mass", "sensor_mass": "point_mass"}.get(kind, kind)
         key = kind, tuple(sorted(places))
         if key not in self._ranges:
@@ -172,6 +182,8 @@ class Case:
         a, b = np.log(self.band)
         if kind == "tuned_absorber":
             return [(a + b) / 2, float(np.log(0.02))], [(b - a) / np.sqrt(12), 1.0]
+        if kind == "missing_mode":
+            return [float(np.log(0.01))], [1.0]
         if kind == "ground_hysteretic_spring":
             return [float(np.log(0.1))], [1.0]
         if kind == "ground_rubber":
@@ -195,7 +207,7 @@ class Case:
     def places(self, kind: str) -> int:
         """Number of places where a kind may be."""
         if kind not in self._places:
-            self._places[kind] = sum(1 for _ in candidates(self.nodes, (), (kind,), self.allowed))
+            self._places[kind] = sum(1 for t in self.candidates(()) if t.kind == kind)
         return self._places[kind]
 
     def log_prior(self, term: Term) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,12 @@ def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effec
     out, at = [], 0
     for term in state.terms:
         if terms is None or term in terms:
-            out.append(term.effect(state.case.dofs, std[at : at + len(term.values)].tolist(), state.case.band))
+            idle = state.case.idle
+            effect = term.effect(state.case.dofs, std[at : at + len(term.values)].tolist(), state.case.band, idle.midway)
+            if term.kind == "missing_mode":
+                shape = idle.shape(state.x.g, state.x.own[:, : state.case.forward.n_shape])[0][:, idle.lacking]
+                effect = replace(effect, shape={str(d): float(v) for d, v in zip(idle.dofs, shape, strict=True)})
+            out.append(effect)
         at += len(term.values)
     return tuple(out)
 
@@ -48,9 +54,26 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     by_mode[modes], by_damping[modes] = np.exp(part["mode"]), more * np.exp(part["damping"])
     f = (moved.f + moved.f_root @ x.g) * root * by_mode
     zeta = (moved.zeta + moved.zeta_root @ x.g) / root * by_damping
-    phi = moved.phi + moved.shapes.of(x.g, x.own[:, : forward.n_shape])
-    updated = idle.with_terms(frequencies_hz=f, damping_ratios=np.maximum(zeta, 1e-9), shapes=phi)
+    phi, shapes = moved.shape(x.g, x.own[:, : forward.n_shape])
+    zeta = np.maximum(zeta, 1e-9)
     effects = effects_of(state)
+    # a place between sensors stays where something acts there; a mode that was lacking comes with its effect
+    used = {i for t in state.terms for i in t.places}
+    kept = np.array([i for i in range(dofs) if i not in moved.midway or i in used])
+    at_rest = np.array([r for r in range(n) if r != moved.lacking])
+    updated = idle.with_terms(
+        frequencies_hz=f[at_rest],
+        damping_ratios=zeta[at_rest],
+        shapes=phi[np.ix_(kept, at_rest)],
+        dofs=tuple(moved.dofs[i] for i in kept),
+        covariance=None,
+        std=None,
+    )
+    if geometry is not None:
+        gone = {moved.dofs[i].node for i in moved.midway if i not in used}
+        there = [k for k, node in enumerate(geometry.nodes) if node not in gone]
+        if len(there) < len(geometry.nodes):
+            geometry = replace(geometry, nodes=tuple(geometry.nodes[k] for k in there), coordinates=geometry.coordinates[there])
     if idle.covariance is None:
         return Model(updated, effects, geometry)
 
@@ -77,8 +100,8 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
             shared[at, :n], shared[at, n : 2 * n] = np.atleast_2d(by_f) * spread, np.atleast_2d(by_zeta) * spread
     for i in range(dofs):
         at_shape = 2 * n + np.arange(n) * dofs + i  # θ has shapes term by term
-        shared[g, at_shape] = moved.shapes.shared[i].T
-        own[i][: forward.n_shape, at_shape] = moved.shapes.own[i].T
+        shared[g, at_shape] = shapes.shared[i].T
+        own[i][: forward.n_shape, at_shape] = shapes.own[i].T
     column = 2 * n + n * dofs
     row = problem.values_at
     for term, size in zip(state.terms, sizes, strict=True):
@@ -95,6 +118,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     by_response = own[problem.order]
     a, b = state.factor.whitened(shared, by_response)
     joint = a.T @ a + np.tensordot(b, b, ((0, 1), (0, 1)))
-    p = idle.n_parameters
-    updated = updated.with_terms(covariance=joint[:p, :p])
-    return Model(updated, effects, geometry, joint)
+    theta = np.r_[at_rest, n + at_rest, (2 * n + at_rest[:, None] * dofs + kept).ravel()]
+    both = np.r_[theta, np.arange(2 * n + n * dofs, rows)]
+    updated = updated.with_terms(covariance=joint[np.ix_(theta, theta)])
+    return Model(updated, effects, geometry, joint[np.ix_(both, both)])

@@ -53,10 +53,6 @@ LOOSE = 0.02
 STRAINED = 4.0
 """Mean square of one part of what differs between the days, in its spreads, from which it stands for something else (2 σ for all)."""
 
-STRICT = 50.0
-"""Nats that an effect must earn which only one set-up needs and two days do not: false ones beside strong effects at undriven places, with
-one reference, earned 20 to 50 each, a true weak one beside a strong one 790 (``benchmarks/hidden_effects``, plan ``full``)."""
-
 PROMOTED = 3.0
 """Standard deviations of what differs between the days from which the effect of its name is tried."""
 
@@ -80,3 +76,13 @@ CHANGES_DB = (0.1, 10.0)
 
 REMOVED = 0.15
 """Prior probability that an effect is the opposite of its kind: something taken away."""
+
+NEIGHBOURS = 1.7
+"""Two sensors are neighbours where they are no farther apart than so many times the way to the nearest of the same axis."""
+
+BETWEEN_STD, LEAST_BETWEEN_STD = 0.25, 0.05
+"""Standard deviation of a shape value between two sensors, over the root mean square of theirs, and over that of the whole shape."""
+
+WITHOUT_SENSOR = 9.0
+"""By how much the squared errors of operational frequencies over their variances fall without a mass that a sensor alone brought: three
+standard deviations."""

@@ -158,7 +158,8 @@ def picture(state: State) -> dict[str, Any]:
     weight_here = weight * np.abs(bare.channel) ** 2
     total = float(np.sum(weight_here * np.abs(error) ** 2))
     ranked = []
-    for places in [(i,) for i in range(len(case.dofs))] + list(combinations(range(len(case.dofs)), 2)):
+    real = [i for i in range(len(case.dofs)) if i not in case.idle.midway]
+    for places in [(i,) for i in real] + list(combinations(real, 2)):
         u = bare.columns[:, bare.order, places[0]] - (bare.columns[:, bare.order, places[1]] if len(places) == 2 else 0)
         _, rest = _explained(u, error, weight_here)
         ranked.append({"location": [str(case.dofs[i]) for i in places], "remains": float(rest / max(total, 1e-300))})
@@ -177,7 +178,7 @@ def _explained(u: Array, error: Array, weight: Array) -> tuple[Array, float]:
 def _stiffness(state: State, term: Term, w: Array, measured: Array, weight: Array) -> dict[str, Any] | None:
     """δz(ω) at one effect's place with the others in the model, and the fitted law."""
     case, definition = state.case, term.definition
-    if not term.structural or definition.coordinates == "separate":
+    if not term.structural or definition.coordinates == "separate" or case.idle.midway.keys() & set(term.places):
         return None
     others = [t for t in state.terms if t is not term]
     bare = case.forward.scannable(state.carried(others), w)
@@ -216,11 +217,12 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
             two = case.forward.scannable(state.x, w).columns
             loud = size > np.median(size, axis=0, keepdims=True)
             gap = np.where(loud, np.abs(two - one) / np.maximum(size, 1e-300), 0)
+            gap[..., list(case.idle.midway)] = 0
             j = int(np.argmax(np.median(gap, axis=(0, 1))))
             line = int(np.argmax(np.median(gap[:, :, j], axis=1)))
             decibel = float(np.max(20 * np.abs(np.log10(np.abs(two[line, :, j]) / np.maximum(size[line, :, j], 1e-300)))))
             new = [t for t in state.terms if t.key not in {o.key for o in best.terms}]
-            name = " and ".join(f"{t.kind} at {', '.join(str(case.dofs[i]) for i in t.places) or 'no place'}" for t in new) or "nothing"
+            name = " and ".join(f"{t.kind} at {', '.join(case.place(i) for i in t.places) or 'no place'}" for t in new) or "nothing"
             texts.append(
                 f"to tell it from {name}: excite {case.dofs[j]} while it runs; near {w[line] / 2 / np.pi:.4g} Hz the two predictions "
                 f"differ by up to {decibel:.2g} dB"

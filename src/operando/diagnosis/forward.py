@@ -126,8 +126,8 @@ class Forward:
 
     def outside(self, terms: Sequence[Term]) -> list[Outside]:
         """What lies outside the band at the undriven places of effects: own values, and those to other undriven places."""
-        out, known = [], self.between
-        for place in touched(terms):
+        out, known, here, shown = [], self.between, touched(terms), set(self.responses.tolist())
+        for place in here:
             if not self.undriven[place]:
                 continue
             for below, own, name in ((False, known.own_above, "above"), (True, known.own_below, "below")):
@@ -135,7 +135,8 @@ class Forward:
                     continue
                 out.append(Outside(place, place, below, OUTSIDE[f"own_{name}"] * float(own[place])))
                 for other in np.flatnonzero(self.undriven):
-                    if other != place:
+                    # where nothing was measured and nothing acts, nothing shows it
+                    if other != place and (other in shown or other in here):
                         out.append(Outside(place, int(other), below, OUTSIDE[f"row_{name}"] * float(np.sqrt(own[place] * own[other]))))
         return out
 
@@ -175,10 +176,18 @@ class Forward:
         by_mode[m], by_damping[m] = np.exp(part["mode"]), more * np.exp(part["damping"])
         f = (idle.f + idle.f_root @ x.g) * root * by_mode
         zeta = (idle.zeta + idle.zeta_root @ x.g) / root * by_damping
-        phi = idle.phi + idle.shapes.of(x.g, shape_own)
+        phi, shapes = idle.shape(x.g, shape_own)
+        if idle.lacking is not None:
+            mode = next((t for t in terms if t.kind == "missing_mode"), None)
+            if mode is None:
+                phi[:, idle.lacking] = shapes.shared[:, idle.lacking] = shapes.own[:, idle.lacking] = 0
+            else:
+                own_f, own_zeta = np.exp(mode.values)
+                f[idle.lacking], zeta[idle.lacking] = own_f * root * by_mode[-1], own_zeta / root * by_damping[-1]
         if idle.complex:
+            lag, lags = idle.late(x.g, shape_own)
             phi = np.broadcast_to(phi, (n, nd, self.n_terms)).astype(complex)
-            phi[:, :, m] -= 1j * w[:, None, None] * (idle.lag + idle.lags.of(x.g, shape_own))
+            phi[:, :, m] -= 1j * w[:, None, None] * lag
         wr = 2 * np.pi * f
         own_dynamic = wr**2 - line**2 + 2j * zeta * wr * line
         damping_between = idle.between + idle.between_root @ x.g + part["damping_between"]
@@ -193,6 +202,8 @@ class Forward:
             k[:, m[:, None], m] = np.linalg.inv(dynamic[:, m[:, None], m])
         driven, seen = np.zeros((refs.size, self.n_terms)), np.zeros((nd, self.n_terms))
         driven[:, m], seen[:, m] = part["driven"].reshape(-1, m.size), own["seen"]
+        there = np.abs(phi).any(axis=tuple(range(phi.ndim - 1)))
+        driven, seen = driven * there, seen * there
         phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
         shape_k = phi @ k
         h0 = shape_k @ phi_f + own["rest_above"] - own["rest_below"] / line[:, :, None] ** 2
@@ -237,16 +248,16 @@ class Forward:
         # g: poles, shapes
         scale = root * by_mode
         by_g = by_f @ (idle.f_root * scale[:, None]) + by_zeta @ (idle.zeta_root * (by_damping / root)[:, None])
-        at_sensors = np.moveaxis(np.tensordot(kt, idle.shapes.shared, (2, 1)), 1, 2)
+        at_sensors = np.moveaxis(np.tensordot(kt, shapes.shared, (2, 1)), 1, 2)
         if idle.complex:
             late = -1j * w[:, None, None, None]
-            at_sensors = at_sensors + late * np.moveaxis(np.tensordot(kt[:, :, m], idle.lags.shared, (2, 1)), 1, 2)
+            at_sensors = at_sensors + late * np.moveaxis(np.tensordot(kt[:, :, m], lags.shared, (2, 1)), 1, 2)
         by_g = by_g + _through(at_sensors, reached, at_sensors[:, here])
-        at_forces = np.broadcast_to(np.moveaxis(idle.shapes.shared[refs], 0, 1), (n, self.n_terms, refs.size, self.n_g)).astype(complex)
-        at_forces -= np.einsum("ntj,trq->nrjq", force, idle.shapes.shared[here], optimize=True)
+        at_forces = np.broadcast_to(np.moveaxis(shapes.shared[refs], 0, 1), (n, self.n_terms, refs.size, self.n_g)).astype(complex)
+        at_forces -= np.einsum("ntj,trq->nrjq", force, shapes.shared[here], optimize=True)
         if idle.complex:
-            at_forces[:, m] += late * np.moveaxis(idle.lags.shared[refs], 0, 1)
-            at_forces[:, m] -= late * np.einsum("ntj,trq->nrjq", force, idle.lags.shared[here], optimize=True)
+            at_forces[:, m] += late * np.moveaxis(lags.shared[refs], 0, 1)
+            at_forces[:, m] -= late * np.einsum("ntj,trq->nrjq", force, lags.shared[here], optimize=True)
         by_g = by_g + (pk @ at_forces.reshape(n, self.n_terms, -1)).reshape(n, nd, refs.size, -1)
         pairs = known.shared["damping_between"].stop > known.shared["damping_between"].start
         if pairs or idle.between_root.any() or idle.between.any():
@@ -299,6 +310,8 @@ class Forward:
                 blocks.append(by_whole[..., None] * (term.size or 0.0))
             elif term.kind == "global_damping":
                 blocks.append(by_more[..., None])
+            elif term.kind == "missing_mode":
+                blocks += [(v[..., idle.lacking] * of[idle.lacking])[..., None] for v, of in ((by_f, f), (by_zeta, zeta))]
             elif term.values:
                 only = np.zeros((*structure.shape, 1), complex)
                 by_value = -1j * w if term.kind.endswith("_delay") else np.ones(n)
@@ -310,9 +323,9 @@ class Forward:
                 blocks.append(only)
         # own unknowns of each DOF
         mine = np.zeros((n, nd, refs.size, self.n_own), complex)
-        mine[..., : self.n_shape] = _each(kt, idle.shapes.own)
+        mine[..., : self.n_shape] = _each(kt, shapes.own)
         if idle.complex:
-            mine[..., : self.n_shape] += late * _each(kt[:, :, m], idle.lags.own)
+            mine[..., : self.n_shape] += late * _each(kt[:, :, m], lags.own)
         for name, where in known.own.items():
             if where.stop == where.start:
                 continue
@@ -333,9 +346,9 @@ class Forward:
             active[:, refs == dof] = 1
             if dof in here:
                 active -= force[:, here.index(dof)]
-            by_shape = pk @ idle.shapes.own[dof]
+            by_shape = pk @ shapes.own[dof]
             if idle.complex:
-                by_shape = by_shape - 1j * w[:, None, None] * (pk[:, :, m] @ idle.lags.own[dof])
+                by_shape = by_shape - 1j * w[:, None, None] * (pk[:, :, m] @ lags.own[dof])
             far[..., : self.n_shape] += by_shape[:, :, None] * active[:, None, :, None]
             blocks.append(far)
         for dof in self.reaching_dofs(terms):

@@ -11,7 +11,6 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnose.diagnosis import Diagnosis, where_it_fails
-from operando.diagnose.diagnosis import diagnose as linear
 from operando.diagnose.verdict import spacing
 from operando.diagnosis.between import spreads_of
 from operando.diagnosis.case import Case
@@ -28,7 +27,8 @@ from operando.diagnosis.document import (
 )
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, State, at_rest
-from operando.diagnosis.search import Found, search, search_both
+from operando.diagnosis.search import Found, search, search_both, search_elsewhere
+from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.diagnosis.verdict import others, verdict
 from operando.dof import Dof, parse_dofs
@@ -51,6 +51,7 @@ def diagnose_frf(
     progress: Callable[[str], None] | None = None,
     compared: Mapping[str, Any] | None = None,
     between: Mapping[str, float] | None = None,
+    operating: ModalModel | None = None,
 ) -> Diagnosis:
     """Name the physical effect that the idle model lacks, where it acts and how large it is, from FRFs of the running structure.
 
@@ -81,6 +82,8 @@ def diagnose_frf(
         What may differ between the measurements at rest and in operation → one standard deviation (``[between]`` of a test file): of
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
         stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
+    operating : ModalModel, optional
+        Operational modes: whether a mass found in the check was there without the sensors of the check.
 
     Returns
     -------
@@ -118,23 +121,14 @@ def diagnose_frf(
             found, odds = search_both(
                 case, Case(model, run.frf, band, {}, like=case, **asked), say, 0.0 if rest is None else rest.state.alpha
             )
-        answer = told(idle, check, run, found, rest, geometry, band, compared, odds)
         good_at_rest = rest is None or rest.state.alpha <= EXPLAINED
-        if answer.verdict not in SURE and good_at_rest and kinds is None and places is None:
-            say("places between sensors, and a mode that the idle model lacks")
-            return _elsewhere(answer, linear(idle, check=check, geometry=geometry, band=band, progress=progress, compared=compared))
-        return answer
-
-
-def _elsewhere(answer: Diagnosis, other: Diagnosis) -> Diagnosis:
-    """The answer of the search that knows places between sensors and missing modes, where it has one and this one has none.
-
-    It takes both measurements for one set-up: where they are not, it explains nothing.
-    """
-    if other.verdict not in ("explained", "ambiguous"):
-        return answer
-    found = (*other.notes, "found by the search over places between sensors and modes that the idle model lacks", *answer.notes)
-    return replace(other, notes=found, between=(), discrepancy=answer.discrepancy)
+        sure = verdict(found.best.case, found, None if rest is None else rest.state).name in SURE
+        # several effects may stand for one where no sensor is
+        if not (sure and len(found.best.terms) < 2) and good_at_rest and kinds is None and places is None:
+            spreads = found.best.case.between.spreads
+            found, geometry = search_elsewhere(found, lambda wider: Case(wider, run.frf, band, spreads, **asked), geometry, say)
+        of_a_sensor(found.best, idle, operating, geometry)
+        return told(idle, check, run, found, rest, geometry, band, compared, odds)
 
 
 def diagnose(
@@ -197,7 +191,7 @@ def diagnose(
     asked |= {"progress": progress, "compared": compared}
 
     def from_frf() -> Diagnosis:
-        return diagnose_frf(idle, check, idle_frf=idle_frf, between=between, **asked)
+        return diagnose_frf(idle, check, idle_frf=idle_frf, between=between, operating=operating, **asked)
 
     if records:
         from operando.diagnose.from_records import diagnose_levels

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import ModalModel
 from operando.diagnosis.arrow import Factor
+from operando.diagnosis.terms import Term
 from operando.dof import Dof
 
 Array = NDArray[Any]
@@ -26,9 +27,24 @@ class Moves:
     shared: Array  # (DOFs, terms, g)
     own: Array  # (DOFs, terms, e)
 
-    def of(self, g: Array, own: Array) -> Array:
-        """(DOFs, terms) for g and own (DOFs, e)."""
-        return np.asarray(self.shared @ g + (self.own @ own[..., None])[..., 0])
+    def scale(self, phi: Array, driven: Array) -> Array:
+        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g)."""
+        power = np.sum(phi[driven] ** 2, axis=0)
+        along = np.einsum("dt,dtg->tg", phi[driven], self.shared[driven])
+        return np.asarray(np.divide(along, power[:, None], out=np.zeros_like(along), where=power[:, None] > 0))
+
+    def at(self, base: Array, scale: Array, driven: Array, g: Array, own: Array) -> tuple[Array, Moves]:
+        """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there.
+
+        What is measured are products of a driven and another DOF: where the driven value is larger, the other one is smaller by the same
+        factor e^t. By sums alone their product would be wrong by t², far beyond its own standard deviation where a reference hardly
+        moves in a mode.
+        """
+        sign = np.where(driven, 1.0, -1.0)[:, None]
+        grown = np.exp(sign * (scale @ g))
+        shared = self.shared - (sign * base)[..., None] * scale
+        values = (base + shared @ g + (self.own @ own[..., None])[..., 0]) * grown
+        return values, Moves(grown[..., None] * shared + (sign * values)[..., None] * scale, grown[..., None] * self.own)
 
 
 @dataclass(frozen=True)
@@ -54,6 +70,12 @@ class Idle:
     f_root, zeta_root, between_root : (terms or pairs, g) arrays
         How g of unit variance moves them.
     shapes, lags : Moves
+    driven : (DOFs,) bool array
+        Driven at rest.
+    midway : dict
+        DOF between sensors → its position [m].
+    lacking : int, optional
+        A mode that the idle model lacks, there only with an effect of that kind.
     """
 
     f: Array
@@ -68,6 +90,9 @@ class Idle:
     between_root: Array
     shapes: Moves
     lags: Moves
+    driven: Array
+    midway: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    lacking: int | None = None
 
     @property
     def modes(self) -> Array:
@@ -77,6 +102,13 @@ class Idle:
     def complex(self) -> bool:
         """Whether shapes lag, or could."""
         return bool(self.lag.any() or self.lags.shared.any() or self.lags.own.any())
+
+    @property
+    def lacking_term(self) -> tuple[Term, ...]:
+        """The effect with which the mode that is lacking is there."""
+        if self.lacking is None:
+            return ()
+        return (Term("missing_mode", (), (float(np.log(self.f[self.lacking])), float(np.log(self.zeta[self.lacking])))),)
 
     @classmethod
     def of(cls, model: ModalModel, band: tuple[float, float], driven: Sequence[Dof]) -> Idle:
@@ -111,10 +143,22 @@ class Idle:
             shape_own[i, :, : own.shape[1]] = own
         pairs = m * (m - 1) // 2
         none = Moves(np.zeros((d, m, root.shape[1])), np.zeros((d, m, t)))
+        was_driven = np.zeros(d, bool)
+        was_driven[at] = True
         return cls(
             f, zeta, phi, residual, tuple(terms.dofs), np.zeros(pairs), np.zeros((d, m)),
             root[:t], root[t : 2 * t], np.zeros((pairs, root.shape[1])), Moves(shape_shared, shape_own), none,
+            was_driven,
         )  # fmt: skip
+
+    def shape(self, g: Array, own: Array) -> tuple[Array, Moves]:
+        """Shapes at g and own (DOFs, e), and how they move from there."""
+        return self.shapes.at(self.phi, self.shapes.scale(self.phi, self.driven), self.driven, g, own)
+
+    def late(self, g: Array, own: Array) -> tuple[Array, Moves]:
+        """Lags of shapes, which scale as these do."""
+        scale = self.shapes.scale(self.phi, self.driven)[self.modes]
+        return self.lags.at(self.lag, scale, self.driven, g, own)
 
     def loose(self, driven: Array) -> Idle:
         """With variances that only say of which order the parameters are; ``driven`` are numbers of DOFs."""
@@ -165,6 +209,8 @@ class Idle:
         first, second = np.triu_indices(self.modes.size, 1)
         loss = np.abs((self.zeta + zeta) * (self.f + f) / (self.zeta * self.f))[self.modes]
         scale = 1 / np.sqrt(loss[first] * loss[second])  # it is told over the damping of its modes
+        phi, shapes = self.shape(g, own)
+        lag, lags = self.late(g, own)
 
         def after(moves: Moves) -> Moves:
             return Moves(moves.shared @ root + moves.own @ follow, moves.own @ turned)
@@ -173,14 +219,14 @@ class Idle:
             self,
             f=self.f + f,
             zeta=self.zeta + zeta,
-            phi=self.phi + self.shapes.of(g, own),
+            phi=phi,
             between=(self.between + self.between_root @ g) * scale,
-            lag=self.lag + self.lags.of(g, own),
+            lag=lag,
             f_root=self.f_root @ root,
             zeta_root=self.zeta_root @ root,
             between_root=scale[:, None] * (self.between_root @ root),
-            shapes=after(self.shapes),
-            lags=after(self.lags),
+            shapes=after(shapes),
+            lags=after(lags),
         )
 
 

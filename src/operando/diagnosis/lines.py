@@ -139,6 +139,11 @@ class Lines:
         return total
 
     @property
+    def every(self) -> tuple[Array, Array, Array, Array]:
+        """All lines of the band: frequency [Hz], and FRFs with their variance and level (lines, responses, references)."""
+        return self._all
+
+    @property
     def w_all(self) -> Array:
         """All lines of the band [rad/s]."""
         return 2 * np.pi * self._all[0]

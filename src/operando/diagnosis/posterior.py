@@ -123,6 +123,16 @@ class Problem:
     def objective(self, h: Array, x: Step, variance: Array) -> float:
         return float(np.sum(self.residual(h) ** 2 / variance)) + self.penalty(x)
 
+    def tried(self, x: Step, cost: Callable[[Array, Step], float]) -> tuple[Array, float]:
+        """FRFs and cost where a step leads; infinite where it leads to numbers that cannot be."""
+        try:
+            with np.errstate(all="ignore"):
+                h = self.predict(x, False).h
+                value = cost(h, x)
+        except np.linalg.LinAlgError:
+            return self.measured, np.inf
+        return h, value if np.isfinite(value) else np.inf
+
     def gradient(self, shared: Array, own: Array, weighted: Array, x: Step) -> Step:
         """Of −objective: Jᵀ of weighted residuals (responses, rows), and the prior."""
         first = np.tensordot(shared, weighted, ((0, 1), (0, 1))) - self.precision * (x.shared - self.mean)
@@ -267,7 +277,11 @@ def fit(case: Case, start: Point, alpha: float = 0.1, turns: int = 18, floor: fl
             alpha = max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 4)
             evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
         variance = problem.variance(alpha)
-        begun = now = problem.objective(prediction.h, x, variance)
+
+        def cost(h: Array, x: Step, variance: Array = variance) -> float:
+            return problem.objective(h, x, variance)
+
+        begun = now = cost(prediction.h, x)
         left = residual
         for chord in range(6):
             gradient = problem.gradient(shared, own, left * (2 / variance), x)
@@ -275,16 +289,14 @@ def fit(case: Case, start: Point, alpha: float = 0.1, turns: int = 18, floor: fl
             there, h = x, prediction.h
             if not damping:
                 there = x + problem.limited(problem.solved(factor, gradient))
-                h = problem.predict(there, False).h
-                new = problem.objective(h, there, variance)
+                h, new = problem.tried(there, cost)
             if chord == 0 and not new < now:
                 root = np.sqrt(2 / variance)
                 information = Information.of(shared * root[..., None], own * root[..., None])
                 for mu in [(damping or 1e-2) * 10.0**i for i in range(12)]:
                     damped = Factor.of(information, (1 + mu) * problem.precision, (1 + mu) * problem.own_precision)
                     there = x + problem.limited(problem.solved(damped, gradient))
-                    h = problem.predict(there, False).h
-                    new = problem.objective(h, there, variance)
+                    h, new = problem.tried(there, cost)
                     if new < now:
                         break
             if not new < now:
@@ -331,7 +343,7 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
             for _ in range(9):
                 factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
                 there = x + problem.limited(problem.solved(factor, gradient))
-                new = cost(problem.predict(there, False).h, there)
+                new = problem.tried(there, cost)[1]
                 if new < now:
                     break
                 damping = max(damping, 0.1) * 10
@@ -464,4 +476,4 @@ def _settled(
 
 def names(case: Case, terms: Sequence[Term]) -> list[str]:
     """Terms in short words, for progress."""
-    return [f"{t.kind}@{','.join(str(case.dofs[i]) for i in t.places)}" + ("" if t.size is None else f"={t.size:.6g}") for t in terms]
+    return [f"{t.kind}@{','.join(case.place(i) for i in t.places)}" + ("" if t.size is None else f"={t.size:.6g}") for t in terms]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from operando.data import Geometry
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED, STRICT
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED
 from operando.diagnosis.forward import Point
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.lacking import with_lacking
+from operando.diagnosis.midway import with_midway
 from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines, update_spreads
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
 from operando.diagnosis.terms import Term, added
@@ -103,9 +107,46 @@ def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_r
             return same, odds
     say("on another day:")
     found = search(days, say)
-    more = max(0, len(same.best.terms) - len(found.best.terms))
-    odds = score(same.best) - score(found.best) - STRICT * more
+    odds = score(same.best) - score(found.best)
     return (same if odds > 0 else found), odds
+
+
+def search_elsewhere(found: Found, again: Callable[[Idle], Case], geometry: Geometry | None, say: Say) -> tuple[Found, Geometry | None]:
+    """What explains more than effects at sensors: one at a place between them, or a mode that the idle model lacks.
+
+    Parameters
+    ----------
+    found : Found
+        What the places with sensors came to.
+    again : callable
+        The same check with another idle model.
+    geometry : Geometry, optional
+        Positions of the sensors; without it there are no places between them.
+    say : callable
+
+    Returns
+    -------
+    Found
+    Geometry
+        With the places between sensors, where one was needed.
+    """
+    best, known = found, geometry
+    wider = None if geometry is None else with_midway(found.empty.case.uncompressed, geometry)
+    if wider is not None:
+        say(f"{len(wider[0].midway)} places between sensors:")
+        other = search(again(wider[0]), say, score(found.best))
+        if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
+            best, known = other, wider[1]
+    grown = with_lacking(found.empty)
+    if grown is not None:
+        say(f"a mode that the idle model lacks, near {grown.f[grown.lacking]:.4g} Hz:")
+        case = again(grown)
+        start = replace(case.forward.start, terms=grown.lacking_term)
+        state = fit(case, approach(case, start)[1], 0.03)
+        say(f"  with it alone {state.log_evidence:.1f}, discrepancy {state.alpha:.4f}")
+        if score(state) > score(best.best):
+            best, known = _Search(case, say, state).run(), geometry
+    return best, known
 
 
 def days_point(days: Case, state: State) -> Point:
@@ -162,7 +203,7 @@ def promotions(state: State) -> list[Point]:
 def contained(case: Case, term: Term) -> list[Term]:
     """Simpler kinds that a kind turns into for some of its values, at the same place: a heavy absorber far above its resonance is a
     spring or a damper to ground, far below it a mass; a spring with little or much loss is a spring or a damper."""
-    if not term.values[1:]:
+    if not (term.structural and term.values[1:]):
         return []
     size, f = float(np.exp(term.values[0])), np.sqrt(case.band[0] * case.band[1])
     if term.kind == "tuned_absorber":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
@@ -96,13 +96,24 @@ class Term:
         p = self.definition.parameters[number]
         return p.slope(self.sizes(band)[p.name])
 
-    def effect(self, dofs: Sequence[Dof], std: Sequence[float], band: tuple[float, float]) -> Effect:
-        """With units, place and standard deviations."""
+    def effect(
+        self,
+        dofs: Sequence[Dof],
+        std: Sequence[float],
+        band: tuple[float, float],
+        midway: Mapping[int, tuple[float, float, float]],
+    ) -> Effect:
+        """With units, place and standard deviations; ``midway`` are the positions of DOFs without a sensor."""
         definition = self.definition
         spread = {p.name: abs(self.slope(i, band)) * float(s) for i, (p, s) in enumerate(zip(definition.parameters, std, strict=True))}
         place = self.places[:1] if definition.coordinates == "node" else self.places
         removed = definition.removable and self.sign < 0
-        return Effect(self.kind, tuple(dofs[i] for i in place), self.sizes(band), spread, removed=removed, band_hz=band)
+        values, position = self.sizes(band), midway.get(place[0]) if place else None
+        if position is not None:
+            return Effect(
+                self.kind, (), values, spread, position=position, direction=f"+{dofs[place[0]].axis}", removed=removed, band_hz=band
+            )
+        return Effect(self.kind, tuple(dofs[i] for i in place), values, spread, removed=removed, band_hz=band)
 
 
 def touched(terms: Iterable[Term]) -> list[int]:

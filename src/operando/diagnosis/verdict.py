@@ -74,32 +74,42 @@ def others(found: Found) -> tuple[list[State], float]:
 
 def detectable(state: State) -> dict[tuple[str, tuple[int, ...]], float]:
     """Smallest size of each kind at each place that would have been found in 95 % of tests like this one, SI units."""
-    scan = LinearScan(state)
-    places = [t.moved((0.0,)) for t in state.case.candidates(state.terms) if t.kind in BY_SLOPE]
+    case = state.case
+    places = [t for t in case.candidates(state.terms) if t.kind in BY_SLOPE and not case.idle.midway.keys() & set(t.places)]
+    return _found(state, [t.moved((0.0,)) for t in places])
+
+
+def _found(state: State, places: list[Term]) -> dict[tuple[str, tuple[int, ...]], float]:
+    scan, case = LinearScan(state), state.case
     out = {}
     for some, rows in scan.slopes(places):
         information = np.sum(rows**2, (0, 1)) - np.sum(scan.whitened(rows) ** 2, 0)
         for place, power in zip(some, information, strict=True):
             # nats asked of it: what a further effect must earn, one of so many places and kinds, and two for its prior's width
-            asked = EARNED + np.log(len(state.case.kinds) * state.case.places(place.kind)) + 2
+            asked = EARNED + np.log(len(case.kinds) * max(case.places(place.kind), 1)) + 2
             out[place.key] = float((np.sqrt(2 * asked) + ONE_SIDED) / np.sqrt(max(float(power), 1e-300)))
     return out
 
 
-def unseen(case: Case, least: dict[tuple[str, tuple[int, ...]], float]) -> list[float]:
-    """Modes in band that no detectable mass or spring moves by less than a half-power width 2ζf [Hz]."""
-    out, idle = [], case.idle
-    for r in idle.modes:
-        if not case.band[0] < idle.f[r] < case.band[1]:
-            continue
-        moves = [np.inf]
-        for (kind, places), size in least.items():
-            power = float(np.sum(idle.phi[list(places), r] ** 2))
-            if kind == "point_mass":
-                moves.append(0.5 * size * power)
-            elif kind == "ground_spring":
-                moves.append(0.5 * size * power / (2 * np.pi * idle.f[r]) ** 2)
-        if min(moves) > 2 * idle.zeta[r] and np.isfinite(min(moves)):
+def unseen(state: State) -> list[float]:
+    """Modes in band [Hz] that a mass or a spring to ground can move by a half-power width 2ζf and stay below what would have been found.
+
+    At the sensor where the mode moves most; kinds that were not looked for count as well.
+    """
+    case, idle = state.case, state.case.idle
+    sensors = [i for i in range(len(case.dofs)) if i not in idle.midway]
+    modes = [r for r in idle.modes if case.band[0] < idle.f[r] < case.band[1] and r != idle.lacking]
+    most = {r: sensors[int(np.argmax(np.abs(idle.phi[sensors, r])))] for r in modes}
+    at = sorted(set(most.values()))
+    mass = {i: Term("point_mass", next(n for n in case.nodes if i in n), (0.0,)) for i in at}
+    spring = {i: Term("ground_spring", (i,), (0.0,)) for i in at}
+    least = _found(state, [*{t.key: t for t in mass.values()}.values(), *spring.values()])
+    out = []
+    for r in modes:
+        i, wr = most[r], 2 * np.pi * idle.f[r]
+        by_mass = 0.5 * least[mass[i].key] * float(np.sum(idle.phi[list(mass[i].places), r] ** 2))
+        by_spring = 0.5 * least[spring[i].key] * float(idle.phi[i, r] ** 2) / wr**2
+        if max(by_mass, by_spring) > 2 * idle.zeta[r]:
             out.append(float(idle.f[r]))
     return out
 
@@ -130,7 +140,7 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
     chi, db = on_validation_lines(best)
     rivals, probability = others(found)
     least = detectable(best)
-    blind = unseen(case, least)
+    blind = unseen(best)
     sets = tuple(s.terms for s in rivals)
 
     def say(name: str, why: str = "") -> Verdict:

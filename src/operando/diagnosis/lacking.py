@@ -1,0 +1,106 @@
+"""A mode that the idle model lacks: where one more pole takes most from the error, and its shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.criteria import ROBUST
+from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.posterior import State
+from operando.synthesis import modal_kernel
+
+Array = NDArray[Any]
+
+_GRID = 240  # frequencies tried in the band before the best is refined
+_DAMPING = (0.003, 0.008, 0.02, 0.05)
+_WIDE = 2.0  # standard deviation of its shape, over the rms of what is seen: nothing else is known of it
+
+
+def with_lacking(state: State) -> Idle | None:
+    """The idle model with one more mode, at the pole whose free residues take most from what a state leaves; None where no mode has them.
+
+    A mode adds to its drive points: residues that do not are none.
+
+    Parameters
+    ----------
+    state : State
+        Without such a mode.
+
+    Returns
+    -------
+    Idle
+        Its last mode is there only with its effect, ``lacking_term``.
+    """
+    case, forward = state.case, state.case.forward
+    hz, measured, variance, level = case.lines.every
+    error = measured - forward.predict(state.x, case.lines.w_all, derivatives=False).h
+    # a line that one pole cannot explain must not rule
+    weight = 1 / (variance + (ROBUST * level) ** 2 + np.abs(error) ** 2)
+    flat, w = error.reshape(len(hz), -1), weight.reshape(len(hz), -1)
+
+    def taken(f: Array, zeta: float) -> tuple[Array, Array]:
+        g = modal_kernel(hz, f, np.full(f.size, zeta), "receptance")
+        cross = g.real @ (w * flat.real) + g.imag @ (w * flat.imag)
+        power = np.maximum((np.abs(g) ** 2) @ w, 1e-300)
+        return np.sum(cross**2 / power, axis=1), cross / power
+
+    best = (-np.inf, 0.0, 0.0)
+    for zeta in _DAMPING:
+        f = np.linspace(*case.band, _GRID)
+        for _ in range(3):
+            falls = taken(f, zeta)[0]
+            k = int(np.argmax(falls))
+            best = max(best, (float(falls[k]), float(f[k]), zeta))
+            f = np.linspace(f[k] - 2 * (f[1] - f[0]), f[k] + 2 * (f[1] - f[0]), 41)
+    fall, at, zeta = best
+    residues = taken(np.array([at]), zeta)[1].reshape(error.shape[1:])
+    u, s, vh = np.linalg.svd(residues, full_matrices=False)
+    shape = np.zeros(forward.n_dofs)
+    row = {int(d): i for i, d in enumerate(forward.responses)}
+    columns = [i for i, r in enumerate(forward.references) if int(r) in row]
+    rows = [row[int(forward.references[i])] for i in columns]
+    across = float(u[rows, 0] @ vh[0, columns]) if rows else 0.0
+    if not (fall > 0 and across > 0):
+        return None
+    shape[forward.responses] = u[:, 0] * np.sqrt(s[0] * float(vh[0, columns] @ vh[0, columns]) / across)
+    return _grown(state, at, zeta, shape)
+
+
+def _grown(state: State, hz: float, zeta: float, shape: Array) -> Idle:
+    """One mode more, whose shape at each DOF is that DOF's own."""
+    idle = state.case.uncompressed
+    dofs, terms = idle.phi.shape
+    m = idle.modes.size
+    spread = _WIDE * float(np.sqrt(np.mean(shape[state.case.forward.responses] ** 2)))
+
+    def wider(moves: Moves, own: Array) -> Moves:
+        column = np.zeros((dofs, 1, moves.shared.shape[2]))
+        parts = np.zeros((dofs, moves.own.shape[1] + 1, moves.own.shape[2] + 1))
+        parts[:, :-1, :-1] = moves.own
+        parts[:, -1, -1] = own
+        return Moves(np.concatenate([moves.shared, column], 1), parts)
+
+    old, new = np.triu_indices(m, 1), np.triu_indices(m + 1, 1)
+    square = np.zeros((m + 1, m + 1, 1 + idle.between_root.shape[1]))
+    square[old] = np.c_[idle.between, idle.between_root]
+    between = square[new]
+    none = np.zeros((1, idle.f_root.shape[1]))
+    return replace(
+        idle,
+        f=np.append(idle.f, hz),
+        zeta=np.append(idle.zeta, zeta),
+        phi=np.c_[idle.phi, shape],
+        residual=np.append(idle.residual, False),
+        between=between[:, 0],
+        lag=np.c_[idle.lag, np.zeros(dofs)],
+        f_root=np.concatenate([idle.f_root, none]),
+        zeta_root=np.concatenate([idle.zeta_root, none]),
+        between_root=between[:, 1:],
+        shapes=wider(idle.shapes, np.full(dofs, spread)),
+        lags=wider(idle.lags, np.zeros(dofs)),
+        lacking=terms,
+    )

@@ -1,0 +1,125 @@
+"""Places half-way between sensors: nothing was measured there, and the shapes lie near what the neighbouring sensors suggest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Geometry
+from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS
+from operando.diagnosis.idle import Idle, Moves
+from operando.dof import Dof, split_node
+from operando.effects import spline_weights
+
+Array = NDArray[Any]
+
+_MOST = 24  # places, the closest neighbours first
+
+
+@dataclass(frozen=True)
+class Midway:
+    """A place half-way between two sensors of one axis.
+
+    Parameters
+    ----------
+    position : (float, float, float)
+        [m].
+    axis : str
+    ends : (int, int)
+        DOFs of the two sensors.
+    weights : (DOFs,) array
+        What the sensors suggest for its displacement along the axis.
+    doubt : (DOFs,) array
+        Weights of another suggestion; their difference tells what either is worth.
+    """
+
+    position: tuple[float, float, float]
+    axis: str
+    ends: tuple[int, int]
+    weights: Array
+    doubt: Array
+
+
+def midway(dofs: tuple[Dof, ...], geometry: Geometry) -> list[Midway]:
+    """Places half-way between neighbouring sensors that measure the same axis: by a spline where four or more stand on one line."""
+    out: list[tuple[float, Midway]] = []
+    at = {i: p for i, d in enumerate(dofs) for p in [geometry.position(d.node)] if p is not None}
+    for axis in ("X", "Y", "Z"):
+        rows = [i for i in at if dofs[i].axis == axis]
+        if len(rows) < 2:
+            continue
+        signs = np.array([dofs[i].sign for i in rows])
+        points = np.array([at[i] for i in rows])
+        ways = np.linalg.norm(points[:, None] - points[None], axis=2)
+        np.fill_diagonal(ways, np.inf)
+        nearest = ways.min(axis=1)
+        for a, b in combinations(range(len(rows)), 2):
+            if ways[a, b] > NEIGHBOURS * max(nearest[a], nearest[b]) or not ways[a, b] > 0:
+                continue
+            middle = 0.5 * (points[a] + points[b])
+            others = [c for c in range(len(rows)) if c not in (a, b)]
+            if any(np.linalg.norm(points[c] - middle) < 0.45 * ways[a, b] for c in others):
+                continue  # another sensor of this axis stands between the two
+            linear = np.zeros(len(dofs))
+            linear[[rows[a], rows[b]]] = 0.5 * signs[[a, b]]
+            along = _on_line(points, a, b)
+            weights = linear.copy()
+            if len(along) >= 4:
+                weights[:] = 0
+                weights[[rows[c] for c in along]] = spline_weights(points[along], middle[None])[0][0] * signs[along]
+            place = (float(middle[0]), float(middle[1]), float(middle[2]))
+            out.append((float(ways[a, b]), Midway(place, axis, (rows[a], rows[b]), weights, linear)))
+    out.sort(key=lambda item: item[0])
+    return [m for _, m in out[:_MOST]]
+
+
+def _on_line(points: Array, a: int, b: int) -> list[int]:
+    """Points on the line through two of them."""
+    along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
+    off = points - points[a]
+    off = off - (off @ along)[:, None] * along
+    return [int(i) for i in np.flatnonzero(np.linalg.norm(off, axis=1) < 0.02 * np.linalg.norm(points[b] - points[a]))]
+
+
+def with_midway(idle: Idle, geometry: Geometry) -> tuple[Idle, Geometry] | None:
+    """The idle model with places between sensors as further DOFs, and where these are; None where there are none.
+
+    What is not known of a shape there is its own, as of any DOF: by how much the suggestions of its neighbours may err.
+    """
+    places = midway(idle.dofs, geometry)
+    if not places:
+        return None
+    node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))
+    dofs = tuple(Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places))
+    weights = np.array([p.weights for p in places])
+    size = np.sqrt(np.mean(idle.phi**2, axis=0))
+    spread = []
+    for p in places:
+        near = np.sqrt(np.mean(idle.phi[list(p.ends)] ** 2, axis=0))
+        apart = 0.5 * (p.weights - p.doubt) @ idle.phi
+        spread.append(np.sqrt((BETWEEN_STD * near) ** 2 + (LEAST_BETWEEN_STD * size) ** 2 + apart**2))
+
+    def wider(moves: Moves, own: Array) -> Moves:
+        k = max(moves.own.shape[2], own.shape[2])
+        grown = [np.concatenate([v, np.zeros((*v.shape[:2], k - v.shape[2]))], 2) for v in (moves.own, own)]
+        shared = np.tensordot(weights, moves.shared, (1, 0))
+        return Moves(np.concatenate([moves.shared, shared]), np.concatenate(grown))
+
+    own = np.array([np.diag(s) for s in spread])
+    more = len(places)
+    grown = replace(
+        idle,
+        phi=np.concatenate([idle.phi, weights @ idle.phi]),
+        dofs=(*idle.dofs, *dofs),
+        lag=np.concatenate([idle.lag, weights @ idle.lag]),
+        shapes=wider(idle.shapes, own),
+        lags=wider(idle.lags, np.zeros((more, idle.modes.size, own.shape[2]))),
+        driven=np.concatenate([idle.driven, np.zeros(more, bool)]),
+        midway={len(idle.dofs) + i: p.position for i, p in enumerate(places)},
+    )
+    points = np.concatenate([geometry.coordinates, np.array([p.position for p in places])])
+    return grown, replace(geometry, nodes=(*geometry.nodes, *(d.node for d in dofs)), coordinates=points)

@@ -1,0 +1,204 @@
+"""Diagnosis from check FRFs beyond the sensors: places between them, a mode that is lacking, the mass of a sensor; power; scale."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando.data import Frf, Geometry, ModalModel
+from operando.diagnosis import diagnose_frf
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, WITHOUT_SENSOR
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.lacking import with_lacking
+from operando.diagnosis.midway import midway, with_midway
+from operando.diagnosis.posterior import fit
+from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
+from operando.diagnosis.terms import Term
+from operando.diagnosis.verdict import unseen
+from operando.dof import Dof
+from operando.results import CheckRun
+from test_diagnosis import BAND, DOFS, HZ, N, add_mass, case, identified, matrices, measured, modes
+
+LINE = Geometry(tuple(range(1, N + 1)), np.column_stack([np.arange(N), np.zeros(N), np.zeros(N)]))
+
+
+def check_of(change, references=(0, 3), responses=range(N), noise=2e-4):
+    mass, stiff = matrices()
+    m, c, k = mass.copy(), modes()[3].copy(), stiff.copy()
+    change(m, c, k)
+    return CheckRun("run", "1 N", measured(m, c, k, references, noise, 1, None, responses))
+
+
+def rest(references=(0, 3), responses=range(N)):
+    mass, stiff = matrices()
+    return measured(mass, modes()[3], stiff, references, 2e-4, 2, None, responses)
+
+
+def poorly_driven():
+    """The chain with a reference that hardly moves in the first mode: its scale is known to 20 %, products to 1e-4."""
+    model = identified((0,))
+    phi = np.asarray(model.terms.shapes)
+    n = model.n_modes
+    covariance = np.array(model.covariance)
+    at = 2 * n + np.arange(N)  # shape of the first mode
+    along = phi[:, 0] * np.r_[1.0, -np.ones(N - 1)]
+    covariance[np.ix_(at, at)] += 0.04 * np.outer(along, along)
+    return replace(model, covariance=covariance)
+
+
+def test_products_of_a_driven_and_another_dof_stay_where_the_scale_of_a_mode_moves():
+    idle = Idle.of(poorly_driven(), BAND, DOFS[:1])
+    scale = idle.shapes.scale(idle.phi, idle.driven)[0]
+    g = 2.0 * scale / np.linalg.norm(scale)  # two standard deviations
+    moved, _ = idle.shape(g, np.zeros((N, idle.shapes.own.shape[2])))
+    assert np.log(moved[0, 0] / idle.phi[0, 0]) == pytest.approx(0.4, rel=0.01)
+    products = moved[1:, 0] * moved[0, 0] / (idle.phi[1:, 0] * idle.phi[0, 0])
+    np.testing.assert_allclose(products, 1, atol=2e-3)  # by sums alone they were 1 − 0.4² = 0.84
+
+
+def test_how_shapes_move_is_the_derivative_of_where_they_are():
+    idle = Idle.of(poorly_driven(), BAND, DOFS[:1])
+    rng = np.random.default_rng(3)
+    g, own = rng.standard_normal(idle.f_root.shape[1]), rng.standard_normal((N, idle.shapes.own.shape[2]))
+    _, moves = idle.shape(g, own)
+    step, other = 1e-6 * rng.standard_normal(g.size), 1e-6 * rng.standard_normal(own.shape)
+    slope = idle.shape(g + step, own + other)[0] - idle.shape(g - step, own - other)[0]
+    wanted = 2 * (moves.shared @ step + (moves.own @ other[..., None])[..., 0])
+    np.testing.assert_allclose(slope, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_a_mass_between_sensors_is_found_there():
+    """A beam on two supports: its shapes are sines, so the truth between sensors is known."""
+    at, spot, mass = np.arange(1, 8) / 8, 5 / 16, 0.05
+    order, hz, zeta = np.arange(1, 5), np.array([10.0, 18.0, 27.0, 38.0]), 0.01
+    phi, here = np.sqrt(2) * np.sin(np.pi * np.outer(at, order)), np.sqrt(2) * np.sin(np.pi * spot * order)
+    dofs = tuple(Dof(i + 1, "Z", 1) for i in range(at.size))
+    line, w = 2 * np.pi * HZ[:, None], 2 * np.pi * hz
+    rng = np.random.default_rng(5)
+
+    def frf(grown):
+        k = 1 / (w**2 - line**2 + 2j * zeta * w * line)
+        h, column = np.einsum("ir,nr,jr->nij", phi, k, phi[[1, 4]]), (phi[None] * k[:, None]) @ here
+        own, row = (k * here**2).sum(1), (here * k) @ phi[[1, 4]].T
+        z = -grown * line[:, 0] ** 2
+        h = h - column[:, :, None] * (z / (1 + z * own))[:, None, None] * row[:, None]
+        h = np.moveaxis(-(line[:, :, None] ** 2) * h, 0, 2)
+        size = 2e-4 * np.sqrt(np.mean(np.abs(h) ** 2))
+        h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+        return Frf(h, HZ, dofs, (dofs[1], dofs[4]), variance=np.full(h.shape, size**2))
+
+    std = np.r_[1e-5 * hz, np.full(4, 1e-5), np.full(28, 2e-4)]
+    model = ModalModel(hz, np.full(4, zeta), phi, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
+    known = Geometry(tuple(range(1, 8)), np.column_stack([at, np.zeros(7), np.zeros(7)]))
+    found = diagnose_frf(model, [CheckRun("run", "1 N", frf(mass))], idle_frf=frf(0.0), geometry=known)
+    assert found.verdict in ("explained", "ambiguous")
+    [effect] = found.effects
+    assert (effect.kind, effect.position, effect.direction) == ("point_mass", (spot, 0.0, 0.0), "+Z")
+    assert effect.values["mass"] == pytest.approx(mass, abs=3 * effect.std["mass"])
+    # the model knows the shape that the fit found there, with its covariance
+    assert [d.node for d in found.model.idle.dofs][:7] == list(range(1, 8))
+    assert len(found.model.idle.dofs) == 8
+    assert found.model.covariance.shape == (4 + 4 + 32 + 1,) * 2
+    wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(np.eye(4) + mass * np.outer(here, here), np.diag(w**2))).real) / 2 / np.pi
+    np.testing.assert_allclose(np.sort(found.model.modes().frequencies_hz), np.sort(wanted), rtol=1e-3)
+
+
+def test_places_between_sensors_are_those_of_neighbours_with_what_they_suggest():
+    for factor, count in ((0.99, 4), (1.01, 3)):  # the second and the third sensor are neighbours, or are not
+        gap = np.zeros((N, 3))
+        gap[2:, 0] = factor * NEIGHBOURS - 1
+        assert len(midway(DOFS, replace(LINE, coordinates=LINE.coordinates + gap))) == count
+    idle = Idle.of(identified(), BAND, [DOFS[0], DOFS[3]])
+    wider, known = with_midway(idle, LINE)
+    assert wider.midway == {N + i: (0.5 + i, 0.0, 0.0) for i in range(4)}
+    assert known.position(wider.dofs[N].node) == pytest.approx([0.5, 0, 0])
+    near = np.sqrt(np.mean(idle.phi[:2] ** 2, axis=0))
+    least = np.hypot(BETWEEN_STD * near, LEAST_BETWEEN_STD * np.sqrt(np.mean(idle.phi**2, axis=0)))
+    assert np.all(np.linalg.norm(wider.shapes.own[N], axis=1) >= 0.999 * least)
+    assert with_midway(idle, replace(LINE, nodes=(1,), coordinates=LINE.coordinates[:1])) is None
+
+
+def without_mode(model, r):
+    keep = [i for i in range(N) if i != r]
+    rows = np.r_[keep, N + np.array(keep), (2 * N + np.array(keep)[:, None] * N + np.arange(N)).ravel()]
+    terms = model.terms
+    return ModalModel(
+        terms.frequencies_hz[keep],
+        terms.damping_ratios[keep],
+        np.asarray(terms.shapes)[:, keep],
+        DOFS,
+        "unit_modal_mass",
+        covariance=model.covariance[np.ix_(rows, rows)],
+        band_hz=BAND,
+    )
+
+
+def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
+    w, zeta, phi, damping = modes()
+    lacks = without_mode(identified(), 2)
+    mass, stiff = matrices()
+    check = CheckRun("run", "1 N", measured(mass, damping, stiff, (0, 3), 2e-4, 1))
+    line = 2j * np.pi * HZ[:, None, None]
+    mode = (line**2 / (w[2] ** 2 + line**2 + 2 * zeta[2] * w[2] * line) * np.outer(phi[:, 2], phi[[0, 3], 2])).transpose(1, 2, 0)
+    there = rest()
+    found = diagnose_frf(lacks, [check], idle_frf=replace(there, data=there.data - mode))
+    assert found.verdict == "explained"
+    [effect] = found.effects
+    assert effect.kind == "missing_mode"
+    assert effect.values["frequency"] == pytest.approx(w[2] / 2 / np.pi, rel=1e-3)
+    shape = np.array(list(effect.shape.values()))
+    np.testing.assert_allclose(shape * np.sign(shape[0]), phi[:, 2] * np.sign(phi[0, 2]), atol=0.02 * np.abs(phi[:, 2]).max())
+    assert found.model.modes().n_modes == N
+
+
+def test_no_mode_is_lacking_where_what_is_left_does_not_add_to_its_drive_points():
+    one = case(references=(0,))
+    state = fit(one, one.forward.start)
+    lines = one.lines
+    lines._all = (lines._all[0], 0.5 * lines._all[1], *lines._all[2:])  # everything half as large: every residue is negative
+    assert with_lacking(state) is None
+
+
+def operating_modes(heavier):
+    mass, stiff = matrices()
+    mass[1, 1] += 0.4 if heavier else 0
+    values, vectors = np.linalg.eig(np.linalg.solve(mass, stiff))
+    order = np.argsort(values.real)
+    hz = np.sqrt(values.real[order]) / 2 / np.pi
+    return ModalModel(hz, np.full(N, 0.008), vectors.real[:, order], DOFS, "unscaled")
+
+
+@pytest.mark.parametrize(("heavier", "kind"), [(False, "sensor_mass"), (True, "point_mass")])
+def test_a_mass_that_the_operating_record_knows_nothing_of_is_a_sensor_s(heavier, kind):
+    found = diagnose_frf(identified(), [check_of(add_mass)], idle_frf=rest(), operating=operating_modes(heavier))
+    assert [(e.kind, str(e.location[0])) for e in found.effects] == [(kind, "2+Z")]
+
+
+def test_a_mass_stays_one_of_the_structure_unless_operational_modes_say_otherwise_beyond_three_sigma():
+    one = case(add_mass)
+    state = fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside([TRUE]))), terms=(TRUE,)))
+    assert of_a_sensor(copy.copy(state), identified(), None, None).terms[0].kind == "point_mass"
+    light = operating_modes(False)
+    gap = frequency_misfit(operating_modes(True), light)
+    loose = replace(light, std=None, covariance=None)
+    assert gap > WITHOUT_SENSOR
+    assert of_a_sensor(state, identified(), loose, None).terms[0].kind == "sensor_mass"
+
+
+TRUE = Term("point_mass", (1,), (float(np.log(0.4)),))
+
+
+def test_power_is_asked_where_a_mode_moves_most_and_for_kinds_not_looked_for():
+    quiet, loud = case(noise=1e-4), case(noise=30.0)
+    assert unseen(fit(quiet, quiet.forward.start)) == []
+    assert len(unseen(fit(loud, loud.forward.start))) == N
+    few = Case(
+        quiet.uncompressed,
+        measured(matrices()[0], modes()[3], matrices()[1], (0, 3), 30.0, 0),
+        BAND,
+        correlated=1.0,
+        kinds=("sensor_gain",),
+    )
+    assert len(unseen(fit(few, few.forward.start))) == N
