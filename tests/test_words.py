@@ -68,8 +68,8 @@ def prose_of_template(text: str) -> str:
 def prose_of_module(source: str) -> list[str]:
     """Texts of a module that may be printed: constants with a blank in them, no docstrings."""
     tree = ast.parse(source)
-    docs = {id(n.body[0].value) for n in ast.walk(tree)
-            if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and n.body and isinstance(n.body[0], ast.Expr)}  # fmt: skip
+    owners = [n for n in ast.walk(tree) if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
+    docs = {id(n.body[0].value) for n in owners if n.body and isinstance(n.body[0], ast.Expr)}
     loose = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
     return [n.value for n in ast.walk(tree)
             if isinstance(n, ast.Constant) and isinstance(n.value, str) and " " in n.value and id(n) not in docs | loose]  # fmt: skip

@@ -134,6 +134,8 @@ def _lines(comparison: dict[str, Any]) -> str:
 
 def mode_table(model: Any, hybrid: Any = None) -> str:
     """Frequency and damping with 95 % intervals (±); the idle partner of operational modes."""
+    from operando.report.assessment import CLASS_WORDS
+
     rows = []
     f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
     pairs = {p["operating"]: p for p in hybrid.to_dict()["pairing"]} if hybrid is not None else {}
@@ -151,7 +153,7 @@ def mode_table(model: Any, hybrid: Any = None) -> str:
             row += [
                 "" if p is None or p["idle"] is None else str(p["idle"]),
                 "" if p is None or p["mac"] is None else f"{p['mac']:.3f}",
-                "" if p is None else p["class"],
+                "" if p is None else CLASS_WORDS.get(p["class"], (p["class"],))[0],
             ]
         rows.append(row)
     head = ["mode", "Hz", "± Hz", "damping %", "± %", "band"]

@@ -183,7 +183,7 @@ def _what_they_are(results: Results) -> str:
         f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
     )
     text += (
-        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for the residual terms of modes outside the band."
+        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for modes outside the band."
         if residual
         else "."
     )
@@ -373,8 +373,8 @@ def _same_mass(results: Results, nonlinear: bool) -> Assumption:
     scales = _scale_errors_db([] if nonlinear else by_mode)  # modes that move with the level have no one scale
     if scales.size:
         typical = float(np.median(np.abs(scales)))
-        text += f"Against the validation measurement the scale of the modes (peak height times damping) has an error of {decibel(typical)} in the median, "
-        text += "where a change of mass would show."
+        text += "Against the validation measurement the scale of the modes (peak height times damping) has an error of "
+        text += f"{decibel(typical)} in the median, where a change of mass would show."
         state = "doubtful" if typical >= SCALE_DOUBT_DB else state
     return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a validation measurement would.")
 
@@ -408,7 +408,9 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 
 def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
-    consequence = "A sum over real shapes is symmetric by construction, so gyroscopic and circulatory effects cannot be represented by the operating FRFs; "
+    consequence = (
+        "A sum over real shapes is symmetric by construction: operating FRFs cannot represent gyroscopic and circulatory effects; "
+    )
     consequence += "only the route idle model + effect can."
     run = judge_run(results)
     rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []
