@@ -135,7 +135,7 @@ def test_hdf5_that_reaches_out_is_refused(tmp_path):
         "another file": lambda f: f.create_dataset("x", (128,), "u1", external=[(str(secret), 0, 128)]),
         "in another file": lambda f: f.create_virtual_dataset("x", layout),
         "is a link to elsewhere": lambda f: f.__setitem__("x", h5py.ExternalLink(str(other), "x")),
-        "link to another": lambda f: (f.__setitem__("y", np.ones(3)), f.__setitem__("x", h5py.SoftLink("/y"))),
+        "is a link to": lambda f: (f.__setitem__("y", np.ones(3)), f.__setitem__("x", h5py.SoftLink("/y"))),
         "linked a second time": lambda f: (f.create_group("g"), f["g"].__setitem__("again", f["g"])),
     }
     for i, (match, fill) in enumerate(cases.items()):

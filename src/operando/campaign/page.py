@@ -17,7 +17,7 @@ MOST_TRACKS = 20
 """Modes drawn in a figure: those seen in most states."""
 MOST_EFFECTS = 24
 MODEL_WORDS = {"idle": "idle model", "ofrf": "operating FRFs, hybrid route", "effect": "operating FRFs, idle model + effects"}
-KIND_WORDS = {"idle": "Idle", "operating": "Operating"}
+KIND_WORDS = {"idle": "In the idle state", "operating": "In operation"}
 STATE_WORDS = {"done": ("done", "good"), "incomplete": ("a stage failed", "fair"), "failed": ("failed", "poor")}
 VERDICT_GRADES = {"no_misfit": "good", "explained": "good", "unexplained": "poor"}
 

@@ -223,7 +223,7 @@ def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:
                     "warning",
                     file=frf.name or None,
                     dof=f"{first},{second}",
-                    consequence="both cannot be represented by a symmetric model; gyroscopic or circulatory effects, or a calibration error",
+                    consequence="a symmetric model cannot represent both; gyroscopic or circulatory effects, or a calibration error",
                     action="check calibration and mounting; repeat one of the two",
                 )
             )

@@ -408,9 +408,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 
 def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
-    consequence = (
-        "A sum over real shapes is symmetric by construction: operating FRFs cannot represent gyroscopic and circulatory effects; "
-    )
+    consequence = "A sum over real shapes is symmetric: operating FRFs cannot represent gyroscopic or circulatory effects; "
     consequence += "only the route idle model + effect can."
     run = judge_run(results)
     rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []
