@@ -6,6 +6,7 @@ import re
 import time
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -111,10 +112,11 @@ def whole():
     noisy = (running.phi + 0.01 * (rng.standard_normal((N, N)) + 1j * rng.standard_normal((N, N)))) * factor
     lines = np.linspace(6, 150, 1500)
     singular = np.array([np.sum([1 / ((lines - h) ** 2 + 0.3) for h in running.hz], axis=0) / 10**k for k in range(4)])
+    spectra = SimpleNamespace(frequencies_hz=lines, singular_values=singular)
     cov = np.diag(np.r_[2e-4 * running.hz, 0.05 * running.zeta, 0.02 * np.ones(2 * N * N)] ** 2)
     operating = ModalModel(
         running.hz, running.zeta, noisy, dofs(), covariance=cov, band_hz=BAND,
-        details=Details(diagram(running.hz, running.zeta, 4), np.array([25.0, 50.0]), (lines, singular)),
+        details=Details(diagram(running.hz, running.zeta, 4), np.array([25.0, 50.0]), spectra),
     )  # fmt: skip
     hybrid = scale_operational(idle, operating)
     check = [

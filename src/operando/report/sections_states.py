@@ -18,7 +18,7 @@ def idle(results: Results, page: Numbering) -> dict[str, Any]:
     frf, model, band = results.idle_frf, results.idle, derive.analysis_band(results)
     out: dict[str, Any] = {"frf": frf, "model": model, "error": None, "reciprocity": []} | _identified(results, model, "idle")
     if frf is not None:
-        synthesised = _synthesised(results, frf)
+        synthesised = derive.model_frf(derive.scaled_idle(results), frf)
         error = None if synthesised is None else _misfit_by_pair(synthesised, frf, results)
         pairs = derive.choose_pairs(frf, error)
         out |= {
@@ -42,10 +42,11 @@ def operating(results: Results, page: Numbering) -> dict[str, Any]:
     out: dict[str, Any] = {"model": model, "harmonics": _harmonics(results), "singular": None} | _identified(results, model, "operating")
     if model is None:
         return out
-    f, values = _spectra(model.details)
-    if f is not None:
+    if (spectra := getattr(model.details, "spectra", None)) is not None:
         unit = "(m/s²)²/Hz" if model.si else "units of the file squared per Hz"
-        out["singular"] = figures_stabilization.singular_values(f, values, out["band"], model.frequencies_hz, out["harmonics"], unit)
+        out["singular"] = figures_stabilization.singular_values(
+            spectra.frequencies_hz, spectra.singular_values, out["band"], model.frequencies_hz, out["harmonics"], unit
+        )
     given = tuple(getattr(model.details, "setups", ()) or ())
     used = [s for s in given if not s.failed]
     joint = getattr(model.details, "joint", None)
@@ -101,17 +102,6 @@ def _harmonics(results: Results) -> list[float]:
     return [] if values is None else [float(v) for v in values]
 
 
-def _synthesised(results: Results, frf: Frf) -> Frf | None:
-    """Synthesised idle FRF; the fit's own one where the shapes have no scale."""
-    out = derive.model_frf(derive.scaled_idle(results), frf)
-    if out is None and results.idle is not None:
-        for name in ("synthesis", "synthesised", "frf"):
-            kept = getattr(results.idle.details, name, None)
-            if isinstance(kept, Frf) and kept.data.shape == frf.data.shape:
-                return kept
-    return out
-
-
 def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
     """Mean |ΔH|² over the noise variance by pair, or relative error where there is none."""
     inside = derive.clear_lines(frf, derive.analysis_band(results))
@@ -122,23 +112,8 @@ def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
 
 
 def _second_opinion(details: Any, results: Results) -> dict[str, Any] | None:
-    """What an independent program says: paragraphs and modes; None where it was not asked."""
-    opinion = getattr(details, "second_opinion", None)
-    if opinion is None or (not opinion and not results.settings.get("second_opinion")):
+    """The modes beside those of an independent program; None where it was not asked."""
+    rows = getattr(details, "second_opinion", None) or ()
+    if not rows and not results.settings.get("second_opinion"):
         return None
-    said = [opinion] if isinstance(opinion, str) else []
-    if isinstance(opinion, dict):
-        said = [opinion[k] for k in ("program", "text", "summary") if isinstance(opinion.get(k), str)]
-        opinion = opinion.get("modes") or ()
-    rows = [] if isinstance(opinion, str) else [dict(r) for r in opinion if isinstance(r, dict)]
-    return {"said": said, "rows": rows, "against": [r for r in rows if r.get("agrees") is False], "text_only": isinstance(opinion, str)}
-
-
-def _spectra(details: Any) -> tuple[Any, Any]:
-    spectra = getattr(details, "spectra", None)
-    if isinstance(spectra, tuple | list) and len(spectra) == 2:
-        return spectra[0], spectra[1]
-    get = spectra.get if isinstance(spectra, dict) else lambda name: getattr(spectra, name, None)
-    f = next((v for name in ("frequencies_hz", "frequencies", "hz") if (v := get(name)) is not None), None)
-    values = next((v for name in ("singular_values", "values") if (v := get(name)) is not None and not callable(v)), None)
-    return (f, values) if f is not None and values is not None else (None, None)
+    return {"rows": rows, "against": [r for r in rows if r.get("agrees") is False]}
