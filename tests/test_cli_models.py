@@ -111,7 +111,7 @@ def test_ofrf_of_a_state_that_was_not_measured(with_effect):
     assert ratio.max() <= 1
     assert 0 < ratio.min() < 0.6
     assert other["changed"] == [{"step": 2, "parameter": "stiffness", "value": 5e4}]
-    from operando.diagnose import Model
+    from operando.structure import Model
 
     direct = Model(models.results().idle).add("ground_spring@3+Z=stiffness:5e4").frf(np.arange(12, 60.1, 0.5), "3+Z", "1+Z")
     np.testing.assert_allclose(np.array(other["data"]) @ [1, 1j], direct.data, rtol=1e-9)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +12,6 @@ import measurements
 from nonlinear_truth import Strip, measure, place
 from operando.config import load_test
 from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, one_level
-from operando.diagnose.levenberg import SHARE, SINGULAR, inverse, unobservable
-from operando.diagnose.model import Model
-from operando.diagnose.refit import Fit
 from operando.dof import MAX_NUMBER_DIGITS, Dof
 from operando.effects import Effect
 from operando.ema import fit_ema
@@ -31,6 +27,7 @@ from operando.pipeline.levels import level_groups
 from operando.scaling import scale_operational
 from operando.scaling.missing import missing_modes
 from operando.scaling.no_scale import no_scale
+from operando.structure import Model
 
 DOFS = tuple(Dof(i + 1, "Z") for i in range(4))
 
@@ -165,43 +162,7 @@ def test_a_disturbance_in_an_excluded_band_is_not_fitted():
 # what the lines do not tell has an infinite standard deviation
 
 
-def test_unobservable_parameters_are_not_known():
-    slope = np.array([[1.0, 2.0, 0.0, 0.5], [1.0, 2.0, 0.0, -1.0], [2.0, 4.0, 0.0, 0.3]])
-    normal = slope.T @ slope  # the first two are told in one combination only, the third not at all
-    assert unobservable(normal).tolist() == [True, True, True, False]
-    assert np.isfinite(inverse(normal)).all()
-    assert not unobservable(np.diag([1.0, 1e-12, 1e12])).any()  # scales do not matter
-    assert unobservable(np.zeros((0, 0))).size == 0
-
-
-@pytest.mark.parametrize(("apart", "told"), [(30.0, True), (0.03, False)])
-def test_two_parameters_are_told_apart_down_to_rounding(apart, told):
-    """Two columns that differ by a small angle: the least eigenvalue over the largest is its square over four, ``SINGULAR`` the limit."""
-    angle = apart * 2 * np.sqrt(SINGULAR)
-    slope = np.zeros((400, 2))
-    slope[:, 0] = 1 / 20
-    slope[:, 1] = (np.cos(angle) + np.sin(angle) * np.where(np.arange(400) % 2, 1, -1)) / 20
-    assert unobservable(slope.T @ slope).tolist() == [not told, not told]
-    assert 400 * np.finfo(float).eps < SINGULAR
-
-
-@pytest.mark.parametrize(("part", "told"), [(0.3, True), (3.0, False)])
-def test_a_small_part_in_what_is_not_told_leaves_a_parameter_known(part, told):
-    """A third parameter that lies in the untold direction of two others by a share of its square, ``SHARE`` the limit."""
-    share = part * SHARE
-    untold = np.array([np.sqrt((1 - share) / 2), -np.sqrt((1 - share) / 2), np.sqrt(share)])
-    normal = np.eye(3) - np.outer(untold, untold)
-    scale = 1 / np.sqrt(np.diag(normal))
-    value, vector = np.linalg.eigh(normal * scale[:, None] * scale)
-    assert bool(vector[2, 0] ** 2 > SHARE) is (not told)
-    assert unobservable(normal).tolist() == [True, True, not told]
-    assert value[0] < SINGULAR
-
-
 def test_the_standard_deviation_of_what_no_line_tells_is_infinite():
-    term = SimpleNamespace(size=2)
-    fit = Fit((term,), (np.ones(2),), np.zeros((1, 1)), None, covariance=np.diag([0.04, 0.0]), untold=np.array([False, True]))
-    assert fit.std[0].tolist() == [pytest.approx(0.2), np.inf]
     unknown = Effect("ground_spring", DOFS[2:3], {"stiffness": 3e4}, {"stiffness": np.inf})
     assert unknown.to_dict()["parameters"]["stiffness"]["std"] is None
     idle, _ = models()

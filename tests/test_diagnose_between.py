@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
-from operando.diagnose.between import middles, with_middles
-from operando.diagnose.diagnosis import diagnose
+from operando.diagnosis import diagnose
 from operando.dof import Dof
 from operando.results import CheckRun
 
@@ -53,22 +52,6 @@ def made(mass_at: float, mass: float) -> tuple[ModalModel, CheckRun, Geometry]:
     frf = Frf(measured, FrequencyAxis(hz), dofs, tuple(dofs[r] for r in references), "accelerance", variance=variance)
     points = np.c_[x, np.zeros(m), np.zeros(m)]
     return idle, CheckRun("run", "", frf), Geometry(tuple(d.node for d in dofs), points)
-
-
-def test_the_middles_lie_between_neighbours() -> None:
-    idle, _, geometry = made(0.9, 0.5)
-    places = middles(idle, geometry)
-    assert len(places) == NODES - 1
-    np.testing.assert_allclose(sorted(p.position[0] for p in places), np.linspace(0.3, 1.7, NODES - 1))
-    wider, known = with_middles(idle, geometry, places)
-    assert len(wider.dofs) == 2 * NODES - 1
-    assert len(known.nodes) == 2 * NODES - 1
-    # A beam's low modes are smooth: the suggested shapes are near the exact ones, within the standard deviation given to them.
-    exact = beam(np.array([p.position[0] for p in places]))[1]
-    at = 2 * MODES + np.arange(MODES)[None, :] * len(wider.dofs) + NODES + np.arange(NODES - 1)[:, None]
-    std = np.sqrt(np.diag(wider.covariance)[at])
-    z = (np.asarray(wider.shapes)[NODES:, :6] - exact[:, :6]) / std[:, :6]
-    assert np.sqrt(np.mean(z**2)) < 2
 
 
 @pytest.mark.parametrize("where", [0.9, 1.3])

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, ModalModel
-from operando.diagnose import apply_effects, diagnose
-from operando.diagnose.predict import IdleArrays, Term, by_poles, by_size, predict
-from operando.diagnose.sets import FIT, JUDGE, SELECT, split_lines
-from operando.diagnose.shapes import by_directions
+from operando.diagnosis import apply_effects, diagnose
 from operando.dof import Dof
-from operando.effects import Effect
 from operando.errors import MissingError
 from operando.results import CheckRun
 from structures import Chain
@@ -143,62 +139,7 @@ def test_wrong_effect_by_hand_is_said_to_be_wrong(chain, idle):
 def test_held_values_stay(chain, idle):
     check = [running(chain, [0, 3], mass=0.15 * at(4))]
     held = apply_effects(idle, ["point_mass@5+Z=mass:0.1"], check=check, refit=False)
-    assert held.effects[0].values["mass"] == 0.1
-
-
-def test_sets_are_contiguous_blocks_fixed_by_the_lines(chain, idle):
-    lines = split_lines([running(chain, [0, 3])], idle)
-    for group in (FIT, SELECT, JUDGE):
-        blocks = np.unique(lines.block[lines.group == group])
-        assert blocks.size == 6
-    # One block, one set.
-    assert all(np.unique(lines.group[lines.block == b]).size == 1 for b in range(18))
-    other = split_lines([running(chain, [0, 3], mass=0.15 * at(4), seed=3)], idle)
-    assert np.array_equal(lines.group, other.group)
-
-
-def test_derivatives_against_differences(chain, idle):
-    lines = split_lines([running(chain, [0, 3])], idle)
-    effect = Effect("gyroscopic", (DOFS[2], DOFS[4]), {"coefficient": 20.0})
-    term = Term.of(effect, idle, (4.0, 150.0))
-    q = [term.inward(effect.values)]
-    arrays = IdleArrays.of(idle)
-    p = predict(arrays, lines, [term], q)
-    one_each = np.zeros((*np.shape(idle.shapes), 4))
-    for k, (d, r) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3))):
-        one_each[d, r, k] = 1
-    by = by_directions(p, lines, one_each).reshape(2, 2, *p.data.shape)
-    for a, d in enumerate((0, 2)):
-        for b, r in enumerate((1, 3)):
-            phi = np.array(idle.shapes)
-            phi[d, r] += 1e-6
-            moved = predict(arrays.with_phi(phi), lines, [term], q).data
-            assert np.allclose((moved - p.data) / 1e-6, by[a, b], rtol=1e-3, atol=1e-4 * np.abs(by[a, b]).max())
-    hz = by_poles(p, idle, lines)[0][2]
-    f = np.array(idle.frequencies_hz)
-    f[2] += 1e-6
-    other = IdleArrays.of(ModalModel(f, idle.damping_ratios, idle.shapes, DOFS, scaling="unit_modal_mass"))
-    moved = predict(other, lines, [term], q).data
-    assert np.allclose((moved - p.data) / 1e-6, hz, rtol=1e-3, atol=1e-3 * np.abs(hz).max())
-
-
-def test_derivatives_by_the_sizes_of_several_effects_and_a_sensor(chain, idle):
-    arrays, band = IdleArrays.of(idle), (4.0, 150.0)
-    lines = split_lines([running(chain, [0, 3])], idle, band)
-    effects = [
-        Effect("gyroscopic", [DOFS[2], DOFS[4]], {"coefficient": 20.0}),
-        Effect("ground_hysteretic_spring", [DOFS[1]], {"stiffness": 2e4, "loss_factor": 0.1}),
-        Effect("sensor_gain", [DOFS[5]], {"gain": 1.1}),
-    ]
-    terms = [Term.of(e, idle, band) for e in effects]
-    q = [t.inward(dict(e.values)) for t, e in zip(terms, effects, strict=True)]
-    p = predict(arrays, lines, terms, q)
-    for i, j, start in ((0, 0, 0), (1, 0, 2), (1, 1, 2)):
-        moved = [v.copy() for v in q]
-        moved[i][j] += 1e-5
-        change = (predict(arrays, lines, terms, moved).data - p.data) / 1e-5
-        by = by_size(p, terms[i], q[i], j, lines, start)
-        assert np.allclose(change, by, rtol=1e-3, atol=1e-4 * np.abs(by).max())
+    assert held.effects[0].values["mass"] == pytest.approx(0.1, rel=1e-12)
 
 
 def test_model_of_the_diagnosis_predicts_the_running_structure(chain, idle):

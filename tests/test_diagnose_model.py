@@ -9,10 +9,10 @@ import pytest
 
 from effect_truth import at, chain_and_idle, pole_list, receptance, skew
 from operando.data import Geometry, ModalModel, ResidualTerms
-from operando.diagnose import Model, joint_covariance
-from operando.diagnose.apply import words_of
+from operando.diagnosis.by_hand import words_of
 from operando.effects import Effect, EffectKind, Parameter, catalogue, parse_effect, register, unregister
 from operando.errors import ConfigError, DataError, DofError
+from operando.structure import Model, joint_covariance
 
 N = 6
 HZ = np.linspace(3, 140, 83)

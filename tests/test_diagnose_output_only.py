@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from operando.data import ModalModel
-from operando.diagnose.diagnosis import diagnose
-from operando.diagnose.model import Model
-from operando.diagnose.output_only import candidate_effects, diagnose_output_only, judge_rows
-from operando.diagnose.output_only_fit import Prior, fit, jacobian
-from operando.diagnose.output_only_forward import LINEAR_KINDS, Basis, action_of, solve
-from operando.diagnose.output_only_residuals import compress, fit_scale, residuals, target_of, whiteners
+from operando.diagnosis import diagnose
+from operando.diagnosis.output_only import candidate_effects, diagnose_output_only, judge_rows
+from operando.diagnosis.output_only_fit import Prior, fit, jacobian
+from operando.diagnosis.output_only_forward import LINEAR_KINDS, Basis, action_of, solve
+from operando.diagnosis.output_only_residuals import compress, fit_scale, residuals, target_of, whiteners
 from operando.effects import Effect
 from operando.errors import ConfigError, DataError
+from operando.structure import Model
 from structures import Chain
 
 DOFS = tuple(f"{i + 1}+Z" for i in range(7))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from operando.data import ModalModel
-from operando.diagnose.output_only import diagnose_output_only, likeliest
-from operando.diagnose.output_only_fit import SAMPLED, excess, fit
-from operando.diagnose.output_only_forward import Basis, action_of
-from operando.diagnose.output_only_idle import completion, settled
-from operando.diagnose.output_only_residuals import target_of
-from operando.diagnose.output_only_sets import Sets, partners, sets_of
+from operando.diagnosis.output_only import diagnose_output_only, likeliest
+from operando.diagnosis.output_only_fit import SAMPLED, excess, fit
+from operando.diagnosis.output_only_forward import Basis, action_of
+from operando.diagnosis.output_only_idle import completion, settled
+from operando.diagnosis.output_only_residuals import target_of
+from operando.diagnosis.output_only_sets import Sets, partners, sets_of
 from operando.effects import Effect
 from operando.report.words_diagnosis import FAINT, diagnosis_words
 from test_diagnose_output_only import DOFS, IN_BAND, SENSORS, chain, idle_of, running

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from operando.diagnose import diagnose, from_records
-from operando.diagnose.from_records import DISTORTION, standing, suspicion
+from operando.diagnosis import diagnose, from_records
+from operando.diagnosis.from_records import DISTORTION, standing, suspicion
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
 from test_nonlinear_records import STRIP, records

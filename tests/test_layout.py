@@ -30,7 +30,7 @@ LEVELS = {
     "ema": 8, "oma": 8,
     "scaling": 9,
     "compare": 10,
-    "effects": 11, "nonlinear": 12, "diagnose": 13, "diagnosis": 14,
+    "effects": 11, "structure": 12, "nonlinear": 13, "diagnosis": 14,
     "store": 15, "entries": 15, "plots": 15,
     "report": 16, "values": 16,
     "states": 17,
@@ -56,7 +56,7 @@ NUMERIC = (
     "compare",
     "effects",
     "nonlinear",
-    "diagnose",
+    "structure",
     "diagnosis",
 )
 

@@ -8,14 +8,11 @@ import pytest
 
 from effect_truth import chain_and_idle, receptance
 from operando.data import Frf, ModalModel, ResidualTerms
-from operando.diagnose import Model
-from operando.diagnose.predict import IdleArrays, Term, predict
-from operando.diagnose.sets import split_lines
 from operando.effects import Effect
 from operando.ema import fit_ema
 from operando.errors import DataError
 from operando.io import read_object, write_object
-from operando.results import CheckRun
+from operando.structure import Model
 from operando.synthesis import synthesis_variance, synthesise
 from structures import Chain
 
@@ -210,12 +207,3 @@ def test_a_mode_added_before_residual_terms_keeps_arrays_in_step():
     known[where] = known[:, where] = 0
     kept = ModalModel(idle.frequencies_hz, idle.damping_ratios, idle.shapes, idle.dofs, idle.scaling, covariance=known)
     np.testing.assert_allclose(frf.variance, Model(kept, (spring,)).frf(hz, quantity="receptance").variance, rtol=1e-9)
-    # the fit's own forward model, which puts added modes behind all terms
-    check = CheckRun("check", "1 N", Frf(exact, hz, idle.dofs, idle.dofs, "receptance", variance=np.full(exact.shape, 1e-24)))
-    band = (6.0, 130.0)
-    lines = split_lines([check], lacking, band)
-    terms = [Term.of(e, lacking, band) for e in (added, spring)]
-    values = [{**added.values, "shape": chain.phi[:, 2]}, dict(spring.values)]
-    q = [t.inward(v) for t, v in zip(terms, values, strict=True)]
-    found = predict(IdleArrays.of(lacking), lines, terms, q).data
-    np.testing.assert_allclose(found, lines.data, atol=1e-9 * np.max(np.abs(exact)))

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from operando.cli import main
 from operando.cli.ladder import check_records
-from operando.diagnose.from_records import apply_levels
+from operando.diagnosis.from_records import apply_levels
 from operando.effects import parse_effect
 from operando.errors import ConfigError, MissingError
 from operando.frf import estimate_frf
@@ -69,7 +69,7 @@ def test_what_has_no_force_in_time_is_refused():
 @pytest.fixture
 def folder(tmp_path):
     """A results folder whose check came from raw files, with what `operando run` would have found in it."""
-    from operando.diagnose import diagnose
+    from operando.diagnosis import diagnose
 
     files = []
     for i, record in enumerate(records()["cubic"]):

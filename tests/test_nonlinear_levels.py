@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.diagnose.at_level import level_frf
+from operando.diagnosis.at_level import level_frf
 from operando.effects import Effect, EffectKind, Parameter, register
 from operando.effects.registry import unregister
 from operando.errors import DataError
@@ -71,7 +71,7 @@ def test_a_cubic_spring_has_three_times_its_mean_square():
     idle = STRIP.idle()
     (spring,) = [e for e in at_level(idle, [effect_of("cubic_stiffness")], 5.0, "1+Z", BAND) if "spring" in e.kind]
     hz = np.linspace(*BAND, 4000)
-    from operando.diagnose import Model
+    from operando.structure import Model
 
     h = Model(idle, (spring,)).frf(hz, ["3+Z"], ["1+Z"], "receptance", variance=False).data[0, 0]
     square = 25.0 * np.mean(np.abs(h) ** 2)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.diagnose.diagnosis import Diagnosis
-from operando.diagnose.from_records import FAINT, diagnose_levels
+from operando.diagnosis.from_records import FAINT, diagnose_levels
+from operando.diagnosis.result import Diagnosis
 from operando.dof import Dof
 from operando.errors import DataError, MissingError
 from operando.nonlinear import diagnose_records, linear_effects, measured_distortion

@@ -12,7 +12,6 @@ import pytest
 
 from operando.compare import compare_all
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
-from operando.diagnose import Model
 from operando.dof import Dof
 from operando.effects import Effect
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
@@ -24,6 +23,7 @@ from operando.report.parts import Numbering, render
 from operando.report.sections import build
 from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
 from operando.results import CheckRun, Results
+from operando.structure import Model
 from structures import Chain
 
 N = 8

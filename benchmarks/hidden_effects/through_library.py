@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from operando.diagnose.diagnosis import diagnose
+from operando.diagnosis import diagnose
 from operando.store import load_results
 
 
@@ -18,7 +18,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     results = load_results(folder)
     start = time.perf_counter()
-    found = diagnose(results.idle, check=results.check, operating=results.operating, geometry=results.geometry, hybrid=results.hybrid)
+    found = diagnose(results.idle, check=results.check, operating=results.operating, geometry=results.geometry)
     document = found.to_dict() | {"seconds": time.perf_counter() - start}
     (folder / "diagnosis.json").write_text(json.dumps(document, default=str))
 

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from operando.data import ModalModel as ModalModel
     from operando.data import ResidualTerms as ResidualTerms
     from operando.data import TimeRecord as TimeRecord
-    from operando.diagnose import Diagnosis as Diagnosis
-    from operando.diagnose import Model as Model
-    from operando.diagnose import apply_effects as apply_effects
+    from operando.diagnosis import Diagnosis as Diagnosis
+    from operando.diagnosis import apply_effects as apply_effects
     from operando.diagnosis import diagnose as diagnose
     from operando.dof import Dof as Dof
     from operando.effects import Effect as Effect
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
     from operando.scaling import scale_operational as scale_operational
     from operando.stabilization import Stabilization as Stabilization
     from operando.store import load as load
+    from operando.structure import Model as Model
 else:
     ModuleType = type(sys)
 
@@ -91,16 +91,16 @@ _WHERE = {
     "catalogue": "operando.effects",
     "parse_effect": "operando.effects",
     "register": "operando.effects",
-    "Model": "operando.diagnose",
-    "Diagnosis": "operando.diagnose",
+    "Model": "operando.structure",
+    "Diagnosis": "operando.diagnosis",
     "diagnose": "operando.diagnosis",
-    "apply_effects": "operando.diagnose",
+    "apply_effects": "operando.diagnosis",
     "run": "operando.pipeline",
 }
 _ROOMS = ("plots",)
 """Packages that are reached by their name without an import of their own."""
 
-_CALLED = ("compare", "diagnose")
+_CALLED = ("compare",)
 """Packages that can be called as the public function of their name."""
 
 __all__ = ["__version__", *_WHERE]

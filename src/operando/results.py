@@ -50,7 +50,7 @@ class Results(Short):
         The idle model as the diagnosis left it (shapes at the effects' places refitted); with the accepted effects it is the second
         route to the operational FRFs.
     effect_covariance : array or None
-        Joint covariance of that idle model and the effects' values (see ``operando.diagnose.Model``).
+        Joint covariance of that idle model and the effects' values (see ``operando.structure.Model``).
     left_out : dict
         Stage name → reason why it was left out.
     timings_s : dict

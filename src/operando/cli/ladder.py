@@ -15,7 +15,7 @@ from operando.results import CheckRun, Results
 
 if TYPE_CHECKING:
     from operando.data import TimeRecord
-    from operando.diagnose.apply import Applied
+    from operando.diagnosis.by_hand import Applied
     from operando.pipeline.folder import ResultsFolder
 
 
@@ -117,8 +117,8 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
 def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
     from operando.compare import with_effect
-    from operando.diagnose import apply_effects
-    from operando.diagnose.from_records import apply_levels, need_records, with_levels
+    from operando.diagnosis import apply_effects
+    from operando.diagnosis.from_records import apply_levels, need_records, with_levels
     from operando.pipeline.outputs import LADDER_OUTPUTS
 
     say = Clock()

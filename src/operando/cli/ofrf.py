@@ -103,7 +103,7 @@ def ofrf(
             check_dofs(dofs, known.dofs, f"{folder}, {option}")
     model: Any
     if level is not None:
-        from operando.diagnose.at_level import LevelModel
+        from operando.diagnosis.at_level import LevelModel
 
         model = LevelModel.of(results, level)
         method, own = f"idle model + {', '.join(str(e) for e in model.effects) or 'no effect'} at {level:g} N", ()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from operando.diagnose import Diagnosis
+from operando.diagnosis.by_hand import Applied, apply_effects
 from operando.diagnosis.from_frf import diagnose, diagnose_frf
+from operando.diagnosis.result import Diagnosis
 
-__all__ = ["Diagnosis", "diagnose", "diagnose_frf"]
+__all__ = ["Applied", "Diagnosis", "apply_effects", "diagnose", "diagnose_frf"]

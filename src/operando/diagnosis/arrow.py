@@ -39,7 +39,8 @@ class Information:
     def of(cls, shared: Array, own: Array) -> Information:
         """From weighted derivatives of the rows, (blocks, rows, s) and (blocks, rows, k)."""
         turned = np.swapaxes(own, 1, 2)
-        return cls(_syrk(shared.reshape(-1, shared.shape[2])), turned @ shared, turned @ own)
+        blocks, rows, s = shared.shape
+        return cls(_syrk(shared.reshape(blocks * rows, s)), turned @ shared, turned @ own)
 
     def __add__(self, other: Information) -> Information:
         return Information(self.shared + other.shared, self.across + other.across, self.own + other.own)
@@ -67,7 +68,7 @@ class Factor:
         blocks[:, np.arange(k), np.arange(k)] += own
         inverse = np.linalg.inv(np.linalg.cholesky(blocks))
         across = inverse @ information.across
-        rest = information.shared - _syrk(across.reshape(-1, across.shape[2]))
+        rest = information.shared - _syrk(across.reshape(across.shape[0] * k, across.shape[2]))
         rest[np.diag_indices_from(rest)] += shared
         return cls(inverse, across, cholesky(rest, lower=True, check_finite=False))
 

@@ -16,11 +16,13 @@ from operando.diagnosis.forward import Forward, Scannable
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.terms import SEARCHED, Term, added, candidates
+from operando.effects import kind_of
 from operando.errors import DofError
 
 Array = NDArray[Any]
 _DECADES = np.linspace(-5, 3, 25)  # of sizes about that which stops a place
 _AT_ONCE = 2  # columns of all DOFs at a time
+HELD = 1e-7  # standard deviation of a value that no fit moves, on its search scale
 
 
 class Case:
@@ -109,7 +111,7 @@ class Case:
             plain = Between(idle, columns, self.band, {})
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
             made = some.predict(replace(some.start, terms=idle.lacking_term), w)
-            by_g = (made.shared[..., :g] / noise[:, None, None, None]).reshape(-1, g)
+            by_g = (made.shared[..., :g] / noise[:, None, None, None]).reshape(made.h.size, g)
             whole += (by_g.conj().T @ by_g).real
             # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
             mine = made.own / noise[:, None, None, None]
@@ -188,10 +190,17 @@ class Case:
             return [float(np.log(0.1))], [1.0]
         if kind == "ground_rubber":
             return [0.25], [0.15]
-        return [], []
+        others = kind_of(kind).parameters[1:]
+        return [p.inward(p.start(self.band)) for p in others], [1.0] * len(others)
 
     def prior(self, term: Term) -> tuple[Array, Array]:
-        """Means and standard deviations of the values."""
+        """Means and standard deviations of the values; those that are held are known."""
+        mean, std = self._prior(term)
+        for number in term.fixed:
+            mean[number], std[number] = term.values[number], HELD
+        return mean, std
+
+    def _prior(self, term: Term) -> tuple[Array, Array]:
         if term.kind.endswith("_gain"):
             return np.zeros(1), np.array([0.3])
         if term.kind.endswith("_delay"):

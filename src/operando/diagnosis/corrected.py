@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalModel
-from operando.diagnose.model import Model
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
 from operando.effects import Effect
+from operando.structure import Model
 
 Array = NDArray[np.float64]
 

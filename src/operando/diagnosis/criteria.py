@@ -86,3 +86,6 @@ BETWEEN_STD, LEAST_BETWEEN_STD = 0.25, 0.05
 WITHOUT_SENSOR = 9.0
 """By how much the squared errors of operational frequencies over their variances fall without a mass that a sensor alone brought: three
 standard deviations."""
+
+ONE_SYSTEM = 2.0
+"""Mean squared difference of runs of different level over the variance of their noise from which they are not one linear system."""

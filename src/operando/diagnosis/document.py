@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.corrected import effects_of
-from operando.diagnosis.criteria import UNUSUAL
+from operando.diagnosis.criteria import EXPLAINED, LEAST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.posterior import Problem, State, left_on
 from operando.diagnosis.search import Found, score
 from operando.diagnosis.terms import Term, added
 from operando.diagnosis.verdict import Verdict
+from operando.results import CheckRun
 
 Array = NDArray[Any]
 
@@ -28,7 +29,7 @@ _PAIRS_TOLD = 20  # DOFs up to which what would have been seen is told for every
 
 
 def between_rows(state: State) -> list[dict[str, Any]]:
-    """What differs between the two measurements, with standard deviations; ``unusual`` beyond four of the prior's.
+    """What differs between the two measurements, with standard deviations; ``unusual`` beyond four of the prior's. None of one set-up.
 
     Gains and damping as factors, stiffness as a relative change, offsets as rms shares of a shape, the skew in seconds.
     """
@@ -36,6 +37,8 @@ def between_rows(state: State) -> list[dict[str, Any]]:
     std_d, std_own = state.std()
     d, own = state.x.d, state.x.own[:, forward.n_shape :]
     std_own = std_own[:, forward.n_shape :]
+    if "stiffness" not in between.spreads:
+        return []
     rows: list[dict[str, Any]] = []
 
     def put(what: str, location: list[str], value: float, std: float, unusual: bool) -> None:
@@ -77,24 +80,43 @@ def between_rows(state: State) -> list[dict[str, Any]]:
 
 
 def ladder(best: State) -> list[dict[str, Any]]:
-    """Error and reduced chi-square of each step, with what differs between the days, noise and discrepancy as of the last step."""
-    lines = best.case.lines
+    """Error and reduced chi-square of each step, with what differs between the days, noise and discrepancy as of the last step.
+
+    A discrepancy beyond what an explanation may leave is no excuse: the chi-square is that of noise then.
+    """
+    return [ladder_row(best, number) for number in range(len(best.terms) + 1)]
+
+
+def ladder_row(state: State, number: int) -> dict[str, Any]:
+    """One step: a state with its first effects."""
+    lines = state.case.lines
     share = lines.validation.size / (lines.validation.size + lines.fit.size)
-    out = []
-    for number in range(len(best.terms) + 1):
-        x = best.carried(best.terms[:number])
-        (chi, db), (chi_fit, db_fit) = (left_on(best.case, x, best.alpha, at) for at in (lines.validation, lines.fit))
-        out.append(
-            {
-                "step": number,
-                "added": effects_of(best)[number - 1].to_dict() if number else None,
-                "error_db": float(np.sqrt(share * db**2 + (1 - share) * db_fit**2)),
-                "heldout_error_db": db,
-                "misfit": share * chi + (1 - share) * chi_fit,
-                "heldout_misfit": chi,
-            }
-        )
-    return out
+    x = state.carried(state.terms[:number])
+    alpha = state.alpha if state.alpha <= EXPLAINED else LEAST_DISCREPANCY
+    (chi, db), (chi_fit, db_fit) = (left_on(state.case, x, alpha, at) for at in (lines.validation, lines.fit))
+    return {
+        "step": number,
+        "added": effects_of(state)[number - 1].to_dict() if number else None,
+        "error_db": float(np.sqrt(share * db**2 + (1 - share) * db_fit**2)),
+        "heldout_error_db": db,
+        "misfit": share * chi + (1 - share) * chi_fit,
+        "heldout_misfit": chi,
+    }
+
+
+def judged_on(state: State, run: CheckRun) -> dict[str, Any]:
+    """State, level and lines of the figures on lines that were never fitted."""
+    case = state.case
+    return {
+        "state": "operating",
+        "measured": "FRF lines",
+        "runs": [run.name],
+        "level": run.level,
+        "band_hz": list(case.band),
+        "n_lines": int(case.lines.validation.size * case.lines.there.sum()),
+        "whole_run": False,
+        "ranges_hz": [list(r) for r in case.lines.validation_hz],
+    }
 
 
 def floor_db(state: State) -> float:
@@ -126,18 +148,21 @@ def detectable_rows(state: State, verdict: Verdict) -> list[dict[str, Any]]:
     return out
 
 
-def candidate_rows(found: Found, shown: Sequence[Term]) -> list[dict[str, Any]]:
-    """Effects that were tried and do not stand in the model, best first, with the odds against them."""
-    best, out, seen = found.best, [], {t.key for t in shown}
-    for state in sorted(found.pool.values(), key=lambda s: -score(s)):
+def candidate_rows(found: Found) -> list[dict[str, Any]]:
+    """Effects that were tried, best first: those of the best state, with the odds against doing without, then the others."""
+    best, out, seen = found.best, [], set()
+    for state in [best, *sorted(found.pool.values(), key=lambda s: -score(s))]:
         for effect, term in zip(effects_of(state), state.terms, strict=True):
             if term.key in seen:
                 continue
             seen.add(term.key)
-            nats = score(best) - score(state)
-            with_others = len(state.terms) > 1
-            evidence = f"log odds {nats:.1f} against it{' with what is found beside it' if with_others else ''}"
-            out.append(effect.to_dict() | {"selection_misfit": None, "evidence": evidence})
+            if state is best:
+                nats = score(best) - max((score(s) for s in found.pool.values() if term.key not in s.key), default=score(found.empty))
+                evidence = f"log odds {nats:.1f} for it"
+            else:
+                evidence = f"log odds {score(best) - score(state):.1f} against it"
+            beside = " with what is found beside it" if len(state.terms) > 1 else ""
+            out.append(effect.to_dict() | {"selection_misfit": None, "evidence": evidence + beside})
     return out
 
 
@@ -234,7 +259,9 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
         at = case.lines.fit
         problem = best.problem
         prediction = problem.predict(problem.packed(best.x))
-        own = float(np.mean(2 * best.factor.of_rows(problem.rows(prediction.shared), problem.rows(prediction.own))))
+        g, shape = case.forward.n_g, case.forward.n_shape
+        own = float(np.mean(2 * np.sum(problem.rows(prediction.shared[..., :g]) ** 2, 2)))
+        own += float(np.mean(2 * np.sum(problem.rows(prediction.own[..., :shape]) ** 2, 2)))
         alone = float(np.mean(problem.variance(best.alpha)))
         if own > alone:
             return (

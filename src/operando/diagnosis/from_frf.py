@@ -4,29 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
 
+from operando.compare.verdict import floor_reason
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
-from operando.diagnose.diagnosis import Diagnosis, where_it_fails
-from operando.diagnose.verdict import spacing
-from operando.diagnosis.between import spreads_of
+from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED
+from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, ONE_SYSTEM
 from operando.diagnosis.document import (
     between_rows,
     candidate_rows,
     detectable_rows,
     floor_db,
+    judged_on,
     ladder,
     picture,
     proposal,
 )
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, State, at_rest
+from operando.diagnosis.result import Diagnosis, spacing, where_it_fails
 from operando.diagnosis.search import Found, search, search_both, search_elsewhere
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import SEARCHED, Term
@@ -114,19 +115,27 @@ def diagnose_frf(
             "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],
             "correlated": CORRELATED_LINES if rest is None else rest.correlated,
         }
-        case = Case(model, run.frf, band, spreads_of(between or {}), **asked)
+
+        def cases(model: Idle) -> list[Case]:
+            """Two days in a laboratory and one set-up, or what the test states."""
+            days = Case(model, run.frf, band, spreads_of(between or {}), **asked)
+            return [days] if between else [days, Case(model, run.frf, band, SAME_SET_UP, like=days, **asked)]
+
+        both, odds = cases(model), None
         if between:
-            found, odds = search(case, say), None
+            found = search(both[0], say)
         else:
-            found, odds = search_both(
-                case, Case(model, run.frf, band, {}, like=case, **asked), say, 0.0 if rest is None else rest.state.alpha
-            )
-        good_at_rest = rest is None or rest.state.alpha <= EXPLAINED
+            found, odds = search_both(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha)
         sure = verdict(found.best.case, found, None if rest is None else rest.state).name in SURE
-        # several effects may stand for one where no sensor is
-        if not (sure and len(found.best.terms) < 2) and good_at_rest and kinds is None and places is None:
-            spreads = found.best.case.between.spreads
-            found, geometry = search_elsewhere(found, lambda wider: Case(wider, run.frf, band, spreads, **asked), geometry, say)
+        terms, asked_for_all = found.best.terms, kinds is None and places is None
+        # several effects may stand for one where no sensor is, and an absorber for a mode that is lacking
+        instead = not sure or len(terms) > 1
+        if (
+            asked_for_all
+            and (rest is None or rest.state.alpha <= EXPLAINED)
+            and (instead or any(t.kind == "tuned_absorber" for t in terms))
+        ):
+            found, odds, geometry = search_elsewhere(found, odds, cases, geometry, instead, say)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 
@@ -194,14 +203,14 @@ def diagnose(
         return diagnose_frf(idle, check, idle_frf=idle_frf, between=between, operating=operating, **asked)
 
     if records:
-        from operando.diagnose.from_records import diagnose_levels
+        from operando.diagnosis.from_records import diagnose_levels
 
         return diagnose_levels(from_frf if check else None, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
     if check:
         return from_frf()
     if operating is None:
         raise MissingError("neither check FRFs nor operational modes to diagnose from")
-    from operando.diagnose.output_only import diagnose_output_only
+    from operando.diagnosis.output_only import diagnose_output_only
 
     return diagnose_output_only(idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress)
 
@@ -212,6 +221,22 @@ def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
 
     level = lowest_level(check)
     return max((r for r in check if r.level == level), key=lambda r: int(np.isfinite(r.frf.data).sum()))
+
+
+def levels_disagree(check: Sequence[CheckRun], band: tuple[float, float]) -> bool:
+    """Whether runs of different level differ by more than noise: as found when they were estimated, or on the lines of the band."""
+    if any(f.kind == "nonlinear" for run in check for f in run.frf.findings):
+        return True
+    for one, other in combinations(check, 2):
+        a, b = one.frf.band(*band), other.frf.band(*band)
+        alike = a.responses == b.responses and a.references == b.references and np.array_equal(a.frequencies_hz, b.frequencies_hz)
+        if one.level == other.level or not alike or a.variance is None or b.variance is None:
+            continue
+        b = b.to_quantity(a.quantity)
+        assert b.variance is not None
+        if np.nanmean(np.abs(a.data - b.data) ** 2 / (a.variance + b.variance)) > ONE_SYSTEM:
+            return True
+    return False
 
 
 def searched(kinds: Sequence[str] | None) -> tuple[str, ...]:
@@ -252,8 +277,11 @@ def told(
     if name == "ambiguous" and all(_no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""
     notes = notes_of(check, run, found, rest, one_set_up)
-    if any(f.kind == "nonlinear" for r in check for f in r.frf.findings) and name in ("explained", "no_misfit", "ambiguous"):
+    if levels_disagree(check, case.band) and name in ("explained", "no_misfit", "ambiguous"):
         name, why = ("partial" if said.terms else "unexplained"), "runs of different level disagree: no linear effect explains both"
+    floor = floor_db(found.empty)
+    if name == "no_misfit" and (hidden := floor_reason(floor)) is not None:
+        name, why = "inconclusive", hidden
     shown = best.terms if said.terms and name != "unexplained" else ()
     final = best if shown else found.empty
     rows = ladder(final)  # what was found without support is a candidate, and the ladder ends where the model does
@@ -265,24 +293,15 @@ def told(
         tuple({e.kind + e.place: e for e in ambiguous}.values()),
         proposal(found, replace(said, name=name), rivals),
         tuple(rows),
-        tuple(candidate_rows(found, shown)),
+        tuple(candidate_rows(found)),
         where_it_fails(idle, check, band, compared),
-        floor_db(final),
+        floor if not shown else floor_db(final),
         ("check_frf",),
         picture(final),
         notes,
         idle,
         model_of(idle, final, geometry),
-        {
-            "state": "operating",
-            "measured": "FRF lines",
-            "runs": [run.name],
-            "level": run.level,
-            "band_hz": list(case.band),
-            "n_lines": int(case.lines.validation.size * case.lines.there.sum()),
-            "whole_run": False,
-            "ranges_hz": [list(r) for r in case.lines.validation_hz],
-        },
+        judged_on(final, run),
         tuple(detectable_rows(final, said)),
         why or None,
         tuple(between_rows(final)),

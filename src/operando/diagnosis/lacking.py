@@ -20,7 +20,7 @@ _DAMPING = (0.003, 0.008, 0.02, 0.05)
 _WIDE = 2.0  # standard deviation of its shape, over the rms of what is seen: nothing else is known of it
 
 
-def with_lacking(state: State) -> Idle | None:
+def with_lacking(state: State, hz: float | None = None) -> Idle | None:
     """The idle model with one more mode, at the pole whose free residues take most from what a state leaves; None where no mode has them.
 
     A mode adds to its drive points: residues that do not are none.
@@ -29,6 +29,8 @@ def with_lacking(state: State) -> Idle | None:
     ----------
     state : State
         Without such a mode.
+    hz : float, optional
+        Look within 5 % of it only.
 
     Returns
     -------
@@ -36,21 +38,21 @@ def with_lacking(state: State) -> Idle | None:
         Its last mode is there only with its effect, ``lacking_term``.
     """
     case, forward = state.case, state.case.forward
-    hz, measured, variance, level = case.lines.every
+    lines, measured, variance, level = case.lines.every
     error = measured - forward.predict(state.x, case.lines.w_all, derivatives=False).h
     # a line that one pole cannot explain must not rule
     weight = 1 / (variance + (ROBUST * level) ** 2 + np.abs(error) ** 2)
-    flat, w = error.reshape(len(hz), -1), weight.reshape(len(hz), -1)
+    flat, w = error.reshape(len(lines), -1), weight.reshape(len(lines), -1)
 
     def taken(f: Array, zeta: float) -> tuple[Array, Array]:
-        g = modal_kernel(hz, f, np.full(f.size, zeta), "receptance")
+        g = modal_kernel(lines, f, np.full(f.size, zeta), "receptance")
         cross = g.real @ (w * flat.real) + g.imag @ (w * flat.imag)
         power = np.maximum((np.abs(g) ** 2) @ w, 1e-300)
         return np.sum(cross**2 / power, axis=1), cross / power
 
     best = (-np.inf, 0.0, 0.0)
     for zeta in _DAMPING:
-        f = np.linspace(*case.band, _GRID)
+        f = np.linspace(*(case.band if hz is None else (0.95 * hz, 1.05 * hz)), _GRID)
         for _ in range(3):
             falls = taken(f, zeta)[0]
             k = int(np.argmax(falls))

@@ -113,8 +113,9 @@ class Lines:
         basis = self.basis(at)[0]
         responses, references, combinations, _ = basis.shape
         laid = np.ascontiguousarray(np.moveaxis(values, 0, 2)).view(float)
-        out = (basis @ laid).reshape(responses, references, combinations, -1, 2)
-        return np.ascontiguousarray(np.moveaxis(out, 4, 3)).reshape(responses, -1, values.shape[3])
+        k = values.shape[3]
+        out = (basis @ laid).reshape(responses, references, combinations, k, 2)
+        return np.ascontiguousarray(np.moveaxis(out, 4, 3)).reshape(responses, references * combinations * 2, k)
 
     def rows_variance(self, alpha: float, at: Array) -> Array:
         """Of the rows, times two, (responses, rows)."""

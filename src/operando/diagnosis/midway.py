@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -14,6 +15,7 @@ from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOU
 from operando.diagnosis.idle import Idle, Moves
 from operando.dof import Dof, split_node
 from operando.effects import spline_weights
+from operando.errors import DataError, DofError
 
 Array = NDArray[Any]
 
@@ -85,12 +87,45 @@ def _on_line(points: Array, a: int, b: int) -> list[int]:
     return [int(i) for i in np.flatnonzero(np.linalg.norm(off, axis=1) < 0.02 * np.linalg.norm(points[b] - points[a]))]
 
 
-def with_midway(idle: Idle, geometry: Geometry) -> tuple[Idle, Geometry] | None:
+def at_position(dofs: tuple[Dof, ...], geometry: Geometry, position: tuple[float, float, float], direction: str) -> Midway:
+    """Any place without a sensor: what all sensors of its axis suggest, against the nearer two of them.
+
+    Raises
+    ------
+    DofError
+        If fewer than two sensors measure that axis.
+    """
+    wanted = Dof.parse(f"0{direction}")
+    known = {i: geometry.position(d.node) for i, d in enumerate(dofs) if d.axis == wanted.axis}
+    rows = [i for i, p in known.items() if p is not None]
+    if len(rows) < 2:
+        raise DofError(f"fewer than two sensors with a known position measure along {wanted.axis}", hint="name a measured DOF instead")
+    points, signs = np.array([known[i] for i in rows]), np.array([dofs[i].sign for i in rows])
+    ways = np.linalg.norm(points - np.array(position), axis=1)
+    a, b = np.argsort(ways)[:2]
+    linear, weights = np.zeros(len(dofs)), np.zeros(len(dofs))
+    share = ways[b] / max(ways[a] + ways[b], 1e-300)
+    linear[[rows[a], rows[b]]] = np.array([share, 1 - share]) * signs[[a, b]]
+    try:
+        weights[rows] = spline_weights(points, np.array(position)[None])[0][0] * signs
+    except DataError:  # too few sensors for a spline
+        weights = linear.copy()
+    return Midway(position, wanted.axis, (rows[a], rows[b]), weights, linear)
+
+
+def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None = None) -> tuple[Idle, Geometry] | None:
     """The idle model with places between sensors as further DOFs, and where these are; None where there are none.
 
     What is not known of a shape there is its own, as of any DOF: by how much the suggestions of its neighbours may err.
+
+    Parameters
+    ----------
+    idle : Idle
+    geometry : Geometry
+    places : sequence of Midway, optional
+        Default: half-way between all neighbours.
     """
-    places = midway(idle.dofs, geometry)
+    places = midway(idle.dofs, geometry) if places is None else places
     if not places:
         return None
     node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))

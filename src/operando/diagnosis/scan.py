@@ -96,8 +96,16 @@ def responses(case: Case, x: Point, state: Scannable, columns: Array, terms: Seq
     return np.stack(out, -1)
 
 
-def robust_scan(case: Case, x: Point) -> list[tuple[float, Term, bool]]:
-    """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places."""
+def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> list[tuple[float, Term, bool]]:
+    """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places.
+
+    Parameters
+    ----------
+    case : Case
+    x : Point
+    places : sequence of Term, optional
+        Kinds at places; default all.
+    """
     at, forward = case.lines.fit, case.forward
     w, measured = case.lines.w[at], case.lines.h[at][..., None]
     state = forward.scannable(x, w)
@@ -115,7 +123,7 @@ def robust_scan(case: Case, x: Point) -> list[tuple[float, Term, bool]]:
         variants.append((True, state.columns - rest))
     out = []
     for cut, columns in variants:
-        for place in case.candidates(x.terms):
+        for place in case.candidates(x.terms) if places is None else places:
             if cut and not (place.structural and forward.undriven[list(place.places)].all()):
                 continue
             some = trials(case, place, _ROBUST_SIZES)
@@ -165,7 +173,7 @@ class LinearScan:
         """Factor⁻¹ Jᵀ of rows (responses, rows, n), as columns."""
         shared = np.tensordot(self.shared, rows, ((0, 1), (0, 1)))
         a, b = self.factor.whitened(shared, np.swapaxes(self.own, 1, 2) @ rows)
-        return np.concatenate([a, b.reshape(-1, b.shape[2])])
+        return np.concatenate([a, b.reshape(b.shape[0] * b.shape[1], b.shape[2])])
 
     def costs(self, terms: Sequence[Term]) -> Array:
         """½ of what the unknowns leave of the squares, for each term."""

@@ -111,42 +111,55 @@ def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_r
     return (same if odds > 0 else found), odds
 
 
-def search_elsewhere(found: Found, again: Callable[[Idle], Case], geometry: Geometry | None, say: Say) -> tuple[Found, Geometry | None]:
+def search_elsewhere(
+    found: Found, odds: float | None, again: Callable[[Idle], Sequence[Case]], geometry: Geometry | None, places: bool, say: Say
+) -> tuple[Found, float | None, Geometry | None]:
     """What explains more than effects at sensors: one at a place between them, or a mode that the idle model lacks.
 
     Parameters
     ----------
     found : Found
         What the places with sensors came to.
+    odds : float, optional
+        Of that, that nothing was touched between the measurements.
     again : callable
-        The same check with another idle model.
+        The same check with another idle model: on two days and with nothing touched, or as the test states it.
     geometry : Geometry, optional
         Positions of the sensors; without it there are no places between them.
+    places : bool
+        Whether places between sensors are looked at.
     say : callable
 
     Returns
     -------
     Found
+    float or None
     Geometry
         With the places between sensors, where one was needed.
     """
     best, known = found, geometry
-    wider = None if geometry is None else with_midway(found.empty.case.uncompressed, geometry)
+    wider = None if geometry is None or not places else with_midway(found.empty.case.uncompressed, geometry)
     if wider is not None:
         say(f"{len(wider[0].midway)} places between sensors:")
-        other = search(again(wider[0]), say, score(found.best))
+        cases = again(wider[0])
+        other, its_odds = search_both(cases[0], cases[1], say) if len(cases) > 1 else (search(cases[0], say), None)
         if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
-            best, known = other, wider[1]
-    grown = with_lacking(found.empty)
-    if grown is not None:
+            best, known, odds = other, wider[1], its_odds
+    # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most
+    for state in (replace(found.empty, x=found.empty.case.forward.start), found.empty):
+        grown = with_lacking(state)
+        if grown is None:
+            continue
         say(f"a mode that the idle model lacks, near {grown.f[grown.lacking]:.4g} Hz:")
-        case = again(grown)
-        start = replace(case.forward.start, terms=grown.lacking_term)
-        state = fit(case, approach(case, start)[1], 0.03)
-        say(f"  with it alone {state.log_evidence:.1f}, discrepancy {state.alpha:.4f}")
-        if score(state) > score(best.best):
-            best, known = _Search(case, say, state).run(), geometry
-    return best, known
+        cases = again(grown)
+        starts = [fit(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1], 0.03) for c in cases]
+        first = max(starts, key=score)
+        say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
+        if score(first) > score(best.best):
+            best, known = _Search(first.case, say, first).run(), geometry
+            odds = None if len(starts) < 2 else score(starts[1]) - score(starts[0])
+            break
+    return best, odds, known
 
 
 def days_point(days: Case, state: State) -> Point:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from operando.data import Geometry, ModalModel
-from operando.diagnose.model import Model
 from operando.diagnosis.corrected import model_of
 from operando.diagnosis.criteria import WITHOUT_SENSOR
 from operando.diagnosis.posterior import State
+from operando.structure import Model
 
 _NEAR = 0.15  # an operational mode stands for a predicted one within this part of its frequency
 _FLOOR = 3e-4  # relative frequency error that operational modes are never trusted beyond

@@ -43,12 +43,32 @@ class Term:
         it is, the others on their scale in the catalogue.
     sign : {1, -1}
         −1: the opposite of the kind, or a negative size.
+    fixed : tuple of int
+        Numbers of values that no fit moves.
     """
 
     kind: str
     places: tuple[int, ...] = ()
     values: tuple[float, ...] = ()
     sign: int = 1
+    fixed: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, effect: Effect, places: tuple[int, ...]) -> Term:
+        """An effect at DOFs of an idle model."""
+        definition, values = effect.definition, effect.values
+        sign = -1 if effect.removed else 1
+        out = []
+        for number, p in enumerate(definition.parameters):
+            value = float(values[p.name])
+            if number or effect.kind.endswith("_delay"):
+                out.append(float(p.inward(value)) if number else value)
+                continue
+            if not definition.removable and value < 0:
+                sign, value = -1, -value
+            out.append(float(np.log(1 + sign * value if effect.kind == "global_damping" else value)))
+        held = tuple(i for i, p in enumerate(definition.parameters) if p.name in effect.fixed)
+        return cls(effect.kind, places, tuple(out), 1 if effect.kind == "global_damping" else sign, held)
 
     @property
     def definition(self) -> EffectKind:
@@ -64,7 +84,9 @@ class Term:
         return self.definition.acts == "dynamic_stiffness"
 
     def moved(self, values: Iterable[float]) -> Term:
-        return replace(self, values=tuple(float(v) for v in values))
+        """With other values, but for those that no fit moves."""
+        new = (float(v) for v in values)
+        return replace(self, values=tuple(self.values[i] if i in self.fixed else v for i, v in enumerate(new)))
 
     @property
     def size(self) -> float | None:
@@ -147,8 +169,9 @@ def pattern(places: int) -> Array:
 
 def slopes(term: Term, w: Array, band: tuple[float, float]) -> list[Array]:
     """Derivatives of :func:`added` by the values."""
-    out = [added(term, w, band)]  # linear in its size
-    for number in range(1, len(term.values)):
+    proportional = term.kind in SEARCHED or term.kind == "sensor_mass"
+    out = [added(term, w, band)] if proportional else []
+    for number in range(len(out), len(term.values)):
         step = _STEP * (np.arange(len(term.values)) == number)
         up, down = (added(term.moved(np.array(term.values) + side * step), w, band) for side in (1, -1))
         out.append((up - down) / (2 * _STEP))

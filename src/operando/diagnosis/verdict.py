@@ -18,7 +18,7 @@ from operando.diagnosis.criteria import (
 )
 from operando.diagnosis.posterior import State, on_validation_lines
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import Found, score
+from operando.diagnosis.search import Found, score, strained
 from operando.diagnosis.terms import BY_SLOPE, Term
 
 
@@ -147,13 +147,16 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
         terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
         return Verdict(name, why, terms, sets, probability, chi, db, tuple(blind), least)
 
+    far = strained(best) and "what differs between the measurements is more than between days in a laboratory: it stands for something else"
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the FRFs at rest themselves" if rest and rest.alpha > EXPLAINED else ""
-    if lost or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
+    if lost or far or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
         if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
-            return say("partial", lost or "the effects lower the misfit, and something remains")
+            return say("partial", lost or far or "the effects lower the misfit, and something remains")
         if lost:
             return say("inconclusive", lost)
+        if far:
+            return say("unexplained", far)
         return say("unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %")
     if not best.terms:
         if any(sets):

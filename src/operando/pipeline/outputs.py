@@ -178,8 +178,8 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
     ConfigError
         If there is no such step or parameter.
     """
-    from operando.diagnose import Model
-    from operando.diagnose.from_records import standing
+    from operando.diagnosis.from_records import standing
+    from operando.structure import Model
 
     if results.diagnosis is None or results.idle is None:
         raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")

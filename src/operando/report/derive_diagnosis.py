@@ -23,12 +23,12 @@ DECIBEL = 8.685889638065035
 
 
 def effect_model(results: Results) -> Any:
-    """The idle model with the effects now in the diagnosis (an ``operando.diagnose.Model``); None where it cannot be made.
+    """The idle model with the effects now in the diagnosis (an ``operando.structure.Model``); None where it cannot be made.
 
     An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
     """
-    from operando.diagnose import Model
-    from operando.diagnose.from_records import standing
+    from operando.diagnosis.from_records import standing
+    from operando.structure import Model
 
     base = results.effect_idle or derive.scaled_idle(results)
     if results.diagnosis is None or base is None:
@@ -55,31 +55,11 @@ def predicted(model: Any, frf: Frf) -> Frf | None:
 
 
 def held_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, float]], bool]:
-    """Frequency ranges of a check run [Hz] whose lines judged and were never fitted to, and whether that is all of the run.
-
-    The sets are fixed by labels and frequencies alone, so they are found again here.
-    """
-    from operando.diagnose.sets import JUDGE, split_lines
-
-    stated = ((results.diagnosis or {}).get("judged_on") or {}).get("ranges_hz")
-    if stated:
-        return [(float(low), float(high)) for low, high in stated], False
-    if results.idle is None or results.settings.get("exclude_bands"):
+    """Frequency ranges of a check run [Hz] whose lines judged and were never fitted to, and whether that is all of the run."""
+    judged = (results.diagnosis or {}).get("judged_on") or {}
+    if run.name not in (judged.get("runs") or ()):
         return [], False
-    band = results.settings.get("band") or results.idle.band_hz
-    try:
-        ordered = sorted(results.check, key=lambda r: r.level != run.level)
-        lines = split_lines(ordered, results.idle, None if band is None else (float(band[0]), float(band[1])))
-    except (OperandoError, ValueError, IndexError):
-        return [], False
-    first = lines.run == 0
-    judged = first & (lines.group == JUDGE)
-    if not judged.any():
-        return [], False
-    if judged.sum() == first.sum():
-        return [], True
-    parts = [lines.hz[judged & (lines.block == b)] for b in np.unique(lines.block[judged])]
-    return [(float(p.min()), float(p.max())) for p in parts], False
+    return [(float(low), float(high)) for low, high in judged.get("ranges_hz") or []], bool(judged.get("whole_run"))
 
 
 def every(frf: Frf, most: int = MAP_LINES) -> Frf:

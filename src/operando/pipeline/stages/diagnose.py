@@ -14,8 +14,8 @@ from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
 def missing_physics(work: Work) -> dict[str, Any]:
     """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
     from operando.compare import FOUND, gets_worse, with_effect
-    from operando.diagnose import Model
     from operando.diagnosis import diagnose
+    from operando.structure import Model
 
     results = work.results
     idle = needed(results.idle, "idle modes")

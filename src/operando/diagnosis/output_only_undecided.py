@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from operando.diagnose.output_only_fit import Fit, fit
-from operando.diagnose.output_only_forward import Action, Basis
-from operando.diagnose.output_only_sets import Sets, rows_of
+from operando.diagnosis.output_only_fit import Fit, fit
+from operando.diagnosis.output_only_forward import Action, Basis
+from operando.diagnosis.output_only_sets import Sets, rows_of
 from operando.effects import Effect
 
 FAINT = 0.05

@@ -11,9 +11,9 @@ from scipy.optimize import linear_sum_assignment
 
 from operando.compare.verdict import GOOD
 from operando.data import ModalModel
-from operando.diagnose.output_only_fit import FOLDS, Fit, counts, mean_square
-from operando.diagnose.output_only_forward import Action, Basis
-from operando.diagnose.output_only_residuals import Target, compress, model_variance, residuals, target_of, whiteners
+from operando.diagnosis.output_only_fit import FOLDS, Fit, counts, mean_square
+from operando.diagnosis.output_only_forward import Action, Basis
+from operando.diagnosis.output_only_residuals import Target, compress, model_variance, residuals, target_of, whiteners
 from operando.errors import DataError
 
 Real = NDArray[np.float64]

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from operando.data import Frf, ModalModel, one_level
-from operando.diagnose.model import Model
 from operando.dof import parse_dofs
 from operando.effects import Effect
 from operando.errors import MissingError
 from operando.nonlinear.levels import at_level
 from operando.results import CheckRun, Results
+from operando.structure import Model
 from operando.threads import one_blas_thread
 
 TWICE = 2.0

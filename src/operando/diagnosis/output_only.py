@@ -11,18 +11,17 @@ from numpy.typing import NDArray
 
 from operando.compare.verdict import shift_reason, verdict_of
 from operando.data import Geometry, ModalModel
-from operando.diagnose.diagnosis import Diagnosis, unsupported_row
-from operando.diagnose.model import Model, joint_covariance
-from operando.diagnose.output_only_fit import Fit, counts, fit
-from operando.diagnose.output_only_forward import Action, Basis, action_of
-from operando.diagnose.output_only_idle import settled
-from operando.diagnose.output_only_scan import REFINED, best_of, candidate_effects, refine, scan
-from operando.diagnose.output_only_sets import Sets, judge_rows, rows_of, sets_of
-from operando.diagnose.output_only_undecided import Undecided, undecided, words
-from operando.diagnose.verdict import spacing
+from operando.diagnosis.output_only_fit import Fit, counts, fit
+from operando.diagnosis.output_only_forward import Action, Basis, action_of
+from operando.diagnosis.output_only_idle import settled
+from operando.diagnosis.output_only_scan import REFINED, best_of, candidate_effects, refine, scan
+from operando.diagnosis.output_only_sets import Sets, judge_rows, rows_of, sets_of
+from operando.diagnosis.output_only_undecided import Undecided, undecided, words
+from operando.diagnosis.result import Diagnosis, spacing
 from operando.dof import Dof
 from operando.effects import Effect
 from operando.errors import DataError
+from operando.structure import Model, joint_covariance
 
 Real = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -341,3 +340,11 @@ def _candidate(found: Fit, idle_misfit: float) -> dict[str, Any]:
 
 
 __all__ = ["candidate_effects", "diagnose_output_only", "judge_rows"]
+
+
+def unsupported_row(effect: Effect, judge: Sequence[float]) -> dict[str, Any]:
+    """An entry of ``candidates`` for what was found and is not supported."""
+    evidence = (
+        f"found, but not supported: reduced chi-square on the validation lines {judge[0]:.4g} → {judge[-1]:.4g} with all that was found"
+    )
+    return effect.to_dict() | {"selection_misfit": None, "evidence": evidence}

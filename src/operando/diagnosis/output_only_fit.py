@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnose.output_only_forward import Action, Basis, Modes, floating_change, pole_derivatives, solve, stiffness_change
-from operando.diagnose.output_only_residuals import (
+from operando.diagnosis.output_only_forward import Action, Basis, Modes, floating_change, pole_derivatives, solve, stiffness_change
+from operando.diagnosis.output_only_residuals import (
     ZETA_FLOOR,
     Target,
     compress,

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
-from operando.diagnose.apply import Applied, words_of
-from operando.diagnose.at_level import level_picture, levels_of
-from operando.diagnose.diagnosis import Diagnosis, where_it_fails
-from operando.diagnose.model import Model
+from operando.diagnosis.at_level import level_picture, levels_of
+from operando.diagnosis.by_hand import Applied, words_of
+from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.dof import Node
 from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
@@ -26,6 +25,7 @@ from operando.nonlinear import (
     measured_distortion,
 )
 from operando.results import CheckRun
+from operando.structure import Model
 
 DISTORTION, LOUDEST = 3.0, 0.75
 """What FRFs leave unexplained in the check may be this many times what they leave at rest, at the quantile of the responses that follows;
@@ -203,7 +203,7 @@ def diagnose_levels(
     exclude_bands : sequence of (float, float)
         Lines left out [Hz].
     geometry, kinds, places, band, progress, compared
-        As in :func:`operando.diagnose.diagnose`.
+        As in :func:`operando.diagnose`.
     """
 
     def look() -> NonlinearDiagnosis:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import ModalModel
-from operando.diagnose.output_only_fit import Fit, Prior, counts, fit, jacobian, mean_square
-from operando.diagnose.output_only_forward import LINEAR_KINDS, Action, Basis, solve
-from operando.diagnose.output_only_residuals import Target, compress, compress_slope, residuals, whiteners
+from operando.diagnosis.output_only_fit import Fit, Prior, counts, fit, jacobian, mean_square
+from operando.diagnosis.output_only_forward import LINEAR_KINDS, Action, Basis, solve
+from operando.diagnosis.output_only_residuals import Target, compress, compress_slope, residuals, whiteners
 from operando.dof import Node, parse_dofs
 from operando.effects import Effect, kind_of
 from operando.errors import ConfigError

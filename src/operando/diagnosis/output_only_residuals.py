@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from operando.data import ModalModel
-from operando.diagnose.output_only_forward import Basis, Modes
+from operando.diagnosis.output_only_forward import Basis, Modes
 from operando.dof import match_dofs
 from operando.errors import DataError
 

@@ -1,0 +1,245 @@
+"""Effects added and taken away by hand: refit of all, the error of each step on lines that were never fitted, and words about each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from operando.data import Frf, Geometry, ModalModel
+from operando.diagnosis.between import SAME_SET_UP, spreads_of
+from operando.diagnosis.case import Case
+from operando.diagnosis.corrected import effects_of, model_of
+from operando.diagnosis.criteria import CORRELATED_LINES, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.document import judged_on, ladder, ladder_row
+from operando.diagnosis.from_frf import chosen_run
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.lacking import with_lacking
+from operando.diagnosis.midway import Midway, at_position, with_midway
+from operando.diagnosis.posterior import State, approach, at_rest, fit
+from operando.diagnosis.scan import LinearScan, robust_scan
+from operando.diagnosis.search import strained
+from operando.diagnosis.terms import SEARCHED, Term
+from operando.dof import match_dofs
+from operando.effects import Effect, parse_effect
+from operando.errors import ConfigError, DataError, MissingError
+from operando.results import CheckRun
+from operando.structure import Model
+from operando.threads import one_blas_thread
+
+_LITTLE = 0.1  # an effect that lowers the misfit by less than this part has no support in the data
+_HANDLED = ("dynamic_stiffness", "sensor_map", "modal_change", "added_mode")
+
+
+@dataclass(frozen=True)
+class Applied:
+    """A model with effects chosen by hand.
+
+    Parameters
+    ----------
+    model : Model
+        Idle model as the check leaves it, and all effects.
+    effects : tuple of Effect
+        In the order they were added, refitted together.
+    ladder : tuple of dict
+        One row a step, as in ``diagnosis.json``.
+    words : tuple of str
+        What each effect did to the error, and where the data do not support it.
+    judged_on : mapping
+        State, level and lines of the figures on lines that were never fitted.
+    """
+
+    model: Model
+    effects: tuple[Effect, ...]
+    ladder: tuple[dict[str, Any], ...]
+    words: tuple[str, ...]
+    judged_on: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: effects, ladder, words, and what the figures on lines never fitted stand on."""
+        return {
+            "effects": [e.to_dict() for e in self.effects],
+            "ladder": [dict(r) for r in self.ladder],
+            "words": list(self.words),
+            "judged_on": dict(self.judged_on),
+        }
+
+
+def apply_effects(
+    idle: ModalModel,
+    effects: Sequence[Effect | str],
+    *,
+    check: Sequence[CheckRun],
+    geometry: Geometry | None = None,
+    band: tuple[float, float] | None = None,
+    refit: bool = True,
+    progress: Callable[[str], None] | None = None,
+    idle_frf: Frf | None = None,
+    between: Mapping[str, float] | None = None,
+) -> Applied:
+    """Put effects into the idle model, refit all of them together, and judge each step on lines that were never fitted.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass.
+    effects : sequence of Effect or str
+        In order; values are starting values unless an effect fixes them.
+    check : sequence of CheckRun
+        FRFs of the running structure.
+    geometry : Geometry, optional
+        For effects at places without a sensor.
+    band : (float, float), optional
+        Lines used [Hz]; default the idle model's band.
+    refit : bool
+        False holds all values as they are given.
+    progress : callable, optional
+    idle_frf : Frf, optional
+        FRFs at rest: what the idle model leaves of them, and which DOFs were driven.
+    between : mapping, optional
+        What may differ between the measurements, as for :func:`operando.diagnose`.
+
+    Returns
+    -------
+    Applied
+
+    Raises
+    ------
+    DataError
+        If the idle model has no scale, or an effect stands at a place without a sensor and there is no geometry.
+    MissingError
+        If there is no check.
+    ConfigError
+        If FRFs say nothing of an effect.
+    """
+    if idle.scaling != "unit_modal_mass" or not idle.si:
+        raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
+    if not check:
+        raise MissingError("no check FRFs to judge an added effect by", hint="measure the running structure with a known force")
+    say = progress or (lambda text: None)
+    wanted = [parse_effect(e, band or idle.band_hz) if isinstance(e, str) else e for e in effects]
+    if not refit:
+        wanted = [replace(e, fixed=e.definition.names) for e in wanted]
+    for e in wanted:
+        if e.definition.acts not in _HANDLED:
+            raise ConfigError(f"{e.kind} cannot be judged by FRFs", hint="name a linear kind, or give the records of the check")
+    with one_blas_thread():
+        run = chosen_run(check)
+        band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
+        known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
+        rest = None if idle_frf is None else at_rest(known, idle_frf, band)
+        known = known if rest is None else rest.idle
+        correlated = CORRELATED_LINES if rest is None else rest.correlated
+        known, places, geometry = _placed(known, wanted, geometry)
+
+        def of_check(model: Idle, spreads: Mapping[str, float]) -> Case:
+            return Case(model, run.frf, band, dict(spreads), correlated=correlated)
+
+        lacking = next((e for e in wanted if e.kind == "missing_mode"), None)
+        if lacking is not None:
+            bare = of_check(known, {})
+            hz = float(lacking.values["frequency"])
+            grown = with_lacking(fit(bare, bare.forward.start), hz)
+            if grown is None:
+                raise DataError(f"no mode near {hz:.4g} Hz adds to the FRFs at their drive points", hint="name another frequency")
+            known = grown
+        terms = [Term.of(e, p) for e, p in zip(wanted, places, strict=True)]
+        # one set-up, or another day: where the test does not say, what explains the check better with all effects; days that would have
+        # to differ by more than days do stand for what is missing
+        options = [spreads_of(between)] if between else [SAME_SET_UP, spreads_of({})]
+        ways = [_steps(of_check(known, spreads), terms, say) for spreads in options]
+        states = max((w for w in ways if w is ways[0] or not strained(w[-1])), key=lambda steps: steps[-1].log_evidence)
+        rows = ladder(states[-1])
+        words = []
+        for k, state in enumerate(states[1:], 1):
+            before, after = rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]
+            words.append(words_of(effects_of(state)[-1], before, after))
+            if min(before, after) > MOST_CHI_SQUARE and (better := _better(states[k - 1], 0.5 * after)) is not None:
+                words.append(
+                    f"the data speak for another one: {better[0]} would lower it to {better[1]:.4g}; `operando remove` takes step {k} back"
+                )
+        final = states[-1]
+        return Applied(model_of(idle, final, geometry), effects_of(final), tuple(rows), tuple(words), judged_on(final, run))
+
+
+def _placed(idle: Idle, effects: Sequence[Effect], geometry: Geometry | None) -> tuple[Idle, list[tuple[int, ...]], Geometry | None]:
+    """DOFs of each effect, with a further one for each place without a sensor."""
+    there: list[tuple[int, ...]] = []
+    middles: list[Midway] = []
+    for effect in effects:
+        if effect.position is not None:
+            if geometry is None:
+                raise DataError(f"{effect.kind} at {effect.place} needs the positions of the sensors", hint="give a geometry")
+            there.append((len(idle.dofs) + len(middles),))
+            middles.append(at_position(idle.dofs, geometry, effect.position, effect.direction))
+            continue
+        places = tuple(int(i) for i in match_dofs(effect.location, idle.dofs)[0])
+        if effect.definition.coordinates == "node" and places:
+            first = idle.dofs[places[0]]
+            turning = first.axis.startswith("R")
+            places = tuple(i for i, d in enumerate(idle.dofs) if d.node == first.node and d.axis.startswith("R") == turning)
+        there.append(places)
+    if middles:
+        assert geometry is not None
+        grown = with_midway(idle, geometry, middles)
+        assert grown is not None
+        return grown[0], there, grown[1]
+    return idle, there, geometry
+
+
+def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> list[State]:
+    """Fits of the idle model with the first effects, one more each time; each new one from its values, or from those the lines prefer."""
+    states = [fit(case, case.forward.start)]
+    for term in terms:
+        say(f"refit with {term.kind}")
+        last = states[-1]
+        starts = [term]
+        if term.kind in SEARCHED and not term.fixed and term.values:
+            starts += [t for _, t, _ in robust_scan(case, last.x, [replace(term, values=())])][:1]
+        found = []
+        for start in starts:
+            x = last.carried([*last.terms, start])
+            for begin, alpha in ((x, last.alpha), (approach(case, x)[1], 0.03)):
+                try:
+                    found.append(fit(case, begin, alpha))
+                except np.linalg.LinAlgError:
+                    continue
+        if not found:
+            raise DataError(f"no FRF has {term.kind} with these values", hint="give other start values")
+        states.append(max(found, key=lambda s: s.log_evidence))
+    return states
+
+
+def _better(state: State, misfit: float) -> tuple[Effect, float] | None:
+    """An effect more at another place or of another kind that leaves less than so much of the lines that were never fitted."""
+    case = state.case
+    if state.alpha > LOOSE:
+        starts = [approach(case, state.carried([*state.terms, term]))[1] for _, term, _ in robust_scan(case, state.x)[:2]]
+    else:
+        starts = [state.carried([*state.terms, row.term], row.start) for row in LinearScan(state).run()[0][:2]]
+    for start in starts:
+        try:
+            other = fit(case, start, min(state.alpha, 0.03))
+        except np.linalg.LinAlgError:
+            continue
+        left = ladder_row(other, len(other.terms))["heldout_misfit"]
+        if left < misfit:
+            return effects_of(other)[-1], left
+    return None
+
+
+def words_of(effect: Effect, before: float, after: float) -> str:
+    """What an effect did to the misfit on lines the fit has not seen, and where the data do not support it."""
+    fall = 1 - after / before
+    start = f"{effect.kind}{f' at {effect.place}' if effect.place else ''}: misfit on lines the fit has not seen {before:.4g} → {after:.4g}"
+    if fall < 0:
+        return f"{start}: it makes the prediction worse; nothing in the data speaks for it"
+    if fall < _LITTLE:
+        return f"{start}: lower by only {100 * fall:.1f} %; the data do not support it"
+    if before < 1:
+        return f"{start}: lower by {100 * fall:.0f} %, but it was no more than the data allow: nothing was left to explain"
+    if fall < 0.5 and after > 1.5:
+        return f"{start}: lower by {100 * fall:.0f} %; most of the misfit remains, so something else is missing"
+    return f"{start}: lower by {100 * fall:.{1 if fall < 0.99 else 3}f} %"

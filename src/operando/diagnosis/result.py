@@ -1,0 +1,117 @@
+"""A diagnosis: verdict, effects, and what stands behind them; the document ``diagnosis.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from operando.data import Geometry, ModalModel
+from operando.effects import Effect
+from operando.results import CheckRun
+from operando.structure import Model
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing in the idle model, with evidence.
+
+    Parameters
+    ----------
+    verdict : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
+    effects : tuple of Effect
+        Accepted, in order, refitted together.
+    ambiguous_with : tuple of Effect
+        Effects the data cannot tell from the accepted ones.
+    proposed_measurement : str or None
+        What would decide.
+    ladder : tuple of dict
+        One row a step: error and reduced chi-square, on all lines and on those that were never fitted.
+    candidates : tuple of dict
+        Ranked, with their evidence.
+    where : dict
+        ``by_dof``, ``by_band``, ``by_mode``: where the idle model fails.
+    noise_floor_db : float or None
+    data : tuple of str
+        What was used.
+    picture : dict
+        Dynamic stiffness δz(ω) at the place found, and the kind-free ranking of places.
+    notes : tuple of str
+    idle : ModalModel or None
+        As it was before.
+    model : Model or None
+        Idle model (shapes at the effects' places refitted), the accepted effects, and the covariance of both.
+    judged_on : mapping
+        State, level and lines of the figures on lines that were never fitted.
+    detectable : tuple of dict
+        The least size of each kind at each place that would have been seen.
+    reason : str or None
+        What stands in the way of a better verdict.
+    between, discrepancy : tuple of dict and dict, optional
+        What differs between the two measurements and is no missing physics; the share of the FRFs that no parameter explains.
+    """
+
+    verdict: str
+    effects: tuple[Effect, ...]
+    ambiguous_with: tuple[Effect, ...]
+    proposed_measurement: str | None
+    ladder: tuple[dict[str, Any], ...]
+    candidates: tuple[dict[str, Any], ...]
+    where: dict[str, Any]
+    noise_floor_db: float | None
+    data: tuple[str, ...] = ("check_frf",)
+    picture: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    idle: ModalModel | None = None
+    model: Model | None = None
+    judged_on: Mapping[str, Any] = field(default_factory=dict)
+    detectable: tuple[dict[str, Any], ...] = ()
+    reason: str | None = None
+    between: tuple[dict[str, Any], ...] | None = None
+    discrepancy: dict[str, Any] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """``diagnosis.json``."""
+        return {
+            "schema": "operando/diagnosis/2",
+            "data": list(self.data),
+            "verdict": self.verdict,
+            "effects": [e.to_dict() for e in self.effects],
+            "ambiguous_with": [e.to_dict() for e in self.ambiguous_with],
+            "proposed_measurement": self.proposed_measurement,
+            "ladder": [dict(row) for row in self.ladder],
+            "candidates": [dict(c) for c in self.candidates],
+            "where": self.where,
+            "noise_floor_db": self.noise_floor_db,
+            "picture": self.picture,
+            "notes": list(self.notes),
+            "judged_on": dict(self.judged_on),
+            "reason": self.reason,
+            "detectable": [dict(row) for row in self.detectable],
+            "between": None if self.between is None else [dict(row) for row in self.between],
+            "discrepancy": self.discrepancy,
+            "by_level": None,  # not estimated yet
+        }
+
+
+def where_it_fails(
+    idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None, compared: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """``by_dof``, ``by_band``, ``by_mode`` of the idle model on the runs of the lowest level: the figures of the comparison."""
+    from operando.compare import compare_all
+
+    made = compared or compare_all({"idle": idle}, check, band)["models"]["idle"]
+    return {key: made[key] for key in ("by_dof", "by_band", "by_mode")}
+
+
+def spacing(geometry: Geometry | None) -> float:
+    """Median distance from a sensor to its nearest neighbour [m]; 0 without geometry."""
+    if geometry is None or len(geometry.nodes) < 2:
+        return 0.0
+    x = geometry.coordinates
+    d = np.linalg.norm(x[:, None] - x[None], axis=2)
+    np.fill_diagonal(d, np.inf)
+    near = d.min(axis=1)
+    return float(np.median(near[near > 0])) if np.any(near > 0) else 0.0

@@ -1,0 +1,7 @@
+"""The structure as it runs: the idle model with effects added."""
+
+from __future__ import annotations
+
+from operando.structure.model import Model, joint_covariance
+
+__all__ = ["Model", "joint_covariance"]
