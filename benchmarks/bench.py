@@ -16,16 +16,18 @@ import platform
 import subprocess
 import sys
 import tempfile
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
 RESULTS = FOLDER / "results"
-STAGES = ("read_uff.py", "estimate_frf.py", "long_record.py", "plscf.py", "fit_ema.py", "ssi_cov.py")
+STAGES = ("read_uff.py", "estimate_frf.py", "long_record.py", "plscf.py", "fit_ema.py", "ssi_cov.py", "campaign.py")
+OPTIONS = {"campaign.py": ("--tests", "28")}
+"""What a stage is called with here: the campaign of 200 tests takes a quarter of an hour."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SETTINGS = {"QT_QPA_PLATFORM": "offscreen", "MPLBACKEND": "Agg"}
-COLUMNS = ("stage", "size", "ours [s]", "peer", "peer [s]", "ratio", "goal", "ours [MB]", "peer [MB]", "accuracy")
+COLUMNS = ("stage", "size", "ours [s]", "peer", "peer [s]", "ratio", "goal", "ours [MB]", "peer [MB]", "accuracy", "taken")
 
 
 def run(script: str) -> tuple[list[dict[str, Any]], str]:
@@ -34,7 +36,7 @@ def run(script: str) -> tuple[list[dict[str, Any]], str]:
         return [], f"{script}: there is no such script"
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rows.json"
-        call = [sys.executable, str(FOLDER / script), "--json", str(target)]
+        call = [sys.executable, str(FOLDER / script), *OPTIONS.get(script, ()), "--json", str(target)]
         code = subprocess.run(call, env={**os.environ, **ONE_THREAD, **SETTINGS}, check=False).returncode
         if code or not target.exists():
             return [], f"{script}: ended with {code}" if code else f"{script}: wrote no rows"
@@ -60,7 +62,7 @@ def table(rows: list[dict[str, Any]], wrong: list[str]) -> str:
         cells = [
             row["stage"], row["size"], _number(row["ours_s"]), row["peer"] or "", _number(row["peer_s"]),
             f"**{ratio}**" if falls_short(row) else ratio, _number(row["goal"]), _number(row["ours_mb"]), _number(row["peer_mb"]),
-            _number(row["accuracy"]),
+            _number(row["accuracy"]), row.get("taken", ""),
         ]  # fmt: skip
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     lines += [f"\nNot measured: {text}" for text in wrong]
@@ -91,7 +93,7 @@ def main() -> None:
     for script in options.only:
         print(f"== {script}", flush=True)
         found, problem = run(script)
-        rows += [row | {"script": script} for row in found]
+        rows += [row | {"script": script, "taken": f"{datetime.now():%Y-%m-%d %H:%M}"} for row in found]
         wrong += [problem] if problem else []
     known = RESULTS / "bench.json"
     before = json.loads(known.read_text(encoding="utf-8")) if known.exists() else []

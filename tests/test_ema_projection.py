@@ -9,6 +9,7 @@ from operando.data import Frf
 from operando.dof import Dof
 from operando.ema import fit_ema
 from operando.ema.fit import model_dofs
+from operando.ema.pair_fits import Grams, Moments, modal_columns
 from operando.ema.pairs import Pairs
 from operando.ema.polished import SCAN_STEPS, polish_runs, polish_work
 from operando.ema.projection import DRIFT_MOST, LEAST_FALL, PEAK_LINES, PEAK_MOST, PEAK_WIDTHS, Poles, basis, largest, project, search_poles
@@ -130,3 +131,41 @@ def test_the_scans_for_missing_modes_count_as_work(monkeypatch):
     details = fit_ema(frf, band=(70.0, 130.0)).details
     assert details.answer == "linear"
     assert "two are allowed" in details.answer_reason
+
+
+@pytest.mark.parametrize("rate", [0.0, 3.0])
+@pytest.mark.parametrize("core_only", [True, False])
+@pytest.mark.parametrize(
+    ("hz", "zeta"),
+    [
+        (np.linspace(20, 490, 30), 0.004),
+        (np.array([5.0, 5.2, 30.0, 400.0]), 1e-4),
+        (np.array([20.0, 60.0, 200.0, 380.0]), 0.15),
+        (np.array([100.0, 100.02, 101.0, 200.0, 200.001]), 1e-3),
+    ],
+    ids=["even", "light", "heavy", "close"],
+)
+def test_sums_over_the_lines_are_those_of_all_products(hz, zeta, core_only, rate):
+    """Those that follow from simpler ones as well, against products of the columns one by one, in units of their diagonals."""
+    rng = np.random.default_rng(0)
+    f = np.linspace(0, 500, 2000)
+    columns = modal_columns(f, hz, np.full(hz.size, zeta), rng.standard_normal((3, f.size)) + 0j, rate)
+    weight = 1 / rng.uniform(0.1, 2.0, (5, f.size))
+    found = Grams(columns, weight, core_only).of(slice(1, 4))
+    rows = columns.rows[: columns.core] if core_only else columns.rows
+    expected = np.stack([((rows * w) @ rows.conj().T).real for w in weight[1:4]])
+    size = np.sqrt(np.einsum("pii->pi", expected))
+    assert np.max(np.abs(found - expected) / (size[:, :, None] * size[:, None, :])) < 1e-11
+    assert np.array_equal(found, found.transpose(0, 2, 1))
+
+
+def test_sums_follow_from_simpler_ones_where_their_errors_become_no_larger():
+    """From |ω_i² − ω_j²| = 2ω(ζ_iω_i + ζ_jω_j) at the last line on, and for no mode with itself."""
+    f, low, zeta = np.linspace(0, 500, 400), 100.0, 0.01
+    for times, apart in ((0.99, False), (1.01, True)):
+        # x² − low² = 2·500·ζ(low + x)·times, so x = low + 1000·ζ·times
+        hz = np.array([low, low + 1000 * zeta * times])
+        columns = modal_columns(f, hz, np.full(2, zeta), np.zeros((0, f.size), complex), 0.0)
+        over = Moments(columns, np.ones((1, f.size)), True).over
+        assert bool(over[0, 1]) == apart
+        assert over[0, 0] == over[1, 1] == 0

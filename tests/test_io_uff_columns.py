@@ -10,7 +10,7 @@ import pytest
 from io_files import ascii58
 from operando.errors import FormatError
 from operando.io import read
-from operando.io.uff.columns58 import EXACT_POWER, GROUP, columns_of, numbers_in_columns, scaled
+from operando.io.uff.columns58 import EXACT_POWER, GROUP, LINES, LONGEST, columns_of, numbers_in_columns, scaled
 from operando.io.uff.split import split_sets
 
 CORPUS = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "uff-corpus"
@@ -75,6 +75,15 @@ def test_a_line_that_deviates_is_not_read_in_columns(word):
     columns = columns_of(good[0])
     assert numbers_in_columns(b"".join(good), columns) is not None
     assert numbers_in_columns(b"".join([good[0], bad, good[1]]), columns) is None
+
+
+def test_lines_of_any_number_are_read_a_few_at_a_time_and_very_long_ones_by_words():
+    lines = lines_of(["%20.12E"] * 4, np.random.default_rng(2).normal(size=(2 * LINES + 3, 4)))
+    found = numbers_in_columns(b"".join(lines), columns_of(lines[0]))
+    assert bits(found) == bits([float(word) for word in b"".join(lines).split()])
+    fits = (LONGEST - 1) // 20
+    for numbers, read_so in ((fits, True), (fits + 1, False)):
+        assert (columns_of(lines_of(["%20.12E"] * numbers, np.ones((1, numbers)))[0]) is not None) == read_so
 
 
 @pytest.mark.parametrize("line", [b"1.5E+00\n", b" 1.5E+100\n", b" 15.E+00\n", b" 1.5E+00,\n", b" 1.5\n", b"\n", b" 1.5E+001.5E+00\n"])

@@ -124,7 +124,9 @@ class Case:
         values_own, vectors_own = np.linalg.eigh(each)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]
         kept = max(1, int((values_own > LEAST_MOVE).sum(axis=1).max()))
-        return idle.along(vectors[:, values > LEAST_MOVE], own[:, :, own.shape[2] - kept :])
+        some = values > LEAST_MOVE
+        some[-1] = True
+        return idle.along(vectors[:, some], own[:, :, own.shape[2] - kept :])
 
     def place(self, dof: int) -> str:
         """In words."""

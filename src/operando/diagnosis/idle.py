@@ -236,6 +236,8 @@ def _root(covariance: Array) -> tuple[Array, Array]:
     on = scale > 0
     values, vectors = np.linalg.eigh(covariance[np.ix_(on, on)] / np.outer(scale[on], scale[on]))
     keep = values > 1e-9 * values.max(initial=1e-300)
+    if not keep.any():  # exact: one direction that moves nothing
+        return np.zeros((scale.size, 1)), np.zeros((1, scale.size))
     root, inverse = np.zeros((scale.size, int(keep.sum()))), np.zeros((int(keep.sum()), scale.size))
     root[on] = scale[on][:, None] * vectors[:, keep] * np.sqrt(values[keep])
     inverse[:, on] = (vectors[:, keep] / np.sqrt(values[keep])).T / scale[on]

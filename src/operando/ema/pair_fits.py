@@ -19,8 +19,11 @@ from operando.synthesis import combined, compliance, power_of, real_inner, row_b
 
 RIDGE = 1e-9
 
-GRAM_BYTES, CACHE_BYTES = 2.5e8, 2e6
-"""Gram matrices held at a time, and those of them that are worked on together."""
+PRODUCT_BYTES, CACHE_BYTES, SOLVED_BYTES = 1e8, 2e6, 1.6e7
+"""Products over the lines held at a time, Gram matrices that are worked on together, and inverses held at a time.
+
+The last is below what the C library takes from the system anew each time (32 MB), whose pages the system clears: a quarter of all time.
+"""
 
 GEMM_ROWS = 400
 """Rows of a product over the lines."""
@@ -147,16 +150,16 @@ def modal_columns(f: Real, hz: Real, zeta: Real, tails: Complex, rate: float) ->
     return out
 
 
-def chunks(n_pairs: int, n_columns: int) -> Iterator[slice]:
-    """Pairs whose Gram matrices are held at a time."""
-    size = max(16, int(GRAM_BYTES / (8 * n_columns**2)))
+def chunks(n_pairs: int, n_modes: int) -> Iterator[slice]:
+    """Pairs whose products over the lines are held at a time."""
+    size = max(16, int(PRODUCT_BYTES / (32 * max(n_modes, 1) ** 2)))
     return (slice(k, k + size) for k in range(0, n_pairs, size))
 
 
 def fit_pairs(
     data: Complex, variance: Real, c: Columns, spreads: tuple[Real, Real, Real], before: Before | None, with_slopes: bool
-) -> PairFits:
-    """Residues, quadrature parts, shifts and tails of each pair, and what they say of the poles.
+) -> Iterator[PairFits]:
+    """Residues, quadrature parts, shifts and tails of each pair, and what they say of the poles; some pairs at a time.
 
     Parameters
     ----------
@@ -169,11 +172,32 @@ def fit_pairs(
     with_slopes : bool
         Whether normal equations and slopes by the poles are wanted; zeros without.
     """
+    most, quadrature, drift = spreads
+    weight = 1 / variance
+    grams = Grams(c, weight, core_only=not with_slopes and before is None)
+    size = max(1, int(SOLVED_BYTES / (8 * (c.core + c.n) ** 2)))
+    for first in range(0, data.shape[0], size):
+        at = slice(first, min(first + size, data.shape[0]))
+        some = None if before is None else before.pairs(at)
+        yield _fit_some(data[at], weight[at], c, grams, first, (most[at], quadrature, drift), some, with_slopes)
+
+
+def _fit_some(
+    data: Complex,
+    weight: Real,
+    c: Columns,
+    grams: Grams,
+    begin: int,
+    spreads: tuple[Real, Real, Real],
+    before: Before | None,
+    with_slopes: bool,
+) -> PairFits:
+    """The same for some pairs, the first of which is number ``begin`` of those with Gram matrices."""
     n, core, count = c.n, c.core, data.shape[0]
     rows = c.rows if with_slopes or before is not None else c.rows[:core]
-    weight = 1 / variance
-    gram = _upper_grams(c, weight, rows.shape[0] == core)
-    parts = [slice(k, k + _few(rows.shape[0])) for k in range(0, count, _few(rows.shape[0]))]
+    step = _few(rows.shape[0])
+    parts = [slice(k, min(k + step, count)) for k in range(0, count, step)]
+    gram = lambda at: grams.of(slice(begin + at.start, begin + at.stop))  # noqa: E731
     shifts = None if before is None else c.by_frequency(before.a, before.b)
     size = core if shifts is None else core + n
     inverse = np.empty((count, size, size))
@@ -181,7 +205,7 @@ def fit_pairs(
     most, quadrature, drift = spreads
     spread_b = None if before is None else np.maximum(quadrature * before.amplitude, 1e-150)
     for at in parts:
-        matrix = _matrix(_mirrored(gram[at]), c, None if shifts is None else _some(shifts, at))
+        matrix = _matrix(gram(at), c, None if shifts is None else _some(shifts, at))
         own = np.sqrt(np.einsum("pii->pi", matrix))
         own[own == 0] = 1
         matrix /= own[:, :, None] * own[:, None, :]
@@ -219,7 +243,7 @@ def fit_pairs(
         pull = real_inner(error * weight, rows)
         gradient = np.concatenate([_summed(pull, c, move) for move in moves], axis=1)
         for at in parts:
-            own, against = _against_slopes(gram[at], c, [_some(m, at) for m in moves], None if shifts is None else _some(shifts, at))
+            own, against = _against_slopes(gram(at), c, [_some(m, at) for m in moves], None if shifts is None else _some(shifts, at))
             scaled = against / scale[at, :, None]
             solved = inverse[at] @ scaled
             normal += own - scaled.reshape(-1, 2 * n).T @ solved.reshape(-1, 2 * n)
@@ -243,55 +267,120 @@ def _some(four: Four, at: slice) -> Four:
     return four[0][at], four[1][at], four[2][at], four[3][at]
 
 
-def _upper_grams(c: Columns, weight: Real, core_only: bool) -> Real:
-    """Re Σ_l w_pl c_i c̄_j of all pairs, j ≥ i, (P, K, K); the other half is filled with :func:`_mirrored`.
+class Grams:
+    """Gram matrices Re Σ_l w_pl c_i c̄_j of the columns of each pair, made where they are used: they fit no cache together.
 
     Real and imaginary parts carry the same weight, so real products do. With u = g, r and z = u_i ū_j three of them serve the four
-    products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z.
+    products of u and cu = su/ω₀ (s = β + iω): Σw Re z, Σwω Im z, Σw|s|² Re z; of modes that lie apart one product serves for the three
+    (:class:`Moments`).
     """
-    n, core, s = c.n, c.core, c.s
-    k = core if core_only else core + 2 * n
-    kinds = c.four[:2] if core_only else c.four
-    u = np.concatenate([c.rows[at] for at in kinds[::2]])
-    re, im, w0 = np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag), np.tile(c.w0, len(kinds) // 2)
-    by_omega, by_square, rate = weight * s.imag, weight * power_of(s), float(s.real[0])
-    out = np.empty((weight.shape[0], k, k))
-    sums = (np.zeros((0, 0, 0)),) * 3
-    begin = stop = 0
-    for i in range(w0.size):
-        if i >= stop:  # a few rows at a time: a product of larger matrices is faster
-            begin, stop = i, min(w0.size, i + max(1, GEMM_ROWS // (w0.size - i)))
-            sums = _triple_sums(re, im, slice(begin, stop), (weight, by_omega, by_square))
-        plain, cross, square = (part[:, i - begin, i - begin :] for part in sums)
-        forth, back = (rate * plain + cross, rate * plain - cross) if rate else (cross, cross)
-        over_i, over_j, over_both = w0[i] if rate else -w0[i], w0[i:], w0[i] * w0[i:]
-        own, row = divmod(i, n)
-        for other in range(own, len(kinds) // 2):
-            some = slice(other * n - i + (row if other == own else 0), (other + 1) * n - i)
-            first = row if other == own else 0
-            u_i, cu_i = kinds[2 * own].start + row, kinds[2 * own + 1].start + row
-            u_j, cu_j = (slice(at.start + first, at.stop) for at in kinds[2 * other : 2 * other + 2])
-            # each written once where it stands: the matrices are larger than any cache
-            out[:, u_i, u_j] = plain[:, some]
-            np.divide(forth[:, some], over_j[some], out=out[:, u_i, cu_j])
-            np.divide(back[:, some], over_i, out=out[:, u_j, cu_i] if other == own else out[:, cu_i, u_j])
-            np.divide(square[:, some], over_both[some], out=out[:, cu_i, cu_j])
-    re, im = np.ascontiguousarray(c.rows[:k].real), np.ascontiguousarray(c.rows[:k].imag)
-    for i in range(2 * n, core):
-        row_i = weight @ (re[i] * re + im[i] * im).T
-        out[:, : i + 1, i], out[:, i, i:] = row_i[:, : i + 1], row_i[:, i:]
-    return out
+
+    def __init__(self, c: Columns, weight: Real, core_only: bool) -> None:
+        n, core = c.n, c.core
+        self.columns, self.size = c, core if core_only else core + 2 * n
+        self.moments = Moments(c, weight, core_only)
+        re, im = np.ascontiguousarray(c.rows[: self.size].real), np.ascontiguousarray(c.rows[: self.size].imag)
+        self.tails = np.empty((weight.shape[0], core - 2 * n, self.size))
+        for i in range(2 * n, core):
+            np.matmul(weight, (re[i] * re + im[i] * im).T, out=self.tails[:, i - 2 * n])
+
+    def of(self, at: slice) -> Real:
+        """Those of some of the pairs, (P, K, K)."""
+        c, rate = self.columns, float(self.columns.s.real[0])
+        out = np.empty((at.stop - at.start, self.size, self.size))
+        g, h, r, q = c.four
+        for own, other, plain, cross, square in self.moments.of(at):
+            u_i, cu_i, u_j, cu_j = (*((g, h) if own == 0 else (r, q)), *((g, h) if other == 0 else (r, q)))
+            out[:, u_i, u_j] = plain
+            np.divide(rate * plain + cross, c.w0, out=out[:, u_i, cu_j])
+            if own != other:
+                np.divide(rate * plain - cross, c.w0[:, None], out=out[:, cu_i, u_j])
+            np.divide(square + rate**2 * plain if rate else square, c.w0[:, None] * c.w0, out=out[:, cu_i, cu_j])
+        tails = self.tails[at]
+        out[:, 2 * c.n : c.core] = tails
+        out[:, :, 2 * c.n : c.core] = tails.transpose(0, 2, 1)
+        return _mirrored(out)
 
 
-def _triple_sums(re: Real, im: Real, rows: slice, weights: tuple[Real, Real, Real]) -> tuple[Real, Real, Real]:
-    """Σw Re z, Σw′ Im z and Σw″ Re z of z = u_i ū_j for some i and all j from the first of them on, each (P, i, j)."""
-    real = re[rows, None] * re[None, rows.start :]
-    real += im[rows, None] * im[None, rows.start :]
-    imag = im[rows, None] * re[None, rows.start :]
-    imag -= re[rows, None] * im[None, rows.start :]
-    shape, lines = (-1, *real.shape[:2]), real.shape[2]
-    plain, cross, square = (w @ z.reshape(-1, lines).T for w, z in zip(weights, (real, imag, real), strict=True))
-    return plain.reshape(shape), cross.reshape(shape), square.reshape(shape)
+class Moments:
+    """M₀ = Σw Re z, M₁ = Σwω Im z and M₂ = Σwω² Re z of z = u_i ū_j, u = g and r, over the lines, for each pair.
+
+    With D_i = ω_i² + 2ζ_iω_i s + s² is D_i − D̄_j = Δ + iωτ, Δ = ω_i² − ω_j² + 2β(ζ_iω_i − ζ_jω_j), τ = 2(ζ_iω_i + ζ_jω_j + 2β), so that
+
+        ΔM₀ − τM₁ = Re Σw e,   ΔM₁ + τM₂ = Im Σwω e,   e = (D_i − D̄_j) z
+
+    and e is simpler than z: s²ḡ_j − s̄²g_i of g_i ḡ_j, s²r̄_j − ω_j² g_i ḡ_j of g_i r̄_j, and ω_i² g_i r̄_j − ω_j² r_i ḡ_j of r_i r̄_j: sums
+    that one mode alone, or a simpler z, have. So M₂ is a product over the lines, and M₁ and M₀ follow where |Δ| ≥ τω of all lines, which
+    makes errors of M₂ no larger; all three are products for modes closer than that. (g − 1 stands for g in e: it falls with ω².)
+    """
+
+    def __init__(self, c: Columns, weight: Real, core_only: bool) -> None:
+        n, s = c.n, c.s
+        omega, rate, decay = s.imag, float(s.real[0]), c.zeta * c.w0
+        self.square, self.kinds = c.w0**2, 1 if core_only else 2
+        delta = self.square[:, None] - self.square + 2 * rate * (decay[:, None] - decay)
+        self.turn = 2 * (decay[:, None] + decay + 2 * rate)
+        apart = np.abs(delta) >= self.turn * float(omega.max(initial=0.0))
+        self.over = np.where(apart, 1 / np.where(apart, delta, 1.0), 0.0)
+        u = np.concatenate([c.rows[at] for at in c.four[: 2 * self.kinds : 2]])
+        re, im = np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag)
+        by_omega = weight * omega
+        by_square = by_omega * omega
+        self.second = np.zeros((weight.shape[0], u.shape[0], u.shape[0]))
+        one, more = (np.empty((max(GEMM_ROWS, u.shape[0]), omega.size)) for _ in range(2))
+        begin = 0
+        while begin < u.shape[0]:  # a few rows at a time: a product of larger matrices is faster
+            rows = slice(begin, min(begin + max(1, GEMM_ROWS // (u.shape[0] - begin)), u.shape[0]))
+            shape = rows.stop - begin, u.shape[0] - begin
+            real, imag = (part[: shape[0] * shape[1]].reshape(*shape, -1) for part in (one, more))
+            np.multiply(re[rows, None], re[None, begin:], out=real)
+            real += np.multiply(im[rows, None], im[None, begin:], out=imag)
+            self.second[:, rows, begin:] = (by_square @ one[: shape[0] * shape[1]].T).reshape(-1, *shape)
+            begin = rows.stop
+        self.near = []
+        for own, other in self.blocks():
+            i, j = np.nonzero(~apart if own != other else np.triu(~apart))
+            a, b = own * n + i, other * n + j
+            plain = weight @ (re[a] * re[b] + im[a] * im[b]).T
+            self.near.append((i, j, plain, by_omega @ (im[a] * re[b] - re[a] * im[b]).T))
+        phase = np.where(s == 0, 1.0, s.conj() ** 2 / np.where(s == 0, 1.0, s * s))
+        alone = -(self.square[:, None] + 2 * decay[:, None] * s) * c.g * phase
+        self.alone = weight @ alone.real.T, by_omega @ alone.imag.T
+        self.constant = 4 * rate * by_square.sum(axis=1)[:, None, None]
+        if not core_only:
+            double = c.rows[c.four[2]] * s.conj() ** 2
+            self.double = weight @ double.real.T, by_omega @ double.imag.T
+
+    def blocks(self) -> tuple[tuple[int, int], ...]:
+        """Kinds of u_i and u_j: 0 for g, 1 for r."""
+        return ((0, 0),) if self.kinds == 1 else ((0, 0), (0, 1), (1, 1))
+
+    def of(self, at: slice) -> Iterator[tuple[int, int, Real, Real, Real]]:
+        """Kinds of u_i and u_j, M₀, M₁ and M₂ of some of the pairs, each (P, n, n); of equal kinds i ≤ j alone counts in M₂."""
+        n = self.square.size
+        zero, one = (part[at] for part in self.alone)
+        by_one = zero[:, None] - zero[:, :, None], self.constant[at] - one[:, None] - one[:, :, None]
+        last: tuple[Real, Real] = by_one
+        for (own, other), (i, j, plain, cross) in zip(self.blocks(), self.near, strict=True):
+            m2 = self.second[at, own * n : (own + 1) * n, other * n : (other + 1) * n]
+            if own == other:
+                m2 = np.triu(m2) + np.triu(m2, 1).swapaxes(1, 2)
+            if (own, other) == (0, 1):
+                first, second = (part[at][:, None] for part in self.double)
+                last = first - self.square * last[0], -second - self.square * last[1]
+            elif own == 1:
+                mine = self.square[:, None]
+                last = (
+                    mine * last[0] - self.square * last[0].swapaxes(1, 2),
+                    mine * last[1] + self.square * last[1].swapaxes(1, 2),
+                )
+            m1 = (last[1] - self.turn * m2) * self.over
+            m0 = (last[0] + self.turn * m1) * self.over
+            m0[:, i, j], m1[:, i, j] = plain[at], cross[at]
+            if own == other:
+                m0[:, j, i], m1[:, j, i] = plain[at], -cross[at]
+            last = m0, m1
+            yield own, other, m0, m1, m2
 
 
 def _mirrored(upper: Real) -> Real:

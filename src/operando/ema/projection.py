@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.pair_fits import Before, Columns, chunks, fit_pairs, modal_columns
+from operando.ema.pair_fits import Before, Columns, PairFits, chunks, fit_pairs, modal_columns
 from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.polish_model import OUTSIDE_DAMPING
 from operando.ema.start import OUTSIDE_FACTORS
@@ -240,10 +240,10 @@ def project(
         curvature = shift_curvature(pairs.frequencies_hz, poles, previous, pairs.window_rate, least)
     flat = pairs.accelerance - curvature
     most = largest(pairs, poles) if most is None else most
-    parts = []
-    for rows in chunks(flat.shape[0], columns.rows.shape[0]):
+    parts: list[PairFits] = []
+    for rows in chunks(flat.shape[0], poles.hz.size):
         spreads = most[rows], poles.quadrature, poles.drift
-        parts.append(fit_pairs(flat[rows], variance[rows], columns, spreads, None if before is None else before.pairs(rows), with_slopes))
+        parts += fit_pairs(flat[rows], variance[rows], columns, spreads, None if before is None else before.pairs(rows), with_slopes)
     gather = lambda name: np.concatenate([getattr(part, name) for part in parts])  # noqa: E731
     shift = gather("shift")
     shifted = np.zeros((flat.shape[0], 2 * poles.hz.size))

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 LINES = 1 << 11
 """Lines taken at once: with their digits in single precision they stay in the cache of a core (0.7 MB at 80 characters a line)."""
+LONGEST = 1 << 10
+"""Characters of a line; those of the standard have 82."""
 GROUP = 7
 """Digits that single precision adds up exactly: 9 999 999 < 2²⁴."""
 EXACT_POWER = 22
@@ -31,6 +33,9 @@ _DOUBT = 2.0**-98
 _SAME = bytes.maketrans(b"123456789+-Dd", b"000000000  Ee")
 _FIELD = re.compile(rb" 0\.(0{1,13})[Ee] 00(?![0-9.])")
 _LEAST = -99 - 2 * GROUP
+_SIGN = np.zeros(1 + ord("-") - ord(" "))
+"""Of a character by its place behind the blank; 0 for what is no sign."""
+_SIGN[[0, ord("+") - ord(" ")]], _SIGN[ord("-") - ord(" ")] = 1.0, -1.0
 _POWERS = range(_LEAST, 100)
 
 
@@ -51,38 +56,40 @@ class Columns:
 
     Parameters
     ----------
-    low, span : (length,) uint8 arrays
-        Least character of each column, and how far above it one may lie.
+    low, span : (LINES·length,) uint8 arrays
+        Least character of each column, and how far above it one may lie, for all lines that are taken at once.
+    length : int
+        Characters of a line, its end included.
+    width, repeats : int
+        Columns of a group of numbers, and how often it stands in a line: mostly a number alone.
     signs, exponent_signs : (numbers,) int arrays
-        Columns of the signs.
-    weights : (3·numbers, length) float32 array
-        Makes the upper and the lower digits and the exponents of the digits of a line.
+        Columns of the signs in a group.
+    weights : (3·numbers, width) float32 array
+        Makes the upper and the lower digits and the exponents of the digits of a group.
     decimals : (numbers,) float array
         Digits behind the point.
     """
 
     low: NDArray[np.uint8]
     span: NDArray[np.uint8]
+    length: int
+    width: int
+    repeats: int
     signs: NDArray[np.intp]
     exponent_signs: NDArray[np.intp]
     weights: NDArray[np.float32]
     decimals: NDArray[np.float64]
 
-    @property
-    def length(self) -> int:
-        """Characters of a line, its end included."""
-        return self.low.size
-
     def values(self, text: NDArray[np.uint8]) -> NDArray[np.float64] | None:
-        """Numbers of some lines, (lines, length) characters; None where a line has other columns."""
-        above = text - self.low  # what lies below wraps around and is far above
-        if (above > self.span).any():
+        """Numbers of some whole lines, at most ``LINES``; None where a line has other columns."""
+        above = text - self.low[: text.size]  # what lies below wraps around and is far above
+        if (above > self.span[: text.size]).any():
             return None
-        signs, exponent_signs = above.T[self.signs], above.T[self.exponent_signs]
-        negative = signs == ord("-") - ord(" ")
-        if not (negative | (signs == 0) | (signs == ord("+") - ord(" "))).all() or (exponent_signs & 1).any():
+        groups = above.reshape(-1, self.length)[:, : self.width * self.repeats].astype(np.float32).reshape(-1, self.width)
+        exponent_signs = groups.T[self.exponent_signs]
+        if (exponent_signs == 1).any():
             return None
-        parts = (self.weights @ above.astype(np.float32).T).astype(np.float64)
+        parts = (self.weights @ groups.T).astype(np.float64)
         k = self.decimals.size
         upper, lower, power = parts[:k], parts[k : 2 * k], parts[2 * k :]
         upper *= 10.0**GROUP
@@ -90,7 +97,10 @@ class Columns:
         power *= 1.0 - exponent_signs
         power -= self.decimals[:, np.newaxis]
         out = scaled(upper, power.astype(np.intp))
-        out *= 1.0 - 2.0 * negative
+        signs = _SIGN[groups.T[self.signs].astype(np.uint8)]
+        if not signs.all():
+            return None
+        out *= signs
         return out.T.ravel()
 
 
@@ -104,11 +114,14 @@ def scaled(whole: NDArray[np.float64], power: NDArray[np.intp]) -> NDArray[np.fl
     power : int array
         From −113 to 99.
     """
+    if not power.size:
+        return whole * 1.0
+    least, most = power.min(), power.max()
     at = power - _LEAST
-    out = whole * _TIMES[at]
+    out = whole * _TIMES[at] if most > 0 else whole.copy()
     out /= _OVER[at]
-    far = np.abs(power) > EXACT_POWER
-    if far.any():
+    if least < -EXACT_POWER or most > EXACT_POWER:
+        far = np.abs(power) > EXACT_POWER
         out[far] = _scaled_far(whole[far], power[far])
     return out
 
@@ -133,8 +146,8 @@ def _halves(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 def columns_of(line: bytes) -> Columns | None:
-    """Columns of the numbers of a line with its end; None where it holds anything but numbers such as `` -1.25E-03``."""
-    return _columns_of(line.translate(_SAME))
+    """Columns of the numbers of a line with its end; None where it is very long or holds anything but numbers such as `` -1.25E-03``."""
+    return _columns_of(line.translate(_SAME)) if len(line) <= LONGEST else None
 
 
 @lru_cache(maxsize=16)
@@ -145,24 +158,35 @@ def _columns_of(line: bytes) -> Columns | None:
         return None
     low = np.frombuffer(line, np.uint8).copy()
     span = np.zeros_like(low)
-    k = len(fields)
-    weights = np.zeros((3 * k, low.size), np.float32)
-    for j, field in enumerate(fields):
-        sign, decimals = field.start(), len(field[1])
-        digits = [sign + 1, *range(sign + 3, sign + 3 + decimals)]
-        letter = sign + 3 + decimals
-        span[sign] = ord("-") - ord(" ")
+    for field in fields:
+        letter = field.start() + 3 + len(field[1])
+        span[field.start()] = ord("-") - ord(" ")
         low[letter], span[letter] = ord("D") if line[letter : letter + 1] == b"E" else ord("d"), 1
         low[letter + 1], span[letter + 1] = ord("+"), 2
-        span[[*digits, letter + 2, letter + 3]] = 9
-        for place, column in enumerate(reversed(digits)):
+        span[[field.start() + 1, *range(field.start() + 3, letter), letter + 2, letter + 3]] = 9
+    width = fields[0].end()
+    repeats = len(fields)
+    if fields[-1].end() != repeats * width or any((a[: repeats * width].reshape(-1, width) != a[:width]).any() for a in (low, span)):
+        width, repeats = fields[-1].end(), 1
+    fields = [field for field in fields if field.end() <= width]
+    k = len(fields)
+    weights = np.zeros((3 * k, width), np.float32)
+    for j, field in enumerate(fields):
+        letter = field.start() + 3 + len(field[1])
+        for place, column in enumerate([*range(letter - 1, field.start() + 2, -1), field.start() + 1]):
             weights[j + (0 if place >= GROUP else k), column] = 10 ** (place % GROUP)
         weights[2 * k + j, letter + 2 : letter + 4] = 10, 1
     starts = np.array([field.start() for field in fields])
     decimals_of = np.array([len(field[1]) for field in fields])
-    return Columns(low, span, starts, starts + 4 + decimals_of, weights, decimals_of.astype(float))
+    all_low, all_span = np.tile(low, LINES), np.tile(span, LINES)
+    return Columns(all_low, all_span, low.size, width, repeats, starts, starts + 4 + decimals_of, weights, decimals_of.astype(float))
 
 
 def numbers_in_columns(text: bytes | memoryview, columns: Columns) -> NDArray[Any] | None:
     """Numbers of whole lines of one length; None where one deviates."""
-    return columns.values(np.frombuffer(text, np.uint8).reshape(-1, columns.length))
+    characters, step = np.frombuffer(text, np.uint8), columns.low.size
+    parts = [columns.values(characters[start : start + step]) for start in range(0, characters.size, step)]
+    found = [values for values in parts if values is not None]
+    if len(found) < len(parts):
+        return None
+    return found[0] if len(found) == 1 else np.concatenate(found)

@@ -154,8 +154,9 @@ def _one_set(buffer: Buffer, start: int, separator: bytes, index: int) -> RawSet
     except FormatError as error:
         return _closed(buffer, bare, body, separator, error.message)
     if not header.binary:
-        c = _closed(buffer, bare, _after_equal_lines(buffer, data, len(separator)), separator, "")
-        numbers, characters = header.points * header.numbers_per_point, c.end - data
+        numbers = header.points * header.numbers_per_point
+        c = _closed(buffer, bare, _after_equal_lines(buffer, data, len(separator), numbers), separator, "")
+        characters = c.end - data
         # A number takes a character at least: checked before memory is taken for what the header declares.
         problem = ""
         if numbers > characters:
@@ -187,27 +188,33 @@ def _binary_set(buffer: Buffer, bare: RawSet, header: Header58, data: int, separ
     return _lost_payload(buffer, bare, header, data, separator)
 
 
-def _after_equal_lines(buffer: Buffer, at: int, width: int) -> int:
+def _after_equal_lines(buffer: Buffer, at: int, width: int, numbers: int) -> int:
     """Where the lines end that are as long as the first one and hold a character right behind ``width`` columns.
 
-    No separator of that width is among them. This tells so in a third of the time of a search for it.
+    No separator of that width is among them. This tells so in a third of the time of a search for it. It looks no farther than the lines
+    that the numbers of the set should take.
     """
     length = buffer.find(b"\n", at, at + 1024) + 1 - at
     if length <= width + 1:
         return at
-    while True:
-        text = bytes(buffer[at : at + LINES * length])
-        whole = text[: len(text) // length * length]
-        lines = np.frombuffer(whole, np.uint8).reshape(-1, length)
+    left = -(-numbers // max(len(bytes(buffer[at : at + length]).split()), 1))
+    while left > 0:
+        step = min(LINES, left)
+        text = bytes(buffer[at : at + step * length])
+        lines = np.frombuffer(text, np.uint8, len(text) // length * length).reshape(-1, length)
         other = np.flatnonzero(lines[:, -1] != _NEWLINE)[:1]
         if other.size:
-            lines, whole = lines[: other[0]], whole[: other[0] * length]
-        equal = whole.count(b"\n") == len(lines) and (b"\r" not in whole or whole.count(b"\r") == np.count_nonzero(lines[:, -2] == _RETURN))
+            lines = lines[: other[0]]
+        equal = np.count_nonzero(lines == _NEWLINE) == len(lines) and (
+            text.find(b"\r", 0, lines.size) < 0 or np.count_nonzero(lines == _RETURN) == np.count_nonzero(lines[:, -2] == _RETURN)
+        )
         if not equal or np.any(lines[:, width] <= _BLANK_CHARACTER):
             return at
         at += lines.size
-        if len(lines) < LINES:
-            return at
+        if len(lines) < step:
+            break
+        left -= step
+    return at
 
 
 def _binary_notes(header: Header58, n_bytes: int, closed: bool) -> Iterator[str]:

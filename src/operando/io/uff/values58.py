@@ -116,6 +116,8 @@ def _read_text(buffer: Buffer, payload: tuple[int, int], header: Header58) -> ND
                 values, stop = np.concatenate([values, rest]), end
             first_line = bytes(buffer[payload[0] : payload[0] + 400]).split(b"\n", 1)[0]
             values = _surplus(values, count, expected, header, len(first_line.split()))
+        if values.size == expected and stop >= end:
+            return values
         out[count : count + values.size] = values
         count += values.size
         start = stop
