@@ -41,12 +41,15 @@ def test_commands_of_the_contract_are_there():
         "oma",
         "ofrf",
         "compare",
+        "compare-libraries",
         "diagnose",
         "add",
         "remove",
+        "effects",
         "convert",
         "report",
         "campaign",
+        "completion",
     ]
     assert all(name in done.output for name in COMMANDS)
 

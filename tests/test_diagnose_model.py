@@ -10,7 +10,7 @@ import pytest
 from effect_truth import at, chain_and_idle, pole_list, receptance, skew
 from operando.data import Geometry, ModalModel, ResidualTerms
 from operando.diagnosis.by_hand import words_of
-from operando.effects import Effect, EffectKind, Parameter, catalogue, parse_effect, register, unregister
+from operando.effects import Effect, catalogue, parse_effect
 from operando.errors import ConfigError, DataError, DofError
 from operando.structure import Model, joint_covariance
 
@@ -431,26 +431,13 @@ def test_an_effect_between_sensors_of_a_smooth_structure():
     assert np.abs(found.frequencies_hz[0] - idle.frequencies_hz[0]) > 1
 
 
-def test_a_kind_of_the_users_own_serves_frfs_and_poles():
-    class Inerter(EffectKind):
-        kind = "inerter_for_test"
-        plain = "an inerter between two points"
-        places = 2
-        parameters = (Parameter("inertance", "kg", 1e-3, 1e4, "log", 1.0),)
-
-        def dynamic_stiffness(self, s, values):
-            return values["inertance"] * s**2
-
-    register(Inerter)
-    try:
-        assert "inerter_for_test" in catalogue()
-        chain, idle = chain_and_idle()
-        model = Model(idle).add("inerter_for_test@2+Z,5+Z=inertance:0.4")
-        truth = receptance(chain, HZ, mass=0.4 * at(N, 1, 4))
-        assert far(model.frf(HZ, quantity="receptance").data, truth) < 1e-10
-        assert np.allclose(model.modes().poles, pole_list(chain.M + 0.4 * at(N, 1, 4), chain.C, chain.K), rtol=1e-9)
-    finally:
-        unregister("inerter_for_test")
+def test_a_kind_of_the_users_own_serves_frfs_and_poles(inerter):
+    assert inerter in catalogue()
+    chain, idle = chain_and_idle()
+    model = Model(idle).add(f"{inerter}@2+Z,5+Z=inertance:0.4")
+    truth = receptance(chain, HZ, mass=0.4 * at(N, 1, 4))
+    assert far(model.frf(HZ, quantity="receptance").data, truth) < 1e-10
+    assert np.allclose(model.modes().poles, pole_list(chain.M + 0.4 * at(N, 1, 4), chain.C, chain.K), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -12,21 +12,11 @@ from pathlib import Path
 import pytest
 
 from operando.cli import COMMANDS
-from operando.effects import catalogue, unregister
 from pages import DOCS, LANGUAGES, QUIET, ROOT, blocks, command_lines, pages, programs, run_page
 
 FIRST = ("docs/tutorials/whole_chain.md", "docs/tutorials/validation.md", "docs/tutorials/contacts.md")
 """Pages that go on with one another's folders, in this order."""
 sys.path.insert(0, str(DOCS))
-
-
-@pytest.fixture
-def own_kinds_gone():
-    """Takes kinds of effects that a page registers out of the catalogue again."""
-    before = set(catalogue())
-    yield
-    for name in set(catalogue()) - before:
-        unregister(name)
 
 
 def page_name(page: Path) -> str:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import re
 import warnings
+from pathlib import Path
 
 import pytest
 
-MODULES = (
-    "operando.dof", "operando.indicators", "operando.store", "operando.data.frf", "operando.data.quantities", "operando.io.frames",
-    "operando.compare.comparison", "operando.compare.maps", "operando.ema.indicator_functions", "operando.stabilization.classify",
-    "operando.plots.errors", "operando.plots.fits", "operando.plots.frfs", "operando.plots.modes", "operando.plots.ofrfs",
-    "operando.plots.records", "operando.plots.shapes", "operando.plots.stabilization",
-)  # fmt: skip
+import operando
+
+SOURCE = Path(operando.__file__).parent
+MODULES = sorted(
+    "operando." + ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+    for path in SOURCE.rglob("*.py")
+    if re.search(r"^ *>>> ", path.read_text(encoding="utf-8"), re.MULTILINE)
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -73,10 +73,16 @@ def hostile(tmp_path_factory):
     return test, folder / f"out {IN_NAMES}"
 
 
-def on_a_terminal(*arguments: str | Path, cwd: Path, status: int = 0) -> str:
-    """What a command sends to a terminal, as it is."""
+BAR = re.compile(r"\x1b\[(?:\?25[lh]|[0-9;]*m|2K|1A)")
+"""What the bar of the progress sends: cursor, colours, a line cleared, a line up."""
+
+
+def on_a_terminal(*arguments: str | Path, cwd: Path, status: int = 0, bar: bool = False) -> str:
+    """What a command sends to a terminal, as it is; plain lines of progress, or the bar."""
     ours, theirs = os.openpty()
-    child = subprocess.Popen([sys.executable, "-m", "operando", *map(str, arguments)], stdout=theirs, stderr=theirs, stdin=theirs, cwd=cwd)
+    command = [sys.executable, "-m", "operando", *map(str, arguments)]
+    env = os.environ | {"TERM": "xterm" if bar else "dumb"}
+    child = subprocess.Popen(command, stdout=theirs, stderr=theirs, stdin=theirs, cwd=cwd, env=env)
     os.close(theirs)
     said = b""
     while True:
@@ -95,6 +101,9 @@ def on_a_terminal(*arguments: str | Path, cwd: Path, status: int = 0) -> str:
 def test_a_run_on_hostile_texts(hostile, tmp_path):
     test, out = hostile
     said = on_a_terminal("run", test, "-o", out, cwd=tmp_path)
+    barred = on_a_terminal("run", test, "-o", out, "-v", cwd=tmp_path, bar=True)
+    assert BAR.search(barred)
+    said += BAR.sub("", barred)
     said += on_a_terminal("report", out, cwd=tmp_path)
     said += on_a_terminal("diagnose", out, cwd=tmp_path)
     assert len(said.splitlines()) > 15

@@ -31,7 +31,7 @@ LEVELS = {
     "scaling": 9,
     "compare": 10,
     "effects": 11, "structure": 12, "nonlinear": 13, "diagnosis": 14,
-    "store": 15, "entries": 15, "plots": 15,
+    "store": 15, "entries": 15, "plots": 15, "own_effects": 15, "contrib": 15,
     "report": 16, "values": 16,
     "states": 17,
     "config": 18, "scaffold": 18,

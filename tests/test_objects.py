@@ -286,7 +286,7 @@ def test_no_function_hides_a_package():
     assert operando.compare.error_map is error_map
     assert "measured" in operando.compare.__doc__
     assert pickle.loads(pickle.dumps(operando.compare)) is operando.compare
-    assert operando.diagnose.Model is operando.Model
+    assert operando.structure.Model is operando.Model
 
 
 def test_a_checker_sees_the_types(tmp_path):

@@ -285,11 +285,15 @@ def test_a_stage_reaches_its_own_rooms_and_no_later_ones():
     assert "operando.report.page" in reached("operando.pipeline.outputs")
 
 
+LIBRARIES = ("idle_libraries", "operating_libraries")
+"""Steps that set other libraries beside; they time both identifications."""
+
+
 @pytest.mark.parametrize(
     ("file", "stages"),
     [
-        ("oma/fit.py", {"oma"}),
-        ("ema/fit.py", {"automatic", "ema"}),
+        ("oma/fit.py", {"oma", *LIBRARIES}),
+        ("ema/fit.py", {"automatic", "ema", *LIBRARIES}),
         ("effects/friction.py", {"diagnose"}),
         ("values.py", set()),
         ("io/detect.py", {step.name for step in STEPS}),

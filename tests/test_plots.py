@@ -289,3 +289,75 @@ def test_numbers_on_logarithmic_axes_are_readable():
     axes.figure.canvas.draw()
     assert {"0.2", "0.5"} <= {t.get_text() for t in axes.get_yticklabels()}
     assert [number(v) for v in (0.0, 1234.5, 1.5e-6, -2e7)] == ["0", "1234", "1.50·10⁻⁶", "−2.00·10⁷"]
+
+
+STEPS = [
+    {"step": 0, "added": None, "error_db": 6.7, "heldout_error_db": 8.8, "heldout_misfit": 8e4},
+    {"step": 1, "added": {"kind": "ground_spring", "location": ["2+Z"]}, "error_db": 0.4, "heldout_error_db": 0.2, "heldout_misfit": 0.95},
+]
+WHERE = {
+    "by_dof": [{"dof": "1+Z", "error_db": 4.0, "misfit": 9.0}, {"dof": "2+Z", "error_db": 8.0, "misfit": 40.0}],
+    "by_band": [{"band_hz": [5.0, 20.0], "error_db": 3.0, "misfit": 5.0}],
+    "by_mode": [{"frequency_hz": 12.0, "height_error_db": -1.5}, {"frequency_hz": 20.0, "height_error_db": None}],
+}
+
+
+def a_diagnosis(**changes):
+    from operando import Diagnosis
+
+    curve = {"location": ["2+Z"], "frequency_hz": [5.0, 10.0], "real": [1e5, 1.1e5], "imag": [0.0, 9.0], "unit": "N/m"}
+    given = {"verdict": "explained", "effects": (), "ambiguous_with": (), "proposed_measurement": None, "ladder": tuple(STEPS)}
+    given |= {"candidates": (), "where": WHERE, "noise_floor_db": 0.26, "picture": {"dynamic_stiffness": [curve]}}
+    return Diagnosis(**given | changes)
+
+
+def test_a_diagnosis_draws_its_steps_on_axes_given_or_made():
+    import matplotlib.pyplot as plt
+
+    found = a_diagnosis()
+    axes = found.plot_ladder()
+    assert [bar.get_height() for bar in axes.patches] == [8.8, 0.2]
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["idle model", "+ ground_spring\n2+Z"]
+    assert "noise floor 0.26 dB" in [t.get_text() for t in axes.get_legend().get_texts()]
+    given = plt.figure().add_subplot()
+    assert plots.plot_steps(found.to_dict(), given) is given  # diagnosis.json draws the same
+    assert [bar.get_height() for bar in given.patches] == [8.8, 0.2]
+    with pytest.raises(DataError, match="no steps"):
+        a_diagnosis(ladder=()).plot_ladder()
+    plt.close("all")
+
+
+def test_a_diagnosis_from_responses_alone_draws_chi_square():
+    import matplotlib.pyplot as plt
+
+    rows = tuple({**row, "error_db": None, "heldout_error_db": None} for row in STEPS)
+    where = {"by_mode": [], "by_dof": [{"dof": "1+Z", "error_db": None, "misfit": 9.0}]}
+    found = a_diagnosis(ladder=rows, where=where, noise_floor_db=None)
+    axes = found.plot_ladder()
+    assert [bar.get_height() for bar in axes.patches] == [8e4, 0.95]
+    assert axes.get_yscale() == "log"
+    axes = found.plot_where()
+    assert [bar.get_height() for bar in axes.patches] == [9.0]
+    assert "χ²" in axes.get_ylabel()
+    with pytest.raises(DataError, match="no errors by mode"):
+        found.plot_where(by="mode")
+    plt.close("all")
+
+
+def test_a_diagnosis_draws_where_the_idle_model_fails():
+    import matplotlib.pyplot as plt
+
+    found = a_diagnosis()
+    assert [bar.get_height() for bar in found.plot_where().patches] == [4.0, 8.0]
+    assert found.plot_where(by="band").get_xlabel() == "Frequency band [Hz]"
+    heights = [bar.get_height() for bar in found.plot_where(by="mode").patches]
+    assert heights[0] == -1.5
+    assert np.isnan(heights[1])
+    with pytest.raises(DataError, match="not known"):
+        found.plot_where(by="line")
+    axes = found.plot_dynamic_stiffness()
+    assert axes.get_title("left") == "Dynamic stiffness at 2+Z"
+    assert np.array_equal(axes.lines[0].get_ydata(), [1e5, 1.1e5])
+    with pytest.raises(DataError, match="1 locations, not number 1"):
+        found.plot_dynamic_stiffness(number=1)
+    plt.close("all")

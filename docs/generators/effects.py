@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import Any
 
 import operando
 from generators.drawings import draw
+from operando.cli.effects import example, law, places_words, unit_words
 
 GROUPS = {
     "structure": ("Effects in the structure", "They change the FRFs of the machine."),
@@ -37,29 +37,12 @@ def kinds() -> dict[str, Any]:
     return {name: kind for name, kind in operando.catalogue().items() if type(kind).__module__.startswith("operando.")}
 
 
-def _unit(unit: str) -> str:
-    return unit.replace("N s2/m2", "N·s²/m²").replace("N s/m", "N·s/m").replace("m3", "m³").replace("m2", "m²") or "–"
-
-
 def _places(kind: Any) -> str:
-    words = {0: "none", 1: "one DOF", 2: "two DOFs"}
-    text = " or ".join(words[n] for n in sorted({kind.places, *kind.alternative_places}))
-    return text + (" (acts on all measured directions of its node)" if kind.coordinates == "node" else "")
-
-
-def example(kind: Any) -> str:
-    """The effect as `operando add` takes it."""
-    at = {0: "", 1: "@7+Z", 2: "@7+Z,12+Z"}[kind.places]
-    values = []
-    for p in kind.parameters:
-        start = p.start((5.0, 145.0))
-        values.append(f"{p.name}:{start:g}")
-    return kind.kind + at + ("=" + ",".join(values) if values else "")
+    return places_words(kind) + (" (acts on all measured directions of its node)" if kind.coordinates == "node" else "")
 
 
 def entry(kind: Any) -> list[str]:
     """The section of one kind."""
-    law = (inspect.getdoc(type(kind)) or "").split("\n")[0]
     rows = [f"- Location: {_places(kind)}", f"- Changes: {MOVES.get(kind.moves, kind.moves)}"]
     if kind.level_dependent:
         rows.append("- Depends on the level: needs records with measured force at two levels")
@@ -70,8 +53,8 @@ def entry(kind: Any) -> list[str]:
     table = []
     if kind.parameters or kind.constants:
         table = ["| parameter | unit | meaning |", "| --- | --- | --- |"]
-        table += [f"| `{p.name}` | {_unit(p.unit)} | {p.plain} |" for p in kind.parameters]
-        table += [f"| `{p.name}` | {_unit(p.unit)} | {p.plain} (stated, never fitted) |" for p in kind.constants]
+        table += [f"| `{p.name}` | {unit_words(p.unit)} | {p.plain} |" for p in kind.parameters]
+        table += [f"| `{p.name}` | {unit_words(p.unit)} | {p.plain} (stated, never fitted) |" for p in kind.constants]
         table.append("")
     where = {0: "", 1: "7+Z", 2: "7+Z and 12+Z"}[kind.places]
     confirm = kind.confirm(where, kind.defaults((5.0, 145.0))) if not kind.constants or kind.parameters else kind.confirm(where, {})
@@ -82,7 +65,7 @@ def entry(kind: Any) -> list[str]:
         "",
         f"*{DRAWN.get(kind.acts, '')}*",
         "",
-        law.replace("|", r"\|"),
+        law(kind).replace("|", r"\|"),
         "",
         *rows,
         f"- As an argument: `{example(kind)}`",

@@ -56,6 +56,10 @@ SECTIONS: dict[str, tuple[str, str]] = {
         "`[report]` (optional)",
         "The title block of the report, each line a text, a date or a list of them.",
     ),
+    "effects": (
+        "`[effects]` (optional)",
+        "Kinds of effects of your own. The files are run when the test file is read: name only files whose content you know.",
+    ),
     "directions": (
         "`[directions]` (optional)",
         "For sensors along no axis: a label and its unit vector in the frame of the geometry. The label is a node, a sign and a name in "
@@ -78,6 +82,7 @@ WORDS: dict[str, dict[str, str]] = {
         "channels": "Section: DOF, quantity, unit and sensitivity of channels.",
         "analysis": "Section: settings.",
         "between": "Section: what may differ between rest and operation.",
+        "effects": "Section: kinds of effects of your own.",
         "directions": "Section: sensor directions that are no axes.",
         "report": "Section: title block of the report.",
     },
@@ -95,6 +100,9 @@ WORDS: dict[str, dict[str, str]] = {
         "damping": "Damping, relative. Two days: 0.1.",
         "offset": "How far sensors and exciter are put back beside their place, as a share of the rms of a mode shape. Two days: 0.015.",
         "skew": "Delay of the responses against the forces [s]. Two days: 3e-5.",
+    },
+    "effects": {
+        "modules": 'Python files that register kinds of effects, as in `["my_laws.py"]`, relative to the test file.',
     },
     "idle": STATE,
     "operating": STATE,

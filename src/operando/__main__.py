@@ -34,6 +34,8 @@ def _interrupted(signum: int, frame: object) -> NoReturn:
     if "--json" in sys.argv and not getattr(answer, "printing", False):
         document = f'{{"schema": "operando/error/1", "error": "interrupted", "where": null, "hint": "{hint}"}}\n'
         os.write(1, document.encode())
+    if getattr(sys.modules.get("operando.cli.progress"), "active", False):
+        os.write(2, b"\r\x1b[2K\x1b[?25h")  # the bar goes, the cursor comes back
     os.write(2, f"operando: interrupted ({hint})\n".encode())
     os._exit(130)
 

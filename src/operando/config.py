@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from operando import values
 from operando.entries import Entry, Given, lines_of
 from operando.errors import ConfigError, OperandoError
+from operando.own_effects import load_effects
 from operando.states import Span as Span
 from operando.states import State as State
 from operando.states import find_files, record_named, state_of
@@ -128,6 +129,8 @@ class Test:
         What may differ between the measurements at rest and in operation beside the missing physics → one standard deviation.
     report : dict
         The title block of the report: ``object, date, operator, sensors, comments``.
+    effects : tuple of Path
+        Python files with kinds of effects of the user's own, imported when the test file is read.
     given : mapping
         Which line or option gave each entry, for messages.
     """
@@ -147,6 +150,7 @@ class Test:
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
     between: dict[str, float] = field(default_factory=dict)
     report: dict[str, str] = field(default_factory=dict)
+    effects: tuple[Path, ...] = ()
     given: Given = field(default_factory=dict, repr=False, compare=False)
 
     def where(self, section: str, key: str = "") -> str:
@@ -185,6 +189,7 @@ class Test:
         given["directions"] = {k: list(v) for k, v in self.directions.items()}
         given["between"] = dict(self.between)
         given["report"] = dict(self.report)
+        given["effects"] = {"modules": [self.label(file) for file in self.effects]}
         parts = [
             {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
             for name, state in self.states.items()
@@ -235,10 +240,24 @@ def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
     changes : sequence of str, optional
         Entries that take the place of those in the file, each ``section.key=value`` with the value as TOML.
 
+    Returns
+    -------
+    Test
+
     Raises
     ------
     ConfigError
         If the file is no TOML, a key is unknown (the nearest known one is named), a value is wrong, or a pattern matches no file.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/idle.uff", operando.Frf([[[1.0, 2.0]]], [1.0, 2.0], "1+Z", "1+Z"))
+    ...     _ = Path(folder, "test.toml").write_text('name = "pump"\\n[idle]\\nfrfs = ["idle.uff"]')
+    ...     operando.load_test(folder, ["analysis.band=[1,2]"]).analysis.band
+    (1.0, 2.0)
     """
     path = Path(path)
     if path.is_dir():
@@ -329,7 +348,7 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
 
 
 _STATES = ("idle", "operating", "check")
-_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "report")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "report", "effects")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
@@ -367,6 +386,7 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
     directions = values.directions(table.get("directions", {}), where.within("directions"))
     channels = values.channels(table.get("channels", {}), where.within("channels"))
     values.declared(channels, directions, where.within("channels"))
+    effects = _own_effects(table.get("effects", {}), folder, where.within("effects"))  # before settings that name kinds
     test = Test(
         name=name.strip(),
         path=path,
@@ -379,10 +399,22 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
         directions=directions,
         between=values.between(table.get("between", {}), where.within("between")),
         report=values.report(table.get("report", {}), where.within("report")),
+        effects=effects,
         given=where.given,
     )
     test.rejected_hits(test.idle)
     return test
+
+
+def _own_effects(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[Path, ...]:
+    """The files of [effects], imported."""
+    check_keys(table, ("modules",), where)
+    names = table.get("modules", [])
+    good = isinstance(names, list) and all(isinstance(name, str) and name.strip() for name in names)
+    values.expect(names, good, "a list of Python files", where.at("modules"), 'for example modules = ["my_laws.py"]')
+    files = tuple(dict.fromkeys(folder / name for name in names))
+    load_effects(files, str(where.at("modules")))
+    return files
 
 
 def _analysis(table: Mapping[str, Any], where: Entry) -> Analysis:

@@ -69,6 +69,13 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
 def common_shapes(first: ModalModel, second: ModalModel) -> tuple[NDArray[Any], NDArray[Any], tuple[Any, ...]]:
     """Shapes of two models at the DOFs that both have, in the sense of the first.
 
+    Parameters
+    ----------
+    first : ModalModel
+        One model.
+    second : ModalModel
+        Another model.
+
     Returns
     -------
     (k, n1) array, (k, n2) array, tuple of k Dof
@@ -77,6 +84,15 @@ def common_shapes(first: ModalModel, second: ModalModel) -> tuple[NDArray[Any], 
     ------
     DataError
         If there is no such DOF.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> first = operando.ModalModel([20.0], [0.01], np.array([[1.0], [2.0]]), "1+Z, 2+Z", "unscaled")
+    >>> second = operando.ModalModel([20.0], [0.01], np.array([[-2.0]]), "2-Z", "unscaled")
+    >>> shapes, others, dofs = common_shapes(first, second)
+    >>> shapes.tolist(), others.tolist()
+    ([[2.0]], [[2.0]])
     """
     rows = DofIndex(first.dofs).common(second.dofs)
     if not rows:
@@ -121,7 +137,23 @@ def frf_correlation(first: Frf, second: Frf) -> NDArray[np.float64]:
 
 
 def mean_phase_deviation(shape: ArrayLike) -> float:
-    """Mean phase deviation [rad] of one shape from its principal axis, weighted by magnitude (Reynders et al. 2012)."""
+    """Mean phase deviation [rad] of one shape from its principal axis, weighted by magnitude (Reynders et al. 2012).
+
+    Parameters
+    ----------
+    shape : array
+        One mode shape.
+
+    Returns
+    -------
+    float
+        [rad], 0 for a real mode.
+
+    Examples
+    --------
+    >>> mean_phase_deviation([1.0, -0.5])
+    0.0
+    """
     v: NDArray[Any] = np.asarray(shape, complex)
     if not np.any(v):
         return 0.0

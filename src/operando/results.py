@@ -51,10 +51,18 @@ class Results(Short):
         route to the operational FRFs.
     effect_covariance : array or None
         Joint covariance of that idle model and the effects' values (see ``operando.structure.Model``).
+    idle_libraries, operating_libraries : list of dict
+        Other libraries on the same data, where asked for: ``LibraryComparison.to_dict()`` of ``operando.contrib``.
     left_out : dict
         Stage name → reason why it was left out.
     timings_s : dict
         Stage name → wall seconds; in ``timings.json``, not in ``model.h5``.
+
+    Examples
+    --------
+    >>> import operando
+    >>> operando.Results("pump")
+    <Results: pump>
     """
 
     name: str
@@ -74,6 +82,13 @@ class Results(Short):
     effect_idle: ModalModel | None = None
     effect_covariance: Any = None
     automatic: ModalModel | None = None
+    idle_libraries: list[dict[str, Any]] = field(default_factory=list)
+    operating_libraries: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def libraries(self) -> list[dict[str, Any]]:
+        """Other libraries on the data of both states."""
+        return [*self.idle_libraries, *self.operating_libraries]
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""

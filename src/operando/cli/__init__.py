@@ -5,11 +5,14 @@ from __future__ import annotations
 import importlib
 import io
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from operando import __version__
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 # command -> (module of this package, what it does); the texts stand here so that --help loads no command
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -22,12 +25,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "oma": ("stages", "A test up to the operational modes."),
     "ofrf": ("ofrf", "Operational FRFs of any pair of DOFs."),
     "compare": ("compare", "Any model against any measurement."),
+    "compare-libraries": ("libraries", "The same data through sdypy-EMA and pyOMA-2 beside operando."),
     "diagnose": ("diagnose", "Where the error of the idle model lies in operation, and which effect is missing."),
     "add": ("add", "Add effects to the idle model and see the error before and after."),
     "remove": ("remove", "Take an added effect back."),
+    "effects": ("effects", "The catalogue of effects, with locations, parameters and units."),
     "convert": ("convert", "Convert between file formats."),
     "report": ("report", "Rebuild report.html of a results folder."),
     "campaign": ("campaign", "Many tests: modes and missing effects over speed, load or date."),
+    "completion": ("completion", "Completion of commands and options at the Tab key of a shell."),
 }
 
 
@@ -51,7 +57,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"operando.cli.{COMMANDS[cmd_name][0]}")
-        command: click.Command = getattr(module, cmd_name)
+        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
         return command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
@@ -63,6 +69,13 @@ class LazyGroup(click.Group):
             near = get_close_matches(name, COMMANDS, 1, 0.5)
             raise UnknownCommand(name, near[0] if near else None, ctx)
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Commands and options that begin so, without loading a command."""
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+        return found + (click.Command.shell_complete(self, ctx, incomplete) if incomplete.startswith("-") else [])
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of commands, without loading them."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import click
 
-from operando.cli.answer import Answer, answers
+from operando.cli.answer import Answer, answers, own_option
+from operando.cli.effects import kinds_like
 
 
 @click.command("add", epilog="Example: operando add pump-results point_mass@272+Z=mass:0.2")
 @click.argument("folder", metavar="DIR", type=click.Path())
-@click.argument("effects", metavar="EFFECT", nargs=-1)
+@click.argument("effects", metavar="EFFECT", nargs=-1, shell_complete=kinds_like)
 @click.option("--suggested", is_flag=True, help="Add what the diagnosis accepts, in its order.")
 @click.option("--fix", is_flag=True, help="Hold the values given instead of fitting them.")
+@own_option
 @answers
 def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> Answer:
     """Add effects to the idle model, refit all of them, and print the error before and after on lines the fit has not seen.

@@ -31,6 +31,44 @@ class Answer:
     failure: OperandoError | None = None
 
 
+_VERBOSITY = "operando.verbosity"
+_OWN = "operando.own"
+
+
+def _keep_own(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
+    ctx.meta[_OWN] = value
+
+
+own_option = click.option(
+    "--own",
+    multiple=True,
+    expose_value=False,
+    callback=_keep_own,
+    type=click.Path(),
+    metavar="FILE",
+    help="Python file with kinds of effects of your own, or the test file that names it; may be repeated.",
+)
+"""Option of commands on results in which kinds of the user's own may stand: nothing but what is named here is imported."""
+
+
+def _load_own(files: Sequence[str]) -> None:
+    """Import the files of ``--own``; a test file imports those that it names."""
+    from operando.config import load_test
+    from operando.own_effects import load_effects
+
+    for file in files:
+        if file.endswith(".toml"):
+            load_test(file)
+        else:
+            load_effects([file], "--own")
+
+
+def verbosity() -> int:
+    """-1 with -q (the answer, warnings and errors alone), 1 with -v (also what goes on inside a stage), else 0."""
+    context = click.get_current_context(silent=True)
+    return 0 if context is None else int(context.meta.get(_VERBOSITY, 0))
+
+
 printing = False
 """Whether the document is on its way to stdout: Ctrl-C puts no second one behind it from then on."""
 
@@ -45,15 +83,21 @@ def print_json(document: dict[str, Any]) -> None:
 
 
 def answers(function: Callable[..., Answer]) -> Callable[..., int]:
-    """Turn a function that returns an :class:`Answer` into the body of a click command with ``--json``."""
+    """Turn a function that returns an :class:`Answer` into the body of a click command with ``--json``, ``-q`` and ``-v``."""
 
+    @click.option("-v", "--verbose", is_flag=True, help="Also what goes on inside each stage.")
+    @click.option("-q", "--quiet", is_flag=True, help="No progress; warnings and errors only.")
     @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
     @functools.wraps(function)
-    def body(*args: Any, as_json: bool, **kwargs: Any) -> int:
+    def body(*args: Any, as_json: bool, quiet: bool, verbose: bool, **kwargs: Any) -> int:
+        if quiet and verbose:
+            raise click.UsageError("-q and -v exclude each other")
+        click.get_current_context().meta[_VERBOSITY] = verbose - quiet
         warnings.formatwarning = _short_warning
         try:
             # what a library prints belongs to stderr: stdout holds the answer alone
             with contextlib.redirect_stdout(sys.stderr):
+                _load_own(click.get_current_context().meta.get(_OWN, ()))
                 answer = function(*args, **kwargs)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise

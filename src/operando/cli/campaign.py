@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from operando.cli.answer import Answer, answers, say, table
-from operando.cli.test_file import results_folder, set_option
+from operando.cli.answer import Answer, answers, say, table, verbosity
+from operando.cli.test_file import open_option, results_folder, set_option
 
 EPILOG = """\b
 Example: operando campaign campaign.toml -o speeds, where campaign.toml says
@@ -29,8 +29,11 @@ until = "diagnose", and [workers] processes = 4 | scheduler = "tcp://host:8786"
 @click.option("-p", "--processes", type=click.IntRange(1), help="Local processes (default: one a processor).")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this Dask scheduler, which see the files under the same paths.")
 @set_option
+@open_option
 @answers
-def campaign(campaign: str, output: str | None, processes: int | None, scheduler: str | None, changes: tuple[str, ...]) -> Answer:
+def campaign(
+    campaign: str, output: str | None, processes: int | None, scheduler: str | None, changes: tuple[str, ...], show: bool
+) -> Answer:
     """Run many tests, and see what changes over speed, load or date.
 
     Each test is a results folder of its own, as `operando run` makes it. What is done is not done again: after Ctrl-C, a lost worker
@@ -44,8 +47,14 @@ def campaign(campaign: str, output: str | None, processes: int | None, scheduler
         raise click.UsageError("--processes is for local processes; --scheduler has its own workers")
     loaded = load_campaign(campaign)
     out = results_folder(loaded.name, output)
-    document = run_campaign(loaded, out, processes=processes, scheduler=scheduler, changes=changes, progress=say)
+    document = run_campaign(
+        loaded, out, processes=processes, scheduler=scheduler, changes=changes, progress=say if verbosity() >= 0 else None
+    )
     document |= {"results": str(out)}
+    if show:
+        from operando.cli.story import open_report
+
+        open_report(out / "report.html")
     failure = None
     if document["counts"]["failed"] == len(document["tests"]):
         first = document["tests"][0]

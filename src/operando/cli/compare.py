@@ -8,13 +8,14 @@ from typing import Any
 
 import click
 
-from operando.cli.answer import Answer, answers, apart_from_runs, table
+from operando.cli.answer import Answer, answers, apart_from_runs, own_option, table
 
 
 @click.command("compare", epilog="Example: operando compare pump-results check/run1.uff -o comparison.json")
 @click.argument("model", type=click.Path())
 @click.argument("measured", type=click.Path())
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="JSON file to write.")
+@own_option
 @answers
 def compare(model: str, measured: str, output: str | None) -> Answer:
     """Any model (results folder, model.h5, UFF FRFs or modes) against any measurement (FRFs, or records with force).

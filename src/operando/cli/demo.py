@@ -6,23 +6,25 @@ from pathlib import Path
 
 import click
 
-from operando.cli.answer import Answer, answers
-from operando.cli.story import Clock, run_answer
+from operando.cli.answer import Answer, answers, verbosity
+from operando.cli.story import open_report, run_answer, run_to
 from operando.cli.test_file import read_test, test_options
 
 
-@click.command("demo", epilog="Example: operando demo -o demo && open demo/report.html")
+@click.command("demo", epilog="Example: operando demo -o demo --open")
 @click.option("-o", "--output", type=click.Path(), default="demo", show_default=True, help="Results folder.")
 @test_options
 @answers
-def demo(output: str, changes: tuple[str, ...], second_opinion: bool) -> Answer:
+def demo(output: str, changes: tuple[str, ...], second_opinion: bool, show: bool) -> Answer:
     """The packaged example: a plate, idle and operating, from raw UFF files to the report."""
-    from operando.pipeline import run
-
     test = read_test(example_folder() / "test.toml", changes, second_opinion)
-    click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
+    if verbosity() >= 0:
+        click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
     out = Path(output)
-    return run_answer(run(test, out, progress=Clock()), out, None)
+    answer = run_answer(run_to(test, out), out, None)
+    if show:
+        open_report(out / "report.html")
+    return answer
 
 
 def example_folder() -> Path:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from operando.cli.answer import Answer, answers, table
+from operando.cli.answer import Answer, answers, own_option, table
 from operando.cli.test_file import need_stage, output_option, read_test, results_folder, set_option
 
 
@@ -16,6 +16,7 @@ from operando.cli.test_file import need_stage, output_option, read_test, results
 @click.argument("source", metavar="DIR|TEST", type=click.Path())
 @output_option
 @set_option
+@own_option
 @answers
 def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answer:
     """Where the error of the idle model lies in operation, and what is missing.
@@ -29,12 +30,11 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
     if (path.is_file() and path.suffix == ".toml") or (
         path.is_dir() and not (path / "model.h5").exists() and (path / "test.toml").exists()
     ):
-        from operando.cli.story import Clock
-        from operando.pipeline import run
+        from operando.cli.story import run_to
 
         test = read_test(path, changes)
         need_stage(test, "diagnose")
-        results = run(test, results_folder(test.name, output), until="diagnose", progress=Clock())
+        results = run_to(test, results_folder(test.name, output), "diagnose")
     elif changes or output is not None:
         raise click.UsageError("--set and -o belong to a test file; the results folder given has its settings")
     else:
@@ -45,12 +45,12 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
     return Answer(results.diagnosis, text_of(results.name, results.diagnosis))
 
 
-def text_of(name: str, document: dict[str, Any]) -> str:
-    """The diagnosis for people in the words of the report: answer first, then the ladder."""
+def text_of(name: str | None, document: dict[str, Any]) -> str:
+    """The diagnosis for people in the words of the report: answer first (left out without a name, where it stands above), then by step."""
     from operando.report.words_diagnosis import diagnosis_words, found_intro
 
     words = diagnosis_words(document)
-    lines = [f"{name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}."]
+    lines = [] if name is None else [f"{name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}."]
     intro = found_intro(words)
     lines += [intro] if intro else []
     lines += [f"  {sentence}" for sentence in words.found]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from operando.cli.answer import Answer
 from operando.cli.diagnose import ladder_table
-from operando.cli.story import Clock
+from operando.cli.progress import following
 from operando.effects import Effect
 from operando.errors import MissingError
 from operando.results import CheckRun, Results
@@ -95,20 +95,21 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
     """What the diagnosis accepts by itself, found again from the data (the folder may hold effects added by hand)."""
     from operando.diagnosis import diagnose
 
-    say = Clock()
     runs, band = judging(results)
     looked_at_records = "check_records" in ((results.diagnosis or {}).get("data") or ())
-    found = diagnose(
-        results.idle,  # type: ignore[arg-type]
-        check=runs,
-        geometry=results.geometry,
-        band=band,
-        progress=lambda message: say("diagnose", message),
-        records=check_records(folder, results) if looked_at_records else (),
-        idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results)),
-        exclude_bands=left_out(results),
-        between=results.settings.get("between") or {},
-    )
+    with following() as say:
+        say("diagnose", "…")
+        found = diagnose(
+            results.idle,  # type: ignore[arg-type]
+            check=runs,
+            geometry=results.geometry,
+            band=band,
+            progress=lambda message: say("diagnose", f"  {message}"),
+            records=check_records(folder, results) if looked_at_records else (),
+            idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results)),
+            exclude_bands=left_out(results),
+            between=results.settings.get("between") or {},
+        )
     if not found.effects:
         raise MissingError(f"the diagnosis suggests no effect (verdict {found.verdict})", where=folder)
     return list(found.effects)
@@ -121,31 +122,19 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     from operando.diagnosis.from_records import apply_levels, need_records, with_levels
     from operando.pipeline.outputs import LADDER_OUTPUTS
 
-    say = Clock()
     idle = results.idle
     assert idle is not None  # present() saw to it
     runs, band = judging(results)
     applied: Applied
     before = results.diagnosis or {}
-    if need_records(effects, before.get("data") or ()):
-        applied = apply_levels(
-            idle,
-            effects,
-            check_records(str(folder.path), results),
-            geometry=results.geometry,
-            band=band or idle.band_hz,
-            exclude_bands=left_out(results),
-            progress=lambda message: say("refit", message),
-        )
-    else:
-        applied = apply_effects(
-            idle,
-            effects,
-            check=runs,
-            geometry=results.geometry,
-            band=band,
-            progress=lambda message: say("refit", message),
-        )
+    with following() as say:
+        say("refit", "…")
+        options: dict[str, Any] = {"geometry": results.geometry, "progress": lambda message: say("refit", f"  {message}")}
+        if need_records(effects, before.get("data") or ()):
+            records = check_records(str(folder.path), results)
+            applied = apply_levels(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
+        else:
+            applied = apply_effects(idle, effects, check=runs, band=band, **options)
     done = applied.to_dict()
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}

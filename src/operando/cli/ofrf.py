@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from operando.cli.answer import Answer, answers, apart_from_runs, say, table
+from operando.cli.answer import Answer, answers, apart_from_runs, own_option, say, table
 
 if TYPE_CHECKING:
     from operando.data import Frf
@@ -46,6 +46,7 @@ MOST_VALUES = 2_000_000
     help="Route effect: another value of an accepted effect, as in 1.stiffness=2e5 (SI); may be repeated.",
 )
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="File to write: .uff, .h5, .mat or .csv by its ending.")
+@own_option
 @answers
 def ofrf(
     folder: str,

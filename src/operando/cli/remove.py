@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import click
 
-from operando.cli.answer import Answer, answers
+from operando.cli.answer import Answer, answers, own_option
 
 
 @click.command("remove", epilog="Example: operando remove pump-results 1")
 @click.argument("folder", metavar="DIR", type=click.Path())
 @click.argument("step", type=int)
+@own_option
 @answers
 def remove(folder: str, step: int) -> Answer:
     """Take the effect of a step back and refit the others (step 0 is the idle model)."""

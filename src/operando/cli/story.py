@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from operando.cli.answer import Answer, say, table
+from operando.cli.progress import following
 from operando.errors import IdentificationError, OperandoError
 from operando.indicators import INTERVAL
 
 if TYPE_CHECKING:
+    from operando.config import Test
     from operando.results import Results
 
 MODEL_NAMES = {
@@ -22,14 +23,23 @@ MODEL_NAMES = {
 }
 
 
-class Clock:
-    """Progress on stderr: seconds since the start, stage, message."""
+def run_to(test: Test, out: Path, until: str | None = None, report: bool | None = None) -> Results:
+    """Run a test with its progress on stderr; see :func:`operando.pipeline.run`."""
+    from operando.pipeline import STAGES, run
 
-    def __init__(self) -> None:
-        self.start = time.perf_counter()
+    asked = STAGES if until is None else STAGES[: STAGES.index(until) + 1]
+    with following((*asked, "report") if report and "report" not in asked else asked, out) as progress:
+        return run(test, out, until=until, progress=progress, report=report)
 
-    def __call__(self, stage: str, message: str) -> None:
-        say(f"[{time.perf_counter() - self.start:6.1f} s] {stage:8s} {message}")
+
+def open_report(path: Path) -> None:
+    """Open a report in the browser; where none can be started, where the report is."""
+    import webbrowser
+
+    if not path.is_file():
+        say(f"operando: there is no report to open at {path}")
+    elif not webbrowser.open(path.resolve().as_uri()):
+        say(f"operando: no browser could be started; the report is {path}")
 
 
 def run_answer(results: Results, out: Path, until: str | None) -> Answer:
@@ -69,7 +79,7 @@ def run_text(results: Results, out: Path) -> str:
     if results.diagnosis is not None:
         from operando.cli.diagnose import text_of
 
-        parts.append("What is missing in the idle model - " + text_of(results.name, results.diagnosis))
+        parts.append("Diagnosis:\n" + text_of(None, results.diagnosis))
     parts.append(findings_text(results))
     left = [f"  {stage}: {reason}" for stage, reason in results.left_out.items()]
     if left:

@@ -19,12 +19,15 @@ set_option = click.option(
     help="Another value of an entry of the test file, as in analysis.band=[5,220]; may be repeated.",
 )
 output_option = click.option("-o", "--output", type=click.Path(), help="Results folder (default: results/NAME here).")
-_second_opinion = click.option("--second-opinion", is_flag=True, help="Ask sdypy-EMA and pyOMA-2 too; the report shows where they differ.")
+open_option = click.option("--open", "show", is_flag=True, help="Open the report in the browser when it is done.")
+_second_opinion = click.option(
+    "--second-opinion", is_flag=True, help="Compare with sdypy-EMA and pyOMA-2 on the same data; the report shows where they differ."
+)
 
 
 def test_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Options of all commands that run a test."""
-    return _second_opinion(set_option(function))
+    return _second_opinion(set_option(open_option(function)))
 
 
 def read_test(path: str | Path, changes: tuple[str, ...] = (), second_opinion: bool = False) -> Test:

@@ -54,9 +54,17 @@ class Comparison(Saved):
     n_lines : int
         Complex lines compared, all pairs together.
     notes : tuple of str
-        What could not be judged, and why.
+        What could not be assessed, and why.
     misfit_meas : float or None
         As ``misfit``, by the variance of the measurement alone.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> other = operando.ModalModel([20.2, 45.0], [0.01, 0.02], idle.shapes, "1+Z, 2+Z", "unit_modal_mass")
+    >>> operando.compare(other, idle.frf(np.arange(5, 80, 0.1), variance=False))
+    <Comparison: level error 0.55 dB; relative error 0.428; 3000 lines, 2 response DOFs>
     """
 
     error_db: float | None
@@ -99,7 +107,7 @@ class Comparison(Saved):
         return made
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object as in the contract."""
+        """JSON object as in the specification."""
         return {
             "error_db": self.error_db,
             "relative_error": self.relative_error,
@@ -122,7 +130,7 @@ def compare(
 @overload
 def compare(model: FrfModel | Frf, measured: Frf | Sequence[Frf], band_hz: tuple[float, float] | None = None) -> Comparison: ...
 def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = None) -> Comparison | ModelComparison:
-    """Error measures of a model against a measurement (contract, "Error measures"), or two models mode by mode.
+    """Error measures of a model against a measurement (specification, "Error measures"), or two models mode by mode.
 
     Parameters
     ----------
@@ -299,7 +307,14 @@ def compare_all(
     models : mapping
         ``idle``, ``idle_shapes``, ``msf_all``, ``ofrf``, ``effect`` → model.
     runs : sequence of CheckRun
+        Validation runs.
     band_hz : (float, float), optional
+        Band [Hz] of the comparison. Default: all lines.
+
+    Returns
+    -------
+    dict
+        The document.
 
     Raises
     ------
@@ -326,7 +341,7 @@ def with_effect(
     runs: Sequence[CheckRun],
     band_hz: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """``comparison.json`` with the idle model and its effects judged anew, all models without them as they were.
+    """``comparison.json`` with the idle model and its effects compared anew, all models without them as they were.
 
     Parameters
     ----------
@@ -337,6 +352,12 @@ def with_effect(
     runs : sequence of CheckRun
         Those of ``comparison``.
     band_hz : (float, float), optional
+        Band [Hz] of the comparison. Default: all lines.
+
+    Returns
+    -------
+    dict
+        The document.
     """
     judged = None if effect is None else compare_all({"effect": effect}, runs, band_hz)
 
@@ -352,7 +373,7 @@ def with_effect(
 
 
 def lowest_level(runs: Sequence[CheckRun]) -> str:
-    """The level that judges a linear model: the smallest number in the level texts; the words low, lowest; else the last by name."""
+    """The level a linear model is validated at: the smallest number in the level texts; the words low, lowest; else the last by name."""
     levels = list(dict.fromkeys(r.level for r in runs))
     numbers = [re.search(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", level) for level in levels]
     if all(n is not None for n in numbers):

@@ -15,7 +15,29 @@ from operando.errors import DataError
 
 
 def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.bool_]:
-    """(n_responses, n_references, n_lines) mask of finite lines in band well above the noise."""
+    """(n_responses, n_references, n_lines) mask of finite lines in band well above the noise.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+    band : sequence of float, optional
+        Lowest and highest line [Hz] to keep.
+
+    Returns
+    -------
+    bool array
+        True where a line counts.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.compare import clear_lines
+    >>> clear_lines(frf, (10, 20)).sum(axis=2).tolist()
+    [[100, 100], [100, 100]]
+    """
     size2 = np.abs(frf.data) ** 2
     mask = np.isfinite(size2) & (size2 > 0)
     if frf.variance is not None:
@@ -28,7 +50,27 @@ def clear_lines(frf: Frf, band: Sequence[float] | None = None) -> NDArray[np.boo
 
 
 def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
-    """20·log10(|H_model|/|H_measured|) for each pair and line [dB]; NaN where either is zero or not finite."""
+    """20·log10(|H_model|/|H_measured|) for each pair and line [dB]; NaN where either is zero or not finite.
+
+    Parameters
+    ----------
+    model : Frf
+        FRFs of the model.
+    measured : Frf
+        Measured FRFs on the same lines and pairs.
+
+    Returns
+    -------
+    array
+        One value for each pair and line.
+
+    Examples
+    --------
+    >>> import operando
+    >>> one = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "1+Z", "1+Z")
+    >>> level_error_db(operando.Frf(10 * one.data, [5.0, 6.0], "1+Z", "1+Z"), one).tolist()
+    [[[20.0, 20.0]]]
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(model.data) / np.abs(measured.data)
         out = 20 * np.log10(ratio)
@@ -36,7 +78,28 @@ def level_error_db(model: Frf, measured: Frf) -> NDArray[np.float64]:
 
 
 def rms_over(values: NDArray[np.float64], mask: NDArray[np.bool_], axis: Any = None) -> Any:
-    """Root mean square of the masked finite values along some axes; NaN where there are none."""
+    """Root mean square of the masked finite values along some axes; NaN where there are none.
+
+    Parameters
+    ----------
+    values : array
+        Values of any shape.
+    mask : bool array
+        Which of them count; same shape.
+    axis : object, optional
+        Axis or axes to average over; default: all.
+
+    Returns
+    -------
+    float or array
+        One value for each index of the axes that are left.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> float(rms_over(np.array([3.0, 4.0, 100.0]), np.array([True, True, False])).round(3))
+    3.536
+    """
     use = mask & np.isfinite(values)
     total = np.sum(np.where(use, values, 0.0) ** 2, axis=axis)
     n = np.sum(use, axis=axis)

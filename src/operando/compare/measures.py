@@ -1,4 +1,4 @@
-"""Error measures on complex FRF lines (contract, "Error measures"), as pure functions of flat arrays."""
+"""Error measures on complex FRF lines (specification, "Error measures"), as pure functions of flat arrays."""
 
 from __future__ import annotations
 

@@ -39,6 +39,13 @@ class ModelComparison(Saved):
         At the DOFs that both have.
     n_dofs : int
         How many these are.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> operando.compare(idle, idle)
+    <ModelComparison: 2 modes paired over 2 DOFs; 2 with MAC ≥ 0.7; frequencies differ by up to 0 %>
     """
 
     first: ModalModel
@@ -111,12 +118,25 @@ def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None 
     band_hz : (float, float), optional
         Modes used; default all.
 
+    Returns
+    -------
+    ModelComparison
+
     Raises
     ------
     ObjectError
         If one has no modes to pair.
     DataError
         If they have no DOF in common, or one has no mode in the band.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> from operando.compare import compare_models
+    >>> other = operando.ModalModel([21.0, 45.0], [0.01, 0.02], idle.shapes, "1+Z, 2+Z", "unit_modal_mass")
+    >>> compare_models(idle, other)
+    <ModelComparison: 2 modes paired over 2 DOFs; 2 with MAC ≥ 0.7; frequencies differ by up to 5 %>
     """
     a, b = (_in_band(modal_of(m), band_hz) for m in (first, second))
     shapes_a, shapes_b, dofs = common_shapes(a, b)
@@ -144,10 +164,27 @@ def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None 
 def modal_of(model: Any) -> ModalModel:
     """The modes of a model: itself, the scaled ones of a hybrid model, those of the running structure of a model with effects.
 
+    Parameters
+    ----------
+    model : object
+        ModalModel, HybridModel or Model.
+
+    Returns
+    -------
+    ModalModel
+
     Raises
     ------
     ObjectError
         If it has none.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> from operando.compare import modal_of
+    >>> modal_of(idle) is idle
+    True
     """
     if isinstance(model, ModalModel):
         return model

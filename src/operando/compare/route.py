@@ -1,4 +1,4 @@
-"""Which of the two routes to the operating FRFs is recommended, and how good it is: diagnosis and comparison judged together."""
+"""Which of the two routes to the operating FRFs is recommended, and how good it is: diagnosis and comparison taken together."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Route:
     error_db, idle_error_db : float or None
         Its error and that of the idle model on the same lines.
     good : bool or None
-        Whether the data allow no better, or it is close; None where nothing judged it.
+        Whether the data allow no better, or it is close; None where nothing validated it.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Route:
 
 
 def is_good(errors: Mapping[str, Any]) -> bool | None:
-    """Whether a model is as good as the data allow, or close; None without an error. A noise floor too high excuses nothing."""
+    """Whether a model is as good as the data allow, or close; None without an error. A noise floor too high makes nothing good."""
     error, misfit, floor = (errors.get(key) for key in ("error_db", "misfit", "noise_floor_db"))
     if error is None:
         return None
@@ -62,7 +62,18 @@ def is_good(errors: Mapping[str, Any]) -> bool | None:
 
 
 def gets_worse(models: Mapping[str, Any]) -> str | None:
-    """Where the idle model with its effects is farther off than without them, by more than noise makes; None where nowhere."""
+    """Where the idle model with its effects is farther off than without them, by more than noise makes; None where nowhere.
+
+    Parameters
+    ----------
+    models : mapping
+        ``models`` of ``comparison.json``.
+
+    Returns
+    -------
+    str or None
+        The sentence.
+    """
     idle, effect = models.get("idle") or {}, models.get("effect") or {}
     floor = effect.get("noise_floor_db") or 0.0
     before = {_where(row): row["error_db"] for key in ("by_dof", "by_band") for row in idle.get(key) or []}
@@ -89,6 +100,10 @@ def recommended(comparison: Mapping[str, Any] | None, diagnosis: Mapping[str, An
         ``diagnosis.json``.
     hybrid : bool
         Whether operational modes were scaled.
+
+    Returns
+    -------
+    Route or None
     """
     models = (comparison or {}).get("models") or {}
     verdict, effects = (diagnosis or {}).get("verdict"), (diagnosis or {}).get("effects") or []

@@ -1,4 +1,4 @@
-"""Verdict of a diagnosis from its figures (contract, "Verdicts"): one rule for FRF lines, operating modes and records of force."""
+"""Verdict of a diagnosis from its figures (specification, "Verdicts"): one rule for FRF lines, operating modes and records of force."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ FLOOR_DB = 3.0
 
 
 def verdict_of(
-    judge: Sequence[float], *, unseen: str | None = None, more: str | None = None, ambiguous: bool = False, within: bool = False
+    holdout: Sequence[float], *, unseen: str | None = None, more: str | None = None, ambiguous: bool = False, within: bool = False
 ) -> tuple[str, str | None]:
     """Verdict, and what stands in the way of a better one.
 
     Parameters
     ----------
-    judge : sequence of float
-        Reduced chi-square on the judge set at each step, that of the idle model first.
+    holdout : sequence of float
+        Reduced chi-square on the hold-out set at each step, that of the idle model first.
     unseen : str, optional
         Why a change that counts could have passed unseen; None where it could not.
     more : str, optional
-        Why another effect may be missing beside those found; None where one was looked for and none earned its place.
+        Why another effect may be missing beside those found; None where one was looked for and none improved the model.
     ambiguous : bool
         Whether another kind or a far place does as well.
     within : bool
-        Whether the last step leaves no more than the noise and the discrepancy allowed to it (contract), whatever its chi-square.
+        Whether the last step leaves no more than the noise and the discrepancy allowed to it (specification), whatever its chi-square.
     """
-    if judge[0] < GOOD and unseen is not None:
+    if holdout[0] < GOOD and unseen is not None:
         return "inconclusive", unseen
-    if len(judge) < 2:
-        return ("no_misfit" if judge[0] < GOOD else "unexplained"), None
+    if len(holdout) < 2:
+        return ("no_misfit" if holdout[0] < GOOD else "unexplained"), None
     left = more or unseen
-    if (within or judge[-1] < GOOD) and left is None:
+    if (within or holdout[-1] < GOOD) and left is None:
         return ("ambiguous" if ambiguous else "explained"), None
-    left = left or f"the validation lines keep a reduced chi-square of {judge[-1]:.3g}, where less than {GOOD:g} is asked"
-    remains = min(judge[-1], GOOD) if within else judge[-1]
-    return ("partial" if remains < (1 - PARTLY) * judge[0] else "unexplained"), left
+    left = left or f"the validation lines keep a reduced chi-square of {holdout[-1]:.3g}, where less than {GOOD:g} is asked"
+    remains = min(holdout[-1], GOOD) if within else holdout[-1]
+    return ("partial" if remains < (1 - PARTLY) * holdout[0] else "unexplained"), left
 
 
 def floor_reason(noise_floor_db: float | None) -> str | None:

@@ -27,7 +27,24 @@ def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = 
 
 
 def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
-    """Complex numbers of two parts; an infinite part leaves the other one as it is, which a product with i would not."""
+    """Complex numbers of two parts; an infinite part leaves the other one as it is, which a product with i would not.
+
+    Parameters
+    ----------
+    real : array
+        Real parts.
+    imaginary : array
+        Imaginary parts.
+
+    Returns
+    -------
+    complex array
+
+    Examples
+    --------
+    >>> complex_of([1.0, 2.0], [0.0, -1.0]).tolist()
+    [(1+0j), (2-1j)]
+    """
     first = np.asarray(real, float)
     out = np.empty(first.shape, complex)
     out.real, out.imag = first, imaginary

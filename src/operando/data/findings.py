@@ -29,6 +29,12 @@ class Finding:
         Interval [s] or frequency band [Hz] concerned.
     consequence, action : str
         What it does to the results (or what was done about it), and what the user can do.
+
+    Examples
+    --------
+    >>> import operando
+    >>> operando.Finding("overload", "3 samples at full scale", "warning", dof="1+Z").to_dict()["severity"]
+    'warning'
     """
 
     kind: str
@@ -83,6 +89,21 @@ def group_findings(findings: Iterable[Finding]) -> list[Finding]:
     """The findings in their order, each once, with those that are alike (but for files, DOFs and numbers) as one that counts them.
 
     A group takes the words of its first member and names how many there are, and the first few files or DOFs.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Findings of one object or file, or of several.
+
+    Returns
+    -------
+    list of Finding
+
+    Examples
+    --------
+    >>> finding = Finding("overload", "3 samples at full scale", "warning", file="run1.uff")
+    >>> len(group_findings([finding, finding]))
+    1
     """
     groups: dict[tuple[object, ...], list[Finding]] = {}
     for finding in dict.fromkeys(findings):

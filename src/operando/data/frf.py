@@ -34,6 +34,12 @@ class FrequencyAxis:
     ------
     DataError
         If the values are not finite, negative, or not increasing.
+
+    Examples
+    --------
+    >>> import operando
+    >>> len(operando.FrequencyAxis([5.0, 5.5, 6.0]))
+    3
     """
 
     values: NDArray[np.float64]
@@ -100,6 +106,13 @@ class Frf(Noun):
         What is wrong with it.
     provenance : Provenance, optional
         Where it came from.
+
+    Examples
+    --------
+    >>> import operando
+    >>> frf = operando.Frf([[[1.0, 2.0]], [[3.0, 4.0]]], [5.0, 6.0], "1+Z, 2+Z", "1+Z")
+    >>> frf["2+Z", "1+Z"].data.real.tolist()
+    [[[3.0, 4.0]]]
     """
 
     data: NDArray[np.complexfloating[Any, Any]]
@@ -413,7 +426,7 @@ class Frf(Noun):
         return [(i, j) for j, r in enumerate(self.references) for i, d in enumerate(self.responses) if d.same_axis(r)]
 
     def both_ways(self) -> Iterator[tuple[Dof, Dof, NDArray[Any], NDArray[Any], NDArray[np.float64] | None]]:
-        """Each pair of references that are also responses, as reciprocity is judged by.
+        """Each pair of references that are also responses, as reciprocity is assessed by.
 
         Yields
         ------

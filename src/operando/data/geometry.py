@@ -104,6 +104,12 @@ class Geometry(Noun):
         Node → number of the system its directions are given in, for those whose directions are not global.
     appearance : Appearance
         Names and colours.
+
+    Examples
+    --------
+    >>> import operando
+    >>> operando.Geometry((1, 2), [[0, 0, 0], [1, 0, 0]], ((1, 2),))
+    <Geometry: 2 nodes 1, 2; 1 line, 0 faces; 1 × 0 × 0 m>
     """
 
     nodes: tuple[Node, ...]
@@ -212,7 +218,24 @@ measured values would grow more than tenfold; the motion along it is left at zer
 
 def direction_of(dof: Dof, directions: Mapping[str, Sequence[float]]) -> NDArray[np.float64] | None:
     """Unit vector (3,) in which a DOF measures, its sign included; None for rotations and directions nobody declared. Scalars measure
-    along z."""
+    along z.
+
+    Parameters
+    ----------
+    dof : Dof
+        The DOF.
+    directions : mapping
+        DOF in its positive sense → unit vector, for DOFs that are no axes.
+
+    Returns
+    -------
+    (3,) array or None
+
+    Examples
+    --------
+    >>> direction_of(Dof.parse("7-X"), {}).tolist()
+    [-1.0, -0.0, -0.0]
+    """
     vector = directions.get(str(dof.unsigned), _AXIS_VECTORS.get(dof.axis))
     return None if vector is None else dof.sign * np.asarray(vector, float)
 
@@ -226,9 +249,23 @@ def node_motion(dofs: Sequence[Dof], values: NDArray[Any], directions: Mapping[s
     Parameters
     ----------
     dofs : sequence of Dof
+        DOFs of the values.
     values : (n_dofs, n_modes) array
+        Values (n_dofs, n_modes).
     directions : mapping
         As ``Geometry.directions``.
+
+    Returns
+    -------
+    dict
+        Node → motion.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> motion = node_motion([Dof.parse("7+X"), Dof.parse("7-Z")], np.array([[1.0], [2.0]]), {})
+    >>> motion[7].ravel().tolist()
+    [1.0, 0.0, -2.0]
     """
     rows: dict[Node, list[tuple[NDArray[np.float64], int]]] = {}
     for i, dof in enumerate(dofs):

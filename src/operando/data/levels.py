@@ -9,6 +9,23 @@ some hammer hits by 20 %."""
 
 
 def one_level(first: float, second: float) -> bool:
-    """Whether two forces (rms or peak) are of one level."""
+    """Whether two forces (rms or peak) are of one level.
+
+    Parameters
+    ----------
+    first : float
+        One force [N].
+    second : float
+        Another force [N], of the same measure.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> one_level(5.0, 5.2), one_level(5.0, 20.0)
+    (True, False)
+    """
     low, high = sorted((first, second))
     return high == low or high < LEVEL_RATIO * low

@@ -146,7 +146,26 @@ class MappedSamples(NDArrayOperatorsMixin):
 
 
 def pieces(data: Any, length: int = PIECE) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Consecutive stretches of all rows, (first sample, samples): arrays of at most ``length`` samples."""
+    """Consecutive stretches of all rows, (first sample, samples): arrays of at most ``length`` samples.
+
+    Parameters
+    ----------
+    data : object
+        Array or samples in a file (rows, n_samples).
+    length : int, optional
+        Largest number of samples of one piece.
+
+    Yields
+    ------
+    int, array
+        First sample and samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> [(first, part.shape) for first, part in pieces(np.zeros((2, 5)), 3)]
+    [(0, (2, 3)), (3, (2, 2))]
+    """
     for first in range(0, data.shape[1], length):
         yield first, np.asarray(data[:, first : first + length])
 
@@ -297,7 +316,23 @@ class _RowReader:
 
 
 def mapped_rows(file: StoredFile, rows: Sequence[StoredRow], samples: int, dtype: DTypeLike) -> MappedSamples:
-    """Channels that lie one after the other in a file."""
+    """Channels that lie one after the other in a file.
+
+    Parameters
+    ----------
+    file : StoredFile
+        The file.
+    rows : sequence of StoredRow
+        Where each row lies and how its numbers are scaled.
+    samples : int
+        Samples of each row.
+    dtype : DTypeLike
+        Type in which samples are given.
+
+    Returns
+    -------
+    MappedSamples
+    """
     return MappedSamples(_RowReader(file, tuple(rows), np.dtype(dtype)), (len(rows), samples), dtype)
 
 
@@ -333,6 +368,18 @@ def filling(shape: tuple[int, int], dtype: DTypeLike) -> Iterator[_Filled]:
     """A function (row, first sample, values) that puts rows together part by part; ``samples`` of it holds them when the block ends.
 
     What is larger than ``MAPPED_FROM`` lies in a temporary file (in the folder that TMPDIR names).
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and samples.
+    dtype : DTypeLike
+        Type of the samples.
+
+    Yields
+    ------
+    callable
+        The function.
 
     Raises
     ------
@@ -375,7 +422,23 @@ class RowStatistics:
 
 
 def row_statistics(data: Any) -> RowStatistics:
-    """Statistics of the rows of a record, in one pass; made once for samples in a file."""
+    """Statistics of the rows of a record, in one pass; made once for samples in a file.
+
+    Parameters
+    ----------
+    data : object
+        Array or samples in a file (rows, n_samples).
+
+    Returns
+    -------
+    RowStatistics
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> row_statistics(np.array([[1.0, -3.0, 2.0]])).finite.tolist()
+    [True]
+    """
     if not isinstance(data, MappedSamples):
         return _row_statistics(data)
     if data._statistics is None:

@@ -65,6 +65,12 @@ class ModalModel(ModalFigures, Noun):
     ------
     DataError
         If shapes disagree or values are out of range.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    <ModalModel: 2 modes at 20, 45 Hz; 2 DOFs 1+Z, 2+Z; unit modal mass>
     """
 
     frequencies_hz: NDArray[np.float64]
@@ -364,7 +370,7 @@ class ModalModel(ModalFigures, Noun):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: modes, number of residual terms, misfit."""
+        """JSON object: modes, number of residual terms, reduced chi-square."""
         return {
             "modes": [self.mode_dict(i) for i in range(self.n_modes)],
             "residual_modes": self.n_residuals,
@@ -378,7 +384,23 @@ def _number(values: NDArray[Any] | None, i: int) -> float | None:
 
 
 def phase_collinearity(shape: ArrayLike) -> float:
-    """Modal phase collinearity of one shape, 1 for a real mode (Pappa, Elliott & Schenk 1993; centred at zero mean)."""
+    """Modal phase collinearity of one shape, 1 for a real mode (Pappa, Elliott & Schenk 1993; centred at zero mean).
+
+    Parameters
+    ----------
+    shape : array
+        One mode shape.
+
+    Returns
+    -------
+    float
+        0 to 1.
+
+    Examples
+    --------
+    >>> round(phase_collinearity([1.0, -0.5, 0.2]), 3)
+    1.0
+    """
     v = np.asarray(shape)
     if not np.iscomplexobj(v):
         return 1.0

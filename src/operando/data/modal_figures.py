@@ -1,4 +1,4 @@
-"""What a modal model draws; the figures themselves are in the room of figures."""
+"""What a modal model draws; the figures themselves are in ``operando.plots``."""
 
 from __future__ import annotations
 

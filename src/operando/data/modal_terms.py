@@ -30,6 +30,12 @@ class ResidualTerms:
     ------
     DataError
         If the arrays do not belong together or values are out of range.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> operando.ResidualTerms(np.array([2.0]), np.array([0.01]), np.array([[0.1], [0.2]])).frequencies_hz.tolist()
+    [2.0]
     """
 
     frequencies_hz: NDArray[np.float64]

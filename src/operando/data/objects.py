@@ -1,6 +1,6 @@
 """What all nouns can do: show themselves in short, be saved, take the forms of other libraries.
 
-The work is done in rooms below this one (io, plots), loaded by name when it is asked for: data imports nothing of them.
+The work is done in packages below this one (io, plots), loaded by name when it is asked for: data imports nothing of them.
 """
 
 from __future__ import annotations
@@ -25,18 +25,58 @@ MOST_NAMES = 4
 
 
 def plots() -> Any:
-    """The room of figures, with matplotlib behind it."""
+    """The package of figures, with matplotlib behind it.
+
+    Returns
+    -------
+    module
+        ``operando.plots``.
+    """
     return importlib.import_module("operando.plots")
 
 
 def names_text(names: Iterable[object], most: int = MOST_NAMES) -> str:
-    """``1+Z, 2+Z, 3+Z, … (13)``: the first few of a list of names, and how many there are."""
+    """``1+Z, 2+Z, 3+Z, … (13)``: the first few of a list of names, and how many there are.
+
+    Parameters
+    ----------
+    names : sequence of object
+        The names.
+    most : int, optional
+        How many are shown.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> names_text(["1+Z", "2+Z", "3+Z", "4+Z", "5+Z"])
+    '1+Z, 2+Z, 3+Z, … (5)'
+    """
     words = [str(n) for n in names]
     return ", ".join(words) if len(words) <= most else f"{', '.join(words[: most - 1])}, … ({len(words)})"
 
 
 def counted(n: int, noun: str) -> str:
-    """``1 force``, ``3 forces``."""
+    """``1 force``, ``3 forces``.
+
+    Parameters
+    ----------
+    n : int
+        How many.
+    noun : str
+        What, in the singular.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> counted(1, "force"), counted(3, "force")
+    ('1 force', '3 forces')
+    """
     return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
@@ -115,10 +155,31 @@ class Noun(Saved):
 def several(value: Any, kind: type[T], what: str, hint: str) -> list[T]:
     """One object of a kind, or several in a list or tuple, as a list.
 
+    Parameters
+    ----------
+    value : object
+        What was given.
+    kind : type[T]
+        Class of each object.
+    what : str
+        What needs it, in words.
+    hint : str
+        What to give instead.
+
+    Returns
+    -------
+    list
+        The objects.
+
     Raises
     ------
     ObjectError
         If it is something else; it says what was given and what to do.
+
+    Examples
+    --------
+    >>> several(3, int, "numbers are added", "give numbers"), several([3, 4], int, "numbers are added", "give numbers")
+    ([3], [3, 4])
     """
     items = list(value) if isinstance(value, list | tuple) else [value]
     for item in items:
@@ -128,6 +189,17 @@ def several(value: Any, kind: type[T], what: str, hint: str) -> list[T]:
 
 def expect(value: Any, kinds: type | tuple[type, ...], what: str, hint: str) -> None:
     """Refuse an object of another kind than a function works on.
+
+    Parameters
+    ----------
+    value : object
+        What was given.
+    kinds : type or tuple[type, ...]
+        Class or classes that the function works on.
+    what : str
+        What needs it, in words.
+    hint : str
+        What to give instead.
 
     Raises
     ------

@@ -38,7 +38,18 @@ class Provenance:
 
 
 def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, read in chunks."""
+    """SHA-256 of a file, read in chunks.
+
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
     digest = hashlib.sha256()
     with open(path, "rb") as stream:
         while chunk := stream.read(1 << 20):

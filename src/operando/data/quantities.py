@@ -36,6 +36,10 @@ def quantity_named(name: str, reciprocals: bool = True) -> str:
     reciprocals : bool
         Whether force over motion (``dynamic_stiffness``, ``impedance``, ``apparent_mass``) is allowed.
 
+    Returns
+    -------
+    str
+
     Raises
     ------
     DataError
@@ -59,5 +63,20 @@ def quantity_named(name: str, reciprocals: bool = True) -> str:
 
 
 def unit_of(quantity: str) -> str:
-    """SI unit of a quantity, by any of its names: ``(m/s²)/N`` for accelerance."""
+    """SI unit of a quantity, by any of its names: ``(m/s²)/N`` for accelerance.
+
+    Parameters
+    ----------
+    quantity : str
+        Any name of an FRF quantity.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> unit_of("inertance")
+    '(m/s²)/N'
+    """
     return UNITS[quantity_named(quantity)]

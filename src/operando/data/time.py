@@ -32,8 +32,8 @@ class Channel:
 
     Parameters
     ----------
-    dof : Dof or None
-        Where and in which sense it measures; None where not known.
+    dof : Dof, str or None
+        Where and in which sense it measures; None where not known. A text such as ``12+Z`` is read.
     quantity : str
         ``acceleration``, ``force``, ``velocity``, … or ``unknown``.
     unit : str
@@ -44,6 +44,17 @@ class Channel:
         Unit as stated by the source (already converted).
     set : int or None
         Index of the set in its file, from 0.
+
+    Raises
+    ------
+    DofError
+        If a text is no DOF.
+
+    Examples
+    --------
+    >>> import operando
+    >>> operando.Channel("7-X", "acceleration", "m/s2").label
+    '7-X'
     """
 
     dof: Dof | None
@@ -52,6 +63,10 @@ class Channel:
     name: str = ""
     source_unit: str = ""
     set: int | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.dof, str):
+            object.__setattr__(self, "dof", Dof.parse(self.dof))
 
     @property
     def label(self) -> str:
@@ -89,6 +104,14 @@ class TimeRecord(Noun):
     ------
     DataError
         If shapes and labels disagree or the sampling rate is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("3+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.zeros((2, 1000)), 500.0, channels)
+    >>> record
+    <TimeRecord: 1 force 1+Z; 1 response 3+Z; 1000 samples at 500 Hz, 2 s>
     """
 
     data: NDArray[np.floating[Any]]

@@ -124,9 +124,9 @@ class Case:
         values_own, vectors_own = np.linalg.eigh(each)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]
         kept = max(1, int((values_own > LEAST_MOVE).sum(axis=1).max()))
-        some = values > LEAST_MOVE
-        some[-1] = True
-        return idle.along(vectors[:, some], own[:, :, own.shape[2] - kept :])
+        told = values > LEAST_MOVE
+        told[-1] = True
+        return idle.along(vectors[:, told], own[:, :, own.shape[2] - kept :])
 
     def place(self, dof: int) -> str:
         """In words."""

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from operando.data import Geometry, ModalModel
+from operando.diagnosis.drawn import Drawn
 from operando.effects import Effect
 from operando.results import CheckRun
 from operando.structure import Model
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Drawn):
     """What is missing in the idle model, with evidence.
 
     Parameters

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from operando.data import ModalModel
 from operando.effects.base import Quadratic
 from operando.effects.effect import Effect
+from operando.errors import IdentificationError
 
 Array = NDArray[Any]
 Placed = Sequence[tuple[Effect, Array]]
@@ -19,6 +20,8 @@ Placed = Sequence[tuple[Effect, Array]]
 _ITERATIONS = 40
 _CLOSE = 1e-11
 """Relative change of a pole at which its iteration ends."""
+_SETTLED = 1e-6
+"""Relative change that the last step of a pole may have: double poles are found to the square root of the precision, 1e-8."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class RunningDetails:
     real_poles: NDArray[np.float64]
 
 
-def modal_matrices(base: ModalModel, placed: Placed, around: complex | None = None) -> tuple[Quadratic, bool]:
+def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tuple[Effect, Array]]]:
     """M, C, K over the idle modes followed by the effects' internal coordinates.
 
     Parameters
@@ -50,30 +53,24 @@ def modal_matrices(base: ModalModel, placed: Placed, around: complex | None = No
         Unit modal mass.
     placed : sequence of (Effect, (k, n_dofs) weights)
         Effects of dynamic stiffness and their places.
-    around : complex, optional
-        Where [rad/s] an effect that is no M, C, K (hysteretic, rubber) is replaced by the spring and damper of the same dynamic
-        stiffness; default i times the median of the frequencies.
 
     Returns
     -------
     Quadratic
-    bool
-        Whether no effect had to be replaced.
+    list of (Effect, (k, n_coordinates) array)
+        The effects that say no M, C, K of their own (hysteretic, rubber), with their displacements by the coordinates.
     """
     n = base.terms.n
     w = 2 * np.pi * base.terms.frequencies_hz
-    s = 1j * float(np.median(w)) if around is None else complex(around)
     mass, damping, stiffness = np.eye(n), np.diag(2 * base.terms.damping_ratios * w), np.diag(w**2)
-    exact = True
+    rest = []
     for effect, weights in placed:
         at = np.asarray(weights @ base.terms.shapes)
         k = at.shape[0]
         form = effect.definition.quadratic(effect.values, k)
         if form is None:
-            exact = False
-            z = np.asarray(effect.definition.matrix(np.array([s]), effect.values, k))[0]
-            c = z.imag / s.imag
-            form = Quadratic(np.zeros((k, k)), c, z.real - c * s.real)
+            rest.append((effect, at))
+            continue
         size, inner = mass.shape[0], form.internal - k
         wide = np.zeros((form.internal, size + inner))
         wide[:k, :n] = at
@@ -81,7 +78,7 @@ def modal_matrices(base: ModalModel, placed: Placed, around: complex | None = No
         grown = [np.pad(a, (0, inner)) for a in (mass, damping, stiffness)]
         parts = [effect.sign * (wide.T @ a @ wide) for a in (form.mass, form.damping, form.stiffness)]
         mass, damping, stiffness = (a + b for a, b in zip(grown, parts, strict=True))
-    return Quadratic(mass, damping, stiffness), exact
+    return Quadratic(mass, damping, stiffness), [(e, np.pad(at, ((0, 0), (0, mass.shape[0] - n)))) for e, at in rest]
 
 
 def eigenpairs(form: Quadratic) -> tuple[Array, Array, Array]:
@@ -102,8 +99,8 @@ def eigenpairs(form: Quadratic) -> tuple[Array, Array, Array]:
 def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
     """Poles and complex shapes of the idle modes and residual terms under effects of dynamic stiffness.
 
-    The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, each pole is
-    refined by Newton's method on D(λ) v = 0. Poles without oscillation are told in the details.
+    The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, all zeros of
+    det D(λ) at once by Ehrlich's and Aberth's iteration. Poles without oscillation are told in the details.
 
     Parameters
     ----------
@@ -117,17 +114,23 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
     ModalModel
         Complex, "unscaled" shapes, sorted by frequency; residual terms where residual idle terms make most of them, sorted too;
         ``in_band`` where a mode lies in the base's band. ``details`` is a :class:`RunningDetails`.
+
+    Raises
+    ------
+    IdentificationError
+        If the poles under an effect that is no M, C, K are not found.
     """
-    form, exact = modal_matrices(base, placed)
-    poles, right, left = eigenpairs(form)
+    form, rest = modal_matrices(base, placed)
+    exact = not rest
+    poles, right, left = eigenpairs(_replaced(base, form, rest))
     real = np.abs(poles.imag) <= 1e-9 * np.abs(poles)
     up = np.flatnonzero(~real & (poles.imag > 0))
     up = up[np.argsort(np.abs(poles[up]))]
     n = base.terms.n
     value, vector = poles[up], right[:, up]
     if not exact:
-        refined = [_refined(base, placed, p, v[:n]) for p, v in zip(value, vector.T, strict=True)]
-        value, vector = _distinct(refined)
+        value = _refined(form, rest, value)
+        vector = _vectors(form, rest, value)
     shares = np.abs(vector[:n]) ** 2 / np.linalg.norm(vector[:n], axis=0) ** 2
     residual = shares[base.terms.residual].sum(axis=0) > 0.5
     order = np.argsort(residual, kind="stable")
@@ -168,30 +171,88 @@ def _band(base: ModalModel) -> tuple[float, float]:
     return (0.8 * float(inside.min()), 1.2 * float(inside.max())) if inside.size else (0.0, np.inf)
 
 
-def _refined(base: ModalModel, placed: Placed, pole: complex, start: Array) -> tuple[complex, Array]:
-    """One pole of D(λ) v = 0: first along re-made springs and dampers, then by Newton's method with the bordered system."""
-    n = base.terms.n
-    v = start / np.linalg.norm(start)
-    for _ in range(3):
-        poles, right, _ = eigenpairs(modal_matrices(base, placed, pole)[0])
-        like = np.abs(right[:n].conj().T @ v) / np.maximum(np.linalg.norm(right[:n], axis=0), 1e-300)
-        like[poles.imag <= 0] = -1
-        best = int(np.argmax(like - np.abs(poles - pole) / max(abs(pole), 1e-300)))
-        moved = abs(poles[best] - pole) / abs(pole)
-        pole, v = complex(poles[best]), right[:n, best] / np.linalg.norm(right[:n, best])
-        if moved < 1e-6:
-            break
-    border = v.conj()
+def _replaced(base: ModalModel, form: Quadratic, rest: Sequence[tuple[Effect, Array]]) -> Quadratic:
+    """The same with spring and mass of the same dynamic stiffness, at the median of the frequencies, in place of what is no M, C, K.
+
+    No damper: a strong one would make poles real that are not, and so lose them.
+    """
+    w = 2 * np.pi * float(np.median(base.terms.frequencies_hz))
+    mass, stiffness = form.mass.copy(), form.stiffness.copy()
+    for effect, at in rest:
+        z, slope = _stiffness(effect, at, np.array([1j * w]))
+        inertia = slope[0].imag / 2 / w
+        size, axes = np.linalg.eigh((inertia + inertia.T) / 2)
+        inertia = (axes * np.maximum(effect.sign * size, 0)) @ axes.T * effect.sign
+        mass += at.T @ inertia @ at
+        stiffness += at.T @ (z[0].real + w**2 * inertia) @ at
+    return Quadratic(mass, form.damping, stiffness)
+
+
+def _stiffness(effect: Effect, at: Array, s: Array) -> tuple[Array, Array]:
+    """Dynamic stiffness (l, k, k) of an effect at s [rad/s], with its sign, and its derivative by s."""
+    h = 1e-5 * np.abs(s)
+    z = effect.sign * np.asarray(effect.definition.matrix(np.stack([s, s + h, s - h]), effect.values, at.shape[0]), complex)
+    return z[0], (z[1] - z[2]) / (2 * h)[:, None, None]
+
+
+def _system(form: Quadratic, rest: Sequence[tuple[Effect, Array]], s: Array) -> tuple[Array, Array]:
+    """D(s) and dD/ds at each s [rad/s]: (l, n, n)."""
+    s3 = s[:, None, None]
+    d, slope = (form.mass * s3 + form.damping) * s3 + form.stiffness, 2 * form.mass * s3 + form.damping
+    for effect, at in rest:
+        z, dz = _stiffness(effect, at, s)
+        d, slope = d + at.T @ z @ at, slope + at.T @ dz @ at
+    return d, slope
+
+
+def _refined(form: Quadratic, rest: Sequence[tuple[Effect, Array]], start: Array) -> Array:
+    """Zeros of det D(λ) above the real axis from starting values, by frequency: Newton's steps that keep off each other's zeros.
+
+    One at a time, Newton's method takes several starting values to the same zero and loses the others; Ehrlich's and Aberth's step
+    N/(1 − N Σ 1/(λ − λ_j)) with N = 1/tr(D⁻¹D') counts a zero that another value has reached, and its conjugate, as taken.
+
+    Raises
+    ------
+    IdentificationError
+        If a value does not settle.
+    """
+    value = start * (1 + 1e-7 * np.arange(start.size))  # equal ones would stay together
+    moving = np.ones(value.size, bool)
+    change = np.ones(value.size)
     for _ in range(_ITERATIONS):
-        d, slope = dynamic(base, placed, pole)
-        # Newton on D(λ)v = 0 with vᴴ₀v = 1: bordered by the direction of change in λ.
-        system = np.block([[d, (slope @ v)[:, None]], [border[None], np.zeros((1, 1))]])
-        step = np.linalg.solve(system, np.r_[-(d @ v), 0.0])
-        v = v + step[:n]
-        pole += complex(step[n])
-        if abs(step[n]) < _CLOSE * abs(pole):
+        at = np.flatnonzero(moving)
+        if not at.size:
             break
-    return pole, v
+        d, slope = _system(form, rest, value[at])
+        try:
+            inverse = np.trace(np.linalg.solve(d, slope), axis1=1, axis2=2)
+        except np.linalg.LinAlgError:  # a value hit its zero to the last digit
+            value[at] *= 1 + 1e-12
+            continue
+        apart = value[at][:, None] - value[None]
+        inverse -= np.sum(1 / np.where(apart == 0, np.inf, apart), axis=1)
+        inverse -= np.sum(1 / (value[at][:, None] - value[None].conj()), axis=1)
+        step = 1 / inverse
+        change[at] = np.abs(step) / np.abs(value[at])
+        value[at] -= step
+        value = np.where(value.imag < 0, value.conj(), value)
+        moving[at] = change[at] > _CLOSE
+    if np.any(change > _SETTLED):
+        lost = ", ".join(f"{abs(v) / 2 / np.pi:.4g}" for v in value[change > _SETTLED])
+        raise IdentificationError(
+            f"poles of the running structure are not found (near {lost} Hz)",
+            where=", ".join(effect.kind for effect, _ in rest),
+            hint="its frequency response by Model.frf does not need them; or give the kind its M, C, K by `quadratic`",
+        )
+    value = value[value.imag > 1e-9 * np.abs(value)]
+    return np.asarray(value[np.argsort(np.abs(value))])
+
+
+def _vectors(form: Quadratic, rest: Sequence[tuple[Effect, Array]], poles: Array) -> Array:
+    """Right vectors D(λ) v = 0 in columns; of m equal poles m independent ones."""
+    vh = np.linalg.svd(_system(form, rest, poles)[0])[2].conj()
+    nth = [int(np.sum(np.abs(poles[:i] - p) < _SETTLED * abs(p))) for i, p in enumerate(poles)]
+    return np.stack([v[-1 - m] for v, m in zip(vh, nth, strict=True)], axis=1) if len(poles) else vh.reshape(0, 0)
 
 
 def dynamic(base: ModalModel, placed: Placed, s: complex) -> tuple[Array, Array]:
@@ -199,27 +260,12 @@ def dynamic(base: ModalModel, placed: Placed, s: complex) -> tuple[Array, Array]
     w = 2 * np.pi * base.terms.frequencies_hz
     d = np.diag(s**2 + 2 * base.terms.damping_ratios * w * s + w**2).astype(complex)
     slope = np.diag(2 * s + 2 * base.terms.damping_ratios * w).astype(complex)
-    h = 1e-5 * abs(s)
     for effect, weights in placed:
         at = np.asarray(weights @ base.terms.shapes)
-        z = effect.sign * np.asarray(effect.definition.matrix(np.array([s, s + h, s - h]), effect.values, at.shape[0]), complex)
+        z, dz = _stiffness(effect, at, np.array([s]))
         d += at.T @ z[0] @ at
-        slope += at.T @ ((z[1] - z[2]) / (2 * h)) @ at
+        slope += at.T @ dz[0] @ at
     return d, slope
-
-
-def _distinct(found: list[tuple[complex, Array]]) -> tuple[Array, Array]:
-    """Poles above the real axis, each once, by frequency."""
-    kept: list[tuple[complex, Array]] = []
-    for pole, v in sorted((f for f in found if f[0].imag > 0), key=lambda f: abs(f[0])):
-        same = [
-            o
-            for o in kept
-            if abs(o[0] - pole) < 1e-8 * abs(pole) and abs(np.vdot(o[1], v)) > 0.999 * np.linalg.norm(o[1]) * np.linalg.norm(v)
-        ]
-        if not same:
-            kept.append((pole, v))
-    return np.array([p for p, _ in kept]), np.array([v for _, v in kept]).T
 
 
 def with_spread(modes: ModalModel, base: ModalModel, placed: Placed, gradient: Array | None = None) -> ModalModel:

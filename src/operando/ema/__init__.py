@@ -1,4 +1,4 @@
-"""Experimental modal analysis: candidate poles, maximum-likelihood fit of real modes, residual modes, second opinion."""
+"""Experimental modal analysis: candidate poles, maximum-likelihood fit of real modes, residual modes, comparison with sdypy-EMA."""
 
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.fit import EmaDetails, fit_ema

@@ -162,7 +162,7 @@ def _assemble(
 def polished_model(
     frf: Frf, dofs: tuple[Dof, ...], answer: PolishedAnswer, band: tuple[float, float], fit_band: tuple[float, float], scaled: bool
 ) -> ModalModel:
-    """Model of the maximum-likelihood fit; its covariance is inflated by the misfit on unused lines."""
+    """Model of the maximum-likelihood fit; its covariance is inflated by the reduced chi-square on unused lines."""
     theta = answer.fit.parameters
     m, n = theta.shapes.shape
     units = np.concatenate([theta.hz, theta.zeta, np.ones(n * m)])

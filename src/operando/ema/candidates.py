@@ -85,6 +85,7 @@ def candidate_poles(
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
+        Lines [Hz].
     H : (n_resp, n_ref, n_lines) complex array
         Accelerance (other quantities work; the weightings then differ by powers of ω).
     weights : (n_resp, n_ref, n_lines) or (n_resp, n_lines) array, optional
@@ -107,6 +108,15 @@ def candidate_poles(
     ------
     IdentificationError
         If no fit is possible in the band.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from operando.ema import candidate_poles
+    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> found = candidate_poles(np.arange(5, 80, 0.1), model.frf(np.arange(5, 80, 0.1)).data)
+    >>> min(round(abs(float(c.frequency_hz) - 45.0), 3) for c in found)
+    0.0
     """
     f = np.asarray(frequencies_hz, float)
     data = np.asarray(H, complex)
@@ -296,15 +306,34 @@ def stabilization_diagram(
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
+        Lines [Hz].
     H : (n_resp, n_ref, n_lines) complex array
-    max_order, weights, band, window_rate
+        FRFs.
+    max_order : int
+        Highest polynomial order.
+    weights : array, optional
         As in :func:`operando.ema.plscf.plscf`.
-    tolerances, select_hz, reject_hz
-        As in :func:`operando.stabilization.select_modes`.
+    band : (float, float), optional
+        Lines used [Hz]. Default: all.
+    tolerances : Tolerances, optional
+        What counts as stable.
+    select_hz, reject_hz : sequences of float
+        Choice by hand [Hz], as in :func:`operando.stabilization.select_modes`.
+    window_rate : float
+        Decay rate [1/s] of an exponential window.
 
     Returns
     -------
     Stabilization
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import stabilization_diagram
+    >>> stabilization_diagram(frf.frequencies_hz, frf.data, max_order=20).selected_hz.round(2).tolist()
+    [20.0, 45.0]
     """
     f = np.asarray(frequencies_hz, float)
     low, high = (float(f[0]), float(f[-1])) if band is None else band

@@ -307,9 +307,9 @@ def visible_peaks(pairs: Pairs) -> Real:
 def _missing_mode(
     fit: LinearFit, band: tuple[float, float], peaks: Real, tried: Sequence[tuple[float, float]]
 ) -> tuple[float, float] | None:
-    """Frequency and damping of one more mode that earns twice its unknowns, or None.
+    """Frequency and damping of one more mode whose gain is twice its unknowns, or None.
 
-    The gain is judged under the model error of all pairs: that of a pair has grown around the mode it misses. Where the model error rules,
+    The gain is taken under the model error of all pairs: that of a pair has grown around the mode it misses. Where the model error rules,
     only visible peaks that no pole explains are asked, since the residuals of a moving or bending mode look like another one.
     """
     f = fit.pairs.frequencies_hz

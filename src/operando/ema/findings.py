@@ -1,4 +1,4 @@
-"""What the fit noticed about the data: missing drive points and units, wrong senses, modes nobody scales, misfit."""
+"""What the fit noticed about the data: missing drive points and units, wrong senses, modes nobody scales, reduced chi-square."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ of a close mode of the same size that is 3° out of phase (sin 3° = 0.05, proje
 
 
 def turned_finding(dof: str) -> Finding:
-    """Force and accelerometer at ``dof`` have opposite senses; the fit turned the force."""
+    """Force and accelerometer at ``dof`` have opposite senses; the fit reversed the polarity of the force."""
     return Finding(
         "drive_point_sign",
         f"the drive-point residues at {dof} are negative: force and accelerometer there have opposite senses",

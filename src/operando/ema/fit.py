@@ -59,7 +59,8 @@ class EmaDetails:
     fit_band_hz : (float, float)
         Lines that the fit used.
     misfit_by_dof : (n_dofs,) array
-        Held-out misfit of each response DOF (of each hit point where a roving hammer is polished); NaN where it was not measured.
+        Reduced chi-square on hold-out lines of each response DOF (of each hit point where a roving hammer is polished); NaN where it
+        was not measured.
     fit_misfit : float
         Mean of eᴴC⁻¹e/m on the lines of the fit.
     converged : bool
@@ -138,10 +139,10 @@ def fit_ema(
         FRF matrix; any number of responses and references, also more references than responses (roving hammer).
     band : (float, float), optional
         Analysis band [Hz]; default: the lines of the FRF without those at the edges.
-    max_order : int, optional
-        Order of the linear fit shown in the stabilisation diagram.
     exclude_bands : sequence of (float, float)
         Lines inside these bands [Hz] are not used, of the FRFs nor of the records.
+    max_order : int, optional
+        Order of the linear fit shown in the stabilisation diagram.
     records : sequence of TimeRecord, optional
         Raw runs behind the FRFs: forces and responses. Runs with a single hit are fitted through their FRFs.
     ema : {"auto", "linear", "polished"}
@@ -161,7 +162,7 @@ def fit_ema(
     -------
     ModalModel
         Real shapes; ``scaling`` is ``unit_modal_mass`` where units are known and a drive point gives the scale, else ``unscaled``.
-        ``misfit`` is judged on lines the fit did not use; ``details`` is an :class:`EmaDetails`.
+        ``misfit`` is that of lines the fit did not use; ``details`` is an :class:`EmaDetails`.
 
     Raises
     ------
@@ -169,6 +170,13 @@ def fit_ema(
         If the band holds too few lines, no mode is found, or no pole is near a frequency named in ``modes_hz`` or ``select_hz``.
     DataError
         If records and FRFs do not belong together, or ``ema`` is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70)).frequencies_hz.round(2)
+    array([20., 45.])
     """
 
     expect(frf, Frf, "modes are identified from FRFs", "estimate_frf(records) makes them of records, read(file).frfs holds measured ones")
@@ -189,7 +197,9 @@ def fit_ema(
         if modes_hz or select_hz or reject_hz:
             model = modes_by_hand(model, modes_hz, select_hz, reject_hz, _exactly(job))
         if second_opinion:
-            model = replace(model, details=replace(model.details, second_opinion=_opinion(frf, model)))
+            from operando.ema.second_opinion import opinion_on
+
+            model = replace(model, details=replace(model.details, second_opinion=opinion_on(frf, model)))
         return model
 
 
@@ -442,7 +452,7 @@ def _distinct(poles: list[tuple[float, float]]) -> tuple[Real, Real]:
 def _right_quantity(pairs: Pairs, start: Poles) -> tuple[Pairs, list[Finding]]:
     """FRFs whose residues stand at 90° are no accelerances: taken for mobilities, which they most likely are.
 
-    Each mode with equal weight: mean over the modes of Σ R²/Σ|R|², 1 for real residues, −1 for residues turned by 90°.
+    Each mode with equal weight: mean over the modes of Σ R²/Σ|R|², 1 for real residues, −1 for residues rotated by 90°.
     """
     thinned = pairs.lines(informative_lines(pairs.frequencies_hz, start.hz, start.zeta))
     ends = float(pairs.frequencies_hz[0]), float(pairs.frequencies_hz[-1])
@@ -488,11 +498,3 @@ def _diagram(job: _Job, fit_band: tuple[float, float], max_order: int | None, hz
     # What the linear diagram rejected but the refined fit took is not rejected.
     rejected = tuple(r for r in diagram.rejected if not np.any(np.abs(hz - r.frequency_hz) < 0.005 * hz))
     return replace(diagram, selected_hz=hz, selected_damping=zeta, selected_vectors=shapes, selected_members=members, rejected=rejected)
-
-
-def _opinion(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:
-    from operando.ema.second_opinion import second_opinion
-
-    # That program knows nothing of the window: it is compared with the damping that the FRFs carry.
-    damping = model.damping_ratios + frf.exponential_window_rate / (2 * np.pi * model.frequencies_hz)
-    return tuple(second_opinion(frf.frequencies_hz, frf.data, model.frequencies_hz, damping, references=[str(r) for r in frf.references]))

@@ -1,4 +1,4 @@
-"""Misfit on lines the fit did not use."""
+"""Reduced chi-square on lines the fit did not use."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def heldout_masks(runs: Sequence[RunSpectra]) -> list[NDArray[np.bool_]]:
 
 
 def heldout_misfit(runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band: tuple[float, float]) -> tuple[float, Real]:
-    """Refit without the held-out lines, from the final values, and judge it there by the measurement variance alone.
+    """Refit without the hold-out lines, from the final values, and evaluate it there by the measurement variance alone.
 
     Returns
     -------
     misfit : float
-        Mean |e|²/var over held-out lines within the band, responses and runs.
+        Mean |e|²/var over hold-out lines within the band, responses and runs.
     by_row : (M,) array
     """
     masks = heldout_masks(runs)

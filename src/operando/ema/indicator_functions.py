@@ -29,6 +29,15 @@ def cmif(H: ArrayLike) -> NDArray[np.float64]:
     ------
     DataError
         If H has not three dimensions.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import cmif
+    >>> frf.frequencies_hz[cmif(frf.data)[0].argmax()].round(1).tolist()
+    20.0
     """
     data = np.asarray(H)
     if data.ndim != 3:

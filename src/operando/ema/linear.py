@@ -51,7 +51,7 @@ class LinearFit:
     projection : Projection
     variance : Variance
     covariance : (2n, 2n) array
-        Of [ln f, ln ζ], for judging poles: errors of a pair may be correlated over its lines in any way. :func:`stated_covariance` adds
+        Of [ln f, ln ζ], for rating poles: errors of a pair may be correlated over its lines in any way. :func:`stated_covariance` adds
         what a drift within a pair does.
     correlation : float
         ν, lines that count as one.

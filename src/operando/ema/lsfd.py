@@ -99,6 +99,16 @@ def lsfd(
     ------
     DataError
         If shapes disagree or the quantity is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import lsfd
+    >>> residues = lsfd(frf.frequencies_hz, frf.data, idle.poles)
+    >>> residues.residues.shape
+    (2, 2, 2)
     """
     f = np.asarray(frequencies_hz, float)
     data: NDArray[np.complex128] = np.asarray(H, complex)

@@ -31,7 +31,7 @@ def contributions(run: RunSpectra, theta: Parameters, index: int) -> Real:
 
 
 def relative_model_error(runs: Sequence[RunSpectra], theta: Parameters) -> float:
-    """Share α with median |e|²/(variance + α²·contributions) at that of noise; 0 where the misfit by noise alone is below 3."""
+    """Share α with median |e|²/(variance + α²·contributions) at that of noise; 0 where the reduced chi-square by noise alone is below 3."""
     error, power, variance = [], [], []
     for i, run in enumerate(runs):
         state = residual(run, theta, i)

@@ -1,4 +1,4 @@
-"""How many modes: start from candidate poles, refine, take out what does not earn its place, add what the residuals show."""
+"""How many modes: start from candidate poles, refine, take out what does not improve the model, add what the residuals show."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def search_order(
     Raises
     ------
     UnseenModesError
-        If such a mode earns its place.
+        If such a mode improves the model.
     """
     log = OrderLog() if log is None else log
     order = np.argsort(hz)
@@ -195,7 +195,7 @@ def search_order(
             misfit = fit.cost / fit.n_data
         new = _missing_modes(thinned, fit, tried, misfit)
         if progress is not None:
-            progress(f"EMA order search: {fit.parameters.hz.size} modes, reduced chi-square {misfit:.3g}")
+            progress(f"EMA order search: {fit.parameters.hz.size} modes, normalised error {misfit:.3g}")
         if not new or fit.parameters.hz.size + len(new) > max_modes:
             log.rounds.append(f"round {number}: reduced chi-square {misfit:.3g}, {fit.parameters.hz.size} modes, nothing more to add")
             break

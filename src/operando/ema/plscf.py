@@ -134,6 +134,16 @@ def plscf(
     -----
     Poles: λ = ln(z)/T + 2πi·f₁, T the sampling interval that maps the band from f₁ onto the arc. Participation vectors u satisfy
     uᵀA(z) = 0; residues are ψuᵀ.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import plscf
+    >>> orders = plscf(frf.frequencies_hz, frf.data, max_order=6)
+    >>> len(orders)
+    5
     """
     f, data, w = _prepare(frequencies_hz, H, weights, frequency_range)
     side: Literal["reference", "response"] = "reference"

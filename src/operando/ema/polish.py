@@ -360,7 +360,7 @@ def polish(
         fall, cost, theta = cost - trial_cost, trial_cost, trial
         damping = max(damping / 30, 1e-12)
         if progress is not None:
-            progress(f"fit {iteration}: cost {cost:.6g}, fell {fall:.3g}")
+            progress(f"maximum-likelihood fit, step {iteration}: cost lower by {100 * fall / max(cost, 1e-300):.2g} %")
         if fall < tolerance:
             converged = True
             break

@@ -46,7 +46,7 @@ class PolishedAnswer:
     misfit_by_row : (M,) array
     log : OrderLog
     turned : tuple of int
-        DOFs whose force was turned: opposite sense of force and accelerometer.
+        DOFs whose force was reversed in polarity: opposite sense of force and accelerometer.
     lower : bool
         Whether kernels below the band were needed.
     """
@@ -79,7 +79,7 @@ def polished_answer(
     progress: Callable[[str], None] | None = None,
     unseen: Callable[[Sequence[float]], Sequence[float]] | None = None,
 ) -> PolishedAnswer:
-    """Maximum-likelihood fit from starting poles; the number of modes is settled by what they add (``unseen``: :func:`search_order`)."""
+    """Maximum-likelihood fit from starting poles; the number of modes follows from what they add (``unseen``: :func:`search_order`)."""
     core = choose_core(runs, dofs, hz.size)
     core_runs = runs if core is None else [_reduced(run, core) for run in runs]
     n_dofs = len(dofs) if core is None else len(core)
@@ -122,7 +122,7 @@ def polish_runs(
 
 
 def _turned(runs: Sequence[RunSpectra], hz: Real, zeta: Real) -> tuple[list[RunSpectra], list[tuple[int, int]]]:
-    """The runs with forces of the wrong sense turned, and which they were."""
+    """The runs with forces of the wrong sense reversed in polarity, and which they were."""
     thinned = thin_lines(runs, hz, np.clip(zeta, 2e-4, 0.1))
     residues = linear_residues(thinned, hz, np.clip(zeta, 2e-4, 0.1), outside_kernels(thinned, hz, False))
     turned = inverted_forces(runs, residues)
@@ -139,7 +139,7 @@ def _turn(runs: Sequence[RunSpectra], turned: Sequence[tuple[int, int]]) -> list
 
 
 def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, without: Polished | None) -> tuple[bool, float, Parameters]:
-    """Whether kernels below the band lower the cost by more than their number earns, the relative error that remains, and that fit.
+    """Whether kernels below the band lower the cost by more than their number allows, the relative error that remains, and that fit.
 
     ``without`` is the fit without them where it is known. The error is 0 where the candidates already describe the data to within a few
     times their noise.

@@ -48,12 +48,25 @@ def rigid_body_mass(model: ModalModel, dof: Dof | str, frequency_hz: float | Non
         Where to take it [Hz]; default: the lower edge of the band. Close above a mode of the suspension the figure is that of the
         suspension, not of the body.
 
+    Returns
+    -------
+    RigidBodyMass
+
     Raises
     ------
     DataError
         If the shapes are not scaled, the model states no band, or it holds nothing below the band at this DOF (a structure on ground).
     DofError
         If the DOF is not in the model.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from operando.ema import rigid_body_mass
+    >>> body = operando.ResidualTerms(np.array([0.5]), np.array([0.01]), np.array([[0.5]]))  # 4 kg on soft springs
+    >>> model = operando.ModalModel([60.0], [0.01], np.array([[0.1]]), "1+Z", "unit_modal_mass", residuals=body, band_hz=(10.0, 90.0))
+    >>> round(rigid_body_mass(model, "1+Z").mass_kg, 1)
+    4.0
     """
     if model.scaling != "unit_modal_mass" or not model.si:
         raise DataError(

@@ -1,4 +1,4 @@
-"""sdypy-EMA as a second opinion on the poles of a fitted model: another program, another estimator (common-denominator LSCF)."""
+"""sdypy-EMA for comparison with the poles of a fitted model: another program, another estimator (common-denominator LSCF)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data import Frf, ModalModel
 from operando.errors import DataError, MissingError
+from operando.indicators import mac
 
 __all__ = ["second_opinion"]
+
+_Pole = tuple[float, float, Any]
+"""Frequency, damping ratio, and where it stands in that program's lists."""
 
 
 def second_opinion(
@@ -24,6 +29,7 @@ def second_opinion(
     zeta: ArrayLike,
     *,
     references: Sequence[object] | None = None,
+    shapes: ArrayLike | None = None,
     quantity: str = "accelerance",
     max_order: int | None = None,
     max_lines: int = 8000,
@@ -40,9 +46,11 @@ def second_opinion(
     H : (n_resp, n_ref, n_lines) complex array
         A copy is handed over: that program changes its input. Responses with values that are not finite are left out.
     mode_hz, zeta : (n,) arrays
-        The model to be judged.
+        The model to compare with.
     references : sequence, optional
         Labels of the references.
+    shapes : (n_resp, n) array, optional
+        Shapes of the model at the responses, for the MAC with that program's.
     quantity : {"accelerance", "mobility", "receptance"}
     max_order : int, optional
         Highest polynomial order (number of poles); default 3 for each mode, between 20 and 80.
@@ -56,8 +64,8 @@ def second_opinion(
     list of dict
         One for each mode and reference: ``mode``, ``reference``, ``frequency_hz``, ``damping_ratio`` (of the model),
         ``second_frequency_hz``, ``second_damping_ratio`` (None where nothing stable lies within half the distance to the next mode),
-        ``frequency_difference_percent``, ``damping_difference_percent``, ``agrees`` and a ``note``. A mode that a reference does not
-        excite may well be missing there; disagreement at all references is what deserves a look.
+        ``frequency_difference_percent``, ``damping_difference_percent``, ``mac`` (None without shapes), ``agrees`` and a ``note``. A mode
+        that a reference does not excite may well be missing there; disagreement at all references is what deserves a look.
 
     Raises
     ------
@@ -65,6 +73,16 @@ def second_opinion(
         If shapes disagree or the lines are not even.
     MissingError
         If sdypy-EMA is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.ema import second_opinion
+    >>> told = second_opinion(frf.frequencies_hz, frf.data[:, :1], [45.0], [0.02])
+    >>> round(told[0]["second_frequency_hz"], 2), told[0]["agrees"]
+    (45.0, True)
     """
     f, data = np.asarray(frequencies_hz, float), np.asarray(H, complex)
     hz, damping = np.atleast_1d(np.asarray(mode_hz, float)), np.atleast_1d(np.asarray(zeta, float))
@@ -79,12 +97,25 @@ def second_opinion(
     out = []
     with _contained() as model_class:
         for k, label in enumerate(labels):
-            column = data[:, k]
-            column = column[np.all(np.isfinite(column), axis=1) & np.any(column != 0, axis=1)]
-            found = _poles(model_class, f * stretch, column, order, quantity, hz * stretch)
-            for r in range(hz.size):
-                out.append(_judge(r, label, hz[r], damping[r], found[r], stretch, window[r], frequency_tolerance, damping_tolerance))
+            rows = np.all(np.isfinite(data[:, k]), axis=1) & np.any(data[:, k] != 0, axis=1)
+            found, model = _poles(model_class, f * stretch, data[rows, k], order, quantity, hz * stretch)
+            judged = [
+                _judge(r, label, hz[r], damping[r], found[r], stretch, window[r], frequency_tolerance, damping_tolerance)
+                for r in range(hz.size)
+            ]
+            if shapes is not None:
+                kept = [r for r in range(hz.size) if judged[r]["second_frequency_hz"] is not None]
+                for r, likeness in zip(kept, _macs(model, [found[r] for r in kept], np.asarray(shapes)[rows][:, kept]), strict=True):
+                    judged[r]["mac"] = likeness
+            out += judged
     return out
+
+
+def opinion_on(frf: Frf, model: ModalModel) -> tuple[dict[str, Any], ...]:
+    """The same of a fitted model and its FRFs."""
+    # That program knows nothing of the window: it is compared with the damping that the FRFs carry.
+    damping = model.damping_ratios + frf.exponential_window_rate / (2 * np.pi * model.frequencies_hz)
+    return tuple(second_opinion(frf.frequencies_hz, frf.data, model.frequencies_hz, damping, references=[str(r) for r in frf.references]))
 
 
 def _on_multiples(f: NDArray[np.float64], data: NDArray[np.complex128], max_lines: int) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -135,25 +166,35 @@ def _contained() -> Iterator[Any]:
 
 def _poles(
     model_class: Any, f: NDArray[np.float64], column: NDArray[np.complex128], order: int, quantity: str, hz: NDArray[np.float64]
-) -> list[tuple[float, float] | None]:
-    """Pole next to each frequency, or None."""
+) -> tuple[list[_Pole | None], Any]:
+    """Pole next to each frequency, or None; and that program's model."""
     if column.shape[0] == 0:
-        return [None] * hz.size
+        return [None] * hz.size, None
     step = (f[-1] - f[0]) / (f.size - 1)
     before = round(f[0] / step)
     axis = step * np.arange(before + f.size)
     padded = np.concatenate([np.zeros((column.shape[0], before), complex), column], axis=1)
     model = model_class(frf=padded, freq=axis, lower=float(f[0]), upper=float(f[-1]), pol_order_high=order, frf_form=quantity)
     model.get_poles(show_progress=False)
-    out: list[tuple[float, float] | None] = []
+    out: list[_Pole | None] = []
     for target in hz:
         try:
             model.select_closest_poles([float(target)], f_window=4)
-            out.append((float(model.nat_freq[0]), float(model.nat_xi[0])))
+            out.append((float(model.nat_freq[0]), float(model.nat_xi[0]), model.pole_ind[0]))
         except (ValueError, IndexError):
             # it cannot choose where no pole at all is stable
             out.append(None)
-    return out
+    return out, model
+
+
+def _macs(model: Any, poles: Sequence[_Pole | None], shapes: NDArray[Any]) -> list[float]:
+    """MAC of that program's shapes, from residues at all these poles together, with those of the model, one by one."""
+    found = [pole for pole in poles if pole is not None]
+    if not found:
+        return []
+    model.pole_ind = np.array([pole[2] for pole in found])
+    model.get_constants(method="lsfd")
+    return [float(mac(np.asarray(model.A)[:, [i]], shapes[:, [i]])[0, 0]) for i in range(len(found))]
 
 
 def _judge(
@@ -161,7 +202,7 @@ def _judge(
     reference: str,
     hz: float,
     zeta: float,
-    found: tuple[float, float] | None,
+    found: _Pole | None,
     stretch: float,
     window: float,
     frequency_tolerance: float,
@@ -175,6 +216,7 @@ def _judge(
             "second_damping_ratio": None,
             "frequency_difference_percent": None,
             "damping_difference_percent": None,
+            "mac": None,
             "agrees": False,
             "note": f"no stable pole within {window:.3g} Hz",
         }
@@ -186,6 +228,7 @@ def _judge(
         "second_damping_ratio": float(other_zeta),
         "frequency_difference_percent": float(100 * df),
         "damping_difference_percent": float(100 * dz),
+        "mac": None,
         "agrees": bool(agrees),
         "note": "" if agrees else f"differs by {100 * df:.2g} % in frequency, {100 * dz:.2g} % in damping",
     }

@@ -203,6 +203,35 @@ def excited_limits(record: TimeRecord, band: tuple[float, float], share: float =
 
     Typical is the level above which half of the power in the band stands, so that a band wider than the excitation changes nothing. Where
     the force ends inside the band, so does what is returned; else it reaches beyond the band as far as the force does.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        Record with forces.
+    band : (float, float)
+        Band [Hz].
+    share : float, optional
+        Share of the typical power.
+
+    Returns
+    -------
+    (float, float)
+        Both [Hz].
+
+    Raises
+    ------
+    DataError
+        If the record has no force channel.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.ema import excited_limits
+    >>> excited_limits(record, (20.0, 200.0))
+    (0.0, 230.0)
     """
     rows = record.force_indices
     if not rows:

@@ -96,8 +96,8 @@ class UnitMassShapes:
 def turned_dofs(fit: LinearFit) -> NDArray[np.int_]:
     """DOFs whose drive-point residues are mostly negative over the modes: force and accelerometer there have opposite senses.
 
-    Σ R|R| over the modes is judged, each weighed by its certainty, so that a certain residue outweighs uncertain ones. Which of the two
-    is wrong the FRFs cannot say; one sensor that stays explains all of its pairs, so all of them are turned.
+    Σ R|R| over the modes is assessed, each weighed by its certainty, so that a certain residue outweighs uncertain ones. Which of the two
+    is wrong the FRFs cannot say; one sensor that stays explains all of its pairs, so all of them are reversed in polarity.
     """
     out, std = [], residue_std(fit)
     for p in fit.pairs.drive_points:

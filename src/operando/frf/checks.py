@@ -48,7 +48,31 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
 
 
 def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
-    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point."""
+    """Shares of the lines at which the power at a pair flows in, and out, beyond three standard deviations: (1, 0) at a drive point.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+    response : int
+        Index of the response.
+    reference : int
+        Index of the reference.
+
+    Returns
+    -------
+    (float, float)
+        Shares in and out.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import power_signs
+    >>> power_signs(frf, 0, 0)
+    (1.0, 0.0)
+    """
     f = frf.frequencies_hz
     good = _significant(frf, response, reference) & (f > 0)
     if not good.any():
@@ -64,12 +88,26 @@ def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
 def check_drive_points(frf: Frf) -> list[Finding]:
     """Sign and phase of every drive-point FRF, and references without one.
 
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+
     Returns
     -------
     list of Finding
         ``inverted`` where nearly all dissipated power is negative (force or response channel of the wrong sign);
         ``drive_point_sign`` where the sign is mixed (force and response not at the same point, a delay, or a wrong label);
         ``missing_drive_point``, once, for the references without a response on their DOF.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import check_drive_points
+    >>> check_drive_points(frf)
+    []
     """
     out: list[Finding] = []
     pairs = {j: i for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()}
@@ -189,6 +227,24 @@ def reciprocity_error(frf: Frf) -> float | None:
 
     sqrt(Σ|H_ij − H_ji|²/Σ½(|H_ij|² + |H_ji|²)) over the lines with a
     signal-to-noise ratio above 10, the expected noise power taken off the numerator.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+
+    Returns
+    -------
+    float or None
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import reciprocity_error
+    >>> round(reciprocity_error(frf), 6)
+    0.0
     """
     errors = reciprocity_pairs(frf)
     return max(errors.values()) if errors else None
@@ -212,7 +268,28 @@ def reciprocity_pairs(frf: Frf) -> dict[tuple[str, str], float]:
 
 
 def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:
-    """The FRF with the findings of all checks: drive points, reciprocity, and coherence in a band [Hz], else on all lines."""
+    """The FRF with the findings of all checks: drive points, reciprocity, and coherence in a band [Hz], else on all lines.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+    band : (float, float), optional
+        Band [Hz].
+
+    Returns
+    -------
+    Frf
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import check_frf
+    >>> check_frf(frf).findings
+    ()
+    """
     findings = [*check_drive_points(frf), *check_rigid_body_signs(frf)]
     for (first, second), error in reciprocity_pairs(frf).items():
         if error > NOT_RECIPROCAL:

@@ -99,6 +99,18 @@ def estimate_frf(
     ------
     DataError
         If no record can be used, a reference was not excited, a hit named is not there, or an option does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> force = np.random.default_rng(0).standard_normal(20_000)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("1+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.stack([force, 2 * force]), 1000.0, channels)
+    >>> frf = operando.estimate_frf(record, block_seconds=1.0)
+    >>> frf
+    <Frf: accelerance [(m/s²)/N]; 1 response 1+Z; 1 reference 1+Z; 501 lines, 0 to 500 Hz in steps of 1 Hz; variance, coherence>
+    >>> float(abs(frf.data[0, 0, 100]).round(3))
+    2.0
     """
     given = several(records, TimeRecord, "FRFs are estimated from time records", "read(file).records holds them")
     if not given:

@@ -61,7 +61,7 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
     -------
     h : (n_responses, n_forces, n_lines) complex array
     variance : (n_responses, n_forces, n_lines) array
-        E|ΔH|² = Gxx(1−γ²)[Gff⁻¹]_jj/(n_eff − n_forces): the contract's |H|²(1−γ²)/(γ²·n_eff) for one force, with the noise estimated
+        E|ΔH|² = Gxx(1−γ²)[Gff⁻¹]_jj/(n_eff − n_forces): the specification's |H|²(1−γ²)/(γ²·n_eff) for one force, with the noise estimated
         without bias (the sample coherence takes n_forces of the averages). NaN where n_eff ≤ n_forces.
     coherence : (n_responses, n_lines) array
         Multiple coherence of each response with all forces (ordinary for one force).

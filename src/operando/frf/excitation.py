@@ -40,7 +40,27 @@ same noise stays below 2 at nine degrees of freedom and more)."""
 
 
 def is_periodic(record: TimeRecord) -> bool:
-    """Whether all forces of a record repeat with one period, three times at least, on enough lines to be a multisine."""
+    """Whether all forces of a record repeat with one period, three times at least, on enough lines to be a multisine.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import is_periodic
+    >>> is_periodic(record)
+    False
+    """
     rows = record.force_indices
     return bool(rows) and _steady(record, rows, []) is not None
 

@@ -23,7 +23,7 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
 
     A pair that several files hold is averaged where they agree within their variances (the homogeneity test of runs, pair by pair),
     each weighted by 1/variance: both are measurements of one quantity, and a sensor that stays while others rove should gain from it.
-    Where they disagree, or one of them has no variance to judge by, the first one counts, as it does in no mixture of two structures; a
+    Where they disagree, or one of them has no variance to compare by, the first one counts, as it does in no mixture of two structures; a
     finding says by how much they differ, and how far the modes are shifted.
 
     Parameters
@@ -31,10 +31,23 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
     frfs : sequence of Frf
         On the same lines; brought to the quantity of the first one.
 
+    Returns
+    -------
+    Frf
+
     Raises
     ------
     DataError
         If the lines differ.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import merge_frfs
+    >>> merge_frfs([frf[:, "1+Z"], frf[:, "2+Z"]]).references
+    (Dof('1+Z'), Dof('2+Z'))
     """
     first = frfs[0]
     if len(frfs) == 1:

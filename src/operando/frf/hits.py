@@ -124,7 +124,25 @@ class Hits:
 
 
 def is_impact(force: ArrayLike) -> bool:
-    """Whether a force record consists of short impacts: 2 % of the samples hold more than 80 % of the energy."""
+    """Whether a force record consists of short impacts: 2 % of the samples hold more than 80 % of the energy.
+
+    Parameters
+    ----------
+    force : array
+        Samples of a force channel.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> force = np.zeros(1000)
+    >>> force[100:104] = [1.0, 3.0, 3.0, 1.0]
+    >>> is_impact(force)
+    True
+    """
     energy = np.array(force, float)
     energy -= np.median(energy)
     np.square(energy, out=energy)
@@ -135,7 +153,7 @@ def is_impact(force: ArrayLike) -> bool:
 
 
 def find_hits(force: ArrayLike, sampling_hz: float, *, threshold: float | None = None) -> Hits:
-    """Find the hits in a force record and judge each by its force alone.
+    """Find the hits in a force record and rate each by its force alone.
 
     Rejected are double hits (a second pulse of more than 5 % of the first soon after it), weak hits (below 30 % of the median
     level) and hits that overload the input (three or more equal samples at the top).
@@ -145,12 +163,22 @@ def find_hits(force: ArrayLike, sampling_hz: float, *, threshold: float | None =
     force : (n_samples,) array
         Pulses of either sign; the sign of the largest is taken.
     sampling_hz : float
+        Sampling rate [Hz].
     threshold : float, optional
         Least pulse height. Default: the larger of 5 % of the largest and ten times the noise.
 
     Returns
     -------
     Hits
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.frf import find_hits
+    >>> force = np.zeros(4000)
+    >>> force[[1000, 3000]] = 50.0
+    >>> find_hits(force, 1000.0).times_s.round(3).tolist()
+    [1.0, 3.0]
     """
     f = np.asarray(force, float)
     offset = float(np.median(f))
@@ -364,7 +392,27 @@ def count_hits(record: TimeRecord) -> int:
 
 
 def hits_of(record: TimeRecord) -> Hits | None:
-    """Hits of a hammer record: one force channel of short impacts; None for any other record."""
+    """Hits of a hammer record: one force channel of short impacts; None for any other record.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    Hits or None
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.frf import hits_of
+    >>> hits_of(record) is None  # random forces
+    True
+    """
     rows = record.force_indices
     if len(rows) != 1:
         return None
@@ -377,6 +425,13 @@ def without_hits(records: Sequence[TimeRecord], hits_reject: Iterable[str]) -> t
 
     A stretch ends before a rejected hit and begins again with the next one, while the structure may still ring: what uses it must allow
     for its initial motion. A stretch of one hit is left out (its response and a free transient look alike).
+
+    Parameters
+    ----------
+    records : sequence of TimeRecord
+        Records.
+    hits_reject : sequence of str
+        Hits as ``FILE#NUMBER``, numbers from 0.
 
     Returns
     -------

@@ -30,6 +30,7 @@ def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None =
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
+        Lines [Hz].
     data : (n_responses, n_references, n_lines) complex array
         Accelerance (or any quantity; the weight only balances low and high modes).
     variance : array like ``data``, optional
@@ -40,6 +41,15 @@ def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None =
     Returns
     -------
     list of Peak, by frequency
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import resonance_peaks
+    >>> [round(peak.frequency_hz, 1) for peak in resonance_peaks(frf.frequencies_hz, frf.data)]
+    [20.0, 45.0]
     """
     f = np.asarray(frequencies_hz, float)
     weight = 1 / np.maximum(f, f[f > 0].min() if np.any(f > 0) else 1.0) ** 2

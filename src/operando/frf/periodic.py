@@ -212,12 +212,19 @@ def steady_periods(
     Parameters
     ----------
     data : (n_channels, n_samples) array
+        Samples (rows, n_samples).
     force_rows, response_rows : sequences of int
+        Rows of the forces.
     sampling_hz : float
+        Sampling rate [Hz].
     period : int, optional
         Samples; found from the forces where not given.
     bad : sequence of (first, last)
         Sample spans that no period may touch.
+
+    Returns
+    -------
+    SteadyPeriods
 
     Raises
     ------
@@ -341,6 +348,15 @@ def periodic_frf(experiments: Sequence[SteadyPeriods]) -> PeriodicFrf:
 
     H = X Fᴴ (F Fᴴ)⁻¹ over the mean spectra of the experiments. Noise is what the spectra of single periods differ by from H·F of the same
     period, beyond the mean; distortion what H differs by from local rational models, beyond noise.
+
+    Parameters
+    ----------
+    experiments : sequence of SteadyPeriods
+        Steady periods of each experiment.
+
+    Returns
+    -------
+    PeriodicFrf
 
     Raises
     ------

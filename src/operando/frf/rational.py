@@ -94,7 +94,7 @@ def _lines_of(x: NDArray[np.float64], lines: NDArray[np.intp]) -> Array:
     """DFT lines of one row, which is overwritten.
 
     The transform of a long row takes five times its memory. So every p-th sample is transformed by itself, and the lines wanted are the
-    sums of the p spectra, turned by their delay (the last step of the Cooley-Tukey algorithm at these lines alone).
+    sums of the p spectra, rotated by their delay (the last step of the Cooley-Tukey algorithm at these lines alone).
     """
     n = x.size
     parts = next((d for d in range(max(n // LONGEST, 1), 64) if n % d == 0), 1)
@@ -134,6 +134,7 @@ def local_rational(
     force : (n_forces, n) complex array
         Force spectra at ``lines``.
     response : (n_responses, n) complex array
+        Spectra of the responses (n_responses, n_lines).
     lines : (n,) array of int
         DFT line numbers, increasing, with every line of every window.
     centres : (n_centres,) array
@@ -150,6 +151,10 @@ def local_rational(
         Whether the spectra hold a transient; FRFs themselves, with a force of 1, do not.
     coordinates : (n,) array, optional
         Frequency of each entry of ``lines`` in any unit, where they are not evenly spaced (excited lines with gaps).
+
+    Returns
+    -------
+    LocalRational
 
     Raises
     ------

@@ -205,7 +205,7 @@ def _noise_level(run: RunEstimate) -> Array:
 
 
 def coherence_of(data: Array, variance: Array, averages: float | Array) -> Array:
-    """Coherence γ² = 1/(1 + n·var/|H|²) that belongs to a variance (contract, ``var_meas``)."""
+    """Coherence γ² = 1/(1 + n·var/|H|²) that belongs to a variance (specification, ``var_meas``)."""
     size = np.abs(data) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(size > 0, size / (size + averages * variance), 0.0)
@@ -224,6 +224,10 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
         On the same lines.
     references : sequence of Dof, optional
         Columns wanted, in order. Default: all, in the order of the runs.
+
+    Returns
+    -------
+    Frf
 
     Raises
     ------

@@ -74,8 +74,19 @@ def effective_averages(window: ArrayLike, starts: ArrayLike) -> float:
     Parameters
     ----------
     window : (block,) array
+        Samples of the window.
     starts : (n,) array of int
         First sample of each block, increasing.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(effective_averages(np.hanning(100), np.arange(0, 1000, 50)), 1)
+    19.1
     """
     w = np.asarray(window, float)
     s = np.asarray(starts, int)
@@ -136,8 +147,11 @@ def cross_spectra(
     Parameters
     ----------
     data : (n_channels, n_samples) array
+        Samples (rows, n_samples).
     force_rows, response_rows : sequence of int
+        Rows of the forces.
     sampling_hz : float
+        Sampling rate [Hz].
     block : int
         Samples a block.
     overlap : float
@@ -155,6 +169,10 @@ def cross_spectra(
         Taken off each row instead of the mean of each block (a hit has a mean of its own).
     finite : bool
         All samples of the rows are known to be finite; else each block is looked through.
+
+    Returns
+    -------
+    CrossSpectra
 
     Raises
     ------

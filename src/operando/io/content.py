@@ -86,6 +86,16 @@ class Content(Short):
         What the file says of itself.
     unkept : tuple of str
         What the file says and none of the objects holds, in words: a conversion names it.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.uff", frf)
+    ...     content = operando.read(f"{folder}/frf.uff")
+    >>> content.format, len(content.frfs), len(content.records)
+    ('uff', 1, 0)
     """
 
     path: str

@@ -34,6 +34,7 @@ def convert(
     Parameters
     ----------
     source, target : paths
+        File to read.
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
     binary : bool
@@ -48,6 +49,15 @@ def convert(
     ------
     FormatError
         If the source holds nothing that the target format can take, or the name of the target tells no format.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.uff", frf)
+    ...     convert(f"{folder}/frf.uff", f"{folder}/frf.h5")["format_out"]
+    'hdf5'
     """
     target = Path(target)
     kind = format_of(target)

@@ -42,10 +42,35 @@ def read_csv(
 
     The rate comes from a time column (``t``, ``time``, …), a column or comment ``fs``, ``sampling_hz`` or ``units["sampling_hz"]``.
 
+    Parameters
+    ----------
+    path : path
+        File.
+    units : Units, optional
+        Quantity → unit, where the file does not say.
+    channels : ChannelSpecs, optional
+        Channel name or DOF → what it is, where the file is silent or wrong.
+    sampling_hz : float, optional
+        Sampling rate [Hz] of a table without a time column.
+
+    Returns
+    -------
+    Content
+
     Raises
     ------
     FormatError
         If there is no header line, no number, no sampling rate, or the time is not even.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_csv(f"{folder}/run.csv", record)
+    ...     read_csv(f"{folder}/run.csv").records[0].n_samples
+    10
     """
     from operando.io.uff.reader import open_file, quick_hash
 
@@ -106,10 +131,27 @@ def read_csv(
 def write_csv(path: str | Path, record: TimeRecord) -> None:
     """Write a record as CSV with a time column and a header of ``name [unit]``; all digits are kept.
 
+    Parameters
+    ----------
+    path : path
+        File.
+    record : TimeRecord
+        One record.
+
     Raises
     ------
     MissingError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_csv(f"{folder}/run.csv", record)
+    ...     Path(folder, "run.csv").read_text().splitlines()[0]
+    '# sampling_hz = 500.0'
     """
     heads = ["time [s]"]
     for i, channel in enumerate(record.channels):

@@ -35,12 +35,30 @@ _HEAD = 1 << 16
 def detect_format(path: str | Path) -> str:
     """Format of a file from its first bytes: ``uff``, ``hdf5``, ``matlab``, ``csv``, ``lvm``, ``tdms``, ``npy``, ``npz`` or ``wav``.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    str
+
     Raises
     ------
     MissingError
         If there is no such file.
     FormatError
         If it is none of these.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.dat", frf)
+    ...     detect_format(f"{folder}/frf.dat")
+    'uff'
     """
     from operando.io.uff.reader import open_file
     from operando.io.uff.split import find_first_set
@@ -112,6 +130,15 @@ def read(
         If there is no such file.
     UnitError, ConfigError
         If ``units`` or ``channels`` hold something that is not known.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [1.0, 2.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.uff", frf)
+    ...     operando.read(f"{folder}/frf.uff").frfs[0]["7+Z", "1+Z"].data.real.tolist()
+    [[[1.0, 2.0]]]
     """
     if is_pattern(path):
         return _read_all(str(path), units, channels)
@@ -157,7 +184,24 @@ def _read_all(pattern: str, units: Units | None, channels: ChannelSpecs | None) 
 
 
 def natural_order(path: Path) -> list[Any]:
-    """Sorting key of paths: run2 before run10."""
+    """Sorting key of paths: run2 before run10.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Returns
+    -------
+    list
+        Texts and numbers of the name, in turn.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> [p.name for p in sorted([Path("run10.uff"), Path("run2.uff")], key=natural_order)]
+    ['run2.uff', 'run10.uff']
+    """
     return [int(part) if part.isdecimal() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
 
 

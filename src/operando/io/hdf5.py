@@ -67,6 +67,15 @@ def read_object(group: h5py.Group) -> Any:
 
     Fields that this version of operando does not know are left out; fields the file lacks take their defaults.
 
+    Parameters
+    ----------
+    group : h5py Group
+        Group of the object.
+
+    Returns
+    -------
+    object
+
     Raises
     ------
     FormatError
@@ -92,8 +101,18 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     Parameters
     ----------
     path : path
+        File.
     objects : mapping of name to object
         See :func:`write_object`.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_hdf5(f"{folder}/frf.h5", {"idle": frf})
+    ...     list(read_hdf5(f"{folder}/frf.h5"))
+    ['idle']
     """
     import h5py
 
@@ -111,10 +130,28 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
 def read_hdf5(path: str | Path) -> dict[str, Any]:
     """Objects of an HDF5 file of operando, by name.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    dict
+
     Raises
     ------
     FormatError
         If the file is no HDF5 file of operando, or is damaged.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_hdf5(f"{folder}/frf.h5", {"idle": frf})
+    ...     read_hdf5(f"{folder}/frf.h5")["idle"].references
+    (Dof('1+Z'),)
     """
     import h5py
 
@@ -133,6 +170,11 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
 
 def check_objects(file: h5py.File) -> None:
     """Refuse a file of operando that does not hold all objects it lists.
+
+    Parameters
+    ----------
+    file : h5py File
+        The open file.
 
     Raises
     ------

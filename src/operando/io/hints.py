@@ -32,6 +32,7 @@ def check_fields(made: Any, where: str) -> None:
     Parameters
     ----------
     made : dataclass instance
+        The object.
     where : str
         File and place in it, for the message.
 

@@ -23,6 +23,7 @@ def inspect_files(paths: Iterable[str | Path], units: Units | None = None, chann
     Parameters
     ----------
     paths : iterable of paths
+        Files to look at.
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
 
@@ -31,6 +32,15 @@ def inspect_files(paths: Iterable[str | Path], units: Units | None = None, chann
     dict
         JSON document ``operando/inspect/1``: ``files`` (one entry a file, see :func:`inspect_content`; a file that cannot be read has
         an ``error`` and a finding), ``findings`` of all files, ``dofs`` (all response DOFs), ``missing`` over all files.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.uff", frf)
+    ...     inspect_files([f"{folder}/frf.uff"])["files"][0]["format"]
+    'uff'
     """
     files: list[dict[str, Any]] = []
     findings: list[Finding] = []
@@ -76,6 +86,24 @@ def inspect_content(content: Content) -> tuple[dict[str, Any], list[Finding]]:
 
     ``sets`` is the whole inventory; ``found`` and ``missing`` are sentences; ``used`` counts the sets used by title, ``ignored`` lists
     sets not used with the reason.
+
+    Parameters
+    ----------
+    content : Content
+        What was read of the file.
+
+    Returns
+    -------
+    dict, list of Finding
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.uff", frf)
+    ...     inspect_content(operando.read(f"{folder}/frf.uff"))[0]["format"]
+    'uff'
     """
     extra = [f for record in content.records for f in _drive_point(record, content.path)]
     findings = [*content.findings, *extra]

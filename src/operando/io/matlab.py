@@ -26,10 +26,33 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
     Which arrays are what, see :func:`operando.io.variables.content_of`. What was taken for what stands in ``Content.sets``; what is not
     known (DOFs, units) in ``Content.findings``.
 
+    Parameters
+    ----------
+    path : path
+        File.
+    units : Units, optional
+        Quantity → unit, where the file does not say.
+    channels : ChannelSpecs, optional
+        Channel name or DOF → what it is, where the file is silent or wrong.
+
+    Returns
+    -------
+    Content
+
     Raises
     ------
     FormatError
         If the file is damaged, or no data with a time or frequency axis are found.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_matlab(f"{folder}/run.mat", record)
+    ...     len(read_matlab(f"{folder}/run.mat").records[0].channels)
+    2
     """
     path = Path(path)
     variables, unread = read_variables(path)
@@ -47,10 +70,27 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
 def write_matlab(path: str | Path, *objects: TimeRecord | Frf) -> None:
     """Write records (``data`` samples × channels, ``fs``, ``channel_names``, ``units``) and FRFs (``H`` lines × responses × references).
 
+    Parameters
+    ----------
+    path : path
+        File.
+    *objects : TimeRecord or Frf
+        Records and FRFs to write.
+
     Raises
     ------
     DataError
         If an object is neither record nor FRF.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, operando
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.arange(20.0).reshape(2, 10), 500.0, channels)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_matlab(f"{folder}/run.mat", record)
+    ...     operando.read(f"{folder}/run.mat").records[0].sampling_hz
+    500.0
     """
     from scipy.io import savemat
 

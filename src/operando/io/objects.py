@@ -44,10 +44,28 @@ def save(obj: Any, path: str | Path) -> None:
 def load_object(path: str | Path) -> Any:
     """The one object that :func:`save` wrote into an HDF5 file.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    object
+
     Raises
     ------
     FormatError
         If the file is no HDF5 file of operando, or holds several objects.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> geometry = operando.Geometry((1, 2), [[0, 0, 0], [1, 0, 0]], ((1, 2),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     geometry.save(f"{folder}/geometry.h5")
+    ...     load_object(f"{folder}/geometry.h5").lines
+    ((1, 2),)
     """
     found = read_hdf5(path)
     if len(found) != 1:
@@ -60,10 +78,28 @@ def load_object(path: str | Path) -> Any:
 def object_names(path: str | Path) -> tuple[str, ...]:
     """Names of the objects in an HDF5 file of operando.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    tuple of str
+
     Raises
     ------
     FormatError
         If it is none, or damaged.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> geometry = operando.Geometry((1, 2), [[0, 0, 0], [1, 0, 0]], ((1, 2),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     geometry.save(f"{folder}/geometry.h5")
+    ...     len(object_names(f"{folder}/geometry.h5"))
+    1
     """
     try:
         with opened_hdf5(path) as file:

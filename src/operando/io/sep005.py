@@ -31,15 +31,19 @@ def make_record(
     Parameters
     ----------
     data : (n_channels, n_samples) array
+        Samples (n_channels, n_samples).
     sampling_hz : float
+        Sampling rate [Hz].
     names, unit_texts : sequences of str
         Name of each channel (a DOF label such as ``12+Z`` becomes its DOF) and its unit, empty where not known.
     start_s : float
+        Time of the first sample [s].
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
     source : str
         File name, for findings.
     provenance : Provenance, optional
+        Where the samples come from.
 
     Returns
     -------
@@ -50,6 +54,13 @@ def make_record(
     ------
     DataError
         If the shapes do not belong together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.io import make_record
+    >>> make_record(np.ones((1, 100)), 50.0, ["3+Z"], ["g"]).data[0, 0].tolist()
+    9.80665
     """
     array = data if isinstance(data, MappedSamples) else np.asarray(data)
     if array.ndim != 2 or array.shape[0] != len(names) or len(names) != len(unit_texts):
@@ -132,11 +143,26 @@ def from_sep005(
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
     name : str
+        Name of the record.
+
+    Returns
+    -------
+    TimeRecord
 
     Raises
     ------
     DataError
         If a key is missing, or the channels differ in rate or length.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.io import from_sep005, to_sep005
+    >>> from_sep005(to_sep005(record))
+    <TimeRecord: 1 force 1+Z; 1 response 2+Z; 1000 samples at 500 Hz, 2 s>
     """
     if not isinstance(measurement, Mapping | Sequence) or isinstance(measurement, str | bytes):
         raise DataError(f"{type(measurement).__name__} is no SEP005 measurement", hint="a dict, or a list of dicts, one a channel")
@@ -212,7 +238,27 @@ def _text(item: Mapping[str, Any], key: str, i: int) -> str:
 
 
 def to_sep005(record: TimeRecord) -> list[dict[str, Any]]:
-    """A record as SEP005: one dict a channel with ``data``, ``time``, ``fs``, ``name``, ``unit_str``, ``quantity``."""
+    """A record as SEP005: one dict a channel with ``data``, ``time``, ``fs``, ``name``, ``unit_str``, ``quantity``.
+
+    Parameters
+    ----------
+    record : TimeRecord
+        One record.
+
+    Returns
+    -------
+    list of dict
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> rng = np.random.default_rng(0)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(rng.standard_normal((2, 1000)), 500.0, channels)
+    >>> from operando.io import to_sep005
+    >>> [channel["unit_str"] for channel in to_sep005(record)]
+    ['N', 'm/s2']
+    """
     return [
         {
             "data": row,

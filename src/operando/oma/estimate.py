@@ -103,7 +103,23 @@ def to_displacement(shapes: NDArray[Any], lam: NDArray[np.complex128], derivativ
 
 
 def normalise_shapes(shapes: NDArray[Any]) -> NDArray[np.complex128]:
-    """Unit norm, largest component real and positive."""
+    """Unit norm, largest component real and positive.
+
+    Parameters
+    ----------
+    shapes : array
+        Shapes in columns.
+
+    Returns
+    -------
+    complex array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> normalise_shapes(np.array([[3.0], [-4.0j]])).round(1).ravel().tolist()
+    [0.6j, (0.8-0j)]
+    """
     out = np.array(shapes, complex)
     for column in out.T:
         peak = column[np.argmax(np.abs(column))]

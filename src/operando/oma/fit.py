@@ -84,6 +84,19 @@ def fit_oma(
         If an option is out of range.
     IdentificationError
         If the record is too short, no mode is found, or one chosen by hand is absent.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from scipy.signal import lfilter
+    >>> rng = np.random.default_rng(1)
+    >>> pole = np.exp(2 * np.pi / 200 * (-0.02 * 20 + 20j))  # 20 Hz, 2 % damping, sampled at 200 Hz
+    >>> motion = lfilter([1.0], np.poly([pole, pole.conjugate()]).real, rng.standard_normal(60_000))
+    >>> channels = [operando.Channel("1+Z", "acceleration", "m/s2"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> data = np.stack([motion, -motion]) + 0.01 * rng.standard_normal((2, 60_000))
+    >>> model = operando.fit_oma(operando.TimeRecord(data, 200.0, channels), band=(5, 50))
+    >>> float(model.frequencies_hz[0].round(0)), model.shapes[:, 0].real.round(1).tolist()
+    (20.0, [-0.7, 0.7])
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}")

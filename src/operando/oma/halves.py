@@ -1,4 +1,4 @@
-"""Both halves of an operating record, identified apart: one chooses an effect, the other judges it."""
+"""Both halves of an operating record, identified apart: one chooses an effect, the other validates it."""
 
 from __future__ import annotations
 

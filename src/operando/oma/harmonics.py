@@ -102,7 +102,7 @@ def envelope(data: NDArray[Any], sampling_hz: float, hz: float, width_hz: float)
 
 
 def _lines_by_bins(data: NDArray[Any], middle: int, half: int) -> NDArray[np.complex128]:
-    """DFT lines ``middle`` ± ``half`` of a long record, whose middle line is turned to zero frequency and averaged in bins."""
+    """DFT lines ``middle`` ± ``half`` of a long record, whose middle line is shifted to zero frequency and averaged in bins."""
     r, n = data.shape
     edges = np.linspace(0, n, max(ENVELOPE_BINS, 32 * half) + 1).astype(int)
     bins = np.empty((r, edges.size - 1), complex)
@@ -129,12 +129,15 @@ def find_harmonics(
     Parameters
     ----------
     data : (r, n_samples) array
+        Samples (n_channels, n_samples).
     sampling_hz : float
+        Sampling rate [Hz].
     band : (low, high)
         Where to look [Hz].
     known_hz : sequence of float
         Rotor orders the user names: removed whether or not they stand out (searched within 0.5 %).
     max_count : int
+        Largest number of sinusoids.
 
     Returns
     -------
@@ -142,6 +145,16 @@ def find_harmonics(
         By frequency.
     data : (r, n_samples) array
         The record without them (the input itself if there are none).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.oma import find_harmonics
+    >>> t = np.arange(20_000) / 200
+    >>> rng = np.random.default_rng(0)
+    >>> found, rest = find_harmonics(5 * np.sin(2 * np.pi * 25 * t)[None] + rng.standard_normal((1, t.size)), 200.0, (5.0, 90.0))
+    >>> [round(h.hz, 2) for h in found], round(float(rest.std()), 1)
+    ([25.0], 1.0)
     """
     found: list[Harmonic] = []
     cleaned = data

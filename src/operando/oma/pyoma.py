@@ -1,4 +1,4 @@
-"""pyOMA-2, contained: SSI-dat and a second opinion on SSI-cov, without its side effects on the process."""
+"""pyOMA-2, contained: SSI-dat and a comparison with SSI-cov, without its side effects on the process."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ Diagram = CovDiagram | DatDiagram | DecayDiagram
 
 @dataclass(frozen=True)
 class Options:
-    """What ``fit_oma`` was asked for, the band settled; see there."""
+    """What ``fit_oma`` was asked for, the band chosen; see there."""
 
     band: Band
     band_source: str = "given"

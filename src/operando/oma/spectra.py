@@ -33,12 +33,28 @@ def output_spectra(
     Parameters
     ----------
     runs : sequence of (r, n_samples) arrays
+        Samples (n_channels, n_samples) of each run.
+    sampling_hz : float
+        Sampling rate [Hz].
     band : (low, high)
         [Hz]; a tenth more is shown on either side.
     n_curves : int
         Largest singular values kept.
     max_lines : int
         The block length is chosen for at least 30 averages and no more lines than this.
+
+    Returns
+    -------
+    Spectra
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.oma import output_spectra
+    >>> motion = np.sin(2 * np.pi * 12.5 * np.arange(4000) / 100)
+    >>> spectra = output_spectra([np.stack([motion, motion])], 100.0, (2.0, 40.0))
+    >>> bool(abs(spectra.frequencies_hz[spectra.singular_values[0].argmax()] - 12.5) < 0.2)
+    True
     """
     n = min(run.shape[1] for run in runs)
     total = sum(run.shape[1] for run in runs)

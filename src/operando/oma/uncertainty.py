@@ -1,4 +1,4 @@
-"""Covariance of poles and shapes: the scatter of the correlations between blocks, carried through SSI to first order."""
+"""Covariance of poles and shapes: the scatter of the correlations between blocks, propagated through SSI to first order."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import operando
 
 ROOT = Path(operando.__file__).parent
-CHECKS = frozenset({"operando.values"})
-"""Modules that check the test file: that is done in every run, and what they let pass is in the keys of the stages. What they know of
-kinds, windows and methods comes from rooms that most stages do not use."""
+CHECKS = frozenset({"operando.values", "operando.own_effects"})
+"""Modules that check the test file and import what it names: that is done in every run, and what they let pass is in the keys of the
+stages. What they know of kinds, windows and methods comes from rooms that most stages do not use."""
 
 
 @cache

@@ -14,6 +14,7 @@ from operando.data import Finding, group_findings
 from operando.errors import ConfigError, OperandoError, WriteError
 from operando.io.atomic import replacing
 from operando.jsonable import jsonable
+from operando.own_effects import effects_hash
 from operando.pipeline.cache import load_stage, save_stage, stage_file
 from operando.pipeline.code import code_hash
 from operando.pipeline.folder import ResultsFolder, key_of, results_folder
@@ -29,7 +30,14 @@ STAGES = ("inspect", "frf", "ema", "oma", "ofrf", "compare", "diagnose", "report
 Progress = Callable[[str, str], None]
 
 
-def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, progress: Progress | None = None) -> Results:
+def run(
+    test: Test | str | Path,
+    out: str | Path,
+    *,
+    until: str | None = None,
+    progress: Progress | None = None,
+    report: bool | None = None,
+) -> Results:
     """Run a test from its files to the results folder.
 
     A stage is not run again as long as its files (by content), its settings, the stages it builds on and the code are the
@@ -48,7 +56,9 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     until : str, optional
         Last stage to run, one of ``STAGES``.
     progress : callable, optional
-        Called with (stage, message).
+        Called with (stage, message); messages from inside a stage begin with two blanks.
+    report : bool, optional
+        Whether the report is written, of whatever there is. Default: where ``until`` does not end the run before it.
 
     Returns
     -------
@@ -63,6 +73,16 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
         If another process is at work in the results folder.
     WriteError
         If the results folder cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/idle.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "1+Z"))
+    ...     _ = Path(folder, "test.toml").write_text('name = "pump"\\n[idle]\\nfrfs = ["idle.uff"]')
+    ...     operando.run(folder, f"{folder}/results", until="inspect").inventory[0]["file"]
+    'idle.uff'
     """
     if not isinstance(test, Test):
         test = load_test(test)
@@ -72,7 +92,7 @@ def run(test: Test | str | Path, out: str | Path, *, until: str | None = None, p
     if out.exists() and not out.is_dir():
         raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
     with one_blas_thread(), results_folder(out, "run", make=True) as folder:
-        return _Run(test, folder, progress or (lambda stage, message: None)).all(until)
+        return _Run(test, folder, progress or (lambda stage, message: None)).all(until, report)
 
 
 def lacking(test: Test, stage: str) -> str | None:
@@ -113,13 +133,15 @@ class _Run:
     def results(self) -> Results:
         return self.work.results
 
-    def all(self, until: str | None) -> Results:
+    def all(self, until: str | None, report: bool | None = None) -> Results:
         """All stages up to ``until``, later ones only where their stored results still hold; then the files, all at once."""
         last = len(STAGES) if until is None else STAGES.index(until) + 1
         for stage in STEPS:
+            if not stage.wanted(self.test):
+                continue
             self.keys[stage.name] = self._key(stage)
             self._step(stage, asked=STAGES.index(stage.part_of) < last)
-        self._write_outputs(report=last == len(STAGES))
+        self._write_outputs(last == len(STAGES) if report is None else report)
         return self.results
 
     def _key(self, stage: Stage) -> str:
@@ -127,6 +149,8 @@ class _Run:
         settings = {name: getattr(test.analysis, name) for name in stage.settings}
         if stage.name == "diagnose":
             settings["between"] = dict(test.between)
+            if test.effects:
+                settings["effects"] = effects_hash(test.effects)
         files = []
         for name in stage.states:
             state = (() if test.geometry_file is None else (test.geometry_file,)) if name == "geometry" else getattr(test, name).files
@@ -162,7 +186,7 @@ class _Run:
             self.progress(stage.part_of, f"the kept result ({stage.name}) is missing or damaged: made again")
         else:
             self.progress(stage.part_of, "…" if stage.name == stage.part_of else f"{stage.name} …")
-        self.work.say = lambda message: self.progress(stage.part_of, message)
+        self.work.say = lambda message: self.progress(stage.part_of, f"  {message}")
         started = time.perf_counter()
         try:
             found = stage.does(self.work)

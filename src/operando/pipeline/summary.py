@@ -20,6 +20,7 @@ def summary(results: Results) -> dict[str, Any]:
         "operating": _operating(results),
         "pairing": scaled["pairing"],
         "scaling": scaled["scaling"],
+        "libraries": results.libraries,
         "left_out": results.left_out,
         "inventory": results.inventory,
         "geometry": None if results.geometry is None else {"nodes": len(results.geometry.nodes), "unit_known": results.geometry.unit_known},

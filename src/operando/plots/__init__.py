@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operando.plots.diagnosis import plot_dynamic_stiffness, plot_steps, plot_where
 from operando.plots.errors import plot_comparison, plot_error_map, plot_errors
 from operando.plots.fits import fit_circle, plot_nyquist, plot_synthesis_correlation
 from operando.plots.frfs import plot_frf, plot_frf_rms
@@ -17,6 +18,7 @@ __all__ = [
     "plot_changes",
     "plot_comparison",
     "plot_complexity",
+    "plot_dynamic_stiffness",
     "plot_error_map",
     "plot_errors",
     "plot_force_spectra",
@@ -36,5 +38,7 @@ __all__ = [
     "plot_singular_values",
     "plot_stabilization",
     "plot_stabilization_of",
+    "plot_steps",
     "plot_synthesis_correlation",
+    "plot_where",
 ]

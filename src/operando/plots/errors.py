@@ -39,6 +39,7 @@ def plot_error_map(
     values : (n_dofs, n_bands) array
         Of :func:`operando.compare.error_map`; NaN (a dash) where no line stands clear of the noise.
     dofs : sequence of Dof or str
+        One DOF for each row.
     edges_hz : (n_bands + 1,) array
         Limits of the bands [Hz].
     axes : matplotlib Axes, optional
@@ -48,6 +49,7 @@ def plot_error_map(
     measure : str
         What the numbers are.
     title : str
+        Words above the axes.
 
     Returns
     -------
@@ -116,6 +118,7 @@ def plot_errors(
     names : sequence of str
         Words for each model.
     error_db : (n,) array [dB]
+        Level error of each model [dB].
     axes : matplotlib Axes, optional
         Default: of a new figure.
     keys : sequence of str, optional
@@ -161,6 +164,7 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     Parameters
     ----------
     comparison : Comparison
+        Comparison to draw.
     axes : matplotlib Axes, optional
         Default: of a new figure.
     by : {"dof", "band", "mode"}
@@ -186,10 +190,28 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     if by not in ("dof", "band", "mode"):
         raise DataError(f"errors by {by!r} are not known", hint="use dof, band or mode")
     rows = [dict(r) for r in getattr(comparison, f"by_{by}")]
-    key = "height_error_db" if by == "mode" else "error_db"
+    axes = draw_errors(rows, axes, by=by, floor=comparison.noise_floor_db, hint="; ".join(comparison.notes) or None)
+    if comparison.error_db is not None:
+        with style():
+            axes.set_title(f"Level error {comparison.error_db:.2f} dB over all lines and pairs")
+    return axes
+
+
+def draw_errors(rows: Sequence[dict[str, Any]], axes: Axes | None, *, by: str, floor: float | None, hint: str | None = None) -> Axes:
+    """One bar for each row of ``by_dof``, ``by_band`` or ``by_mode``: the level error, or the reduced chi-square where there is none.
+
+    Raises
+    ------
+    DataError
+        If ``by`` is something else, or there is nothing to draw.
+    """
+    if by not in ("dof", "band", "mode"):
+        raise DataError(f"errors by {by!r} are not known", hint="use dof, band or mode")
     if not rows:
-        raise DataError(f"the comparison has no errors by {by}", hint="; ".join(comparison.notes) or None)
-    values = np.array([np.nan if r.get(key) is None else float(r[key]) for r in rows])
+        raise DataError(f"the comparison has no errors by {by}", hint=hint)
+    key = "height_error_db" if by == "mode" else "error_db"
+    chi = all(r.get(key) is None for r in rows) and any(r.get("misfit") is not None for r in rows)
+    values = np.array([np.nan if (v := r.get("misfit" if chi else key)) is None else float(v) for r in rows])
     words = {"dof": "Response DOF", "band": "Frequency band [Hz]", "mode": "Mode of the measurement [Hz]"}[by]
     if by == "dof":
         labels = [str(r["dof"]) for r in rows]
@@ -200,16 +222,15 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     with style():
         axes = new_axes(max(5.0, 1.5 + 0.34 * values.size), 3.4) if axes is None else axes
         axes.bar(np.arange(values.size), values, color=MODEL, width=0.66)
-        axes.axhline(0, color=GREY, lw=0.8)
-        floor = comparison.noise_floor_db
-        if floor is not None and by != "mode":
+        axes.axhline(1 if chi else 0, color=GREY, lw=0.8)
+        if floor is not None and by != "mode" and not chi:
             axes.axhline(floor, color=INK, lw=1.0, ls=(0, (3, 2)), label=f"noise floor {floor:.2f} dB")
             axes.legend(loc="best")
         axes.set_xticks(np.arange(values.size), labels, rotation=90 if values.size > 8 or by != "dof" else 0)
         axes.set_xlabel(words)
-        axes.set_ylabel("Height error [dB]" if by == "mode" else "Level error, rms [dB]")
+        axes.set_ylabel("Reduced χ² (1 = noise)" if chi else "Height error [dB]" if by == "mode" else "Level error, rms [dB]")
+        if chi:
+            axes.set_yscale("log")
         axes.tick_params(axis="x", length=0)
         axes.grid(True, axis="y")
-        if comparison.error_db is not None:
-            axes.set_title(f"Level error {comparison.error_db:.2f} dB over all lines and pairs")
     return axes

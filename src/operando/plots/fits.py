@@ -102,6 +102,8 @@ def plot_nyquist(
 
     Raises
     ------
+    ObjectError
+        If something else than an FRF is given.
     DataError
         If there is no such mode, or a band holds no line.
     DofError

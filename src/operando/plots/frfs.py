@@ -103,6 +103,8 @@ def plot_frf(
 
     Raises
     ------
+    DataError
+        If labels and FRFs differ in number, or a part is unknown.
     ObjectError
         If something else than FRFs is given.
     DofError
@@ -296,6 +298,7 @@ def plot_frf_rms(
     Parameters
     ----------
     measured : Frf
+        Measured FRFs.
     model : Frf, optional
         On the same lines and pairs.
     axes : matplotlib Axes, optional

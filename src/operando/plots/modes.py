@@ -107,6 +107,7 @@ def plot_participation(model: ModalModel, axes: Axes | None = None, *, dofs: obj
     Parameters
     ----------
     model : ModalModel
+        Model to draw.
     axes : matplotlib Axes, optional
         Default: of a new figure.
     dofs : DOF labels, optional
@@ -148,6 +149,7 @@ def plot_complexity(model: ModalModel, axes: Axes | None = None) -> Axes:
     Parameters
     ----------
     model : ModalModel
+        Model to draw.
     axes : matplotlib Axes, optional
         Default: of a new figure. The deviation has an axis of its own on the right.
 
@@ -191,12 +193,15 @@ def plot_shares(labels: Sequence[str], share: ArrayLike, axes: Axes | None = Non
     Parameters
     ----------
     labels : sequence of str
+        One label for each bar.
     share : (n,) array
         Between 0 and 1.
     axes : matplotlib Axes, optional
         Default: of a new figure.
     title : str
+        Words above the axes.
     color : str
+        Colour of the bars.
 
     Returns
     -------
@@ -238,6 +243,7 @@ def plot_changes(
     axes : matplotlib Axes, optional
         Default: of a new figure.
     title : str
+        Words above the axes.
 
     Returns
     -------

@@ -129,6 +129,7 @@ def plot_hybrid(
     Parameters
     ----------
     hybrid : HybridModel
+        Model to draw.
     axes : matplotlib Axes, optional
         Default: of a new figure.
     response, reference : DOF label, optional

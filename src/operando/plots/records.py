@@ -44,6 +44,7 @@ def plot_record(record: TimeRecord, axes: Axes | None = None, *, channels: objec
     Parameters
     ----------
     record : TimeRecord
+        One record.
     axes : matplotlib Axes, optional
         All channels over one another, which needs one quantity. Default: a new figure with a place for each.
     channels : DOF labels or channel names, optional
@@ -110,6 +111,7 @@ def plot_psd(
     Parameters
     ----------
     record : TimeRecord
+        One record.
     axes : matplotlib Axes, optional
         Default: of a new figure; channels of different units stand in axes of their own.
     channels : DOF labels or channel names, optional

@@ -56,6 +56,7 @@ def plot_shape(
     Parameters
     ----------
     model : ModalModel
+        Model to draw.
     mode : int
         Number of the mode, from 0; negative from the end.
     geometry : Geometry, optional
@@ -118,8 +119,18 @@ def animate_shape(
 
     Parameters
     ----------
-    model, mode, geometry, axes, scale, names
-        As for :func:`plot_shape`.
+    model : ModalModel
+        Model to draw.
+    mode : int
+        Index of the mode.
+    geometry : Geometry, optional
+        Positions of the nodes.
+    axes : matplotlib Axes, optional
+        Default: of a new figure.
+    scale : float
+        Size of the deformation, 1 for the usual one.
+    names : bool, optional
+        Node names; default: where they have room.
     frames : int
         Pictures a period.
     seconds : float
@@ -172,6 +183,7 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
     Parameters
     ----------
     geometry : Geometry
+        Geometry to draw.
     axes : matplotlib Axes, optional
         With ``projection="3d"``. Default: of a new figure.
     dofs : sequence of Dof

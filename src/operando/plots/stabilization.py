@@ -308,6 +308,7 @@ def plot_singular_values(
     Parameters
     ----------
     frequencies_hz : (k,) array
+        Lines [Hz].
     values : (n_curves, k) array
         Positive, the greatest first.
     axes : matplotlib Axes, optional

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from operando.contrib import library_rows
 from operando.data import Frf, ModalModel, phase_collinearity
 from operando.report import derive, figures_frf, figures_stabilization, live
 from operando.report.parts import Numbering, hz_list
@@ -73,7 +74,7 @@ def _identified(results: Results, model: ModalModel | None, which: str) -> dict[
     rejected = sorted(given, key=lambda r: float(r.frequency_hz))
     out: dict[str, Any] = {
         "which": which, "details": details, "rejected": rejected, "drawing": None, "live": None,
-        "opinion": _second_opinion(details, results),
+        "opinion": _second_opinion(details, results, which),
         "codes": sorted(((sum(r.code == c for r in rejected), c) for c in {r.code for r in rejected}), key=lambda c: (-c[0], c[1])),
     }  # fmt: skip
     if model is None:
@@ -111,9 +112,9 @@ def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
         return derive.rms_over(np.sqrt(gap / weight), inside & np.isfinite(gap / weight), axis=2)
 
 
-def _second_opinion(details: Any, results: Results) -> dict[str, Any] | None:
+def _second_opinion(details: Any, results: Results, which: str) -> dict[str, Any] | None:
     """The modes beside those of an independent program; None where it was not asked."""
-    rows = getattr(details, "second_opinion", None) or ()
+    rows = library_rows(results.libraries, which) or getattr(details, "second_opinion", None) or ()
     if not rows and not results.settings.get("second_opinion"):
         return None
     return {"rows": rows, "against": [r for r in rows if r.get("agrees") is False]}

@@ -62,6 +62,7 @@ def choose_dofs(shapes: ArrayLike, count: int | None = None) -> list[int]:
     Parameters
     ----------
     shapes : (m, n) real array
+        Shapes in columns.
     count : int, optional
         How many; default min(m, n).
 
@@ -69,6 +70,12 @@ def choose_dofs(shapes: ArrayLike, count: int | None = None) -> list[int]:
     -------
     list of int
         Row indices, most independent first.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> choose_dofs(np.array([[1.0, 0.0], [1.0, 0.1], [0.0, 1.0]]))
+    [1, 2]
     """
     from scipy.linalg import qr
 
@@ -84,6 +91,7 @@ def condensed_mass(shapes: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     shapes : (m, n) real array, n ≤ m, unit modal mass [kg^(−1/2)]
+        Shapes in columns.
 
     Returns
     -------
@@ -93,6 +101,12 @@ def condensed_mass(shapes: ArrayLike) -> NDArray[np.float64]:
     ------
     IdentificationError
         If ΦᵀM_mΦ is not the identity: more modes than DOFs, or dependent shapes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> condensed_mass(np.diag([0.5, 0.25])).tolist()
+    [[4.0, 0.0], [0.0, 16.0]]
     """
     a = np.asarray(shapes, float)
     inverse = np.linalg.pinv(a)
@@ -112,13 +126,27 @@ def condensed_basis(shapes: ArrayLike, hz: ArrayLike, in_band: ArrayLike) -> Con
     Parameters
     ----------
     shapes : (m, n) real array of unit modal mass
+        Shapes in columns.
     hz : (n,) array [Hz]
+        Frequencies of the modes [Hz].
     in_band : (n,) bool array
+        Whether each lies in the band.
+
+    Returns
+    -------
+    CondensedBasis
 
     Raises
     ------
     IdentificationError
         If no idle mode can be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import condensed_basis
+    >>> condensed_basis(np.eye(2), [20.0, 45.0], [True, True]).modes.tolist()
+    [0, 1]
     """
     from scipy.linalg import qr
 

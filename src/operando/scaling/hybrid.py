@@ -49,6 +49,10 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     method : str
         ``auto`` or one of ``operando.scaling.METHODS``.
 
+    Returns
+    -------
+    HybridModel
+
     Raises
     ------
     ConfigError
@@ -57,6 +61,14 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
         If the idle model is not scaled, or the models have no DOF in common.
     IdentificationError
         If a method asked for by name cannot be applied.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> operating = operando.ModalModel([21.0, 45.0], [0.01, 0.02], np.array([[2, 3], [2, -3]]), "1+Z, 2+Z", "unscaled")
+    >>> operando.scale_operational(idle, operating)
+    <HybridModel: 2 operational modes at 2 DOFs; scaled by expansion; 2 unchanged>
     """
     expect(idle, ModalModel, "idle modes are needed first", "fit_ema(frf) gives them")
     expect(operating, ModalModel, "operating modes are needed second", "fit_oma(record) gives them")
@@ -227,7 +239,7 @@ def _all_methods(
 def _noise(
     operating: ModalModel, rows: list[int], signs: NDArray[np.float64], factor: NDArray[np.complex128]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Covariance (n, m, m) of the real part, and standard deviation (m, n) of the imaginary part, of shapes turned and of unit length."""
+    """Covariance (n, m, m) of the real part, and standard deviation (m, n) of the imaginary part, of shapes made real, of unit length."""
     covariance = covariance_of(operating)
     if covariance is None:
         return None

@@ -1,7 +1,7 @@
 """Scale of operational shapes: every named method as a function of arrays, with leading batch dimensions.
 
 All shapes may carry leading dimensions (..., m, n), so that one call serves many perturbed shapes at once.
-No result depends on the arbitrary complex scale of an operational shape: each column is first turned to the real axis and
+No result depends on the arbitrary complex scale of an operational shape: each column is first rotated to the real axis and
 brought to a fixed size.
 """
 
@@ -35,13 +35,14 @@ Array = NDArray[Any]
 
 
 def real_shapes(shapes: ArrayLike) -> tuple[Array, Array]:
-    """Turn complex shapes to the real axis and take the real part (Shen & Lu 2024, Eq 10–12, with the principal axis).
+    """Rotate complex shapes to the real axis and take the real part (Shen & Lu 2024, Eq 10–12, with the principal axis).
 
     The mean direction is the principal axis of (Re, Im), ½·arg Σφ², which does not break down near the imaginary axis.
 
     Parameters
     ----------
     shapes : (..., m, n) complex array
+        Shapes in columns.
 
     Returns
     -------
@@ -49,6 +50,13 @@ def real_shapes(shapes: ArrayLike) -> tuple[Array, Array]:
         Columns of unit length, sign arbitrary.
     factor : (..., n) complex array
         real = Re(factor · shapes).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import real_shapes
+    >>> real_shapes(np.array([[3j], [4j]]))[0].round(3).ravel().tolist()
+    [0.6, 0.8]
     """
     v = np.asarray(shapes, complex)
     # Only the sum of squares decides; dividing by the largest value first keeps any scale safe from overflow.
@@ -68,10 +76,18 @@ def modal_scale_factor(operating: ArrayLike, idle: ArrayLike) -> Array:
     Parameters
     ----------
     operating, idle : (..., m, n) arrays
+        Operational shapes in columns.
 
     Returns
     -------
     (..., n) complex array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import modal_scale_factor
+    >>> modal_scale_factor(np.array([[1.0], [2.0]]), np.array([[0.5], [1.0]])).real.tolist()
+    [0.5]
     """
     o, e = np.asarray(operating), np.asarray(idle)
     return np.sum(o.conj() * e, axis=-2) / np.sum(np.abs(o) ** 2, axis=-2)

@@ -54,6 +54,15 @@ class HybridModel(Saved):
     evidence : dict
         Figures the choice of the method rests on.
     findings : tuple of Finding
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> operating = operando.ModalModel([21.0, 45.0], [0.01, 0.02], np.array([[2, 3], [2, -3]]), "1+Z, 2+Z", "unscaled")
+    >>> hybrid = operando.scale_operational(idle, operating)
+    >>> hybrid.frf([21.0], "1+Z", "2+Z").data.shape
+    (1, 1, 1)
     """
 
     idle: ModalModel

@@ -97,18 +97,34 @@ def pair_modes(
     Parameters
     ----------
     idle_shapes : (m, n_idle) real array
+        Idle shapes in columns.
     idle_hz : (n_idle,) array [Hz]
+        Idle frequencies [Hz].
     operating_shapes : (m, n_operating) complex array of arbitrary scale
+        Operational shapes in columns, at the same DOFs.
     operating_hz : (n_operating,) array [Hz]
+        Operational frequencies [Hz].
     threshold : float
         ε, between 0 and 1.
     in_band : (n_idle,) bool array, optional
         Idle modes inside the analysis band; default all.
 
+    Returns
+    -------
+    Pairing
+
     Raises
     ------
     ConfigError
         If the threshold is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.scaling import pair_modes
+    >>> pairing = pair_modes(np.eye(2), [20.0, 45.0], np.eye(2)[:, ::-1], [21.0, 46.0])
+    >>> [(pair.operating, pair.idle) for pair in pairing.pairs]
+    [(0, 1), (1, 0)]
     """
     if not 0 < threshold <= 1:
         raise ConfigError(f"threshold {threshold} is not between 0 and 1", hint="the paper uses 0.7 (plate) and 0.8 (experiment)")

@@ -62,7 +62,7 @@ def complexity(
         Operational modes first, then the idle modes carried over.
     scaled : (m, n_all) real array of unit modal mass
     noise : (m, n) array or None
-        Standard deviation of each part (real or imaginary) of shapes turned and brought to unit length.
+        Standard deviation of each part (real or imaginary) of shapes rotated to real and brought to unit length.
     """
     n = operating.shape[1]
     factor = real_shapes(operating)[1]

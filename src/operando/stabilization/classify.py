@@ -47,6 +47,7 @@ def classify(
     vectors : sequence of (m, p_i) arrays
         Mode shape (OMA) or participation vector (EMA) of each pole.
     tolerances : Tolerances, optional
+        What counts as stable; default: those of the field.
 
     Returns
     -------
@@ -59,6 +60,15 @@ def classify(
     ------
     DataError
         If the sequences disagree in length or the orders do not increase.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> len(table.frequency_hz)
+    5
     """
     tol = tolerances or Tolerances()
     if not (len(orders) == len(hz) == len(zeta) == len(vectors)):
@@ -105,6 +115,7 @@ def stability_letters(table: PoleTable, tolerances: Tolerances | None = None) ->
     Parameters
     ----------
     table : PoleTable
+        Poles of all orders.
     tolerances : Tolerances, optional
         Those the table was made with.
 

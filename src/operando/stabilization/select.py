@@ -23,10 +23,28 @@ def track_poles(table: PoleTable, tolerances: Tolerances, max_gap: int = 3) -> l
     vector in units of their tolerance; a chain may miss up to ``max_gap − 1`` orders in a row. Because an order gives at most
     one pole to a chain, close modes stay apart however close they are.
 
+    Parameters
+    ----------
+    table : PoleTable
+        Poles of all orders.
+    tolerances : Tolerances
+        What counts as stable; default: those of the field.
+    max_gap : int, optional
+        Orders in a row that a chain may miss.
+
     Returns
     -------
     list of int arrays
         Rows of the table of each chain, single poles included.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, track_poles, Tolerances
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> [len(members) for members in track_poles(table, Tolerances())]
+    [5]
     """
     levels = np.unique(table.order)
     unit = unit_vectors(np.where(np.isfinite(table.vectors), table.vectors, 0))
@@ -99,9 +117,11 @@ def select_modes(
     Parameters
     ----------
     table : PoleTable
+        Poles of all orders.
     band : (low, high), optional
         Only modes in this band [Hz]; default all.
     tolerances : Tolerances, optional
+        What counts as stable; default: those of the field.
     min_size : int, optional
         Smallest number of orders a mode must appear in.
     max_gap : int
@@ -110,6 +130,7 @@ def select_modes(
         Choice by hand [Hz]: the chain nearest to each ``select_hz`` (within ``hand_tolerance``, relative) is taken whatever its length,
         beside what is chosen automatically; the modes nearest to each ``reject_hz`` are not.
     hand_tolerance : float
+        Largest relative distance of a pole from a frequency chosen by hand.
     indicator_hz, indicator : arrays, optional
         Passed through for the drawing.
 
@@ -123,6 +144,15 @@ def select_modes(
     ------
     IdentificationError
         If a frequency of ``select_hz`` has no pole within the tolerance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, select_modes
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> select_modes(table, band=(5, 50)).selected_hz.round(2).tolist()
+    [20.0]
     """
     tol = tolerances or Tolerances()
     n_orders = int(np.unique(table.order).size)
@@ -175,9 +205,24 @@ def demote(stabilization: Stabilization, verdicts: Mapping[int, tuple[str, str]]
     Parameters
     ----------
     stabilization : Stabilization
+        The selection.
     verdicts : mapping of int to (code, reason)
         Index of the selected mode → why it is no mode after all (known only after the diagram: a sinusoid, too uncertain, negative
         modal mass, …).
+
+    Returns
+    -------
+    Stabilization
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, demote, select_modes
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> selection = select_modes(table, band=(5, 50))
+    >>> demote(selection, {0: ("harmonic", "a line of the rotor")}).selected_hz.tolist()
+    []
     """
     keep = [i for i in range(stabilization.selected_hz.size) if i not in verdicts]
     gone = [

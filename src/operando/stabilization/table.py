@@ -102,6 +102,15 @@ class Stabilization(Short):
         What is drawn behind the diagram (CMIF for EMA, first singular values for OMA): (k,), (n_curves, k), positive.
     tolerances : Tolerances or None
         What counted as stable; None in files of older versions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.stabilization import classify, select_modes
+    >>> shape = np.array([[1.0], [0.5]])
+    >>> table = classify([2, 4, 6, 8, 10], [[20.0], [20.01], [20.0], [20.0], [20.0]], [[0.01]] * 5, [shape] * 5)
+    >>> select_modes(table, band=(5, 50)).selected_damping.round(3).tolist()
+    [0.01]
     """
 
     table: PoleTable

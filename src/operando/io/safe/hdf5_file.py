@@ -23,6 +23,16 @@ _FOREIGN = "the data must lie in the file itself: copy them into one file, for e
 def opened_hdf5(path: str | Path) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading, after it was tried in a process of its own.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Yields
+    ------
+    h5py File
+        The open file.
+
     Raises
     ------
     FormatError

@@ -35,10 +35,15 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
     Parameters
     ----------
     path : path
+        File.
     units : mapping, optional
         Quantity → unit text where the file is silent; ``length`` for coordinates.
     channels : mapping, optional
         Channel name or DOF label → dof, quantity, unit, sensitivity, exclude, reason.
+
+    Returns
+    -------
+    Content
 
     Raises
     ------
@@ -46,6 +51,15 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
         If the file is no UFF, or everything in it is damaged.
     MissingError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> frf = operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "7+Z", "1+Z")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/frf.uff", frf)
+    ...     len(read_uff(f"{folder}/frf.uff").frfs)
+    1
     """
     path = Path(path)
     with open_file(path) as stream, map_file(stream, str(path)) as mapped:
@@ -62,10 +76,28 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
 def read_uff_sets(path: str | Path) -> list[tuple[RawSet, bytes]]:
     """All sets of a file as they stand: position, type, header of functions, and the raw bytes with separators.
 
+    Parameters
+    ----------
+    path : path
+        File.
+
+    Returns
+    -------
+    list of (RawSet, bytes)
+
     Raises
     ------
     FormatError
         If the file is no UFF.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> geometry = operando.Geometry((1, 2), [[0, 0, 0], [1, 0, 0]], ((1, 2),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/geometry.uff", geometry)
+    ...     [found.number for found, _ in read_uff_sets(f"{folder}/geometry.uff")]
+    [164, 2411, 82]
     """
     path = Path(path)
     with open_file(path) as stream, map_file(stream, str(path)) as mapped:

@@ -77,7 +77,9 @@ def write_uff(
     Parameters
     ----------
     path : path
-    objects : TimeRecord, Frf, ModalModel or Geometry
+        File to write.
+    *objects : TimeRecord, Frf, ModalModel or Geometry
+        What to write, in this order.
     binary : bool
         58b (IEEE 754) or ASCII (13 digits).
     single : bool, optional
@@ -97,6 +99,15 @@ def write_uff(
         If an object has no form in UFF.
     MissingError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, operando
+    >>> geometry = operando.Geometry((1, 2), [[0, 0, 0], [1, 0, 0]], ((1, 2),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     operando.write_uff(f"{folder}/geometry.uff", geometry)
+    ...     operando.read(f"{folder}/geometry.uff").geometry.coordinates.tolist()
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
     for obj in objects:
         if not isinstance(obj, TimeRecord | Frf | ModalModel | Geometry):

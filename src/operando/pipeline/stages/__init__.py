@@ -6,6 +6,7 @@ test holds it against what the stages read.
 
 from __future__ import annotations
 
+from operando.config import Test
 from operando.pipeline.names import FREQUENCIES
 from operando.pipeline.stages.check import check_runs
 from operando.pipeline.stages.compare import comparison
@@ -13,6 +14,7 @@ from operando.pipeline.stages.diagnose import missing_physics
 from operando.pipeline.stages.ema import automatic_modes, idle_modes, runs_behind
 from operando.pipeline.stages.files import inspect_files
 from operando.pipeline.stages.frf import idle_frf
+from operando.pipeline.stages.libraries import idle_libraries, operating_libraries
 from operando.pipeline.stages.ofrf import hybrid
 from operando.pipeline.stages.oma import operational_modes
 from operando.pipeline.stages.work import (
@@ -30,8 +32,13 @@ from operando.pipeline.stages.work import (
 __all__ = ["STEPS", "Lacking", "Stage", "Work", "offered", "runs_behind"]
 
 _ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
-_EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands", "second_opinion")
+_EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands")
 _OMA_SETTINGS = ("oma_max_order", "oma_references", "known_harmonics_hz", "oma_select_hz", "oma_reject_hz")
+
+
+def _libraries(test: Test) -> bool:
+    return test.analysis.second_opinion
+
 
 STEPS: tuple[Stage, ...] = (
     Stage(
@@ -58,8 +65,19 @@ STEPS: tuple[Stage, ...] = (
         operational_modes,
         no_operation,
         (),
-        ("band", "exclude_bands", "second_opinion", *_OMA_SETTINGS),
+        ("band", "exclude_bands", *_OMA_SETTINGS),
         ("operating",),
+    ),
+    Stage("idle_libraries", "ema", idle_libraries, no_idle, ("frf", "ema"), ("second_opinion",), wanted=_libraries),
+    Stage(
+        "operating_libraries",
+        "oma",
+        operating_libraries,
+        no_operation,
+        ("oma",),
+        ("second_opinion",),
+        ("operating",),
+        _libraries,
     ),
     Stage("ofrf", "ofrf", hybrid, no_both, ("ema", "oma"), ("threshold", "scaling")),
     Stage("check", "compare", check_runs, no_check, (), ("band", *_ESTIMATING), ("check",)),

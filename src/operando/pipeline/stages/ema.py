@@ -24,7 +24,6 @@ def automatic_modes(work: Work) -> dict[str, Any]:
         records=records,
         max_order=analysis.max_order,
         ema=analysis.ema,
-        second_opinion=analysis.second_opinion,
         progress=work.say,
     )
     return {"automatic": found, "findings": findings}

@@ -26,7 +26,6 @@ def operational_modes(work: Work) -> dict[str, Any]:
         select_hz=analysis.oma_select_hz,
         reject_hz=analysis.oma_reject_hz,
         exclude_bands=analysis.exclude_bands,
-        second_opinion=analysis.second_opinion or None,
     )
     operating = fit_oma(records, **keywords)
     if work.test.idle and not work.test.check:

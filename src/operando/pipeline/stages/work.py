@@ -53,6 +53,8 @@ class Stage:
         Names in [analysis] that decide the result.
     states : tuple of str
         States whose files it reads.
+    wanted : callable
+        ``Test`` → whether it is asked for at all; what is not is not left out either.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Stage:
     upstream: tuple[str, ...] = ()
     settings: tuple[str, ...] = ()
     states: tuple[str, ...] = ()
+    wanted: Callable[[Test], bool] = field(default=lambda test: True)
 
 
 def offered(function: Callable[..., Any], findings: list[Finding], **keywords: Any) -> dict[str, Any]:

@@ -1,0 +1,106 @@
+"""Docstrings of public functions, in numpydoc's form: parameters, what is returned and raised, an example; words of the glossary."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import operando
+
+pytest.importorskip("numpydoc", reason="docstrings are checked with the extra: pip install 'operando[dev]'")
+from numpydoc.validate import validate
+
+PACKAGES = ("data", "frf", "ema", "oma", "scaling", "compare", "io", "contrib", "plots", "stabilization")
+CODES = {
+    "GL02": "closing quotes", "GL08": "no docstring", "SS01": "no summary", "PR01": "a parameter is not named",
+    "PR02": "a parameter is named that is none", "PR03": "order of parameters", "PR04": "no type", "PR07": "no words", "RT01": "no Returns",
+    "YD01": "no Yields",
+}  # fmt: skip
+"""Checks of numpydoc that count. A description of what is returned (RT03) is left out where the type says it."""
+
+SOURCE = Path(operando.__file__).parent
+LEFT = re.compile(
+    r"\b(judge[ds]?|judging|held[- ]out|ladder|rungs?|check runs?|second opinion|honest\w*|excus\w+|invented|afar|house|contract|vague\w*"
+    r"|earn\w*|learnt)\b|\brooms\b|\broom of\b|(?<!`)\bmisfit\b(?!`| :|_)",
+    re.IGNORECASE,
+)
+"""Left column of the glossary, as far as one word tells it; ``misfit`` is the name of a field."""
+
+
+WITHOUT = {
+    "compare.comparison.compare_all", "compare.comparison.with_effect", "compare.route.gets_worse", "compare.route.recommended",
+    "data.mapped.filling", "data.mapped.mapped_rows", "data.objects.expect", "data.objects.plots", "data.provenance.file_hash",
+    "diagnose.diagnosis.Diagnosis", "diagnose.model.Model", "dof.Dof", "effects.base.EffectKind", "effects.base.Parameter",
+    "effects.effect.Effect", "frf.hits.without_hits", "frf.periodic.periodic_frf", "frf.periodic.steady_periods",
+    "frf.rational.local_rational", "frf.runs.merge_runs", "frf.spectra.cross_spectra", "io.hdf5.check_objects", "io.hdf5.read_object",
+    "io.hdf5.write_object", "io.hints.check_fields", "io.safe.hdf5_file.opened_hdf5", "oma.beside.beside_pyoma",
+    "oma.halves.fit_halves", "plots.ofrfs.plot_hybrid", "plots.stabilization.plot_stabilization_of",
+}  # fmt: skip
+"""Public functions and classes whose docstring has no example yet."""
+
+
+def functions() -> dict[str, object]:
+    """Functions that the packages and operando itself name as public, by where they are defined."""
+    found = {}
+    for package in PACKAGES:
+        module = importlib.import_module(f"operando.{package}")
+        for thing in (getattr(module, name) for name in module.__all__):
+            if inspect.isfunction(thing) and thing.__module__.split(".")[1] in PACKAGES:
+                found[f"{thing.__module__}.{thing.__qualname__}"] = thing
+    for name in operando.__all__:
+        thing = operando._function(name) if name in operando._WHERE else None
+        if inspect.isfunction(thing) and thing.__module__.split(".")[1] not in ("effects", "diagnose", "diagnosis"):
+            found[f"{thing.__module__}.{thing.__qualname__}"] = thing
+    return dict(sorted(found.items()))
+
+
+@pytest.mark.parametrize("name", functions())
+def test_parameters_and_returns_are_described(name):
+    errors = [f"{code} ({CODES[code]}): {text}" for code, text in validate(name)["errors"] if code in CODES]
+    assert not errors
+
+
+def raised(function: object) -> set[str]:
+    """Typed errors that the function's own body raises."""
+    tree = ast.parse(inspect.getsource(inspect.unwrap(function)))
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
+            names.add(node.exc.func.id)
+    return {n for n in names if isinstance(kind := getattr(operando.errors, n, None), type) and issubclass(kind, operando.OperandoError)}
+
+
+@pytest.mark.parametrize("name", functions())
+def test_errors_are_named(name):
+    function = functions()[name]
+    told = (inspect.getdoc(function) or "").partition("Raises\n")[2]
+    assert not {kind for kind in raised(function) if kind not in told}
+
+
+@pytest.mark.parametrize("package", ["data", "frf", "ema", "oma", "scaling", "compare", "io"])
+def test_docstrings_use_the_words_of_the_glossary(package):
+    found = []
+    for path in sorted((SOURCE / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef):
+                text = ast.get_docstring(node) or ""
+                found += [f"{path.name} {getattr(node, 'name', '')}: {m[0]}" for m in LEFT.finditer(text)]
+    assert not found
+
+
+def classes() -> dict[str, type]:
+    """Classes that operando itself names, by name."""
+    found = {name: getattr(operando, name) for name in operando.__all__ if name != "__version__"}
+    return {name: thing for name, thing in found.items() if inspect.isclass(thing) and not issubclass(thing, Exception)}
+
+
+def test_public_functions_have_an_example():
+    """What has none yet stands in WITHOUT, which only grows shorter; the examples run in ``test_doctests``."""
+    things = functions() | {f"{kind.__module__}.{name}": kind for name, kind in classes().items()}
+    without = {name.removeprefix("operando.") for name, thing in things.items() if ">>> " not in (inspect.getdoc(thing) or "")}
+    assert without == WITHOUT
