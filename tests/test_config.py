@@ -239,3 +239,15 @@ def test_directions_of_dofs_that_are_not_there(tmp_path):
     with pytest.raises(ConfigError, match="'3\\+X' is a DOF of no file") as caught:
         run(path, tmp_path / "out", until="inspect")
     assert "did you mean '3+Z'" in caught.value.hint
+
+
+def test_title_block_of_the_report(folder):
+    block = '[report]\nobject = "pump 7"\ndate = 2026-05-04\nsensors = ["13 × 352C33", "086C03"]\n'
+    test = load_test(write(folder, FULL + block))
+    assert test.report == {"object": "pump 7", "date": "2026-05-04", "sensors": "13 × 352C33, 086C03"}
+    assert test.settings()["report"] == test.report
+    with pytest.raises(ConfigError, match="operater") as unknown:
+        load_test(write(folder, FULL + '[report]\noperater = "A"\n'))
+    assert "operator" in unknown.value.hint
+    with pytest.raises(ConfigError, match="7"):
+        load_test(write(folder, FULL + "[report]\nobject = 7\n"))

@@ -121,7 +121,7 @@ def test_modes_of_analysis_data(tmp_path):
 def test_what_a_table_cannot_hold_is_named(tmp_path):
     document, _, _ = converted(tmp_path, HEADER151, text_set(15, "1 0 0 7 1.0 0.0 0.0"), ascii58([1.0] * 4), target="out.csv")
     assert "header of the file (set 151)" in document["lost"]
-    assert "geometry of 1 nodes: csv cannot hold it" in document["lost"]
+    assert "geometry of 1 nodes: cannot be represented in csv" in document["lost"]
     assert len(document["lost"]) == len(set(document["lost"]))
 
 

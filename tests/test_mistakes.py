@@ -136,7 +136,7 @@ MISTAKES = {
     "unknown reference": (
         asked('analysis.references=["2+Z"]'),
         1,
-        r"no force at rest acts at 2\+Z",
+        r"no idle force acts at 2\+Z",
         ANALYSIS + "references",
         r"did you mean '1\+Z'",
     ),
@@ -215,7 +215,7 @@ MISTAKES = {
     "OFRF frequencies outside": (
         ["ofrf", "results", "--route", "effect", "--frequencies", "10:500:1"],
         1,
-        "500 Hz is outside the lines .* 5 to 99.5 Hz",
+        "500 Hz is none of the lines .* 5 to 99.5 Hz",
         "--frequencies",
         "did you mean 10:99.5:1",
     ),

@@ -176,7 +176,7 @@ def test_other_formats_say_what_they_lose(tmp_path):
     with pytest.warns(UserWarning, match="6 digits"):
         modal().save(tmp_path / "modes.uff")
     assert operando.read(tmp_path / "modes.uff").models[0].n_modes == 4
-    with pytest.raises(FormatError, match="csv cannot hold a ModalModel"):
+    with pytest.raises(FormatError, match="a ModalModel cannot be represented in csv"):
         modal().save(tmp_path / "modes.csv")
     with pytest.raises(FormatError, match="tells no format"):
         modal().save(tmp_path / "modes.docx")
@@ -193,7 +193,7 @@ def test_results_are_saved_and_loaded(tmp_path):
     again = operando.load(tmp_path / "out", operando.Results)
     assert again.name == "pump"
     assert np.array_equal(again.idle.shapes, results.idle.shapes)
-    assert repr(again) == "<Results: pump; 4 modes at rest>"
+    assert repr(again) == "<Results: pump; 4 idle modes>"
 
 
 def test_tables_and_datasets():

@@ -193,6 +193,9 @@ def test_wheel_holds_the_example_and_the_licence(tmp_path):
     shipped = {p.relative_to(EXAMPLE).as_posix() for p in EXAMPLE.rglob("*") if p.is_file()}
     assert {f"operando/example_data/{name}" for name in shipped} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
+    templates = ROOT / "src" / "operando" / "report" / "templates"
+    assert {f"operando/report/templates/{p.name}" for p in templates.iterdir()} <= names
+    assert "Requires-Dist: jinja2" in metadata
     assert not [n for n in names if n.split("/")[0] not in {"operando", f"operando-{operando.__version__}.dist-info"}]
     assert not [n for n in names if "truth" in n]
     assert "License-Expression: MIT" in metadata

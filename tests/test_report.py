@@ -6,6 +6,7 @@ import re
 import time
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from operando.compare import compare_all
 from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.errors import WriteError
-from operando.report import assumptions, derive, headline, render_report, tables, tables_files, write_report
+from operando.report import assumptions, derive, headline, render_report, sections_rest, write_report
 from operando.report.figures_modes import ShapePair, mode_shapes
+from operando.report.parts import render
 from operando.report.svg import thin
 from operando.report.text import count, fixed, listing, number, plus_minus
 from operando.results import CheckRun, Results
@@ -110,10 +112,11 @@ def whole():
     noisy = (running.phi + 0.01 * (rng.standard_normal((N, N)) + 1j * rng.standard_normal((N, N)))) * factor
     lines = np.linspace(6, 150, 1500)
     singular = np.array([np.sum([1 / ((lines - h) ** 2 + 0.3) for h in running.hz], axis=0) / 10**k for k in range(4)])
+    spectra = SimpleNamespace(frequencies_hz=lines, singular_values=singular)
     cov = np.diag(np.r_[2e-4 * running.hz, 0.05 * running.zeta, 0.02 * np.ones(2 * N * N)] ** 2)
     operating = ModalModel(
         running.hz, running.zeta, noisy, dofs(), covariance=cov, band_hz=BAND,
-        details=Details(diagram(running.hz, running.zeta, 4), np.array([25.0, 50.0]), (lines, singular)),
+        details=Details(diagram(running.hz, running.zeta, 4), np.array([25.0, 50.0]), spectra),
     )  # fmt: skip
     hybrid = scale_operational(idle, operating)
     check = [
@@ -250,7 +253,7 @@ def replace_results(results, **changes):
 
 
 PARTS = {
-    "no check": ({"check": [], "comparison": None}, "no check measurement"),
+    "no check": ({"check": [], "comparison": None}, "no validation measurement"),
     "no geometry": ({"geometry": None, "check": [], "comparison": None, "idle_frf": None}, "There is no geometry"),
     "no operating": (
         {"operating": None, "hybrid": None, "comparison": None, "left_out": {"oma": "no [operating] in the test"}},
@@ -373,7 +376,7 @@ def test_words():
     assert (count(0, "mode"), count(1, "mode"), count(3, "mode")) == ("no modes", "1 mode", "3 modes")
     assert listing(["a", "b", "c"]) == "a, b and c"
     assert number(float("nan")) == "–"
-    assert number(1.23456e-7, 3) == "1.23·10<sup>−7</sup>"
+    assert number(1.23456e-7, 3) == "1.23·10⁻⁷"
     assert fixed(-0.001, 2, sign=True) == "+0.00" or fixed(-0.001, 2, sign=True) == "0.00"
 
 
@@ -391,11 +394,11 @@ def test_shapes_are_drawn_without_lines_in_the_geometry(layout):
 
 
 def test_inventory_and_findings_cells_are_escaped():
-    text = tables_files.inventory_table([{"file": "a<b>.uff", "channels": 3, "note": "x & y", "nothing": None}])
+    text = render("inventory.html.j2", **sections_rest.inventory([{"file": "a<b>.uff", "channels": 3, "note": "x & y", "nothing": None}]))
     assert "a&lt;b&gt;.uff" in text
     assert "x &amp; y" in text
     assert "nothing" not in text
-    assert tables.findings_table([Finding("nan", "<i>", dof="1+Z")]).count("<i>") == 0
+    assert "<i>" not in render("findings.html.j2", **sections_rest.findings([Finding("nan", "<i>", dof="1+Z")]))
 
 
 def test_record_types_used_by_the_report_import_without_matplotlib():
@@ -453,7 +456,11 @@ def test_scale_of_modes_leaves_damping_errors_out(whole):
 
 
 def test_what_the_fit_did_is_told(html):
-    body = html[html.index("3. At rest: FRFs and idle model</h2>") : html.index("4. Running: operational modes</h2>")]
+    body = " ".join(
+        html[
+            html.index("3. Idle state (reference): FRFs and model</h2>") : html.index("4. Operating state: operational modes</h2>")
+        ].split()
+    )
     assert "It did not converge" in body
     assert "1.30 at worst, at 111+Z" in body
     assert "misfit 1.0 &lt;ok&gt;" in body
@@ -474,3 +481,74 @@ def test_level_dependence_is_told_and_excuses_reciprocity(whole):
     assert states["Linear behaviour"] == "fails"
     assert states["Reciprocity in operation"] == "doubtful"
     assert "at b the operating FRFs are off by 5.40 dB and the idle model by 0.90 dB" in " ".join(headline(results).sentences)
+
+
+def test_title_block_says_what_was_measured_by_whom(whole):
+    block = {"object": "Pump <7>", "date": "2026-05-04", "operator": "A. Smith"}
+    text = render_report(replace_results(whole, settings=whole.settings | {"report": block}, hybrid=None, check=[], comparison=None))
+    Page(text)
+    top = text[text.index("<header>") : text.index("</header>")]
+    assert "<dt>Object</dt><dd>Pump &lt;7&gt;</dd>" in top
+    assert "2026-05-04" in top
+    assert "<dl" not in render_report(Results("nothing"))
+
+
+def only(results, **parts):
+    """Results of one state."""
+    none = {"idle": None, "operating": None, "idle_frf": None, "hybrid": None, "check": [], "comparison": None, "left_out": {}}
+    return replace_results(results, **(none | parts))
+
+
+def test_a_hammer_test_has_its_own_answer_without_empty_columns(whole):
+    results = only(whole, idle=whole.idle, idle_frf=whole.idle_frf, left_out={"oma": "no [operating] in the test"})
+    text = render_report(results)
+    page = Page(text)
+    head = headline(results)
+    assert head.verdict == "12 idle modes in 8–140 Hz"
+    assert any("18 samples at full scale" in t for t in head.limits), "what is wrong with the data limits the answer"
+    assert head.grade == "fair"
+    assert headline(replace_results(results, findings=[])).grade == "good"
+    assert "no [operating] in the test" in head.sentences[-1]
+    assert {f"#{name}" for name in ("operating", "scaling", "ofrf", "diagnosis", "missing")}.isdisjoint(page.targets)
+    answer = text[text.index('id="answer"') : text.index('id="data"')]
+    assert "Oper" not in "".join(re.findall("<th.*?</th>", answer))
+    assert '<td class="n">–</td>' not in answer
+    assert "not tested" not in answer
+
+
+def test_an_output_only_test_has_its_own_answer(whole):
+    results = only(whole, operating=whole.operating, left_out={"ema": "no [idle] in the test"})
+    text = render_report(results)
+    Page(text)
+    assert headline(results).verdict == "12 operating modes in 8–140 Hz"
+    assert "arbitrary scale" in " ".join(headline(results).sentences)
+    assert 'href="#idle"' not in text
+    assert "Idle" not in "".join(re.findall("<th .*?</th>", text))
+    failed = only(whole, operating=whole.operating, left_out={"ema": "failed: too few lines"})
+    assert headline(failed).verdict == "No operating FRFs"
+
+
+def test_figures_and_texts_of_the_user_stand_in_sections_of_their_own(tmp_path):
+    from matplotlib.figure import Figure
+
+    from operando import Report
+    from operando.errors import DataError
+
+    figure = Figure(figsize=(4, 3))
+    axes = figure.subplots()
+    axes.plot([600.0, 900.0], [0.1, 0.4], label="level")
+    axes.set_title("<script>1</script>")
+    report = Report(Results("pump")).add_text("Measured at 40 °C & <dry>.", section="Run-up")
+    report.add_figure(figure, "Level <over> speed.", section="Run-up").add_figure(axes, "Again.", section="Second")
+    report.save(tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.counts["figure"] == 2
+    assert re.findall(r"<b>Figure (\d+)\.</b>", text) == ["1", "2"]
+    assert "Level &lt;over&gt; speed." in text
+    assert "40 °C &amp; &lt;dry&gt;" in text
+    assert text.count("<script") == 1
+    assert "Run-up</h2>" in text
+    assert report.html() == text, "the same whenever it is made"
+    with pytest.raises(DataError, match="no figure"):
+        report.add_figure([1, 2, 3])

@@ -19,7 +19,7 @@ from operando.report.assessment import RECIPROCITY
 from operando.report.figures_compare import error_maps
 from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
 from operando.report.figures_records import force_figure, level_figure, simulation_figure
-from operando.report.parts import Numbering
+from operando.report.parts import Numbering, render
 from operando.report.sections import build
 from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
 from operando.results import CheckRun, Results
@@ -36,6 +36,11 @@ MASS = {
     "explanation": "A mass of 0.200 ± 0.001 kg sits on 103+Z",
     "confirm": "weigh what was put there",
 }
+
+
+RANGES = [[a, a + 8.0] for a in (10.0, 32.0, 54.0, 76.0, 98.0, 120.0)]
+JUDGED = {"state": "operating", "measured": "FRF lines", "runs": ["check/run1.uff"], "whole_run": False, "ranges_hz": RANGES}
+"""What the engine says of the hold-out set."""
 
 
 def spring(value=-900.0, std=10.0, place="105+Z"):
@@ -115,8 +120,9 @@ def whole():
     comparison = compare_all({"idle": idle, "effect": truth}, check, BAND)
     xyz = np.array([[0.3 * i, 0.0, 0.0] for i in range(N)])
     geometry = Geometry(tuple(100 + i for i in range(N)), xyz, tuple((100 + i, 101 + i) for i in range(N - 1)))
+    found = document(judged_on=JUDGED)
     return Results(
-        "chain", {"band": list(BAND)}, [], [], geometry, measured(Model(idle), 0.002, 3), idle, None, None, check, comparison, document()
+        "chain", {"band": list(BAND)}, [], [], geometry, measured(Model(idle), 0.002, 3), idle, None, None, check, comparison, found
     )
 
 
@@ -126,8 +132,9 @@ def text_of(html):
 
 def sections(results):
     """The two sections of the diagnosis."""
-    numbering = Numbering()
-    return {"missing": sections_diagnosis.answer(results, numbering), "diagnosis": sections_diagnosis.diagnosis(results, numbering)}
+    page = Numbering()
+    makers = {"missing": sections_diagnosis.answer, "diagnosis": sections_diagnosis.diagnosis}
+    return {name: render(f"{name}.html.j2", page, results=results, **make(results, page)) for name, make in makers.items()}
 
 
 # Words.
@@ -136,7 +143,7 @@ def sections(results):
 def test_answer_says_what_where_how_large_and_how_much_it_helps():
     words = diagnosis_words(document())
     assert words.found == ("A mass of 0.200 ± 0.002 kg (95 %) sits on 103+Z; the idle model does not have it.",)
-    assert "misses the check by 3.93 dB alone and by 0.15 dB with it" in words.sentences[0]
+    assert "the error of the idle model is 3.93 dB, with the effect 0.15 dB" in words.sentences[0]
     assert "0.14 dB" in words.sentences[0]
     assert words.sentences[1] == "Nothing else in the catalogue does as well."
     assert words.decide == (f"To confirm: {Effect.from_dict(MASS).confirm}.",)
@@ -168,7 +175,7 @@ def test_output_only_counts_in_standard_deviations():
     assert words.output_only
     assert not words.ladder.decibel
     assert words.ladder.floor == 1.0
-    assert "misses the machine by 12 standard deviations alone and by 0.90 standard deviations with it" in words.sentences[0]
+    assert "the error of the idle model is 12 standard deviations, with the effect 0.90 standard deviations" in words.sentences[0]
     assert "dB" not in words.sentences[0]
 
 
@@ -240,7 +247,7 @@ def test_ladder_takes_the_sizes_of_the_last_refit_and_says_when_nothing_was_held
     ladder = ladder_of(found)
     assert not ladder.held_out
     assert ladder.rungs[0].heldout == pytest.approx(1.1 * 3.93)
-    assert "On all check lines" in diagnosis_words(found).sentences[0]
+    assert "On all lines of the validation measurement" in diagnosis_words(found).sentences[0]
 
 
 def test_unknown_kind_and_bare_documents_are_told_as_they_stand():
@@ -286,7 +293,7 @@ def test_ladder_figure_holds_values_labels_floor_and_verdict():
 def test_ladder_figure_in_misfits_has_the_noise_at_one():
     words = diagnosis_words(output_only())
     text = text_of(ladder_figure(words.ladder, "explained", "good"))
-    for piece in ("144", "0.810", "÷180", "1: as good as the data allow", "misfit"):
+    for piece in ("144", "0.810", "÷180", "1: as good as the noise allows", "reduced χ²"):
         assert piece in text, piece
     assert "dB" not in text
 
@@ -339,7 +346,7 @@ def test_ladder_is_the_first_figure_and_the_answer_the_first_section(whole):
     html = render_report(whole)
     assert html.index('id="missing"') < html.index('id="answer"')
     first = html[html.index("<figure>") : html.index("</figure>")]
-    assert "Error ladder, verdict explained" in first
+    assert "Error by step, verdict explained" in first
     assert "3.93 dB" in first
     assert "Figure 1." in first
     assert "A mass of 0.200 ± 0.002 kg (95 %) sits on 103+Z" in html
@@ -350,12 +357,12 @@ def test_evidence_has_maps_stiffness_places_frfs_and_candidates(whole):
     made = sections(whole)["diagnosis"]
     text = text_of(made)
     for piece in (
-        "The idle model fails most at",
+        "The error of the idle model is largest at",
         "With the effects",
         "Noise floor",
         "103+Z: point mass 0.200 ± 0.002 kg",
         "the real part falls as the square of frequency",
-        "held-out lines",
+        "hold-out lines",
         "103+Z from",
         "accepted",
         "3 more candidates",
@@ -390,11 +397,11 @@ def test_held_out_ranges_are_the_blocks_that_judge(whole):
     run = derive.judge_run(whole)
     ranges, everything = derive_diagnosis.held_out_ranges(whole, run)
     assert not everything
-    assert len(ranges) == 6
+    assert ranges == [tuple(r) for r in RANGES]
     assert all(BAND[0] <= a < b <= BAND[1] for a, b in ranges)
-    twice = replace(whole, check=[run, CheckRun("check/run2.uff", "20 N", run.frf)])
-    assert derive_diagnosis.held_out_ranges(twice, run) == ([], True)
-    assert derive_diagnosis.held_out_ranges(replace(whole, settings={"exclude_bands": [[20, 30]]}), run) == ([], False)
+    another = replace(whole, diagnosis=document(judged_on=JUDGED | {"whole_run": True, "ranges_hz": []}))
+    assert derive_diagnosis.held_out_ranges(another, run) == ([], True)
+    assert derive_diagnosis.held_out_ranges(whole, CheckRun("check/run2.uff", "20 N", run.frf)) == ([], False)
 
 
 class Louder:
@@ -533,8 +540,8 @@ def test_every_verdict_renders(whole, verdict, kind):
     assert verdict.replace("_", " ") in text
     assert not re.search(r"\bnan\b|\bNone\b", text)
     if kind == "modes":
-        assert "operating modes alone are judged. The idle model fails most at 31.50 Hz: misfit 300" in text
-        assert "There is no check measurement to draw FRFs before and after against" in text
+        assert "operating modes alone count. The error of the idle model is largest at 31.50 Hz: reduced chi-square 300" in text
+        assert "There is no validation measurement to draw FRFs before and after against" in text
 
 
 MISSING = (
@@ -557,7 +564,7 @@ def test_missing_keys_are_said_or_left_out(whole, key):
     made = sections(replace(whole, diagnosis=found))
     assert text_of(made["missing"])
     said = {
-        "ladder": "holds no ladder",
+        "ladder": "holds no error by step",
         "candidates": "No candidates were kept",
         "picture": "no dynamic stiffness",
         "effects": "There is no effect in the model",

@@ -285,7 +285,7 @@ def test_roving_files_through_the_command_line(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message", "hint"),
     [
-        ('references = ["1+Z", "33+Z"]', "no force at rest acts at 33+Z", "did you mean '3+Z'?"),
+        ('references = ["1+Z", "33+Z"]', "no idle force acts at 33+Z", "did you mean '3+Z'?"),
         ('oma_references = ["5+X"]', "no operating record has a sensor at 5+X", "'5+Z'|known: |did you mean"),
         ('[channels]\n"acc9" = {exclude = true}', "[channels] 'acc9' names no channel of any file", "did you mean 'acc"),
     ],
@@ -326,9 +326,10 @@ def test_hits_rejected_through_the_command_line(tmp_path):
 
 
 def test_hits_stand_numbered_in_the_report():
-    from operando.report.tables_files import inventory_table
+    from operando.report.parts import render
+    from operando.report.sections_rest import inventory
 
     hits = [{"number": k, "time_s": 1.5 + k, "peak": 100.0, "unit": "N"} for k in range(20)]
-    text = inventory_table([{"file": "idle/p1.uff", "used_for": "idle", "format": "uff", "hits": hits}])
+    text = render("inventory.html.j2", **inventory([{"file": "idle/p1.uff", "used_for": "idle", "format": "uff", "hits": hits}]))
     assert "#0 1.50 s, 100 N" in text
     assert "#19 20.50 s, 100 N" in text

@@ -115,7 +115,7 @@ def test_every_file_is_listed_with_its_reason(folder):
     reasons = {t.file.relative_to(folder).as_posix(): t.reason for t in made.taken if t.role == "ignored"}
     assert reasons == {
         ".hidden": "a hidden file",
-        "notes.md": "not looked at: .md files hold no measurement",
+        "notes.md": "not read: .md files hold no measurement",
         "old": "a results folder",
         "test.toml": "a test file or settings, no measurement",
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import exact
@@ -19,7 +18,8 @@ from tripod import DESIGNS, Modes
 
 from operando.indicators import mac
 from operando.report.figures_modes import mac_matrices
-from operando.report.tables import table, tag
+from operando.report.page import asset
+from operando.report.parts import table, tag
 from operando.report.text import esc
 
 METHOD_NAMES = {
@@ -98,7 +98,7 @@ def write_page(
     page.section("Operational FRFs", _frf_figures(page, modes, runs))
     page.section("Error bands", _band_figures(page, modes, runs))
     page.section("An experiment in kind: Section 4.2 and Table A4", experiment_section(experiment, say, page.figure))
-    style = files("operando.report").joinpath("report.css").read_text(encoding="utf-8")
+    style = asset("report.css")
     contents = "".join(f'<li><a href="#s{n}">{n}. {esc(title)}</a></li>' for n, (title, _) in enumerate(page.parts, 1))
     body = "".join(f'<section id="s{n}"><h2>{n}. {esc(title)}</h2>{html}</section>' for n, (title, html) in enumerate(page.parts, 1))
     html = (
@@ -189,7 +189,7 @@ def _table_a2(modes: Mapping[str, Modes]) -> str:
         why = [EXPLAINED.get((name, i), "") for name in ("original", "case 1")]
         rows.append([*row, esc("; ".join(dict.fromkeys(w for w in why if w)))])
     caption = (
-        "<b>Table A2</b>, case 1 [Hz]. The target 19.6450 Hz of the paper's third row has no counterpart: it lies 0.9 Hz above its "
+        "Table A2, case 1 [Hz]. The target 19.6450 Hz of the paper's third row has no counterpart: it lies 0.9 Hz above its "
         "neighbour, where neither "
         "the ratio of the other rows nor any mode of this model lies; from there on the paper's target of a mode stands one row lower "
         "than its original."
@@ -225,9 +225,7 @@ def _table_a3(modes: Mapping[str, Modes], runs: Sequence[RawStudy]) -> str:
         "missed as well)." if sixth[0] < 0 else f"found at {oma[sixth[0]]:.2f} Hz, MAC {sixth[1]:.4f} with the exact one)."
     )
     head = ["EMA, paper", "exact", "operando", "OMA, paper", "exact", "off [%]", "operando", "MAC with exact", "Note"]
-    caption = (
-        "<b>Table A3</b>, case 2 [Hz]: the paper's EMA and OMA, the exact modes of this model, and what operando finds in the raw files."
-    )
+    caption = "Table A3, case 2 [Hz]: the paper's EMA and OMA, the exact modes of this model, and what operando finds in the raw files."
     return table(head, rows, range(8), caption, wide=True) + say(esc(missed))
 
 
@@ -307,7 +305,7 @@ def _raw_words() -> str:
 def _raw_table(runs: Sequence[RawStudy]) -> str:
     order = ["idle_shapes", "msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "expansion", "expansion_stiffness", "auto"]
     rows = [[esc(METHOD_NAMES[n])] + [f"{r.errors[s][n]:.2f}" if n in r.errors[s] else "–" for r in runs for s in SOURCES] for n in order]
-    head = [""] + [f"{r.case}<br>{r.band[0]:g}–{r.band[1]:g} Hz<br>from {'A' if s == SOURCES[0] else 'O'}" for r in runs for s in SOURCES]
+    head = [""] + [f"{r.case}, {r.band[0]:g}–{r.band[1]:g} Hz, from {'A' if s == SOURCES[0] else 'O'}" for r in runs for s in SOURCES]
     caption = "Error of OFRFs from raw files [dB rms over 10–220 Hz, mean over B, C, D and the mass]. –: the method does not exist there."
     reasons = "".join(say(f"<b>{esc(r.case)}, {r.band[0]:g}–{r.band[1]:g} Hz:</b> {esc(r.results.hybrid.reason)}.") for r in runs)
     return table(head, rows, range(1, len(head)), caption, wide=True, mine=[len(rows) - 1]) + reasons

@@ -14,7 +14,7 @@ from legs import DOFS, State
 
 from operando.indicators import mac
 from operando.report.figures_modes import mac_matrices
-from operando.report.tables import table
+from operando.report.parts import table
 from operando.report.text import esc
 
 Array = np.ndarray
@@ -108,7 +108,7 @@ def _frequencies(study: Experiment) -> str:
     rows = []
     for k in range(max(len(v) for v in columns.values())):
         rows.append([str(k + 1), *("" if k >= len(v) else "missed" if not np.isfinite(v[k]) else f"{v[k]:.2f}" for v in columns.values())])
-    caption = "Natural frequencies [Hz] beside the paper's <b>Table A4</b> (another plate: alike in kind only)."
+    caption = "Natural frequencies [Hz] beside the paper's Table A4 (another plate: alike in kind only)."
     return table(["Mode", *columns], rows, range(8), caption, wide=True)
 
 

@@ -52,6 +52,10 @@ SECTIONS: dict[str, tuple[str, str]] = {
         "0 says that it does not. Without this section two days in a laboratory and one set-up are both tried, and the more probable one "
         "is told.",
     ),
+    "report": (
+        "`[report]` (optional)",
+        "The title block of the report, each line a text, a date or a list of them.",
+    ),
     "effects": (
         "`[effects]` (optional)",
         "Kinds of effects of your own. The files are run when the test file is read: name only files whose content you know.",
@@ -80,6 +84,14 @@ WORDS: dict[str, dict[str, str]] = {
         "between": "Section: what may differ between rest and operation.",
         "effects": "Section: kinds of effects of your own.",
         "directions": "Section: sensor directions that are no axes.",
+        "report": "Section: title block of the report.",
+    },
+    "report": {
+        "object": "What was measured: machine, type, serial number.",
+        "date": "Day or days of the measurement.",
+        "operator": "Who measured.",
+        "sensors": 'Sensors and front end: `["13 × ABC 352C33", "hammer 086C03"]`.',
+        "comments": "Whatever else a reader must know: mounting, speed, load, temperature.",
     },
     "between": {
         "sensor_gain": "Gain of each sensor, relative. Two days: 0.01.",

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from operando.io import write_uff as write_uff
     from operando.oma import fit_oma as fit_oma
     from operando.pipeline import run as run
+    from operando.report import Report as Report
     from operando.results import Results as Results
     from operando.scaling import HybridModel as HybridModel
     from operando.scaling import scale_operational as scale_operational
@@ -72,6 +73,7 @@ _WHERE = {
     "write_uff": "operando.io",
     "load": "operando.store",
     "Results": "operando.results",
+    "Report": "operando.report",
     "load_test": "operando.config",
     "estimate_frf": "operando.frf",
     "fit_ema": "operando.ema",

@@ -127,6 +127,8 @@ class Test:
         DOF in its positive sense → unit vector in the geometry's frame, for DOFs that are no axes.
     between : dict
         What may differ between the measurements at rest and in operation beside the missing physics → one standard deviation.
+    report : dict
+        The title block of the report: ``object, date, operator, sensors, comments``.
     effects : tuple of Path
         Python files with kinds of effects of the user's own, imported when the test file is read.
     given : mapping
@@ -147,6 +149,7 @@ class Test:
     analysis: Analysis = field(default_factory=Analysis)
     directions: dict[str, tuple[float, ...]] = field(default_factory=dict)
     between: dict[str, float] = field(default_factory=dict)
+    report: dict[str, str] = field(default_factory=dict)
     effects: tuple[Path, ...] = ()
     given: Given = field(default_factory=dict, repr=False, compare=False)
 
@@ -185,6 +188,7 @@ class Test:
         given: dict[str, Any] = {"units": dict(self.units), "channels": {k: dict(v) for k, v in self.channels.items()}}
         given["directions"] = {k: list(v) for k, v in self.directions.items()}
         given["between"] = dict(self.between)
+        given["report"] = dict(self.report)
         given["effects"] = {"modules": [self.label(file) for file in self.effects]}
         parts = [
             {"state": name, "file": self.label(file), "start_s": span.start_s, "stop_s": span.stop_s}
@@ -344,7 +348,7 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
 
 
 _STATES = ("idle", "operating", "check")
-_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "effects")
+_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "report", "effects")
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
@@ -394,6 +398,7 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
         analysis=_analysis(table.get("analysis", {}), where.within("analysis")),
         directions=directions,
         between=values.between(table.get("between", {}), where.within("between")),
+        report=values.report(table.get("report", {}), where.within("report")),
         effects=effects,
         given=where.given,
     )

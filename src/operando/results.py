@@ -92,13 +92,12 @@ class Results(Short):
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""
-        modes = lambda model: "" if model is None else counted(model.n_modes, "mode")  # noqa: E731
         errors = ((self.comparison or {}).get("models") or {}).get("ofrf") or {}
         level = errors.get("error_db")
         return {
             "Test": self.name,
-            "At rest": f"{modes(self.idle)} at rest" if self.idle is not None else "",
-            "Operating": f"{modes(self.operating)} in operation" if self.operating is not None else "",
+            "Idle": counted(self.idle.n_modes, "idle mode") if self.idle is not None else "",
+            "Operating": counted(self.operating.n_modes, "operating mode") if self.operating is not None else "",
             "Scaling": f"scaled by {self.hybrid.method}" if self.hybrid is not None else "",
             "Validation": "" if level is None else f"operating FRFs within {level:.2f} dB of the validation measurement",
             "Diagnosis": f"diagnosis: {self.diagnosis['verdict'].replace('_', ' ')}" if self.diagnosis else "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -160,6 +161,28 @@ def between(table: Mapping[str, Any], where: Entry) -> dict[str, float]:
     for name, value in table.items():
         expect(value, is_number(value) and 0 <= value <= 1, "a standard deviation from 0 to 1", where.at(name))
     return {name: float(value) for name, value in table.items()}
+
+
+REPORT = ("object", "date", "operator", "sensors", "comments")
+"""Lines of the title block of the report."""
+
+
+def report(table: Mapping[str, Any], where: Entry) -> dict[str, str]:
+    """Lines of the title block; a list is joined by commas, a date of TOML is written as one.
+
+    Raises
+    ------
+    ConfigError
+        If a line is unknown or no text.
+    """
+    check_keys(table, REPORT, where)
+    lines = {}
+    for name, value in table.items():
+        parts = value if isinstance(value, list) else [value]
+        good = all(isinstance(p, str | datetime.date) for p in parts)
+        expect(value, good, "a text, a date or a list of them", where.at(name))
+        lines[name] = ", ".join(str(p) for p in parts)
+    return lines
 
 
 def declared(channels: Mapping[str, Mapping[str, Any]], directions: Mapping[str, Any], where: Entry) -> None:

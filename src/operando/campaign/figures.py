@@ -40,9 +40,10 @@ def scale(point: Mapping[str, Any]) -> tuple[float | None, float | None]:
     return value, None if value is None or std is None else value * std
 
 
+@drawn
 def mode_figure(
     tracks: Sequence[Mapping[str, Any]], value: Value, over: str, label: str, log: bool = False, baseline: float | None = None
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: a value of every tracked mode over the parameter, with 95 % intervals; the modes are named at the right.
 
     Parameters
@@ -58,13 +59,6 @@ def mode_figure(
     baseline : float or None
         Place of the baseline.
     """
-    return _mode_figure(tracks, value, over, label, log, baseline)
-
-
-@drawn
-def _mode_figure(
-    tracks: Sequence[Mapping[str, Any]], value: Value, over: str, label: str, log: bool, baseline: float | None
-) -> tuple[Figure, str]:
     height = min(max(3.0, 0.33 * len(tracks) + 1.2), 7.5)
     figure = new_figure(10.2, height)
     axes = figure.add_axes((0.075, 0.5 / height, 0.8, 1 - 0.75 / height))
@@ -129,7 +123,8 @@ def _names(axes: Axes, ends: Sequence[tuple[float, float, int, str]]) -> None:
         )  # fmt: skip
 
 
-def error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str) -> str:
+@drawn
+def error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str) -> tuple[Figure, str]:
     """SVG: error in dB of each model over the parameter.
 
     Parameters
@@ -138,11 +133,6 @@ def error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str)
         Name of the model → (place, error in dB).
     over : str
     """
-    return _error_figure(series, over)
-
-
-@drawn
-def _error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str) -> tuple[Figure, str]:
     figure = new_figure(10.2, 3.0)
     axes = figure.add_axes((0.075, 0.17, 0.9, 0.68))
     for k, (name, points) in enumerate(series.items()):
@@ -158,7 +148,8 @@ def _error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str
     return figure, f"Error of {', '.join(series)} over {over}"
 
 
-def effect_figure(rows: Sequence[tuple[str, Sequence[float], Sequence[float]]], over: str, known: Sequence[float]) -> str:
+@drawn
+def effect_figure(rows: Sequence[tuple[str, Sequence[float], Sequence[float]]], over: str, known: Sequence[float]) -> tuple[Figure, str]:
     """SVG: which effect is missing in which state.
 
     Parameters
@@ -169,11 +160,6 @@ def effect_figure(rows: Sequence[tuple[str, Sequence[float], Sequence[float]]], 
     known : sequence of float
         Places of all states, also those without a diagnosis.
     """
-    return _effect_figure(rows, over, known)
-
-
-@drawn
-def _effect_figure(rows: Sequence[tuple[str, Sequence[float], Sequence[float]]], over: str, known: Sequence[float]) -> tuple[Figure, str]:
     height = 0.34 * len(rows) + 0.95
     figure = new_figure(10.2, height)
     axes = figure.add_axes((0.3, 0.55 / height, 0.67, 1 - 0.85 / height))

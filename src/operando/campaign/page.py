@@ -6,17 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
+from markupsafe import Markup
+
 from operando.campaign import figures
 from operando.report.page import render_page
-from operando.report.parts import Numbering, Section, missing, paragraph
-from operando.report.tables import table, tag
+from operando.report.parts import Numbering, Section, missing, paragraph, shown, table, tag
 from operando.report.text import DASH, count, decibel, esc, fixed, listing, number, plus_minus
 
 MOST_TRACKS = 20
 """Modes drawn in a figure: those seen in most states."""
 MOST_EFFECTS = 24
 MODEL_WORDS = {"idle": "idle model", "ofrf": "operating FRFs, hybrid route", "effect": "operating FRFs, idle model + effects"}
-KIND_WORDS = {"idle": "At rest", "operating": "In operation"}
+KIND_WORDS = {"idle": "In the idle state", "operating": "In operation"}
 STATE_WORDS = {"done": ("done", "good"), "incomplete": ("a stage failed", "fair"), "failed": ("failed", "poor")}
 VERDICT_GRADES = {"no_misfit": "good", "explained": "good", "unexplained": "poor"}
 
@@ -32,8 +33,8 @@ def render(document: Mapping[str, Any]) -> str:
     numbering = Numbering()
     makers = (
         ("answer", "Answer: what changes over the tests", _answer),
-        ("operating", "In operation: modes over the parameter", lambda d, n: _modes(d, n, "operating")),
-        ("idle", "At rest: modes over the parameter", lambda d, n: _modes(d, n, "idle")),
+        ("operating", "Operating state: modes over the parameter", lambda d, n: _modes(d, n, "operating")),
+        ("idle", "Idle state (reference): modes over the parameter", lambda d, n: _modes(d, n, "idle")),
         ("errors", "Error of the operating FRFs", _errors),
         ("effects", "What is missing in the idle model", _effects),
         ("tests", "All tests", _tests),
@@ -41,7 +42,7 @@ def render(document: Mapping[str, Any]) -> str:
     )
     sections = [Section(anchor, title, make(document, numbering)) for anchor, title, make in makers]
     counts = document["counts"]
-    meta = f"{count(len(document['tests']), 'test')}, {counts['failed']} failed · over {esc(document['over']['label'])}"
+    meta = f"{count(len(document['tests']), 'test')}, {counts['failed']} failed · over {document['over']['label']}"
     return render_page(
         f"{document['name']}: campaign", document["name"], "Operating frequency response functions · campaign report", meta, sections
     )
@@ -84,7 +85,7 @@ def _widest(document: Mapping[str, Any], kind: str) -> str | None:
     return f"{KIND_WORDS[kind].lower()}, mode {track['track']} differs most from the baseline: {where}"
 
 
-def _answer(document: Mapping[str, Any], numbering: Numbering) -> str:
+def _answer(document: Mapping[str, Any], numbering: Numbering) -> Markup:
     counts, tests = document["counts"], document["tests"]
     said = said_of(document)
     failed = [row for row in tests if row["state"] != "done"]
@@ -92,36 +93,37 @@ def _answer(document: Mapping[str, Any], numbering: Numbering) -> str:
     grade = "good" if not failed and not out else "fair" if counts["done"] else "poor"
     title = f"{counts['done'] + counts['incomplete']} of {count(len(tests), 'test')} could be used"
     base = document["baseline"]
-    html = [f'<div class="answer {grade}"><h2>{esc(title)}</h2>']
+    html = [Markup('<div class="answer {}"><h2>{}</h2>').format(grade, title)]
     if base is not None:
         html.append(paragraph(f"Every state is compared with the baseline {_title(document, base['test'])} ({base['chosen']})."))
-    html.append("<ul>" + "".join(f"<li>{esc(text)}.</li>" for text in said[:8]) + "</ul>")
+    html.append(_items(said[:8]))
     if len(said) > 8:
         html.append(paragraph(f"{len(said) - 8} more below."))
-    html.append("</div>")
+    html.append(Markup("</div>"))
     if failed:
         rows = [[_link(document, r), tag(*STATE_WORDS[r["state"]]), esc(r["reason"] or DASH)] for r in failed]
         html.append(
             table(
                 ["Test", "State", "Reason"],
                 rows,
-                caption="<b>Tests that failed, whole or in part.</b> The next call tries those that failed whole again.",
+                title="Tests that failed, whole or in part.",
+                caption=" The next call tries those that failed whole again.",
                 wide=True,
             )
         )
     if out:
-        rows = [[_link(document, r), "<br>".join(esc(t) for t in r["stands_out"]), _own_findings(r, tests)] for r in out]
+        rows = [[_link(document, r), Markup("<br>").join(esc(t) for t in r["stands_out"]), _own_findings(r, tests)] for r in out]
         head = ["Test", "What stands out", "What its own data show that few others do"]
-        html.append("<h3>Tests that stand out</h3>" + table(head, rows, wide=True))
+        html.append(Markup("<h3>Tests that stand out</h3>") + table(head, rows, wide=True))
     elif len(tests) < 7:
-        html.append(paragraph("Whether single tests stand out is judged from seven tests on."))
-    return "".join(html)
+        html.append(paragraph("Whether single tests stand out is decided from seven tests on."))
+    return Markup("").join(html)
 
 
 def _own_findings(row: Mapping[str, Any], tests: Sequence[Mapping[str, Any]]) -> str:
     """Findings of kinds that fewer than a fifth of the tests have."""
     rare = [f for f in row["findings"] if sum(any(g["kind"] == f["kind"] for g in r["findings"]) for r in tests) < max(2, len(tests) / 5)]
-    return "<br>".join(esc(f["message"]) for f in rare[:4]) or DASH
+    return Markup("<br>").join(esc(f["message"]) for f in rare[:4]) or DASH
 
 
 def _title(document: Mapping[str, Any], name: str) -> str:
@@ -131,17 +133,17 @@ def _title(document: Mapping[str, Any], name: str) -> str:
 
 def _link(document: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     """Number and name of a test, linked to its own report, or to its folder where the campaign ends before the report."""
-    text = f"{row['number']}. {esc(row['title'])}"
+    text = esc(f"{row['number']}. {row['title']}")
     file = "report.html" if document["until"] in (None, "report") else ""
-    return text if row["state"] == "failed" else f'<a href="{quote(row["results"])}/{file}">{text}</a>'
+    return text if row["state"] == "failed" else Markup(f'<a href="{quote(row["results"])}/{file}">{text}</a>')
 
 
-def _modes(document: Mapping[str, Any], numbering: Numbering, kind: str) -> str:
+def _modes(document: Mapping[str, Any], numbering: Numbering, kind: str) -> Markup:
     part = document[kind]
     if not part["tracks"]:
         return missing(f"No test has modes {KIND_WORDS[kind].lower()}.")
     if part.get("same_everywhere"):
-        return paragraph("All tests share one measurement at rest, and so its modes.") + _track_table(part)
+        return paragraph("All tests share one idle measurement, and so its modes.") + _track_table(part)
     over, base = document["over"]["label"], _places(document).get((document["baseline"] or {}).get("test", ""))
     often = sorted(part["tracks"], key=lambda t: -t["seen"])
     tracks = sorted(often[:MOST_TRACKS], key=lambda t: t["track"])
@@ -160,14 +162,17 @@ def _modes(document: Mapping[str, Any], numbering: Numbering, kind: str) -> str:
         out.append(numbering.figure(figures.mode_figure(tracks, figures.scale, over, "Scale", True, base), caption))
     for title, found in (("Crossings", part["crossings"]), ("Steps", part["steps"])):
         if found:
-            items = "".join(f"<li>{esc(item['words'][:1].upper() + item['words'][1:])}.</li>" for item in found[:40])
-            out.append(
-                f"<h3>{title}</h3><ul>{items}</ul>" + (paragraph(f"{len(found) - 40} more in campaign.json.") if len(found) > 40 else "")
-            )
-    return "".join(out) + _track_table(part)
+            out += [Markup("<h3>{}</h3>").format(title), _items([item["words"][:1].upper() + item["words"][1:] for item in found[:40]])]
+            out += [paragraph(f"{len(found) - 40} more in campaign.json.")] if len(found) > 40 else []
+    return Markup("").join(out) + _track_table(part)
 
 
-def _track_table(part: Mapping[str, Any]) -> str:
+def _items(texts: Sequence[str]) -> Markup:
+    """Sentences as a list."""
+    return Markup("<ul>{}</ul>").format(Markup("").join(Markup("<li>{}.</li>").format(shown(text)) for text in texts))
+
+
+def _track_table(part: Mapping[str, Any]) -> Markup:
     rows = []
     for t in part["tracks"]:
         points = t["points"]
@@ -185,24 +190,24 @@ def _track_table(part: Mapping[str, Any]) -> str:
         ])  # fmt: skip
     head = [
         "Mode",
-        "Seen in<br>tests",
-        "Baseline<br>[Hz]",
-        "Frequency<br>[Hz]",
-        "Damping<br>[%]",
-        "Largest<br>change [%]",
+        "Seen in tests",
+        "Baseline [Hz]",
+        "Frequency [Hz]",
+        "Damping [%]",
+        "Largest change [%]",
         "in test",
-        "Least MAC<br>with baseline",
+        "Least MAC with baseline",
     ]
-    caption = "<b>Modes.</b> Numbers count from 0, by frequency in the baseline; ± is the 95 % interval."
-    shown = table(head, rows[:60], numeric=(0, 1, 2, 3, 4, 5, 7), caption=caption, wide=True)
-    return shown + (paragraph(f"{len(rows) - 60} more in campaign.csv.") if len(rows) > 60 else "")
+    caption = " Numbers count from 0, by frequency in the baseline; ± is the 95 % interval."
+    modes = table(head, rows[:60], numeric=(0, 1, 2, 3, 4, 5, 7), title="Modes.", caption=caption, wide=True)
+    return modes + (paragraph(f"{len(rows) - 60} more in campaign.csv.") if len(rows) > 60 else "")
 
 
 def _places(document: Mapping[str, Any]) -> dict[str, float]:
     return {r["name"]: r["place"] for r in document["tests"] if r["place"] is not None}
 
 
-def _errors(document: Mapping[str, Any], numbering: Numbering) -> str:
+def _errors(document: Mapping[str, Any], numbering: Numbering) -> Markup:
     places = _places(document)
     series: dict[str, list[tuple[float, float]]] = {}
     for key, words in MODEL_WORDS.items():
@@ -211,12 +216,12 @@ def _errors(document: Mapping[str, Any], numbering: Numbering) -> str:
         if points:
             series[words] = points
     if not series:
-        return missing("No test has a validation measurement ([check]) to judge operating FRFs by.")
+        return missing("No test has a validation measurement ([check]) to compare operating FRFs with.")
     caption = "Error (rms, dB) of the models on the validation measurement of each test."
     return numbering.figure(figures.error_figure(series, document["over"]["label"]), caption)
 
 
-def _effects(document: Mapping[str, Any], numbering: Numbering) -> str:
+def _effects(document: Mapping[str, Any], numbering: Numbering) -> Markup:
     told = [r for r in document["tests"] if (r["diagnosis"] or {}).get("verdict")]
     if not told:
         return missing("No test was diagnosed: that needs idle modes, and modes or a validation measurement in operation.")
@@ -226,7 +231,7 @@ def _effects(document: Mapping[str, Any], numbering: Numbering) -> str:
         verdicts[r["diagnosis"]["verdict"]] = verdicts.get(r["diagnosis"]["verdict"], 0) + 1
     out = [paragraph("Verdicts: " + listing([f"{n} × {v.replace('_', ' ')}" for v, n in verdicts.items()]) + ".")]
     if not effects:
-        return "".join([*out, paragraph("No effect is missing in any of them.")])
+        return Markup("").join([*out, paragraph("No effect is missing in any of them.")])
     by_effect: dict[str, set[str]] = {}
     for e in effects:
         if e["what"] != "is gone":
@@ -238,15 +243,15 @@ def _effects(document: Mapping[str, Any], numbering: Numbering) -> str:
         shown = [place for test, place in diagnosed.items() if test in by_effect[name]]
         rows.append((name, shown, [place for test, place in diagnosed.items() if test not in by_effect[name]]))
     if rows:
-        caption = "Effects that the idle model lacks: full where the diagnosis of a test finds it, empty where it does not."
+        caption = "Effects missing in the idle model: full where the diagnosis of a test finds it, empty where it does not."
         out.append(numbering.figure(figures.effect_figure(rows, document["over"]["label"], list(places.values())), caption))
     cells = [[esc(e["words"]), esc(e["label"]), esc(e["size"] or DASH), str(len(e["tests"]))] for e in effects]
     head = ["Against the baseline", "Effect", "Size (95 %)", "Tests"]
-    more = paragraph(f"{len(cells) - 80} more in campaign.json.") if len(cells) > 80 else ""
-    return "".join(out) + table(head, cells[:80], numeric=(3,), wide=True) + more
+    more = paragraph(f"{len(cells) - 80} more in campaign.json.") if len(cells) > 80 else Markup()
+    return Markup("").join(out) + table(head, cells[:80], numeric=(3,), wide=True) + more
 
 
-def _tests(document: Mapping[str, Any], numbering: Numbering) -> str:
+def _tests(document: Mapping[str, Any], numbering: Numbering) -> Markup:
     rows = []
     for r in document["tests"]:
         errors, verdict = r["errors"], (r["diagnosis"] or {}).get("verdict")
@@ -255,16 +260,16 @@ def _tests(document: Mapping[str, Any], numbering: Numbering) -> str:
         rows.append([
             _link(document, r), tag(*STATE_WORDS[r["state"]]), esc(r["scaling"] or DASH), decibel(idle), decibel(best),
             tag(verdict.replace("_", " "), VERDICT_GRADES.get(verdict, "fair")) if verdict else DASH,
-            "<br>".join(esc(m) for m in r["missing"][:4]) or DASH, DASH if r["seconds"] is None else f"{r['seconds']:.1f}",
+            Markup("<br>").join(esc(m) for m in r["missing"][:4]) or DASH, DASH if r["seconds"] is None else f"{r['seconds']:.1f}",
         ])  # fmt: skip
-    head = ["Test", "State", "Scaling", "Error of<br>idle model", "Error of<br>operating FRFs", "Verdict", "Missing in the idle model", "s"]
+    head = ["Test", "State", "Scaling", "Error of idle model", "Error of operating FRFs", "Verdict", "Missing in the idle model", "s"]
     base = (document["baseline"] or {}).get("test")
     mine = [i for i, r in enumerate(document["tests"]) if r["name"] == base]
-    caption = "<b>All tests</b>, each linked to its own results; the baseline is set off."
-    return table(head, rows, numeric=(3, 4, 7), caption=caption, wide=True, mine=mine)
+    caption = ", each linked to its own results; the baseline is set off."
+    return table(head, rows, numeric=(3, 4, 7), title="All tests", caption=caption, wide=True, mine=mine)
 
 
-def _how(document: Mapping[str, Any], numbering: Numbering) -> str:
+def _how(document: Mapping[str, Any], numbering: Numbering) -> Markup:
     counts = document["counts"]
     text = (
         f"{counts['run']} tests were run by the last call, {counts['unchanged']} had not changed since an earlier one; "
@@ -274,7 +279,7 @@ def _how(document: Mapping[str, Any], numbering: Numbering) -> str:
         "A mode belongs to the one before where their MAC is above 0.5 and their frequencies differ by less than 30 %; of several the "
         "best of MAC weighted by nearness in frequency is taken. A crossing is named where two modes change order by more than their "
         "95 % intervals. A value stands out where it differs from the running median of five tests by more than five times the usual "
-        "scatter; the first and last two tests are not judged. A step is a change between two tests beyond five times the usual scatter "
+        "scatter; the first and last two tests are left out. A step is a change between two tests beyond five times the usual scatter "
         "of changes. An effect counts as another than the baseline's where the diagnosis of one has it and that of the other has not."
     )
     return (

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # command -> (module of this package, what it does); the texts stand here so that --help loads no command
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("demo", "The whole story on the packaged example, from raw UFF to the report."),
+    "demo": ("demo", "The packaged example, from raw UFF to the report."),
     "init": ("init", "Look at the files in a folder and write a test file."),
     "inspect": ("inspect", "What is in files: sets, channels, DOFs, units, sampling, findings."),
     "run": ("run", "All stages of a test, from raw files to the report."),
@@ -26,7 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "ofrf": ("ofrf", "Operational FRFs of any pair of DOFs."),
     "compare": ("compare", "Any model against any measurement."),
     "compare-libraries": ("libraries", "The same data through sdypy-EMA and pyOMA-2 beside operando."),
-    "diagnose": ("diagnose", "Where the idle model fails in operation, and which effect is missing."),
+    "diagnose": ("diagnose", "Where the error of the idle model lies in operation, and which effect is missing."),
     "add": ("add", "Add effects to the idle model and see the error before and after."),
     "remove": ("remove", "Take an added effect back."),
     "effects": ("effects", "The catalogue of effects, with locations, parameters and units."),

@@ -47,11 +47,11 @@ def _text(what: str, errors: dict[str, Any], document: dict[str, Any], output: s
         else ", no noise floor stated by the data"
     )
     head += f", relative error {number(None if errors['relative_error'] is None else 100 * errors['relative_error'])} %"
-    head += "." if errors["misfit"] is None else f", misfit {errors['misfit']:.3g}."
-    dofs = table([[d["dof"], number(d["error_db"]), d["misfit"]] for d in errors["by_dof"]], ["DOF", "error dB", "misfit"])
+    head += "." if errors["misfit"] is None else f". Reduced chi-square {errors['misfit']:.3g}."
+    dofs = table([[d["dof"], number(d["error_db"]), d["misfit"]] for d in errors["by_dof"]], ["DOF", "error dB", "reduced χ²"])
     bands = table(
         [[f"{b['band_hz'][0]:.4g} … {b['band_hz'][1]:.4g}", number(b["error_db"]), b["misfit"]] for b in errors["by_band"]],
-        ["band Hz", "error dB", "misfit"],
+        ["band Hz", "error dB", "reduced χ²"],
     )
     notes = "\n".join(f"note: {n}" for n in errors.get("notes", ()))
     return "\n\n".join(p for p in (head, dofs, bands, notes, f"{output} written." if output else "") if p)

@@ -16,7 +16,7 @@ from operando.cli.test_file import read_test, test_options
 @test_options
 @answers
 def demo(output: str, changes: tuple[str, ...], second_opinion: bool, show: bool) -> Answer:
-    """The whole story on the packaged example: a plate at rest and running, from raw UFF files to the report."""
+    """The packaged example: a plate, idle and operating, from raw UFF files to the report."""
     test = read_test(example_folder() / "test.toml", changes, second_opinion)
     if verbosity() >= 0:
         click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)

@@ -19,7 +19,7 @@ from operando.cli.test_file import need_stage, output_option, read_test, results
 @own_option
 @answers
 def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answer:
-    """Where the idle model fails in operation, and what is missing.
+    """Where the error of the idle model lies in operation, and what is missing.
 
     A results folder shows (or makes) its diagnosis; a test file is run up to this stage first.
     """
@@ -73,4 +73,6 @@ def ladder_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | No
         label = "idle model" if added is None else f"+ {added['kind']} {', '.join(added['location'])}".strip()
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
     said = lines_words(judged_on or {})
-    return table(rows, ["step", "model", "error dB", "held-out dB", "misfit", "held-out misfit"]) + (f"\nheld out: {said}" if said else "")
+    return table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"]) + (
+        f"\nχ²: reduced chi-square, 1 = as good as the noise allows; hold-out set: {said}" if said else ""
+    )

@@ -34,7 +34,7 @@ def kinds_like(ctx: click.Context, param: click.Parameter, incomplete: str) -> l
 def effects(kind: str | None) -> Answer:
     """The catalogue of effects: what each is, where it acts, its parameters with units, and how `operando add` takes it.
 
-    With KIND also the law, a small picture of it, and the test that confirms it.
+    With KIND also the force law, a small picture of it, and the test that confirms it.
     """
     from operando.effects import catalogue
     from operando.effects.registry import kind_of
@@ -46,7 +46,7 @@ def effects(kind: str | None) -> Answer:
     rows = [[k.kind, places_words(k), ", ".join(_parameter(p) for p in k.parameters) or "-", k.plain] for k in known]
     text = table(rows, ["kind", "location", "parameters", "what it is"])
     document = {"schema": "operando/effects/1", "kinds": [described(k) for k in known]}
-    return Answer(document, f"{text}\n\n`operando effects KIND` shows one of them with its law and an example.")
+    return Answer(document, f"{text}\n\n`operando effects KIND` shows one of them with its force law and an example.")
 
 
 def described(kind: EffectKind) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def _parameter(p: Any) -> str:
 
 def _text(kind: EffectKind) -> str:
     own = "" if type(kind).__module__.startswith("operando.") else " (own)"
-    lines = [f"{kind.kind}{own}: {kind.plain}", f"law: {law(kind)}" if law(kind) else "", f"location: {places_words(kind)}"]
+    lines = [f"{kind.kind}{own}: {kind.plain}", f"force law: {law(kind)}" if law(kind) else "", f"location: {places_words(kind)}"]
     if kind.level_dependent:
         lines.append("depends on the level: needs records with measured force at two levels")
     if not kind.symmetric:

@@ -18,7 +18,7 @@ from operando.cli.test_file import read_test, set_option
 def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
     """What is in files: sets, channels, DOFs, units, sampling; what is used, ignored, missing, and wrong.
 
-    Of a test file (.toml) the files it names are looked at, with its units and channels.
+    Of a test file (.toml) the files it names are read, with its units and channels.
     """
     from operando.errors import FormatError
     from operando.io import inspect_files

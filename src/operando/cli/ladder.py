@@ -34,9 +34,9 @@ def present(folder: str) -> Results:
         raise MissingError("there is no idle model", where=folder, hint="run `operando run test.toml` first")
     if not results.check:
         raise MissingError(
-            "there is no check measurement to judge an added effect by",
+            "there is no validation measurement ([check]) for an added effect",
             where=folder,
-            hint="measure the running machine with a known force and name the files in [check]",
+            hint="measure the operating state with a known force and name the files in [check]",
         )
     return results
 
@@ -70,13 +70,13 @@ def check_records(folder: str, results: Results) -> list[TimeRecord]:
     out = []
     for path, sha in dict.fromkeys(pair for run in results.check for pair in run.frf.provenance.inputs):
         if not Path(path).is_file():
-            raise MissingError("a level-dependent effect is fitted to the check's records, and one is not there", where=path, hint=hint)
+            raise MissingError("a level-dependent effect is fitted to the records of [check], and one is not there", where=path, hint=hint)
         if file_hash(Path(path)) != sha:
-            raise MissingError("a record of the check is not the one that the results were made of", where=path, hint=hint)
+            raise MissingError("a record of [check] is not the one that the results were made of", where=path, hint=hint)
         records = [part for r in read(path, units=units, channels=channels).records for part in _parts(r, path, results)]
         out += [replace(check_record(r), name=Path(path).name) for r in records if r.force_indices and r.response_indices]
     if not out:
-        raise MissingError("a level-dependent effect is fitted to records, and the check holds FRFs alone", where=folder, hint=hint)
+        raise MissingError("a level-dependent effect is fitted to records, and [check] holds FRFs alone", where=folder, hint=hint)
     return out
 
 

@@ -92,7 +92,7 @@ def load_measured(path: str) -> list[CheckRun]:
     if results is not None:
         if results.check:
             return list(results.check)
-        raise MissingError("holds no check measurement", where=path, hint="give FRFs or records with force as the measurement")
+        raise MissingError("holds no validation measurement", where=path, hint="give FRFs or records with force as the measurement")
     content = _read(path)
     name = Path(path).name
     if content.frfs:

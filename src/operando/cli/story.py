@@ -104,7 +104,7 @@ def headline(results: Results) -> str:
         made = f"{results.name}: operational FRFs of {count} DOFs by method {method}"
         if judged:
             return f"{made}. {judged}"
-        return f"{made}; no check measurement judged them."
+        return f"{made}; there is no validation measurement."
     if results.operating is not None and results.idle is not None:
         why = results.left_out.get("ofrf", "")
         return (
@@ -119,7 +119,7 @@ def headline(results: Results) -> str:
         f = results.idle_frf
         band = f"{f.frequencies_hz[0]:.4g} … {f.frequencies_hz[-1]:.4g} Hz"
         return f"{results.name}: FRFs of {len(f.responses)} responses to {len(f.references)} references, {band}."
-    return f"{results.name}: {len(results.inventory)} files looked at." if results.inventory else ""
+    return f"{results.name}: {len(results.inventory)} files read." if results.inventory else ""
 
 
 def comparison_table(comparison: dict[str, Any]) -> str:
@@ -131,7 +131,7 @@ def comparison_table(comparison: dict[str, Any]) -> str:
         )
     ]
     on = comparison.get("judged_on") or {}
-    head = table(rows, ["model", "error dB", "relative %", "misfit", "floor dB"])
+    head = table(rows, ["model", "error dB", "relative %", "reduced χ²", "floor dB"])
     return head + (f"\nin operation, {', '.join(on['runs'])}, level {on['level']}, {_lines(comparison)}" if on else "")
 
 
@@ -144,6 +144,8 @@ def _lines(comparison: dict[str, Any]) -> str:
 
 def mode_table(model: Any, hybrid: Any = None) -> str:
     """Frequency and damping with 95 % intervals (±); the idle partner of operational modes."""
+    from operando.report.assessment import CLASS_WORDS
+
     rows = []
     f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
     pairs = {p["operating"]: p for p in hybrid.to_dict()["pairing"]} if hybrid is not None else {}
@@ -154,14 +156,14 @@ def mode_table(model: Any, hybrid: Any = None) -> str:
             "" if f_std is None else f"{INTERVAL * f_std[i]:.2g}",
             f"{100 * model.damping_ratios[i]:.4f}",
             "" if z_std is None else f"{100 * INTERVAL * z_std[i]:.2g}",
-            "" if model.in_band[i] else "outside",
+            "" if model.in_band[i] else "no",
         ]
         if hybrid is not None:
             p = pairs.get(i)
             row += [
                 "" if p is None or p["idle"] is None else str(p["idle"]),
                 "" if p is None or p["mac"] is None else f"{p['mac']:.3f}",
-                "" if p is None else p["class"],
+                "" if p is None else CLASS_WORDS.get(p["class"], (p["class"],))[0],
             ]
         rows.append(row)
     head = ["mode", "Hz", "± Hz", "damping %", "± %", "band"]

@@ -322,7 +322,7 @@ def compare_all(
         If there is no run.
     """
     if not runs:
-        raise DataError("no check run to compare with")
+        raise DataError("no validation measurement to compare with")
     judge = lowest_level(runs)
     judged = [r for r in runs if r.level == judge]
     overall = {name: compare(m, [r.frf for r in judged], band_hz).to_dict() for name, m in models.items()}

@@ -127,4 +127,4 @@ def recommended(comparison: Mapping[str, Any] | None, diagnosis: Mapping[str, An
         return route("effect" if causal else "hybrid", f"both are as close ({said}), and the verdict is {str(verdict).replace('_', ' ')}")
     if verdict in FOUND:
         return route("effect", "the cause is found, and no validation measurement says otherwise")
-    return route("hybrid", "no validation measurement judged either route, and the diagnosis names no sure cause")
+    return route("hybrid", "there is no validation measurement of either route, and the diagnosis names no sure cause")

@@ -154,7 +154,7 @@ def compare_libraries(
     ([20.0, 45.0], [1.0, 1.0])
     """
     if frf is None and records is None:
-        raise DataError("there is nothing to compare", hint="give FRFs at rest, records in operation, or both")
+        raise DataError("there is nothing to compare", hint="give idle FRFs, operating records, or both")
     seconds = dict(own_seconds or {})
     found = []
     if frf is not None:

@@ -24,7 +24,7 @@ selections ask of a mode, e.g. Reynders, Houbrechts & De Roeck, MSSP 29, 2012): 
 FLAG_WIDTHS, FLAG_MAC = 2.0, 0.7
 """Neighbours within so many half bandwidths with residues so alike: too different for one pole, too alike for two modes to report.
 At ``FEW_PLACES`` or more, shapes of different modes are so alike once in ten million pairs (Beta(1/2, 23/2)): neighbours of one shape are
-then one mode in several places, however far apart, unless they rule at their own resonance (half of the power there)."""
+then one mode at several frequencies, however far apart, unless they rule at their own resonance (half of the power there)."""
 
 HIDDEN_ERRORS, BEST_PAIRS = 5.0, 0.9
 """A mode must exceed so many model errors of all modes at its own resonance, in at least a tenth of the pairs: with an error of 9 % that
@@ -103,10 +103,10 @@ def judge_modes(fit: LinearFit) -> list[Evidence]:
         if total[k] < cost and not fit.noise_limited:
             doubts.append(("few_pairs", "only a few pairs speak for it; by all of them it is a part of the model error"))
         if k in weaker:
-            doubts.append(("twin", f"its shape is that of {weaker[k]:.5g} Hz: one mode in two places between the rows"))
+            doubts.append(("twin", f"its shape is that of {weaker[k]:.5g} Hz: one mode at two frequencies between the rows"))
         all_doubts.append(doubts)
     for k, strong in _split_modes(fit, [k for k in range(n) if not all_doubts[k]], total, ruled).items():
-        all_doubts[k].append(("twin", f"its shape is that of {fit.poles.hz[strong]:.5g} Hz: one mode in several places"))
+        all_doubts[k].append(("twin", f"its shape is that of {fit.poles.hz[strong]:.5g} Hz: one mode at several frequencies"))
     return [
         Evidence(float(total[k]), shares[k], float(collinearity[k]), float(dominance[k]), float(q), float(d), tuple(all_doubts[k]))
         for k, (q, d) in enumerate(zip(fit.poles.quadrature, fit.poles.drift, strict=True))

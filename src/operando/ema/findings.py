@@ -117,7 +117,7 @@ def fit_findings(frf: Frf, band: tuple[float, float], drive: DriveResidues, misf
                 f"the reduced chi-square of the idle model on lines the fit did not use is {misfit:.3g}",
                 "warning",
                 consequence="noise does not limit this model: real modes, linearity or stationarity fail; intervals are widened",
-                action="look at the misfit by DOF, at complex shapes, and at the level dependence of the FRFs",
+                action="look at the reduced chi-square by DOF, at complex shapes, and at the level dependence of the FRFs",
             )
         )
     return out
@@ -199,7 +199,7 @@ def quantity_finding(taken_as: str) -> Finding:
     """FRFs whose residues stand at 90°: labelled as another quantity than they are."""
     return Finding(
         "wrong_quantity",
-        "at their resonances the FRFs are turned by 90° against an accelerance",
+        "at their resonances the FRFs are rotated by 90° against an accelerance",
         "error",
         consequence=f"they were taken for {taken_as}",
         action="check quantity and unit of response and force in the files, or give them in [channels]",

@@ -190,14 +190,14 @@ def search_order(
         if out.size:
             tried += [float(fit.parameters.hz[i]) for i in out]
             keep = np.setdiff1d(np.arange(fit.parameters.hz.size), out)
-            log.rounds.append(f"round {number}: misfit {misfit:.3g}, {out.size} modes taken out")
+            log.rounds.append(f"round {number}: reduced chi-square {misfit:.3g}, {out.size} modes taken out")
             fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
             misfit = fit.cost / fit.n_data
         new = _missing_modes(thinned, fit, tried, misfit)
         if progress is not None:
             progress(f"EMA order search: {fit.parameters.hz.size} modes, normalised error {misfit:.3g}")
         if not new or fit.parameters.hz.size + len(new) > max_modes:
-            log.rounds.append(f"round {number}: misfit {misfit:.3g}, {fit.parameters.hz.size} modes, nothing more to add")
+            log.rounds.append(f"round {number}: reduced chi-square {misfit:.3g}, {fit.parameters.hz.size} modes, nothing more to add")
             break
         grown_hz = np.concatenate([fit.parameters.hz, [h for h, _ in new]])
         grown_zeta = np.concatenate([fit.parameters.zeta, [z for _, z in new]])
@@ -216,7 +216,7 @@ def search_order(
             continue
         if unseen is not None and (wrong := unseen([h for h, _ in new])):
             raise UnseenModesError(wrong)
-        log.rounds.append(f"round {number}: misfit {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
+        log.rounds.append(f"round {number}: reduced chi-square {misfit:.3g} -> {trial.cost / trial.n_data:.3g} with {len(new)} more modes")
         fit = trial
     out = weak_modes(thinned, fit, log)
     if out.size and out.size < fit.parameters.hz.size:
@@ -261,7 +261,7 @@ def weak_modes(runs: Sequence[RunSpectra], fit: Polished, log: OrderLog) -> NDAr
         elif z > MAX_DAMPING:
             code, reason = "too_damped", f"damping {100 * z:.3g} % is a curved background, not a mode"
         elif not (0.8 * low <= h <= 1.12 * high):
-            code, reason = "outside_band", f"moved to {h:.4g} Hz, outside the fitted lines {low:.4g}-{high:.4g} Hz"
+            code, reason = "outside_band", f"moved to {h:.4g} Hz, beyond the fitted lines {low:.4g}-{high:.4g} Hz"
         elif i and h - theta.hz[i - 1] < 0.3 * z * h and _alike(theta, i, i - 1) and strength[i] < strength[i - 1]:
             code, reason = "twin", f"the same frequency and shape as {theta.hz[i - 1]:.5g} Hz"
         elif i < n - 1 and theta.hz[i + 1] - h < 0.3 * z * h and _alike(theta, i, i + 1) and strength[i] < strength[i + 1]:

@@ -95,7 +95,7 @@ def polished_answer(
     gone = make_up(core_runs, final)
     outside = outside_modes(core_runs, final, band, lower, gone=gone)
     if gone.size:
-        log.rounds.append(f"{gone.size} modes beyond the lines taken for part of what lies outside")
+        log.rounds.append(f"{gone.size} modes beyond the lines taken for residual terms")
         final = without_modes(final, gone)
     rows = tuple(dict.fromkeys(int(core_runs[i].force_rows[k]) for i, k in turned))
     if core is not None:

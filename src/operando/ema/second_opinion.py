@@ -122,7 +122,7 @@ def _on_multiples(f: NDArray[np.float64], data: NDArray[np.complex128], max_line
     """Lines at multiples of their spacing."""
     step = (f[-1] - f[0]) / (f.size - 1)
     if not np.allclose(np.diff(f), step, rtol=1e-4):
-        raise DataError("a second opinion needs evenly spaced lines")
+        raise DataError("the comparison with sdypy-EMA needs evenly spaced lines")
     stride = int(np.ceil(f.size / max_lines))
     step *= stride
     offset = f[0] / step - np.round(f[0] / step)

@@ -121,7 +121,7 @@ def record_spectra(record: TimeRecord, dofs: Sequence[Dof], band: tuple[float, f
     """
     force_index, response_index = record.force_indices, record.response_indices
     if not force_index:
-        raise DataError("no force channel", where=record.name or None, hint="idle and check runs need a measured force")
+        raise DataError("no force channel", where=record.name or None, hint="[idle] and [check] need a measured force")
     if not response_index:
         raise DataError("no response channel with a DOF", where=record.name or None)
     n = record.n_samples
@@ -235,7 +235,7 @@ def excited_limits(record: TimeRecord, band: tuple[float, float], share: float =
     """
     rows = record.force_indices
     if not rows:
-        raise DataError("no force channel", where=record.name or None, hint="idle and check runs need a measured force")
+        raise DataError("no force channel", where=record.name or None, hint="[idle] and [check] need a measured force")
     f = sfft.rfftfreq(record.n_samples, 1 / record.sampling_hz)
     power = np.sum(np.abs(sfft.rfft(np.asarray(record.data[rows], float), axis=1)) ** 2, axis=0)
     width = max(8, int(0.01 * f.size))

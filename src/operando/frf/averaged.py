@@ -129,7 +129,7 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
                 f"the forces at {dof} are nearly coherent (median condition number {np.median(condition):.3g})",
                 "warning",
                 file=run.name,
-                consequence="the columns cannot be told apart",
+                consequence="the columns cannot be distinguished",
                 action="drive the shakers with independent signals",
             )
         )

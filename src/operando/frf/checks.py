@@ -143,7 +143,7 @@ def check_drive_points(frf: Frf) -> list[Finding]:
                     file=frf.name or None,
                     dof=str(frf.responses[i]),
                     consequence="the scale of the mode shapes from this drive point is doubtful",
-                    action="check that force and response are at the same place and direction, and that no channel is delayed",
+                    action="check that force and response are at the same location and direction, and that no channel is delayed",
                 )
             )
     return out
@@ -300,7 +300,7 @@ def check_frf(frf: Frf, band: tuple[float, float] | None = None) -> Frf:
                     "warning",
                     file=frf.name or None,
                     dof=f"{first},{second}",
-                    consequence="a symmetric modal model cannot hold both; gyroscopic or circulatory effects, or a calibration error",
+                    consequence="a symmetric model cannot represent both; gyroscopic or circulatory effects, or a calibration error",
                     action="check calibration and mounting; repeat one of the two",
                 )
             )
@@ -332,7 +332,7 @@ def _low_coherence(frf: Frf, band: tuple[float, float] | None) -> list[Finding]:
                     file=frf.name or None,
                     dof=worst,
                     consequence="large variance of these FRFs",
-                    action="more averages, a stronger excitation, or another place",
+                    action="more averages, a stronger excitation, or another location",
                 )
             )
     return out

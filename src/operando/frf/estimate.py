@@ -200,7 +200,7 @@ def _periodic(cut: Sequence[_Cut], band: tuple[float, float] | None, window_line
     others = [c for i, c in enumerate(cut) if i not in done]
     if asked and others:
         raise DataError(
-            "the forces do not repeat three times, or several forces cannot be told apart",
+            "the forces do not repeat three times, or several forces cannot be distinguished",
             where=others[0][0].name,
             hint="leave estimator at auto, or give at least three periods (and one run for each of several forces)",
         )

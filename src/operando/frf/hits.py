@@ -29,7 +29,7 @@ FINDING_KINDS = {
     "weak_hit": "its responses are close to the noise",
     "overload": "the force is larger than what was recorded",
     "truncated": "its block is not complete",
-    "inconsistent_hit": "it hit another place or direction, or something else moved",
+    "inconsistent_hit": "it hit another location or direction, or something else moved",
     "rejected_hit": "hits_reject names it",
 }
 LEAD_SAMPLES = 5

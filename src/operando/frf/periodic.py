@@ -370,7 +370,7 @@ def periodic_frf(experiments: Sequence[SteadyPeriods]) -> PeriodicFrf:
         raise DataError("the experiments have different periods or forces", hint="use the same multisine grid for all runs")
     if len(experiments) < n_f:
         raise DataError(
-            f"{n_f} forces repeat together in {len(experiments)} run(s): their columns cannot be told apart",
+            f"{n_f} forces repeat together in {len(experiments)} run(s): their columns cannot be distinguished",
             hint="repeat the run with other phases, once for each force, or drive the shakers with independent noise",
         )
     lines = np.flatnonzero(np.all([e.excited for e in experiments], axis=0))

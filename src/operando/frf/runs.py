@@ -427,7 +427,7 @@ def _apart_finding(
         cause = "at the same level: the structure or its mounting changed between the runs"
     else:
         cause = f"{levels}: the response depends on the level"
-    consequence = [f"{len(left)} of {n_runs} runs are left out; the lowest level judges the linear model"] if left else []
+    consequence = [f"{len(left)} of {n_runs} runs are left out; the linear model is that of the lowest level"] if left else []
     if kept:
         names = ", ".join(dict.fromkeys(r.name for r in kept if r.name))
         consequence.append(f"sensors that only {names or 'such a run'} measured are kept: {ROVING_CONSEQUENCE}")

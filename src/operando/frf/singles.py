@@ -105,7 +105,7 @@ def _wrong_hit(run: RunEstimate, error: float, compared: str) -> Finding:
         file=run.name or None,
         dof=str(run.references[0]),
         time_s=(time, time),
-        consequence="not used: it hit another place or direction, or something else moved",
+        consequence="not used: it hit another location or direction, or something else moved",
         action="repeat the hit",
     )
 
@@ -118,6 +118,6 @@ def _two_differ(one: RunEstimate, two: RunEstimate, error: float) -> Finding:
         "warning",
         file=one.name or None,
         dof=str(one.references[0]),
-        consequence="both are used, with a large variance: which of them is wrong cannot be told",
+        consequence="both are used, with a large variance: which of them is wrong cannot be decided",
         action="repeat the hit, three times or more",
     )

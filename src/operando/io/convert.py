@@ -70,7 +70,7 @@ def convert(
         held = ", ".join(type(o).__name__ for o in content.objects) or "no object"
         raise FormatError(f"nothing to write: the file holds {held}, which {kind} cannot take", where=str(source))
     write_objects(kind, target, kept, _raw_sets(content, passed), binary, content.header)
-    lost = [f"{_describe(obj)}: {kind} cannot hold it" for obj in content.objects if not any(obj is k for k in kept)]
+    lost = [f"{_describe(obj)}: cannot be represented in {kind}" for obj in content.objects if not any(obj is k for k in kept)]
     lost += [text for obj in kept for text in losses(obj, kind, binary)]
     lost += _lost_of_file(content, kind)
     if kind != "uff" or content.format != "uff":

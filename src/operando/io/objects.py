@@ -35,7 +35,7 @@ def save(obj: Any, path: str | Path) -> None:
         write_hdf5(path, {NAMES.get(type(obj), type(obj).__name__.lower()): obj})
         return
     if not holds(kind, obj):
-        raise FormatError(f"{kind} cannot hold a {type(obj).__name__}", where=str(path), hint="save it as .h5")
+        raise FormatError(f"a {type(obj).__name__} cannot be represented in {kind}", where=str(path), hint="save it as .h5")
     write_objects(kind, Path(path), [obj])
     for text in losses(obj, kind, True):
         warnings.warn(f"{Path(path).name}: {text}", stacklevel=4)

@@ -361,7 +361,7 @@ def _scaled(table: NDArray[Any], specs: list[Any], quantity: str, units: Units |
     force = resolve("force", "", units, find_spec(channels, "force", None, True))
     kinds = {s.quantity for s in scales}
     if len(kinds) != 1 or next(iter(kinds)) not in RESPONSES.values():
-        raise ConfigError(f"one FRF array cannot hold {', '.join(sorted(kinds)) or 'nothing'}", where="[channels]")
+        raise ConfigError(f"one FRF array cannot represent {', '.join(sorted(kinds)) or 'nothing'}", where="[channels]")
     name = {v: k for k, v in RESPONSES.items()}[kinds.pop()]
     if not (force.known and all(s.known for s in scales)):
         return np.asarray(table, complex), name, False

@@ -89,7 +89,7 @@ def default_band(records: Sequence[TimeRecord], block_rows: int) -> BandChoice:
         f"analysis band {low:.4g} to {high:.4g} Hz, chosen from the operating spectra: {text}",
         "info",
         band_hz=(low, high),
-        consequence="modes outside are not looked for",
+        consequence="modes outside the band are not looked for",
         action=action,
     )
     return BandChoice((low, high), text, (finding,))

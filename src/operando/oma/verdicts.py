@@ -80,7 +80,7 @@ def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], sec
         shown = ", ".join(f"{hz[i]:.4g} Hz (± {100 * INTERVAL * best[i]:.0f} %)" for i in bad[:4])
         text = f"damping is uncertain by at least: {shown}" + (f" and {bad.size - 4} more modes" if bad.size > 4 else "")
     else:
-        text = "modes of little damping cannot be told from noise"
+        text = "modes of little damping cannot be distinguished from noise"
     return Finding(
         "short_record",
         f"{seconds:.4g} s hold {periods:.0f} periods of the lowest mode found ({lowest:.4g} Hz); {text}",

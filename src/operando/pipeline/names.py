@@ -150,7 +150,7 @@ def _check_dofs(test: Test, names: Mapping[Path, Names]) -> None:
     anywhere = {dof for file in test.files for dof in (*names[file].responses, *names[file].forces)}
     analysis = test.analysis
     for key, wanted, known, lacks in (
-        ("references", analysis.references, of(test.idle, "forces"), "no force at rest acts at"),
+        ("references", analysis.references, of(test.idle, "forces"), "no idle force acts at"),
         ("oma_references", analysis.oma_references, of(test.operating, "responses"), "no operating record has a sensor at"),
         ("places", analysis.places, anywhere, "no file has a channel at"),
     ):

@@ -267,7 +267,7 @@ def _band(modal: ModalModel, frf: Frf, results: Results, findings: list[Finding]
         findings.append(
             Finding(
                 "partial_output",
-                f"ofrf.uff holds the standard deviation of {len(columns)} of {len(frf.references)} columns: those measured at rest",
+                f"ofrf.uff holds the standard deviation of {len(columns)} of {len(frf.references)} columns: those of the idle forces",
                 "info",
                 action="`operando ofrf DIR --references DOFS` makes it for any column",
             )

@@ -216,7 +216,7 @@ class _Run:
             "ema": "idle modes",
             "oma": "operational modes",
             "ofrf": "scaled modes",
-            "check": "check FRFs",
+            "check": "validation FRFs",
         }
         return f"it needs the {' and the '.join(words[m] for m in missing)}" if missing else None
 

@@ -276,7 +276,9 @@ def plot_hits(record: TimeRecord, axes: Axes | None = None) -> Axes:
         axes.grid(True)
         axes.margins(x=0.02)
         axes.set_xlabel("Time from the peak [ms]")
-        axes.set_ylabel(f"Force [{unit_words(channel.unit)}], turned positive" if np.any(force[hits.indices] < 0) else _quantity(channel))
+        axes.set_ylabel(
+            f"Force [{unit_words(channel.unit)}], polarity reversed to positive" if np.any(force[hits.indices] < 0) else _quantity(channel)
+        )
         axes.set_title(f"{channel.label}: {hits.indices.size} hits, {int(hits.used.sum())} used")
         axes.legend(loc="upper right", title="Hit", fontsize=7.5, ncols=1 if hits.indices.size <= 12 else 2)
     return axes

@@ -194,7 +194,7 @@ def _told(gain: tuple[float, bool]) -> bool:
 def _gain_finding(what: str, label: str, gains: Sequence[tuple[float, bool]], name: str) -> Finding:
     level, opposite = float(np.median([g[0] for g in gains])), gains[0][1]
     told = abs(level) > GAIN_DB
-    parts = ([f"{10 ** (level / 20):.3g} times those at rest ({level:+.1f} dB) over the whole band"] if told else []) + (
+    parts = ([f"{10 ** (level / 20):.3g} times the idle ones ({level:+.1f} dB) over the whole band"] if told else []) + (
         ["of opposite sign"] if opposite else []
     )
     return Finding(
@@ -249,7 +249,7 @@ def _shape_finding(label: str, level: float, opposite: bool, modes: int) -> Find
     words = [f"{10 ** (level / 20):.3g} times"] * bool(level) + ["of opposite sign to"] * opposite
     return Finding(
         "gain_differs" if level else "inverted",
-        f"operational shape values at {label} are {' and '.join(words)} those at rest in all {modes} modes that move it",
+        f"operational shape values at {label} are {' and '.join(words)} the idle ones in all {modes} modes that move it",
         "warning",
         dof=label,
         consequence="a sensitivity, unit or sense that differs between idle and operating files makes wrong operational FRFs there",

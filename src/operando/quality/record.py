@@ -85,7 +85,7 @@ def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None)
     out = []
     bad = [] if record.statistics.finite[i] else not_finite(record.data[i])
     if bad:
-        count, spans = sum(s.length for s in bad), "" if len(bad) == 1 else f" in {len(bad)} places"
+        count, spans = sum(s.length for s in bad), "" if len(bad) == 1 else f" in {len(bad)} stretches"
         text = f"{count} samples{spans} that are not finite"
         whole = Span(bad[0].first, bad[-1].last)
         out.append(_finding(record, i, "nan", text, whole, "error", "the channel is left out", "exclude the channel or repair the file"))

@@ -13,12 +13,13 @@ from operando.compare.route import CLOSE_DB, Route, is_good
 from operando.data import Finding
 from operando.indicators import phase_collinearity
 from operando.report.derive import (
+    ModePair,
     all_findings,
     analysis_band,
     comparison_models,
     judge_run,
     level_difference,
-    mode_rows,
+    mode_pairs,
     pairing_of,
     reciprocity,
     scaling_of,
@@ -37,6 +38,13 @@ MODEL_NAMES = {
     "idle": "idle model",
 }
 
+
+CLASS_WORDS = {
+    "unchanged": ("same shape", "good"),
+    "changed": ("shape changed", "fair"),
+    "beyond_idle_band": ("beyond idle band", "fair"),
+    "unpaired": ("no idle partner", "poor"),
+}
 
 RECIPROCITY = "Reciprocity in operation"
 
@@ -66,25 +74,40 @@ class Headline:
     limits: tuple[str, ...]
 
 
+def scope(results: Results) -> str:
+    """``ema`` or ``oma`` for a test that has one state and its modes, else ``all``."""
+    failed = [reason for reason in results.left_out.values() if reason.startswith("failed")]
+    if failed or results.hybrid is not None or results.check or results.diagnosis:
+        return "all"
+    if results.idle is not None and results.operating is None:
+        return "ema"
+    alone = results.operating is not None and results.idle is None and results.idle_frf is None
+    return "oma" if alone else "all"
+
+
 def headline(results: Results) -> Headline:
-    """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers."""
+    """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers; the modes of a test of one state."""
     states = assumptions(results)
     limits = [f"{a.name}: {a.text}" for a in states if a.state == "fails"]
+    if scope(results) != "all":
+        return _modes_alone(results, tuple(limits))
     if results.hybrid is None:
         return Headline("No operating FRFs", "none", _without_hybrid(results), tuple(limits))
     sentences = [_what_they_are(results)]
     models = comparison_models(results)
     ofrf = models.get("ofrf")
     if not ofrf or not finite(ofrf.get("error_db")):
-        reason = "there is no check measurement (running, force measured)" if not results.check else "the comparison was not made"
+        reason = (
+            "there is no validation measurement (operating state, force measured)" if not results.check else "the comparison was not made"
+        )
         sentences.append(
             f"How far they are from the truth is not known: {reason}. "
             "The 95 % bands below hold what the identification is unsure of, no more."
         )
         if any(a.state == "fails" and a.name == RECIPROCITY for a in states):
-            verdict = "Operating FRFs made, not checked; a symmetric model cannot hold this machine"
+            verdict = "Operating FRFs made, not validated; non-reciprocal behaviour cannot be represented"
         else:
-            verdict = "Operating FRFs made, not checked"
+            verdict = "Operating FRFs made, not validated"
         return Headline(verdict, "poor" if limits else "fair", tuple(sentences), tuple(limits))
     error = float(ofrf["error_db"])
     others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
@@ -94,9 +117,9 @@ def headline(results: Results) -> Headline:
         sentences.append(by_level)
     idle = next((e for name, e in others if name == "idle"), None)
     if is_good(ofrf) and error >= CLOSE_DB:
-        verdict, grade = "The operating FRFs agree with the check as well as the data allow", "good"
+        verdict, grade = "The operating FRFs agree with the validation measurement as well as the noise allows", "good"
     elif error < CLOSE_DB:
-        verdict, grade = f"The operating FRFs agree with the check to within {CLOSE_DB:g} dB", "good"
+        verdict, grade = f"The operating FRFs agree with the validation measurement to within {CLOSE_DB:g} dB", "good"
     elif idle is not None and error > 0.95 * idle:
         judged = judge_run(results)
         where = f" at {judged.level}" if judged is not None and _levels_text(results) else ""
@@ -152,7 +175,7 @@ def _what_they_are(results: Results) -> str:
     modal = getattr(results.hybrid, "modal", None)
     dofs = len(modal.dofs) if modal is not None else 0
     classes = [str(p.get("class")) for p in pairing]
-    parts = [f"{classes.count('unchanged')} with the shape they have at rest"]
+    parts = [f"{classes.count('unchanged')} with the same shape as idle"]
     parts += [f"{n} {word}" for n, word in _class_words(classes)]
     residual = modal.n_residuals if modal is not None else 0
     text = (
@@ -160,22 +183,21 @@ def _what_they_are(results: Results) -> str:
         f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
     )
     text += (
-        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for what lies outside."
+        f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for modes outside the band."
         if residual
         else "."
     )
-    shifts = frequency_shifts(results)
-    if shifts:
-        worst = max(shifts, key=lambda s: abs(s["percent"]))
+    moved = {p.percent or 0.0: p for p in shifted(results)}
+    if moved:
+        worst = moved[max(moved, key=abs)]
         text += (
-            f" Against rest the frequencies moved by {fixed(min(s['percent'] for s in shifts), 2, sign=True)} to "
-            f"{fixed(max(s['percent'] for s in shifts), 2, sign=True)} %, most at {number(worst['idle_hz'], 4)} Hz "
-            f"(now {number(worst['operating_hz'], 4)} Hz)."
+            f" Against the idle state the frequencies moved by {fixed(min(moved), 2, sign=True)} to {fixed(max(moved), 2, sign=True)} %, "
+            f"most at {number(worst.idle_hz, 4)} Hz (now {number(worst.operating_hz, 4)} Hz)."
         )
     kappa = scaling.get("kappa")
     if scaling.get("method"):
         words = IN_WORDS.get(scaling["method"], f"method {scaling['method']}")
-        text += f" How the scale was carried over: {words}" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
+        text += f" Scaling: {words}" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
     return text
 
 
@@ -198,18 +220,49 @@ def _levels_text(results: Results) -> str:
     if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
         return ""
     parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
-    return f"The level matters: {listing(parts)}. The lowest level judges; operating FRFs stand for the level of operation."
+    return (
+        f"The level matters: {listing(parts)}. The lowest level is the validation level; operating FRFs stand for the level of operation."
+    )
 
 
 def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
-    text = f"Measured with a known force while running, they are off by {decibel(ofrf['error_db'])} rms"
+    text = f"Against the validation measurement (known force, operating state) their error is {decibel(ofrf['error_db'])} rms"
     if others:
         text += " (" + ", ".join(f"{MODEL_NAMES.get(name, name)}: {decibel(e)}" for name, e in others) + ")"
     if finite(ofrf.get("noise_floor_db")):
         text += f"; noise of that measurement and the model's own uncertainty explain {decibel(ofrf['noise_floor_db'])} of it"
     if finite(ofrf.get("misfit")):
-        text += f" (misfit {number(ofrf['misfit'], 3)}, where 1 is as good as the data allow)"
+        text += f" (reduced chi-square {number(ofrf['misfit'], 3)}, 1 = as good as the noise allows)"
     return text + "."
+
+
+def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
+    """The answer of a test of one state: its modes, how well they fit, and what the other state would add."""
+    ema = results.idle is not None
+    model: Any = results.idle if ema else results.operating
+    f, z = model.frequencies_hz, 100 * model.damping_ratios
+    verdict = f"{count(model.n_modes, 'idle mode' if ema else 'operating mode')} in {band_text(analysis_band(results))}"
+    sentences = []
+    if model.n_modes:
+        text = f"Frequencies from {number(f.min(), 4)} to {number(f.max(), 4)} Hz, damping ratios from {number(z.min(), 2)} to "
+        sentences.append(text + f"{number(z.max(), 2)} %.")
+    good = model.n_modes > 0
+    if ema and finite(model.misfit):
+        good &= float(model.misfit) < 2
+        sentences.append(f"On hold-out lines the reduced chi-square is {number(model.misfit, 3)}; 1 = as good as the noise allows.")
+    why = results.left_out.get("oma" if ema else "ema", "").rstrip(".")
+    missing = f" ({why})" if why else ""
+    if ema and model.scaling == "unit_modal_mass":
+        sentences.append(f"Shapes have unit modal mass. Operating FRFs need a measurement in operation besides{missing}.")
+    elif ema:
+        cause = no_scale(model, results.findings)
+        text = "The shapes have no mass scaling" + (f": {cause[0]} ({cause[1]})." if cause else ".")
+        sentences.append(f"{text} Operating FRFs need it, and a measurement in operation{missing}.")
+    else:
+        sentences.append(f"Shapes are of arbitrary scale: operating FRFs need an idle measurement with a known force besides{missing}.")
+    wrong = [f for f in all_findings(results) if f.severity == "error"]
+    limits += tuple(f"{f.message}" + (f": {f.consequence}." if f.consequence else ".") for f in wrong[:3])
+    return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
 
 
 def _without_hybrid(results: Results) -> tuple[str, ...]:
@@ -235,21 +288,9 @@ def _without_hybrid(results: Results) -> tuple[str, ...]:
     return (text + ".", (listing(have)[:1].upper() + listing(have)[1:] + ".") if have else "Nothing has been identified yet.")
 
 
-def frequency_shifts(results: Results) -> list[dict[str, float]]:
-    """Frequency and damping of each paired operating mode against its idle mode."""
-    if results.idle is None or results.operating is None:
-        return []
-    rows = []
-    idle_index, operating_index = mode_rows(results.idle), mode_rows(results.operating)
-    for p in pairing_of(results):
-        if p.get("idle") is None or p.get("operating") is None:
-            continue
-        if not (0 <= p["idle"] < idle_index.size and 0 <= p["operating"] < operating_index.size):
-            continue
-        a, b = idle_index[p["idle"]], operating_index[p["operating"]]
-        f0, f1 = float(results.idle.frequencies_hz[a]), float(results.operating.frequencies_hz[b])
-        rows.append({"idle_hz": f0, "operating_hz": f1, "percent": 100 * (f1 / f0 - 1) if f0 > 0 else float("nan")})
-    return [r for r in rows if finite(r["percent"])]
+def shifted(results: Results) -> list[ModePair]:
+    """The modes that both states have."""
+    return [p for p in mode_pairs(results) if p.percent is not None]
 
 
 def assumptions(results: Results) -> list[Assumption]:
@@ -291,16 +332,16 @@ def _light_and_real(results: Results) -> Assumption:
 
 
 def _dominant_modes(results: Results) -> Assumption:
-    name = "The idle model holds the dominant modes"
+    name = "The idle model has the dominant modes"
     if results.idle is None:
         return Assumption(name, "untested", "There is no idle model.")
     misfit, alone = results.idle.misfit, [p for p in pairing_of(results) if p.get("class") in ("unpaired", "beyond_idle_band")]
     residual = results.idle.n_residuals
     text = f"{count(results.idle.n_modes, 'idle mode')} and {count(residual, 'residual mode')}; "
     if finite(misfit):
-        text += f"misfit on lines the fit did not use {number(misfit, 3)} (1 is the noise alone)."
+        text += f"reduced chi-square on hold-out lines {number(misfit, 3)} (1 = as good as the noise allows)."
     else:
-        text += "no misfit was computed."
+        text += "no reduced chi-square was computed."
     state = "holds" if finite(misfit) and float(misfit or 0) < 2 else "doubtful" if finite(misfit) else "untested"
     if alone:
         text += f" {count(len(alone), 'operating mode')} without a partner among the idle modes in band."
@@ -309,7 +350,7 @@ def _dominant_modes(results: Results) -> Assumption:
 
 
 def _same_mass(results: Results, nonlinear: bool) -> Assumption:
-    name = "Same mass at rest and running"
+    name = "Same mass, idle and operating"
     models = comparison_models(results)
     if results.diagnosis:
         masses = [e for e in found_by_itself(results.diagnosis) if str(e.get("kind")).endswith("mass")]
@@ -332,10 +373,10 @@ def _same_mass(results: Results, nonlinear: bool) -> Assumption:
     scales = _scale_errors_db([] if nonlinear else by_mode)  # modes that move with the level have no one scale
     if scales.size:
         typical = float(np.median(np.abs(scales)))
-        text += f"Against the check the scale of the modes (peak height times damping) is off by {decibel(typical)} in the median, "
-        text += "where a change of mass would show."
+        text += "Against the validation measurement the scale of the modes (peak height times damping) has an error of "
+        text += f"{decibel(typical)} in the median, where a change of mass would show."
         state = "doubtful" if typical >= SCALE_DOUBT_DB else state
-    return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a check measurement with force would.")
+    return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a validation measurement would.")
 
 
 def _scale_errors_db(by_mode: list[dict[str, Any]]) -> NDArray[np.float64]:
@@ -367,9 +408,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 
 def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
-    consequence = (
-        "A sum over real shapes is symmetric by construction, so the operating FRFs cannot hold a gyroscopic or circulatory effect; "
-    )
+    consequence = "A sum over real shapes is symmetric: operating FRFs cannot represent gyroscopic or circulatory effects; "
     consequence += "only the route idle model + effect can."
     run = judge_run(results)
     rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []
@@ -393,9 +432,9 @@ def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assu
         first = text if measured is False else named[0].message.rstrip(".")
         return Assumption(name, "fails", f"{first}. {consequence}")
     if named:
-        return Assumption(name, "doubtful", f"{named[0].message.rstrip('.')}; yet in the check {text}.")
+        return Assumption(name, "doubtful", f"{named[0].message.rstrip('.')}; yet in the validation measurement {text}.")
     if measured is None:
-        return Assumption(name, "untested", "Not tested: it takes a check measurement with two forced points. " + consequence)
+        return Assumption(name, "untested", "Not tested: it takes a validation measurement with two forced points. " + consequence)
     return Assumption(name, "holds", text + ".")
 
 
@@ -403,14 +442,16 @@ def _linear(results: Results, found: list[Finding]) -> Assumption:
     name = "Linear behaviour"
     named = _of_kind(found, "nonlinear")
     if named:
-        where = "At rest" if _at_rest(results, named[0]) else "In operation"
+        where = "Idle" if _at_rest(results, named[0]) else "In operation"
         return Assumption(name, "fails", f"{where}: {named[0].message.rstrip('.')}. The FRFs stand for the level they were measured at.")
     levels = level_difference(results.check, analysis_band(results))
     if levels is None:
         agree = [run for run in results.check if "agree" in run.level]
         if agree:
-            return Assumption(name, "holds", f"Check runs of several levels ({agree[0].level}) differ by no more than their noise.")
-        return Assumption(name, "untested", "It takes check measurements at two levels of force.")
+            return Assumption(
+                name, "holds", f"Validation measurements at several levels ({agree[0].level}) differ by no more than their noise."
+            )
+        return Assumption(name, "untested", "It takes validation measurements at two levels of force.")
     percent = number(100 * (levels["relative"] or 0), 2)
     text = f"FRFs of levels {levels['levels'][0]} and {levels['levels'][1]} differ by {percent} % of their size"
     ratio = levels["ratio"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -40,11 +40,6 @@ def all_findings(results: Results) -> list[Finding]:
     return sorted(unique, key=lambda f: _RANK[f.severity])
 
 
-def mode_rows(model: ModalModel | None) -> NDArray[np.intp]:
-    """Numbers of the modes, none without a model."""
-    return np.arange(0 if model is None else model.n_modes)
-
-
 def pairing_of(results: Results) -> list[dict[str, Any]]:
     """The pairing rows of ``summary.json``; empty where no hybrid model was made."""
     return list(_hybrid_dict(results).get("pairing") or [])
@@ -53,6 +48,48 @@ def pairing_of(results: Results) -> list[dict[str, Any]]:
 def scaling_of(results: Results) -> dict[str, Any]:
     """The scaling object of ``summary.json``; empty where no hybrid model was made."""
     return dict(_hybrid_dict(results).get("scaling") or {})
+
+
+@dataclass(frozen=True)
+class ModePair:
+    """One mode from idle to operation.
+
+    Parameters
+    ----------
+    idle, operating : int or None
+        Its number in each state; None where it has none.
+    idle_hz, operating_hz : float or None
+    row : dict
+        Its row of the pairing; empty where it was not paired.
+    """
+
+    idle: int | None
+    operating: int | None
+    idle_hz: float | None
+    operating_hz: float | None
+    row: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def percent(self) -> float | None:
+        """Change of frequency from idle to operation; None where one of both is missing."""
+        return 100 * (self.operating_hz / self.idle_hz - 1) if self.idle_hz and self.operating_hz else None
+
+
+def mode_pairs(results: Results) -> list[ModePair]:
+    """Every mode of both states once, by frequency (idle where there is one)."""
+    idle, operating = results.idle, results.operating
+    hz = lambda model: [] if model is None else [float(f) for f in model.frequencies_hz]  # noqa: E731
+    idle_hz, operating_hz = hz(idle), hz(operating)
+    rows = {int(p["operating"]): p for p in pairing_of(results) if p.get("operating") is not None}
+    pairs = []
+    for k, f in enumerate(operating_hz):
+        row = rows.get(k, {})
+        j = row.get("idle")
+        j = int(j) if j is not None and 0 <= j < len(idle_hz) else None
+        pairs.append(ModePair(j, k, None if j is None else idle_hz[j], f, row))
+    taken = {p.idle for p in pairs}
+    pairs += [ModePair(j, None, f, None) for j, f in enumerate(idle_hz) if j not in taken]
+    return sorted(pairs, key=lambda p: p.idle_hz if p.idle_hz is not None else p.operating_hz or 0.0)
 
 
 def _hybrid_dict(results: Results) -> dict[str, Any]:

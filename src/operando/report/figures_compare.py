@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, noise_floor_db: float | None) -> str:
+@drawn
+def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, noise_floor_db: float | None) -> tuple[Figure, str]:
     """SVG: rms dB error of each model as a bar, with the noise floor as a line.
 
     Parameters
@@ -27,24 +28,20 @@ def error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, n
     noise_floor_db : float or None
         What noise and model uncertainty explain [dB].
     """
-    return _error_bars(names, keys, error_db, noise_floor_db)
-
-
-@drawn
-def _error_bars(names: Sequence[str], keys: Sequence[str], error_db: ArrayLike, noise_floor_db: float | None) -> tuple[Figure, str]:
     values = np.asarray(error_db, float)
     height = 0.62 + 0.3 * values.size
     figure = new_figure(7.6, height)
     axes = figure.add_axes((0.36, 0.42 / height, 0.56, (height - 0.58) / height))
     plot_errors(
-        names, values, axes, keys=keys, noise_floor_db=noise_floor_db, label="Level error against the check, rms over lines and pairs [dB]"
+        names, values, axes, keys=keys, noise_floor_db=noise_floor_db, label="Level error against the validation measurement, rms [dB]"
     )
     return figure, "Error of each model in dB: " + ", ".join(f"{n} {v:.2f}" for n, v in zip(names, values, strict=True))
 
 
+@drawn
 def error_maps(
     maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike, measure: str = "Level error, rms [dB]"
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: error by response DOF (rows) and frequency band (columns), one map a model, one colour scale.
 
     Parameters
@@ -55,11 +52,6 @@ def error_maps(
     measure : str
         What the numbers are.
     """
-    return _error_maps(maps, rows, edges, measure)
-
-
-@drawn
-def _error_maps(maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[str], edges: ArrayLike, measure: str) -> tuple[Figure, str]:
     n, k = max(len(rows), 1), max(len(maps), 2)
     cell = float(np.clip(4.2 / n, 0.13, 0.26))
     foot, left, gap, width = 0.5, 0.68, 0.62, 10.2
@@ -77,10 +69,11 @@ def _error_maps(maps: Sequence[tuple[str, NDArray[np.float64]]], rows: Sequence[
     return figure, "Error by response DOF and frequency band: " + ", ".join(title for title, _ in maps)
 
 
+@drawn
 def frequency_changes(
     labels: Sequence[str], frequency_percent: ArrayLike, damping_percent: ArrayLike, frequency_std: ArrayLike, damping_std: ArrayLike
-) -> str:
-    """SVG: change of frequency and of damping ratio from rest to operation for each paired mode, with 95 % intervals.
+) -> tuple[Figure, str]:
+    """SVG: change of frequency and of damping ratio from idle to operating for each paired mode, with 95 % intervals.
 
     Parameters
     ----------
@@ -89,17 +82,10 @@ def frequency_changes(
     frequency_std, damping_std : arrays [%]
         Standard deviations; NaN where not known.
     """
-    return _frequency_changes(labels, frequency_percent, damping_percent, frequency_std, damping_std)
-
-
-@drawn
-def _frequency_changes(
-    labels: Sequence[str], frequency_percent: ArrayLike, damping_percent: ArrayLike, frequency_std: ArrayLike, damping_std: ArrayLike
-) -> tuple[Figure, str]:
     figure = new_figure(10.2, 2.5)
     for left, values, std, title in (
         (0.06, frequency_percent, frequency_std, "Frequency, operating against idle"),
         (0.56, damping_percent, damping_std, "Damping ratio, operating against idle"),
     ):
         plot_changes(labels, values, std, figure.add_axes((left, 0.3, 0.43, 0.57)), title=title)
-    return figure, "Change of frequency and damping ratio of each mode from rest to operation"
+    return figure, "Change of frequency and damping ratio of each mode from idle to operating"

@@ -21,7 +21,8 @@ BADGE = {"good": "#00664a", "fair": "#7a5200", "poor": "#a33a00", "none": "#4b57
 """Colours of the verdict, as in the page."""
 
 
-def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> str:
+@drawn
+def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str]:
     """SVG: the error at each step, idle model first, each column with what was added, against the noise floor.
 
     Parameters
@@ -33,11 +34,6 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> str:
     grade : {"good", "fair", "poor", "none"}
         Its colour.
     """
-    return _ladder_figure(ladder, verdict, grade)
-
-
-@drawn
-def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str]:
     rungs = ladder.rungs
     values = np.array([r.heldout for r in rungs])
     n, slots = len(rungs), max(len(rungs), 2) + 0.4
@@ -63,7 +59,7 @@ def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, st
     if ladder.floor is not None and ladder.floor > bottom:
         axes.axhspan(bottom, ladder.floor, color=PALE, alpha=0.55, lw=0, zorder=1)
         axes.axhline(ladder.floor, color=INK, lw=1.1, ls=(0, (4, 2)), zorder=3)
-        words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the data allow"
+        words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the noise allows"
         axes.annotate(words, (1, ladder.floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
     for i, v in enumerate(values):
         axes.annotate(
@@ -83,13 +79,13 @@ def _ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, st
     steps = [f"idle model {ladder.text(values[0])}"]
     steps += [f"with {r.effect.label if r.effect else 'effect'} {ladder.text(v)}" for r, v in zip(rungs[1:], values[1:], strict=True)]
     floor = "" if ladder.floor is None else f"; noise floor {ladder.text(ladder.floor)}"
-    return figure, f"Error ladder, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
+    return figure, f"Error by step, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
 
 
 def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> float:
     """Set the axis of the errors; the value its columns stand on."""
     top = float(np.max([*values, *(r.everything for r in ladder.rungs if np.isfinite(r.everything)), ladder.floor or 0.0]))
-    kind = "Held-out" if ladder.held_out else "Error on all data:"
+    kind = "Hold-out" if ladder.held_out else "Error on all data:"
     if ladder.decibel:
         axes.set_ylim(0, 1.2 * max(top, 1e-9))
         axes.set_ylabel(f"{kind} level error, rms [dB]")
@@ -98,7 +94,7 @@ def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> fl
     bottom = 0.3 * low
     axes.set_yscale("log")
     axes.set_ylim(bottom, max(top, 1.0) * (max(top, 1.0) / bottom) ** 0.2)
-    axes.set_ylabel(f"{kind} misfit [1 = noise]")
+    axes.set_ylabel(f"{kind} reduced χ² [1 = noise]")
     log_axis(axes.yaxis)
     return bottom
 
@@ -144,7 +140,8 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> No
     )  # fmt: skip
 
 
-def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> str:
+@drawn
+def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
     """SVG: misfit of each operating mode by the idle model and by the model with the effects, against 1, the noise.
 
     Parameters
@@ -155,11 +152,6 @@ def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | N
     added : (n,) array or None
         With the effects.
     """
-    return _mode_misfit(frequencies_hz, idle, added)
-
-
-@drawn
-def _mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
     hz = np.asarray(frequencies_hz, float)
     figure = new_figure(10.2, 2.7)
     axes = figure.add_axes((0.075, 0.24, 0.91, 0.6))
@@ -179,13 +171,14 @@ def _mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | 
     axes.set_xticks(np.arange(hz.size), [number(f, 4) for f in hz], fontsize=7.5, rotation=90 if hz.size > 16 else 0)
     axes.tick_params(axis="x", length=0)
     axes.set_xlabel("Operating mode [Hz]")
-    axes.set_ylabel("Misfit [1 = noise]")
+    axes.set_ylabel("Reduced χ² [1 = noise]")
     log_axis(axes.yaxis)
     figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.065, 1.02))
-    return figure, f"Misfit of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
+    return figure, f"Reduced chi-square of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
 
 
-def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> str:
+@drawn
+def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> tuple[Figure, str]:
     """SVG: dynamic stiffness δz(ω) that the check asks for at each place, real and imaginary part, with the fitted law.
 
     Parameters
@@ -194,11 +187,6 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
         ``frequency_hz``, ``real``, ``imag``, ``law_real``, ``law_imag`` (may be missing), ``unit``.
     titles : sequence of str
     """
-    return _stiffness_figure(pictures, titles)
-
-
-@drawn
-def _stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> tuple[Figure, str]:
     row, top = 2.75, 0.28
     height = row * len(pictures) + top
     figure = new_figure(10.2, height)
@@ -216,10 +204,10 @@ def _stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[st
             low, high = middle - both / 2, middle + both / 2  # one span for both parts: what is small looks small
             inside = np.isfinite(values) & (values > low) & (values < high)
             axes.axhline(0, color=GREY, lw=0.8)
-            dots(axes, hz[inside], values[inside], SKY, 2.2, "from the check, line by line")
+            dots(axes, hz[inside], values[inside], SKY, 2.2, "from the validation measurement, line by line")
             smooth = running_median(values)
             axes.plot(hz, np.clip(smooth, low, high), color=MEASURED, lw=1.1, label="running median")
-            axes.plot(hz, law, color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted")
+            axes.plot(hz, law, color=IDLE, lw=1.8, ls=(0, (4, 2)), label="force law fitted")
             axes.set_xlim(hz.min(), hz.max())
             axes.set_ylim(low, high)
             axes.set_ylabel(f"{word} of δz [{unit}]")
@@ -228,7 +216,7 @@ def _stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[st
             axes.grid(True)
             if k == 0 and j == 0:
                 figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
-    return figure, "Dynamic stiffness, real and imaginary part with the fitted law: " + "; ".join(titles)
+    return figure, "Dynamic stiffness, real and imaginary part with the fitted force law: " + "; ".join(titles)
 
 
 def _prefix(size: float) -> tuple[float, str]:
@@ -267,7 +255,8 @@ def running_median(values: NDArray[np.float64], lines: int = 15) -> NDArray[np.f
     return out
 
 
-def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]], most: int = 10) -> str:
+@drawn
+def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]], most: int = 10) -> tuple[Figure, str]:
     """SVG: part of the idle model's error that one free force at each place explains, best first, without asking what kind of effect.
 
     Parameters
@@ -279,11 +268,7 @@ def places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset
     most : int
         Places shown.
     """
-    return _places_figure(list(places)[:most], found)
-
-
-@drawn
-def _places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozenset[str]]) -> tuple[Figure, str]:
+    places = list(places)[:most]
     n = len(places)
     height = 0.65 + 0.2 * n
     figure = new_figure(7.6, height)
@@ -297,13 +282,14 @@ def _places_figure(places: Sequence[Mapping[str, Any]], found: Sequence[frozense
     axes.set_yticks(np.arange(n), names, fontsize=8.5)
     axes.invert_yaxis()
     axes.set_xlim(0, 112)
-    axes.set_xlabel("Part of the idle model's error that a force at this place explains [%]")
+    axes.set_xlabel("Part of the idle model's error that a force at this location explains [%]")
     axes.tick_params(axis="y", length=0)
     best = ", ".join(f"{name} {v:.1f} %" for name, v in list(zip(names, share, strict=True))[:3])
-    return figure, f"Places ranked by what a force there explains of the idle model's error: {best}"
+    return figure, f"Locations ranked by what a force there explains of the idle model's error: {best}"
 
 
-def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> str:
+@drawn
+def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> tuple[Figure, str]:
     """SVG: how far two sets of FRFs lie apart at each line, rms over the responses, one curve a reference.
 
     Parameters
@@ -314,11 +300,6 @@ def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64],
     names : sequence of str
         One a reference.
     """
-    return _routes_figure(frequencies_hz, difference_db, names)
-
-
-@drawn
-def _routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64], names: Sequence[str]) -> tuple[Figure, str]:
     hz = np.asarray(frequencies_hz, float)
     figure = new_figure(10.2, 2.6)
     axes = figure.add_axes((0.075, 0.18, 0.91, 0.68))

@@ -18,7 +18,8 @@ HELD_OUT = "#fdf3d8"
 Pair = tuple[int, int, str]
 
 
-def frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None = None) -> str:
+@drawn
+def frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None = None) -> tuple[Figure, str]:
     """SVG: magnitude, phase and coherence of some measured FRFs with the synthesised ones, their difference and the noise.
 
     Parameters
@@ -30,11 +31,6 @@ def frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Seq
     band : (float, float), optional
         Analysis band [Hz], shaded outside.
     """
-    return _frf_pairs(measured, model, pairs, band)
-
-
-@drawn
-def _frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Sequence[float] | None) -> tuple[Figure, str]:
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)
     width, cell, top, bottom = 10.2, 4.1, 0.28, 0.5
@@ -68,6 +64,7 @@ def _frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Se
     return figure, f"Measured and synthesised frequency response functions with phase{' and coherence' if with_coherence else ''}: {names}"
 
 
+@drawn
 def ofrf_pairs(
     check: Frf,
     ofrf: Frf | None,
@@ -76,7 +73,7 @@ def ofrf_pairs(
     band: Sequence[float] | None = None,
     label: str = "operating FRF",
     held_out: Sequence[tuple[float, float]] = (),
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: magnitudes of operating FRFs with their 95 % band, the check measurement and the idle model, one panel a pair.
 
     Parameters
@@ -92,19 +89,6 @@ def ofrf_pairs(
     held_out : sequence of (float, float)
         Frequency ranges [Hz] set off, whose lines nothing was fitted to.
     """
-    return _ofrf_pairs(check, ofrf, idle, pairs, band, label, held_out)
-
-
-@drawn
-def _ofrf_pairs(
-    check: Frf,
-    ofrf: Frf | None,
-    idle: Frf | None,
-    pairs: Sequence[Pair],
-    band: Sequence[float] | None,
-    label: str,
-    held_out: Sequence[tuple[float, float]],
-) -> tuple[Figure, str]:
     columns = min(2, len(pairs))
     rows = -(-len(pairs) // columns)
     width, cell = 10.2, 3.0
@@ -121,24 +105,20 @@ def _ofrf_pairs(
             ofrf, check, idle, axes, response=response, reference=reference, band=band, label=label, parts=("magnitude",), legend=False
         )
         for n, (low, high) in enumerate(held_out):
-            axes.axvspan(low, high, color=HELD_OUT, lw=0, zorder=0, label=None if n else "held-out lines")
+            axes.axvspan(low, high, color=HELD_OUT, lw=0, zorder=0, label=None if n else "hold-out lines")
         axes.set_title(f"{check.responses[i]} from {check.references[j]} ({why})")
         if k == 0:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="upper left", ncols=5, bbox_to_anchor=(left / width - 0.01, 1.0))
     names = listing(f"{check.responses[i]} from {check.references[j]}" for i, j, _ in pairs)
     if label != "operating FRF":
-        return figure, f"Frequency response functions of the {label} with 95 % band against check and idle model: {names}"
-    return figure, f"Operating frequency response functions with 95 % band against check and idle model: {names}"
-
-
-def frf_overview(measured: Frf, model: Frf | None, band: Sequence[float] | None = None) -> str:
-    """SVG: root mean square over all pairs, measured and synthesised, with their difference and the noise level."""
-    return _frf_overview(measured, model, band)
+        return figure, f"Frequency response functions of the {label} with 95 % band against validation measurement and idle model: {names}"
+    return figure, f"Operating frequency response functions with 95 % band against validation measurement and idle model: {names}"
 
 
 @drawn
-def _frf_overview(measured: Frf, model: Frf | None, band: Sequence[float] | None) -> tuple[Figure, str]:
+def frf_overview(measured: Frf, model: Frf | None, band: Sequence[float] | None = None) -> tuple[Figure, str]:
+    """SVG: root mean square over all pairs, measured and synthesised, with their difference and the noise level."""
     figure = new_figure(10.2, 3.4)
     plot_frf_rms(measured, model, figure.add_axes((0.067, 0.14, 0.918, 0.77)), band=band, legend=False)
     figure.legend(loc="upper left", ncols=4, bbox_to_anchor=(0.057, 1.01))

@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Geometry
 from operando.dof import Dof
+from operando.io.csv import cell_text
 from operando.plots import plot_mac, plot_shares
 from operando.plots.mesh import Mesh
 from operando.plots.shapes import draw_bars, draw_shape
+from operando.report.figure_csv import numbers, table_csv
 from operando.report.svg import GREY, IDLE, MODEL, drawn, new_figure
 
 if TYPE_CHECKING:
@@ -31,7 +33,8 @@ class ShapePair:
         self.idle_text, self.operating_text = idle_text, operating_text
 
 
-def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
+@drawn
+def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> tuple[Figure, str]:
     """SVG: each mode at rest and running, side by side, deformed over the undeformed structure; as bars without a geometry.
 
     Parameters
@@ -41,26 +44,23 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
         One a row of each shape.
     pairs : list of ShapePair
     """
-    return _mode_shapes(geometry, tuple(dofs), pairs)
-
-
-@drawn
-def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequence[ShapePair]) -> tuple[Figure, str]:
     columns = min(_PER_ROW, max(len(pairs), 1))
     rows = -(-max(len(pairs), 1) // columns)
     width, head, cell = 10.2, 0.34, 1.75
     height = rows * (head + cell) + 0.1
     figure = new_figure(width, height)
     step = width / columns
+    dofs = tuple(dofs)
     mesh = None if geometry is None else Mesh(geometry, dofs)
-    alone = all(p.idle is None for p in pairs)
+    sides = [any(p.idle is not None for p in pairs), any(p.operating is not None for p in pairs)]
+    alone = sum(sides) == 1
     half = (step - 0.1) / (1 if alone else 2)
     word = lambda x, y, text, size, **kw: figure.text(x / width, y / height, text, fontsize=size, **kw)  # noqa: E731
     for k, pair in enumerate(pairs):
         x0, y0 = (k % columns) * step, height - (k // columns + 1) * (head + cell)
         word(x0 + 0.06, y0 + cell + 0.14, pair.label, 9, fontweight="bold")
         both = ((pair.idle, pair.idle_text, IDLE), (pair.operating, pair.operating_text, MODEL))
-        for side, (shape, text, color) in enumerate(both[1:] if alone else both):
+        for side, (shape, text, color) in enumerate([b for b, there in zip(both, sides, strict=True) if there] if alone else both):
             left = x0 + 0.04 + side * half
             word(left + half / 2, y0 + cell - 0.05, text, 7.5, ha="center", color=color)
             foot = 0.0 if mesh is not None and mesh.drawable else 0.38
@@ -74,23 +74,29 @@ def _mode_shapes(geometry: Geometry | None, dofs: tuple[Dof, ...], pairs: Sequen
                 axes.set_yticks([])
             else:
                 draw_shape(figure.add_axes(box, projection="3d"), mesh, np.asarray(shape, float), bare=True, wide=0.65)
-    return figure, f"Mode shapes at rest and running, {len(pairs)} modes side by side"
+    return figure, f"Mode shapes, idle and operating, {len(pairs)} modes side by side"
 
 
+def shapes_csv(dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
+    """The shapes as drawn: one row a DOF, one column a mode and state."""
+    columns = [("DOF", [cell_text(str(d)) for d in dofs])]
+    for pair in pairs:
+        for shape, state in ((pair.idle, "idle"), (pair.operating, "operating")):
+            if shape is not None:
+                columns.append((f"{pair.label} {state}", numbers(shape)))
+    return table_csv(columns)
+
+
+@drawn
 def mac_matrices(
     matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]],
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: MAC matrices side by side with values in the cells.
 
     Parameters
     ----------
     matrices : sequence of (title, (rows, columns) array, row labels, column labels, row axis name, column axis name)
     """
-    return _mac_matrices(matrices)
-
-
-@drawn
-def _mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequence[str], str, str]]) -> tuple[Figure, str]:
     width, n = 10.2, len(matrices)
     panel = (width - 0.1) / max(n, 2) - 0.85
     heights = [panel * np.shape(m[1])[0] / max(np.shape(m[1])[1], 1) for m in matrices]
@@ -107,13 +113,9 @@ def _mac_matrices(matrices: Sequence[tuple[str, ArrayLike, Sequence[str], Sequen
     return figure, "Modal assurance criterion matrices: " + "; ".join(m[0] for m in matrices)
 
 
-def conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> str:
-    """SVG: which sensors are nearly redundant and which combination of modes they barely tell apart, as shares of the weakest direction."""
-    return _conditioning(labels, share, modes, mode_share)
-
-
 @drawn
-def _conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> tuple[Figure, str]:
+def conditioning(labels: Sequence[str], share: ArrayLike, modes: Sequence[str], mode_share: ArrayLike) -> tuple[Figure, str]:
+    """SVG: which sensors are nearly redundant and which combination of modes they barely tell apart, as shares of the weakest direction."""
     figure = new_figure(10.2, 2.3)
     for left, names, values, color, title in (
         (0.06, labels, share, MODEL, "Sensors in the weakest direction"),

@@ -19,7 +19,8 @@ LENGTHS = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 """SI prefixes of small sizes."""
 
 
-def force_figure(picture: Mapping[str, Any], title: str) -> str:
+@drawn
+def force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
     """SVG: restoring force at a place over displacement and over velocity, as the records show it, with the fitted law.
 
     Parameters
@@ -28,11 +29,6 @@ def force_figure(picture: Mapping[str, Any], title: str) -> str:
         One entry of ``picture.restoring_force`` in ``diagnosis.json``.
     title : str
     """
-    return _force_figure(picture, title)
-
-
-@drawn
-def _force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
     figure = new_figure(10.2, 3.3)
     force = np.asarray(picture["force"], float)
     for k, (name, unit) in enumerate((("displacement", "m"), ("velocity", "m/s"))):
@@ -45,21 +41,22 @@ def _force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
         dots(axes, over / factor, force, SKY, 2.0, "from the records, sample by sample")
         axes.errorbar(at / factor, mean, INTERVAL * spread, color=MEASURED, lw=0, elinewidth=0.9, marker="o", ms=3, label="mean, ± 95 %")
         if rows.get("law"):
-            axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="law fitted, mean")
+            axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="force law fitted, mean")
         axes.set_xlabel(f"{name.capitalize()} [{prefix}{unit}]")
         axes.set_ylabel("Restoring force [N]")
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)
         if k == 0:
             figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
-    return figure, f"Restoring force over displacement and velocity with the fitted law: {title}"
+    return figure, f"Restoring force over displacement and velocity with the fitted force law: {title}"
 
 
 def _prefix(size: float) -> tuple[float, str]:
     return next(((f, p) for f, p in LENGTHS if size >= f), LENGTHS[-1])
 
 
-def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> str:
+@drawn
+def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure, str]:
     """SVG: spring and damper that a level-dependent effect is equivalent to, over the motion across its place.
 
     Parameters
@@ -68,11 +65,6 @@ def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> str:
         ``equivalent`` of a picture in ``diagnosis.json``.
     title : str
     """
-    return _level_figure(rows, title)
-
-
-@drawn
-def _level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure, str]:
     figure = new_figure(10.2, 2.5)
     order = sorted(rows, key=lambda r: r["displacement_m"])
     x = np.array([r["displacement_m"] for r in order])
@@ -90,14 +82,15 @@ def _level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure
             least = 0.1 * max(abs(r["stiffness"]) * r["displacement_m"] / max(r["velocity_m_s"], 1e-300) for r in order)
             low, high = axes.get_ylim()
             axes.set_ylim(min(low, -least), max(high, least))
-        axes.set_xlabel(f"Displacement across the place, rms [{prefix}m]")
+        axes.set_xlabel(f"Displacement across the location, rms [{prefix}m]")
         axes.set_ylabel(f"Equivalent {name} [{unit}]")
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)
     return figure, f"Equivalent stiffness and damping at each level: {title}"
 
 
-def frf_figure(levels: Mapping[str, Any]) -> str:
+@drawn
+def frf_figure(levels: Mapping[str, Any]) -> tuple[Figure, str]:
     """SVG: one FRF of the model with effects at the levels measured and at twice the highest, and what was measured.
 
     Parameters
@@ -105,11 +98,6 @@ def frf_figure(levels: Mapping[str, Any]) -> str:
     levels : dict
         ``picture.levels`` of ``diagnosis.json``.
     """
-    return _frf_figure(levels)
-
-
-@drawn
-def _frf_figure(levels: Mapping[str, Any]) -> tuple[Figure, str]:
     figure = new_figure(10.2, 3.4)
     axes = figure.add_axes((0.075, 0.15, 0.91, 0.74))
     db = lambda values: 20 * np.log10(np.maximum(np.asarray(values, float), 1e-12))  # noqa: E731
@@ -130,7 +118,8 @@ def _frf_figure(levels: Mapping[str, Any]) -> tuple[Figure, str]:
     return figure, f"FRF {levels['response']} over {levels['reference']} at several levels of the force"
 
 
-def simulation_figure(figure: Mapping[str, Any]) -> str:
+@drawn
+def simulation_figure(figure: Mapping[str, Any]) -> tuple[Figure, str]:
     """SVG: measured and simulated response side by side, the idle model's beside them.
 
     Parameters
@@ -138,11 +127,6 @@ def simulation_figure(figure: Mapping[str, Any]) -> str:
     figure : dict
         ``simulation.figure`` of ``diagnosis.json``: ``time_s``, ``measured``, ``idle``, ``simulated`` [m/s²], ``dof``, ``record``.
     """
-    return _simulation_figure(figure)
-
-
-@drawn
-def _simulation_figure(figure: Mapping[str, Any]) -> tuple[Figure, str]:
     sheet = new_figure(10.2, 3.8)
     time = np.asarray(figure["time_s"], float)
     measured = np.asarray(figure["measured"], float)

@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@drawn
 def stabilization_diagram(
     stabilization: Stabilization,
     band: Sequence[float] | None = None,
     modes_hz: ArrayLike | None = None,
     harmonics_hz: Sequence[float] = (),
     indicator_name: str = "CMIF",
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: poles by model order over the mode indicator, modes taken as lines, rejected candidates as crosses below.
 
     Parameters
@@ -38,19 +39,12 @@ def stabilization_diagram(
     indicator_name : str
         What is drawn behind the poles.
     """
-    return _stabilization_diagram(stabilization, band, modes_hz, harmonics_hz, indicator_name)
-
-
-@drawn
-def _stabilization_diagram(
-    stabilization: Stabilization, band: Sequence[float] | None, modes_hz: ArrayLike | None, harmonics_hz: Sequence[float], name: str
-) -> tuple[Figure, str]:
     table = stabilization.table
     modes = np.asarray(stabilization.selected_hz if modes_hz is None else modes_hz, float)
     figure = new_figure(10.2, 4.9)
     axes = plot_stabilization(
         stabilization, figure.add_axes((0.06, 0.105, 0.875, 0.765)), band=band, modes_hz=modes, harmonics_hz=harmonics_hz,
-        indicator_name=name, legend=False,
+        indicator_name=indicator_name, legend=False,
     )  # fmt: skip
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", ncols=5, bbox_to_anchor=(0.05, 1.005), handletextpad=0.3, columnspacing=1.1)
@@ -61,6 +55,7 @@ def _stabilization_diagram(
     return figure, alt
 
 
+@drawn
 def singular_values(
     frequencies_hz: ArrayLike,
     values: ArrayLike,
@@ -68,7 +63,7 @@ def singular_values(
     modes_hz: ArrayLike = (),
     harmonics_hz: Sequence[float] = (),
     unit: str = "(m/s²)²/Hz",
-) -> str:
+) -> tuple[Figure, str]:
     """SVG: singular values of the operating spectra with modes and harmonics marked.
 
     Parameters
@@ -77,18 +72,6 @@ def singular_values(
     values : (n_curves, k) array
         Positive, the greatest first.
     """
-    return _singular_values(frequencies_hz, values, band, modes_hz, harmonics_hz, unit)
-
-
-@drawn
-def _singular_values(
-    frequencies_hz: ArrayLike,
-    values: ArrayLike,
-    band: Sequence[float] | None,
-    modes_hz: ArrayLike,
-    harmonics_hz: Sequence[float],
-    unit: str,
-) -> tuple[Figure, str]:
     figure = new_figure(10.2, 3.6)
     axes = plot_singular_values(
         frequencies_hz, values, figure.add_axes((0.067, 0.13, 0.918, 0.72)), band=band, modes_hz=modes_hz, harmonics_hz=harmonics_hz,

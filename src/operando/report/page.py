@@ -4,68 +4,155 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
+from markupsafe import Markup
+
+from operando.errors import DataError
 from operando.io.atomic import replacing
 from operando.printable import without_active
-from operando.report.parts import Section
+from operando.report.derive import analysis_band
+from operando.report.parts import Numbering, Section, render, without_blank_lines
 from operando.report.sections import build
-from operando.report.text import band_text, esc
+from operando.report.svg import Drawing
+from operando.report.text import band_text
 from operando.results import Results
 from operando.threads import one_blas_thread
 
-# folded tables print too
-_SCRIPT = "addEventListener('beforeprint',function(){document.querySelectorAll('details').forEach(function(d){d.open=true})});"
-_SCRIPT_HASH = base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode()
-# The page loads nothing and runs the one script above; its style and the sizes of its drawings stand in the page.
-_POLICY = (
-    f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_SCRIPT_HASH}'; img-src data:; base-uri 'none'; form-action 'none'"
-)
+
+@cache
+def asset(name: str) -> Markup:
+    """A file of ``templates/`` as it stands: the style, the script."""
+    return without_blank_lines(files("operando.report").joinpath("templates", name).read_text(encoding="utf-8"))
+
+
+def policy(script: str) -> str:
+    """The page loads nothing and runs its one script; its style and the sizes of its drawings stand in the page."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    allowed = f"style-src 'unsafe-inline'; script-src 'sha256-{digest}'; img-src data:"
+    return f"default-src 'none'; {allowed}; base-uri 'none'; form-action 'none'"
+
+
+class Report:
+    """The report of one test, to which figures and texts may be added before it is written.
+
+    Parameters
+    ----------
+    results : Results
+        Any part may be missing; the report says so in its place.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from operando import Report, Results
+    >>> figure = Figure()
+    >>> lines = figure.subplots().plot([10.0, 20.0], [0.1, 0.4])
+    >>> report = Report(Results("pump")).add_figure(figure, "Level over speed.", section="Run-up").add_text("At 40 °C.", section="Run-up")
+    >>> "Run-up" in report.html()
+    True
+    """
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+        self._added: dict[str, list[tuple[Drawing | None, str]]] = {}
+
+    def add_figure(self, figure: Any, caption: str = "", section: str = "Further figures") -> Report:
+        """Add a figure to a section of one's own, after those of the report.
+
+        Parameters
+        ----------
+        figure : matplotlib Figure or Axes
+            Drawn into the page, with its data as CSV.
+        caption : str
+            Plain text.
+        section : str
+            Title of the section; made where it is new.
+
+        Returns
+        -------
+        Report
+            Itself, to go on with.
+
+        Raises
+        ------
+        DataError
+            If it is no figure of matplotlib.
+        """
+        drawn = getattr(figure, "figure", figure)
+        if not hasattr(drawn, "get_axes") or not hasattr(drawn, "get_size_inches"):
+            raise DataError(f"{type(figure).__name__} is no figure", hint="give a matplotlib Figure or Axes, as every plot method returns")
+        self._added.setdefault(section, []).append((Drawing.of(drawn, caption or section), caption))
+        return self
+
+    def add_text(self, text: str, section: str = "Further notes") -> Report:
+        """Add a paragraph of plain text to a section of one's own.
+
+        Parameters
+        ----------
+        text : str
+        section : str
+
+        Returns
+        -------
+        Report
+            Itself, to go on with.
+        """
+        self._added.setdefault(section, []).append((None, text))
+        return self
+
+    def html(self) -> str:
+        """The whole page, without any reference outside itself, and the same whenever it is made of the same results."""
+        results, page = self.results, Numbering()
+        sections = build(results, page)
+        for n, (title, parts) in enumerate(self._added.items(), start=1):
+            sections.append(Section(f"added-{n}", title, render("added.html.j2", page, parts=parts)))
+        title = results.name or "unnamed test"
+        meta = f"Analysis band {band_text(analysis_band(results))}"
+        kicker = "Operating frequency response functions · test report"
+        return render_page(f"{title}: operating FRFs", title, kicker, meta, sections, results.settings.get("report") or {})
+
+    def save(self, path: str | Path) -> None:
+        """Write one self-contained HTML file; it appears whole or not at all (written beside, then renamed).
+
+        Parameters
+        ----------
+        path : path
+        """
+        with one_blas_thread():
+            text = self.html()
+        with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
 
 
 def render_report(results: Results) -> str:
-    """HTML text of the whole report, without any reference outside itself, and the same whenever it is made of the same results."""
-    from operando.report.derive import analysis_band
-
-    title = results.name or "unnamed test"
-    meta = f"Analysis band {band_text(analysis_band(results))}"
-    kicker = "Operating frequency response functions · test report"
-    return render_page(f"{title}: operating FRFs", title, kicker, meta, build(results))
+    """HTML text of the whole report of one test."""
+    return Report(results).html()
 
 
-def render_page(window: str, title: str, kicker: str, meta: str, sections: Sequence[Section]) -> str:
+def render_page(
+    window: str, title: str, kicker: str, meta: str, sections: Sequence[Section], block: Mapping[str, str] | None = None
+) -> str:
     """HTML text of a page of numbered sections with their contents beside them.
 
     Parameters
     ----------
-    window, title, kicker : str
-        Plain texts: of the window, the heading, the line above it.
-    meta : str
-        Below the heading (HTML).
+    window, title, kicker, meta : str
+        Plain texts: of the window, the heading, the lines above and below it.
     sections : sequence of Section
+    block : mapping, optional
+        Lines of the title block.
     """
     from operando import __version__
 
-    style = files("operando.report").joinpath("report.css").read_text(encoding="utf-8")
-    contents = "".join(f'<li><a href="#{s.anchor}">{n}. {esc(s.title)}</a></li>' for n, s in enumerate(sections, start=1))
-    body = "".join(
-        f'<section id="{s.anchor}" aria-labelledby="{s.anchor}-title"><h2 id="{s.anchor}-title">{n}. {esc(s.title)}</h2>{s.html}</section>'
-        for n, s in enumerate(sections, start=1)
-    )
-    page = (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{esc(window)}</title><style>{style}</style></head><body>"
-        f'<div class="frame"><nav aria-label="Contents"><h2>Contents</h2><ol>{contents}</ol></nav><main>'
-        f'<header><p class="kicker">{esc(kicker)}</p><h1>{esc(title)}</h1>'
-        f'<p class="meta">{meta} · operando {esc(__version__)}</p></header>'
-        f"{body}<footer>Made by operando {esc(__version__)}. Method: Shen &amp; Lu, Machines 2024, 12(8), 516. SI units; "
-        "e<sup>+iωt</sup>; H = response/force; levels in dB are 20·log<sub>10</sub>.</footer></main></div>"
-        f"<script>{_SCRIPT}</script></body></html>\n"
-    )
+    script = asset("report.js")
+    page = render(
+        "page.html.j2", window=window, title=title, kicker=kicker, meta=meta, sections=sections, block=block or {}, version=__version__,
+        style=asset("report.css"), script=script, policy=Markup(policy(script)),
+    )  # fmt: skip
     # what reached a drawing, too, is only shown
     return without_active(page)
 
@@ -80,7 +167,4 @@ def write_report(results: Results, path: str | Path) -> None:
     path : path
         Target file; it appears whole or not at all (written beside, then renamed).
     """
-    with one_blas_thread():
-        text = render_report(results)
-    with replacing(path, "w", encoding="utf-8", newline="\n") as stream:
-        stream.write(text)
+    Report(results).save(path)

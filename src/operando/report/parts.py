@@ -1,13 +1,25 @@
-"""What every section shares: numbering of figures, paragraphs, the sentence where something is missing."""
+"""From typed values to HTML: the templates with everything they may call, figures numbered through the page, sections."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import base64
+import functools
+import gzip
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
 
-from operando.report.text import esc
-from operando.results import Results
+from markupsafe import Markup
+
+from operando.printable import printable
+from operando.report import text
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+    from operando.results import Results
 
 
 @dataclass(frozen=True)
@@ -16,7 +28,7 @@ class Section:
 
     anchor: str
     title: str
-    html: str
+    html: Markup
 
 
 class Numbering:
@@ -26,26 +38,142 @@ class Numbering:
         self.n = 0
         self._kept: dict[str, Any] = {}
 
+    def next(self) -> int:
+        """The number of the next figure."""
+        self.n += 1
+        return self.n
+
+    def figure(self, drawing: Markup, caption: str) -> Markup:
+        """A numbered figure with its caption."""
+        return render("figure.html.j2", self, drawing=drawing, caption=caption)
+
     def once(self, key: str, make: Callable[[], Any]) -> Any:
         """The value under a key, made the first time."""
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]
 
-    def figure(self, svg: str, caption: str) -> str:
-        """Figure element with a numbered caption."""
-        self.n += 1
-        return f"<figure>{svg}<figcaption><b>Figure {self.n}.</b> {caption}</figcaption></figure>"
+
+def render(template: str, page: Numbering | None = None, /, **values: Any) -> Markup:
+    """HTML of one template; every value in it that is no ``Markup`` is shown as text.
+
+    Parameters
+    ----------
+    template : str
+        File in ``templates/``.
+    page : Numbering, optional
+        Counts the figures.
+    **values
+        What the template names.
+    """
+    return without_blank_lines(environment().get_template(template).render(page=page or Numbering(), **values))
 
 
-def paragraph(text: str) -> str:
+def without_blank_lines(html: str) -> Markup:
+    """HTML without the empty lines that the logic of a template leaves."""
+    return Markup(re.sub(r"\n\s*\n", "\n", html))
+
+
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = (), caption: str = "", wide: bool = False,
+    mine: Iterable[int] = (), title: str = "",
+) -> Markup:  # fmt: skip
+    """A table made by hand.
+
+    Parameters
+    ----------
+    head : sequence of str
+    rows : iterable of sequences of str
+    numeric : iterable of int
+        Columns aligned to the right.
+    caption : str
+    wide : bool
+        Fill the width.
+    mine : iterable of int
+        Rows set off.
+    title : str
+        Bold, before the caption.
+    """
+    right = tuple(numeric)
+    heads = ["#" * (k in right) + h for k, h in enumerate(head)]
+    return render("table.html.j2", head=heads, rows=rows, right=right, title=title, caption=caption, wide=wide, mine=tuple(mine))
+
+
+def tag(word: str, grade: str) -> Markup:
+    """A small framed word; the colour only repeats what the word says."""
+    return Markup('<span class="tag {}">{}</span>').format(grade, shown(word))
+
+
+def paragraph(sentence: str) -> Markup:
     """One paragraph of plain text."""
-    return f"<p>{esc(text)}</p>"
+    return Markup("<p>{}</p>").format(shown(sentence))
 
 
-def missing(text: str) -> str:
+def missing(sentence: str) -> Markup:
     """The one sentence that stands where a part is missing."""
-    return f'<p class="missing">{esc(text)}</p>'
+    return Markup('<p class="missing">{}</p>').format(shown(sentence))
+
+
+@functools.cache
+def environment() -> Environment:
+    """The templates, which escape everything, stop at an unknown name, and call the functions of ``report.text``."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    class Unknown(StrictUndefined):
+        """What is not there: false where it is asked for, an error where it would be printed."""
+
+        def __bool__(self) -> bool:  # type: ignore[override]
+            return False
+
+    made = Environment(
+        loader=PackageLoader("operando.report"), autoescape=True, undefined=Unknown, lstrip_blocks=True, finalize=shown,
+    )  # fmt: skip
+    names = ("band_text", "count", "decibel", "finite", "fixed", "listing", "number", "percent", "plain", "plus_minus", "short_names")
+    made.globals |= {name: getattr(text, name) for name in names}
+    made.globals |= {f.__name__: f for f in (at, left_out, some, capital, words, tail, hz_list, csv_link)} | {"DASH": text.DASH}
+    return made
+
+
+def shown(value: Any) -> Any:
+    """A value as a template prints it: nothing for None; control characters and direction marks are shown, overlong words cut."""
+    return "" if value is None else value if hasattr(value, "__html__") else printable(value)
+
+
+def at(values: Any, i: int) -> Any:
+    """The i-th of values that may not be there."""
+    return None if values is None else values[i]
+
+
+def some(items: Iterable[object], most: int) -> str:
+    """The first items of a list, and how many there are where that is not all."""
+    texts = [str(i) for i in items]
+    return ", ".join(texts[:most]) + (f", … ({len(texts)})" if len(texts) > most else "")
+
+
+def capital(sentence: object) -> str:
+    """A text that starts with a capital letter."""
+    said = str(sentence)
+    return said[:1].upper() + said[1:]
+
+
+def words(key: object) -> str:
+    """A key of the files as words."""
+    return str(key).replace("_", " ")
+
+
+def tail(path: object) -> str:
+    """The last folder and the name of a path."""
+    return "/".join(PurePath(str(path)).parts[-2:])
+
+
+def hz_list(frequencies_hz: Iterable[Any], digits: int = 5) -> list[str]:
+    """Frequencies with their unit."""
+    return [f"{text.number(f, digits)} Hz" for f in frequencies_hz if text.finite(f)]
+
+
+def csv_link(csv: str) -> Markup:
+    """Address that holds a CSV text, packed: unpacked it would be most of the page. The script of the page unpacks it on a click."""
+    return Markup("data:application/gzip;base64," + base64.b64encode(gzip.compress(csv.encode(), 9, mtime=0)).decode())
 
 
 def left_out(results: Results, stage: str, default: str) -> str:

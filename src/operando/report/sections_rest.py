@@ -1,66 +1,93 @@
-"""Sections on the measurements, and on how the results were made."""
+"""What the sections on the measurements, and on how the results were made, show."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
+from typing import Any
 
-from operando.data import Frf, unit_of
-from operando.report import derive, tables, tables_files
-from operando.report.parts import Numbering, missing, paragraph
-from operando.report.text import band_text, count, esc, number, plain, short_names
-from operando.results import CheckRun, Results
+from operando.data import Finding, unit_of
+from operando.report import derive
+from operando.report.parts import Numbering, some, tail
+from operando.report.text import DASH, band_text, plain, short_names, size_text
+from operando.results import Results
+
+SEVERITY_WORDS = {"error": ("error", "poor"), "warning": ("warning", "fair"), "info": ("note", "none")}
+_KNOWN = (
+    "file", "path", "used_for", "role", "format", "sets", "used", "ignored", "not_understood", "channels", "forces", "responses",
+    "units", "sampling_hz", "duration_s", "samples", "n_findings", "error", "sha256", "findings", "set_types", "dofs",
+    "frf_references", "frf_responses", "frf_band_hz", "frf_lines", "geometry_nodes", "models",
+)  # fmt: skip
+"""What the columns of the inventory hold; keys beside these get columns of their own."""
 
 
-def measured(results: Results, numbering: Numbering) -> str:
+def measured(results: Results, page: Numbering) -> dict[str, Any]:
     """Inventory of files and findings about the data."""
-    out = [_frf_inventory(results)]
-    out.append(tables_files.inventory_table(results.inventory) if results.inventory else missing("No inventory of files was kept."))
-    found = derive.all_findings(results)
-    out.append("<h3>What is wrong with the data</h3>")
-    if found:
-        n = {s: sum(f.severity == s for f in found) for s in ("error", "warning", "info")}
-        heavy = ", ".join((count(n["error"], "error"), count(n["warning"], "warning"), count(n["info"], "note")))
-        out.append(paragraph(f"{heavy[:1].upper()}{heavy[1:]}; the gravest first."))
-        out.append(tables.findings_table(found))
-    else:
-        out.append(missing("Nothing was found to be wrong with the data."))
-    return "".join(out)
+    return {"unit_of": unit_of} | inventory(results.inventory) | findings(derive.all_findings(results))
 
 
-def _frf_inventory(results: Results) -> str:
-    rows = []
-    if results.idle_frf is not None:
-        rows.append(["idle FRF", *_frf_cells(results.idle_frf)])
-    rows += [[_check_cell(run), *_frf_cells(run.frf)] for run in results.check]
-    if results.operating is not None:
-        dofs = ", ".join(esc(d) for d in results.operating.dofs)
-        rows.append(["operating, output only", dofs, "force not known", band_text(results.operating.band_hz), "–", "–", "–"])
-    if not rows:
-        return missing("No measurement has been processed yet.")
-    head = ["State", "Responses", "References (forces)", "Lines", "Spacing [Hz]", "Effective<br>averages", "Units"]
-    return tables.table(head, rows, numeric=(4, 5), caption="<b>What was measured.</b>", wide=True)
+def inventory(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The files, the keys that have columns of their own, and how their values are said."""
+    extra = [k for k in dict.fromkeys(k for row in rows for k in row) if k not in _KNOWN]
+    return {
+        "inventory": rows, "extra": [k for k in extra if any(row.get(k) not in (None, [], (), {}, "") for row in rows)],
+        "cell": cell, "units": _units,
+    }  # fmt: skip
 
 
-def _check_cell(run: CheckRun) -> str:
-    return f"check, {esc(short_names(run.name))}" + (f" (level {esc(run.level)})" if run.level else "")
+def findings(found: Sequence[Finding]) -> dict[str, Any]:
+    """Findings grouped where only the place differs, the gravest first."""
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for f in found:
+        groups.setdefault((f.severity, f.kind, f.consequence, f.action), []).append(f)
+    counts = {s: sum(f.severity == s for f in found) for s in SEVERITY_WORDS}
+    return {"groups": list(groups.values()), "severities": SEVERITY_WORDS, "counts": counts, "place": _place, "places": _places}
 
 
-def _frf_cells(frf: Frf) -> list[str]:
-    f = frf.frequencies_hz
-    step = frf.axis.step
-    responses = ", ".join(str(d) for d in frf.responses[:24]) + (f", … ({len(frf.responses)})" if len(frf.responses) > 24 else "")
-    unit = unit_of(frf.quantity) if frf.si else "not known: numbers as in the file, no mass scaling"
-    return [
-        f"{len(frf.responses)}: {esc(responses)}",
-        f"{len(frf.references)}: {esc(', '.join(str(d) for d in frf.references))}",
-        f"{len(f)} from {plain(f[0])} to {plain(f[-1])} Hz",
-        plain(step) if step else "uneven",
-        number(frf.averages, 3),
-        esc(unit),
-    ]
+def _places(group: Sequence[Finding]) -> list[str]:
+    return list(dict.fromkeys(where for f in group if (where := _place(f))))
 
 
-def provenance(results: Results, numbering: Numbering) -> str:
+def _place(f: Finding) -> str:
+    parts = [PurePath(f.file).name if f.file else "", f"set {f.set}" if f.set is not None else "", f.dof or ""]
+    if f.time_s is not None:
+        parts.append(f"{plain(f.time_s[0])}–{plain(f.time_s[1])} s")
+    if f.band_hz is not None:
+        parts.append(band_text(f.band_hz))
+    return ", ".join(p for p in parts if p)
+
+
+def _units(row: Mapping[str, Any]) -> str:
+    """Units as the file states them."""
+    channels = row.get("channels")
+    if row.get("units") or not isinstance(channels, list | tuple):
+        return cell("units", row.get("units"))
+    given = [c for c in channels if isinstance(c, Mapping)]
+    names = dict.fromkeys(f"{c.get('quantity', '?')} [{c.get('source_unit') or c.get('unit') or 'not stated'}]" for c in given)
+    return ", ".join(names) or DASH
+
+
+def cell(key: str, value: Any) -> str:
+    """A value of the inventory in words."""
+    if value in (None, [], (), {}, ""):
+        return DASH
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if key in ("bytes", "size", "size_bytes"):
+        return size_text(value)
+    if isinstance(value, float):
+        return plain(value, 7)
+    if isinstance(value, Mapping):
+        return "; ".join(f"{k}: {v}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        if key == "hits":
+            return "; ".join(f"#{h['number']} {h['time_s']:.2f} s, {plain(h['peak'], 3)} {h['unit']}".rstrip() for h in value)
+        return str(len(value)) if isinstance(value[0], Mapping) else some(value, 14)
+    return str(value)
+
+
+def provenance(results: Results, page: Numbering) -> dict[str, Any]:
     """Settings, stages left out, versions, inputs with their hashes, processing calls."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
@@ -68,27 +95,37 @@ def provenance(results: Results, numbering: Numbering) -> str:
     from operando import __version__
     from operando.data import Provenance
 
-    out = [tables_files.settings_table(results.settings) if results.settings else missing("No settings were kept.")]
-    if results.left_out:
-        rows = [[esc(stage), esc(reason)] for stage, reason in results.left_out.items()]
-        out.append(tables.table(["Stage", "Why"], rows, caption="<b>Stages left out.</b>"))
     names = [("operando", __version__), ("Python", platform.python_version())]
     for package in ("numpy", "scipy", "matplotlib"):
         try:
             names.append((package, version(package)))
         except PackageNotFoundError:  # pragma: no cover
             continue
-    out.append(paragraph("Versions: " + ", ".join(f"{n} {v}" for n, v in names) + "."))
     parts = [results.idle_frf, results.idle, results.operating, *(run.frf for run in results.check), results.geometry]
     merged = Provenance.merge(*(p.provenance for p in parts if p is not None))
-    inputs = {str(row["sha256"]): "/".join(PurePath(str(row.get("file"))).parts[-2:]) for row in results.inventory if row.get("sha256")}
+    inputs = {str(row["sha256"]): tail(row.get("file")) for row in results.inventory if row.get("sha256")}
     inputs |= {digest: short_names(path) for path, digest in merged.inputs if digest not in inputs}
-    if inputs:
-        rows = [[f'<span class="mono">{esc(path)}</span>', f'<span class="mono">{esc(digest)}</span>'] for digest, path in inputs.items()]
-        out.append(tables.table(["Input", "SHA-256"], rows, caption="<b>Inputs.</b>"))
-    else:
-        out.append(missing("No input hashes were kept."))
-    if merged.calls:
-        calls = "".join(f'<li class="mono">{esc(c)}</li>' for c in merged.calls)
-        out.append(f"<details><summary>Processing calls ({len(merged.calls)})</summary><ol>{calls}</ol></details>")
-    return "".join(out)
+    return {"settings": _flat(results.settings), "versions": names, "inputs": inputs, "calls": merged.calls}
+
+
+def _tidy(value: Any) -> Any:
+    """Floats to ten digits, so that 180.614 is not shown as 180.61400000000003."""
+    if isinstance(value, float):
+        return float(f"{value:.10g}")
+    return [_tidy(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """All settings as text, nested ones with dotted names."""
+    rows: list[tuple[str, str]] = []
+    for key, value in settings.items():
+        if isinstance(value, Mapping) and value:
+            rows += _flat(value, f"{prefix}{key}.")
+        elif value is None or value in ([], {}, ()):
+            rows.append((f"{prefix}{key}", "not set"))
+        else:
+            try:
+                rows.append((f"{prefix}{key}", json.dumps(_tidy(value), ensure_ascii=False, default=str)))
+            except (TypeError, ValueError):
+                rows.append((f"{prefix}{key}", str(value)))
+    return rows

@@ -11,15 +11,18 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ParamSpec
 from xml.sax.saxutils import escape, quoteattr
 
+from markupsafe import Markup
+
 from operando.plots.style import GREEN, GREY, IDLE, INK, MEASURED, MODEL, ORANGE, PALE, PURPLE, SKY, dots, log_axis, thin
 from operando.plots.style import STYLE as HOUSE_STYLE
+from operando.report.figure_csv import figure_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
     "GREEN", "GREY", "IDLE", "INK", "MEASURED", "MODEL", "ORANGE", "PALE", "PURPLE", "SKY",
-    "STYLE", "dots", "drawn", "log_axis", "new_figure", "thin", "to_svg",
+    "STYLE", "Drawing", "dots", "drawn", "log_axis", "new_figure", "thin", "to_svg",
 ]  # fmt: skip
 
 FONT_STACK = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
@@ -36,17 +39,42 @@ STYLE: dict[str, Any] = HOUSE_STYLE | {
 P = ParamSpec("P")
 
 
-def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, str]:
-    """Run a function that makes (figure, text alternative) under the report's style and return SVG text."""
+class Drawing(Markup):
+    """An SVG element as markup, with the numbers it draws."""
+
+    csv: str = ""
+
+    @classmethod
+    def of(cls, figure: Figure, alt: str, csv: str | None = None) -> Drawing:
+        """Draw a figure.
+
+        Parameters
+        ----------
+        figure : matplotlib Figure
+        alt : str
+            Text alternative.
+        csv : str, optional
+            The numbers; default: those of its axes.
+        """
+        import matplotlib
+
+        with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "operando"}):
+            made = cls(to_svg(figure, alt))
+        made.csv = figure_csv(figure) if csv is None else csv
+        return made
+
+
+def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, Drawing]:
+    """Run a function that makes (figure, text alternative) under the report's style and return SVG."""
 
     @functools.wraps(function)
-    def wrapper(*args: P.args, **kwargs: P.kwargs) -> str:
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> Drawing:
         import matplotlib
 
         with matplotlib.rc_context(STYLE), warnings.catch_warnings():  # type: ignore[arg-type]
             warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has the letters, and what acts is shown by the page
             figure, alt = function(*args, **kwargs)
-            return to_svg(figure, alt)
+            return Drawing.of(figure, alt)
 
     return wrapper
 

@@ -1,4 +1,4 @@
-"""Numbers and words as HTML text: values with matching uncertainty digits, counts, lists, escaping."""
+"""Numbers and words as plain text: values with matching uncertainty digits, counts, lists; the page escapes them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 from typing import Any
 
+from markupsafe import Markup
+
 from operando.indicators import INTERVAL
 from operando.printable import printable
 
 DASH = "–"
+POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def esc(value: object) -> str:
+def esc(value: object) -> Markup:
     """Text safe inside HTML elements and attributes; control characters and direction marks are shown, overlong words cut."""
-    return html.escape(printable(value), quote=True)
+    return Markup(html.escape(printable(value), quote=True))
 
 
 def finite(value: Any) -> bool:
@@ -37,7 +40,7 @@ def number(value: Any, digits: int = 3) -> str:
     exponent = math.floor(math.log10(abs(x)))
     if exponent < -4 or exponent > 6:
         mantissa = f"{x / 10.0**exponent:.{max(digits - 1, 0)}f}"
-        return f"{mantissa}·10<sup>{exponent}</sup>".replace("-", "−")
+        return f"{mantissa}·10{str(exponent).translate(POWERS)}".replace("-", "−")
     return f"{x:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
 
 
@@ -77,7 +80,14 @@ def plus_minus(value: Any, std: Any, digits: int = 5, factor: float = 1.0) -> st
     decimals = min(max(1 - math.floor(math.log10(s)), 0), 8)
     if float(f"{s:.{decimals}f}") >= 10.0 ** (2 - decimals) and decimals > 0:  # 0.0996 rounds to 0.10: one digit fewer
         decimals -= 1
-    return f'{x:.{decimals}f}<span class="pm"> ± {s:.{decimals}f}</span>'.replace("-", "−")
+    return f"{x:.{decimals}f} ± {s:.{decimals}f}".replace("-", "−")
+
+
+def percent(share: Any, digits: int = 2) -> str:
+    """A share as per cent without the sign, a dash where there is none."""
+    if not finite(share):
+        return DASH
+    return "< 0.01" if abs(float(share)) < 1e-4 else number(100 * float(share), digits)
 
 
 def count(n: int, noun: str, plural: str | None = None) -> str:

@@ -13,11 +13,11 @@ from operando.indicators import INTERVAL
 from operando.report.text import decibel, finite, listing, number
 
 VERDICTS: dict[str, tuple[str, str]] = {
-    "no_misfit": ("Nothing is missing: the idle model predicts the running machine", "good"),
-    "inconclusive": ("The data cannot tell whether anything is missing", "fair"),
-    "explained": ("What the idle model lacks is found", "good"),
-    "ambiguous": ("Something is missing; the data cannot tell which of several effects it is", "fair"),
-    "partial": ("Part of what the idle model lacks is found", "fair"),
+    "no_misfit": ("Nothing is missing: the idle model predicts the operating state", "good"),
+    "inconclusive": ("Whether anything is missing cannot be decided from these data", "fair"),
+    "explained": ("Cause found", "good"),
+    "ambiguous": ("Something is missing; these data do not distinguish between several effects", "fair"),
+    "partial": ("Part of the cause found", "fair"),
     "unexplained": ("Something is missing that no effect of the catalogue explains", "poor"),
 }
 """Verdict → what it means, and the colour class."""
@@ -123,7 +123,7 @@ class DiagnosisWords:
     found : tuple of str
         One sentence an effect in the model.
     sentences : tuple of str
-        How far the idle model is off without and with them, and what they cannot be told from.
+        How far the idle model is off without and with them, and what they cannot be distinguished from.
     decide : tuple of str
         The measurement that would decide or confirm.
     ladder : Ladder
@@ -266,7 +266,7 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
     judged_on = document.get("judged_on") or {}
-    where = f"Held out: {lines_words(judged_on)}." if judged_on and not output_only else ""
+    where = f"Hold-out set: {lines_words(judged_on)}." if judged_on and not output_only else ""
     hidden = "" if by_hand else _hidden(document)
     differ = "" if by_hand else between_words(document)
     sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), where, hidden, differ, *others)
@@ -284,7 +284,7 @@ def _hidden(document: Mapping[str, Any]) -> str:
     """What would have been seen, where nothing was found; else why the verdict is no better."""
     verdict, seen = document.get("verdict"), [row for row in document.get("detectable") or [] if finite(row.get("value"))]
     if verdict == "no_misfit" and (effects := _would_have_been_seen(seen)):
-        return f"Of effects of these sizes, depending on the place, 95 % would have been found: {effects}."
+        return f"Of effects of these sizes, depending on the location, 95 % would have been found: {effects}."
     if verdict == "no_misfit" and seen:
         worst = max(seen, key=lambda row: float(row["value"]))
         least = f"{number(worst['value'], 2)} {worst['unit']}"
@@ -381,15 +381,20 @@ def _errors(ladder: Ladder, output_only: bool) -> str:
         return ""
     first, last = ladder.rungs[0].heldout, ladder.rungs[-1].heldout
     added = len(ladder.rungs) - 1
-    what = "operating frequencies, damping ratios and shapes" if output_only else "check lines"
-    where = f"On {what} that nothing was fitted to" if ladder.held_out else f"On all {what}"
+    modes, lines = "operating frequencies, damping ratios and shapes", "lines of the validation measurement"
+    where = (
+        f"{'the hold-out set' if ladder.held_out else 'all'} of {modes}"
+        if output_only
+        else f"{'hold-out' if ladder.held_out else 'all'} {lines}"
+    )
     value = decibel if ladder.decibel else _deviations
-    missed = "the machine" if output_only else "the check"
-    text = f"{where}, the idle model misses {missed} by {value(first)}"
-    text += f" alone and by {value(last)} with {'it' if added == 1 else 'them'}" if added else ""
+    text = f"On {where}, the error of the idle model is {value(first)}"
+    text += f", with {'the effect' if added == 1 else 'the effects'} {value(last)}" if added else ""
     if ladder.decibel:
         return text + (f"; noise and the model's own uncertainty explain {decibel(ladder.floor)}." if ladder.floor is not None else ".")
-    text += f" (misfit {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 is as good as the data allow)"
+    text += (
+        f" (reduced chi-square {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 = as good as the noise allows)"
+    )
     return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
 
 
@@ -397,7 +402,7 @@ def lines_words(judged_on: Mapping[str, Any]) -> str:
     """State, level and lines of the held-out figures."""
     if not judged_on:
         return ""
-    part = "whole runs" if judged_on.get("whole_run") else "held-out blocks of lines"
+    part = "whole runs" if judged_on.get("whole_run") else "hold-out blocks of lines"
     runs = listing([str(r) for r in judged_on.get("runs") or []], MOST_NAMED)
     text = f"{judged_on['state']} state, {judged_on['measured']}"
     text += f", {part} of {runs}" if runs else ""
@@ -416,13 +421,13 @@ def _others(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectW
     if others and not effects:
         return f"Too faint to be accepted, but not excluded: {listing(others, MOST_NAMED)}."
     if others:
-        return f"The data cannot tell {'it' if len(effects) < 2 else 'them'} from: {listing(others, MOST_NAMED)}."
+        return f"These data do not distinguish {'it' if len(effects) < 2 else 'them'} from: {listing(others, MOST_NAMED)}."
     if verdict == "explained" and effects:
         return "Nothing else in the catalogue does as well."
     if verdict == "partial":
-        return "No further effect of the catalogue earns a place, yet the rest is more than noise."
+        return "No further effect of the catalogue improves the model, yet the rest is more than noise."
     if verdict == "no_misfit" and not effects:
-        return "No effect of the catalogue earns a place."
+        return "No effect of the catalogue improves the model."
     return ""
 
 

@@ -145,7 +145,7 @@ def _passed_over(file: Path) -> str:
         return "a test file or settings, no measurement"
     if not can_be_named(file):
         return "its name is no Unicode and cannot stand in a test file: rename it"
-    return f"not looked at: {suffix} files hold no measurement" if suffix in SKIPPED_SUFFIXES else ""
+    return f"not read: {suffix} files hold no measurement" if suffix in SKIPPED_SUFFIXES else ""
 
 
 def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
@@ -234,7 +234,7 @@ def _decide(draft: _Draft, folder: Path, seen: Seen) -> Taken:
         return Taken(file, "operating records", f"{what}; {silent}, though its name says {state}", sure=False)
     state, reason, sure = _state(file, folder, "idle")
     if state == "operating":
-        return Taken(file, "check records", f"{what}; in operation and with force: it can judge the model", sure=False)
+        return Taken(file, "check records", f"{what}; in operation and with force: it can validate the model", sure=False)
     return Taken(file, f"{state} records", f"{what}; {reason}", sure)
 
 
@@ -267,7 +267,7 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
     for state, loss in (
         ("idle", "no scaled model, no operational FRFs"),
         ("operating", "idle modes only"),
-        ("check", "nothing judges the result"),
+        ("check", "nothing validates the result"),
     ):
         if state not in roles:
             notes.append(f"no {state} measurement: {loss}")

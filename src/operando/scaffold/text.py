@@ -57,7 +57,7 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     titles = {
         "idle": "at rest, force measured",
         "operating": "running, force unknown",
-        "check": "running, force measured: judges the model",
+        "check": "running, force measured: the validation measurement",
     }
     for state, title in titles.items():
         for kind in ("records", "frfs"):

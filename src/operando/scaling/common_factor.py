@@ -88,5 +88,5 @@ def _taken_for(factor: float, std: float) -> str:
     for a, b in RATES:
         for low, high in ((a, b), (b, a)):
             if abs(low / high - factor) < max(3 * std, 1e-4):
-                return f", as an operating header of {low:g} for {high:g} Hz would make it (or an idle one, turned round)"
+                return f", as an operating header of {low:g} for {high:g} Hz would make it (or the other way round for an idle one)"
     return ""

@@ -92,7 +92,7 @@ def choose_method(
     if by_mass > ORTHOGONALITY_RATIO * by_stiffness and by_mass > least and "expansion_stiffness" in available:
         finding = Finding(
             "mass_changed",
-            f"the mass in operation is not that at rest: {figures}",
+            f"the operating mass is not the idle one: {figures}",
             "warning",
             consequence="assumption 3 of the method (same mass) fails; the shapes are scaled by their modal stiffness instead",
             action="check for added or moved masses; diagnose the effect",
@@ -110,7 +110,7 @@ def choose_method(
         findings = (
             Finding(
                 "mass_changed",
-                f"mass is not that at rest (nor stiffness), or the idle modes do not span the operational ones: {figures}",
+                f"mass is not the idle one (nor stiffness), or the idle modes do not span the operational ones: {figures}",
                 "warning",
                 consequence="assumption 3 of the method (same mass) is in doubt: the operational shapes may be scaled wrongly by "
                 f"{percent:.1f} % rms, which the bands include",

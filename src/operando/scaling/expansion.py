@@ -357,7 +357,7 @@ def unit_size(idle: Array, q: Array, shape: Array, rest: Array, weight: Array, m
     size = np.sqrt(np.sum((q * weight) ** 2, axis=-2) + extra)
     if np.any(size <= 1e-9 * np.max(size)):
         raise IdentificationError(
-            "an operational shape has no part in the idle shapes: its modal mass cannot be told", hint="use idle_shapes"
+            "an operational shape has no part in the idle shapes: its modal mass is ill-determined", hint="use idle_shapes"
         )
     q, shape = orthogonalised(q / size[..., None, :], shape / size[..., None, :], mixing, weight)
     again = np.sqrt(np.sum((q * weight) ** 2, axis=-2) + extra / size**2)

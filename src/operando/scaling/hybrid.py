@@ -302,7 +302,7 @@ def common_dofs(
     dofs = tuple(idle.dofs[i] for i in rows)
     index, signs = [j for _, j, _ in shared], [sign for _, _, sign in shared]
     common = DofIndex(dofs)
-    for name, model in (("at rest", idle), ("in operation", operating)):
+    for name, model in (("idle", idle), ("in operation", operating)):
         missing = [str(d) for d in model.dofs if d not in common]
         if missing:
             findings.append(
@@ -311,7 +311,7 @@ def common_dofs(
                     f"{len(missing)} DOFs measured {name} only: {', '.join(missing[:12])}{' …' if len(missing) > 12 else ''}",
                     "info",
                     consequence="they are left out of the operational FRFs",
-                    action="measure the same DOFs at rest and in operation",
+                    action="measure the same DOFs, idle and in operation",
                 )
             )
     return dofs, rows, (index, np.asarray(signs, float))
@@ -402,16 +402,16 @@ def _carried_over(
                 "mode_not_found",
                 "no operational mode was found for the idle modes at " + _hz(idle, alone[inside]),
                 "warning",
-                consequence="they stand in the operational FRFs as they are at rest, but for a shift common to all modes",
+                consequence="they stand in the operational FRFs as they are in the idle state, but for a shift common to all modes",
                 action="look at the stabilisation diagram of the OMA; measure longer or excite them",
             )
         )
-    moved = "as at rest"
+    moved = "as idle"
     if shift.logarithm:
         moved = f"with frequencies times {shift.factor:.4f}, as the {shift.pairs} highest pairs moved"
-    text = f"carried over {moved}: " + "; ".join(parts) if parts else "none: the idle model has no residual modes"
+    text = f"retained {moved}: " + "; ".join(parts) if parts else "none: the idle model has no residual modes"
     if gone.size:
-        text += f"; not carried over: {gone.size} idle modes that are spread over operational ones (" + _hz(idle, gone) + ")"
+        text += f"; not retained: {gone.size} idle modes that are spread over operational ones (" + _hz(idle, gone) + ")"
     return np.concatenate([residual, alone]).astype(int), text
 
 

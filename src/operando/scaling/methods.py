@@ -22,12 +22,12 @@ METHODS = ("msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "idle_shapes", "expans
 IN_WORDS = {
     "msf_all": "all modes by MSF onto their idle partner (Eq 2, 3)",
     "sqrt_mac": "all modes by MSF over the square root of MAC",
-    "eq13": "unchanged modes by MSF, changed modes one by one to unit modal mass (Eq 13)",
-    "eq15": "unchanged modes by MSF, changed modes together by the principal square root (Eq 15)",
-    "eq20": "unchanged modes by MSF, changed modes by the swapped root over all modes (Eq 20)",
+    "eq13": "modes of the same shape by MSF, changed modes one by one to unit modal mass (Eq 13)",
+    "eq15": "modes of the same shape by MSF, changed modes together by the principal square root (Eq 15)",
+    "eq20": "modes of the same shape by MSF, changed modes by the swapped root over all modes (Eq 20)",
     "idle_shapes": "idle shapes with operational poles",
-    "expansion": "prior-weighted expansion in the idle modes, mass as at rest",
-    "expansion_stiffness": "prior-weighted expansion in the idle modes, stiffness as at rest",
+    "expansion": "prior-weighted expansion in the idle modes, mass as idle",
+    "expansion_stiffness": "prior-weighted expansion in the idle modes, stiffness as idle",
 }
 """What each method does."""
 
@@ -150,8 +150,8 @@ def scale_eq13(idle: Array, operating: Array, task: Task, columns: ArrayLike) ->
 def _modal_size(size: Array) -> Array:
     if np.any(size <= 1e-9 * np.max(size)):
         raise IdentificationError(
-            "an operational shape has no part in the span of the idle shapes: its modal mass cannot be told",
-            hint="use msf_all or idle_shapes, or place more sensors",
+            "an operational shape has no part in the span of the idle shapes: its modal mass is ill-determined",
+            hint="use msf_all or idle_shapes, or use more sensors",
         )
     return size
 

@@ -96,6 +96,6 @@ def reciprocity_finding(found: Complexity, hz: NDArray[np.float64]) -> Finding |
         "warning",
         band_hz=(float(hz[index].min()), float(hz[index].max())),
         consequence="a gyroscopic or circulatory effect is likely (H is not symmetric): "
-        "a symmetric OFRF cannot hold it; only the effect route can",
+        "it cannot be represented by a symmetric OFRF; only the effect route can",
         action="check the phase and timing of the channels; else model the effect (gyroscopic or circulatory) and use the effect route",
     )

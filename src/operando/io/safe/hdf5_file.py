@@ -95,7 +95,7 @@ def _collect(group: h5py.Group, path: Path, datasets: list[h5py.Dataset], seen: 
         for name in place:
             alive()
             if place.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
-                raise FormatError(f"{name!r} in {place.name!r} is a link to another place or file", where=str(path), hint=_FOREIGN)
+                raise FormatError(f"{name!r} in {place.name!r} is a link to elsewhere", where=str(path), hint=_FOREIGN)
             item = place[name]
             if _address(item) in seen:
                 raise FormatError(f"{name!r} in {place.name!r} is linked a second time", where=str(path), hint="the file is damaged")
@@ -127,7 +127,7 @@ def _declared(dataset: h5py.Dataset, path: Path) -> int:
     most = stored * DEFLATE_RATIO if properties.get_nfilters() else stored
     if declared > most:
         raise FormatError(
-            f"dataset {dataset.name!r} declares {dataset.size} values, {declared} bytes; the {stored} bytes stored cannot hold them",
+            f"dataset {dataset.name!r} declares {dataset.size} values, {declared} bytes; the {stored} bytes stored are too few",
             where=str(path),
             hint="the file is damaged or was not written to its end",
         )

@@ -152,6 +152,6 @@ def _in_global(raw: RawSet, nodes: NodeSet, factor: float, found: _Found, invent
     if left and systems:
         inventory.note(
             "local_coordinates", f"nodes of set {raw.index} are given in coordinate systems {left[:8]} that cannot be applied", raw,
-            consequence="they are taken as global and drawn in the wrong place", action="export the geometry in global coordinates",
+            consequence="they are taken as global and drawn at the wrong location", action="export the geometry in global coordinates",
         )  # fmt: skip
     return coordinates * factor

@@ -52,7 +52,7 @@ def write_header(stream: IO[bytes], header: FileHeader, numbers: NodeNumbers) ->
     """Set 151; where nodes have components, the description says which numbers stand for which."""
     if numbers.components and len(numbers.text.encode()) > 80:
         raise DataError(
-            f"{len(numbers.components)} components have no place in the header of a UFF file",
+            f"{len(numbers.components)} components do not fit the header of a UFF file",
             hint="write them to files of their own, or to HDF5",
         )
     created, saved, written = (in_uff(text) for text in (header.created, header.saved, header.written))

@@ -52,7 +52,7 @@ def in_one_form(buffer: Buffer) -> tuple[Buffer, str]:
     if b"\r" in head and b"\n" not in head:
         if _BINARY_SET.search(buffer):
             raise FormatError(
-                "the line ends are lone carriage returns and the file has binary sets: the end of a header cannot be told from the data",
+                "lines end with lone carriage returns and sets are binary: the end of a header is not distinguished from the data",
                 hint="export the file again with line feeds, or in ASCII",
             )
         buffer = bytes(buffer[:]).replace(b"\r", b"\n")

@@ -32,7 +32,7 @@ def check_runs(work: Work) -> dict[str, Any]:
 
 def _of_check(frf: Frf) -> Frf:
     """Findings that say that they are about the check measurement."""
-    return replace(frf, findings=tuple(replace(f, message=f"check measurement: {f.message}") for f in frf.findings))
+    return replace(frf, findings=tuple(replace(f, message=f"validation measurement: {f.message}") for f in frf.findings))
 
 
 def _judging(analysis: Analysis) -> Analysis:

@@ -32,7 +32,7 @@ def comparison(work: Work) -> dict[str, Any]:
             scaled(results.idle, results.findings, "no model predicts the validation measurement")
         raise Lacking("there is no model to compare with the validation measurement")
     if not results.check:
-        raise MissingError("no check FRF")
+        raise MissingError("no validation FRF")
     band = analysis_band(work)
     if results.idle_frf is not None:
         from operando.quality import check_gains

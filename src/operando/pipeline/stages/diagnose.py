@@ -22,7 +22,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
     scaled(idle, work.results.findings, "no effect has a size")
     runs = [replace(run, frf=run.frf.without_bands(work.analysis.exclude_bands)) for run in results.check]
     if not runs and results.operating is None:
-        raise Lacking("there are neither check FRFs nor operational modes")
+        raise Lacking("there are neither validation FRFs nor operational modes")
     findings: list[Finding] = []
     found = diagnose(
         idle,
