@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from operando.structure import Model
 
 from effect_truth import at, chain_and_idle, pole_list
 from operando.data import ModalModel
+from operando.structure import Model
 
 N = 6
 W0 = 2 * np.pi * 60.0

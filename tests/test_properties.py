@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from operando.structure import Model
 
 from operando.data import Channel, FrequencyAxis, Frf, Geometry, ModalModel, TimeRecord
 from operando.dof import Dof, DofIndex, match_dofs, parse_dofs
 from operando.frf import merge_frfs
 from operando.io import read_hdf5, write_hdf5
+from operando.structure import Model
 from operando.units import parse_unit, si_factor
 
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -332,13 +332,21 @@ class _Search:
             self.put(approach(self.case, replace(start, u=0 * start.u))[1], 0.03)
 
     def _robust_stage(self, state: State) -> None:
-        """The robust scan and the neighbourhoods of its leaders; the nearest are fitted."""
+        """The neighbourhoods of the leaders of two scans about the idle model; the nearest are fitted.
+
+        One frees nothing and is robust; the other frees all unknowns at first order, which places that the idle model hardly knows need.
+        """
         case = self.case
         about = state.x if state.terms else case.forward.start
         rows = robust_scan(case, about)
         self.say("robust scan: " + ", ".join(f"{names(case, [t])[0]}{' (cut)' if cut else ''} {v:.0f}" for v, t, cut in rows[:6]))
+        free = LinearScan(state, about).exchanged()
+        self.say(f"scan with all unknowns free: {self._listed(free[:6], free[0].evidence)}")
+        places = [(term, cut) for _, term, cut in rows[:_APPROACHED]]
+        there = {term.key for term, _ in places}
+        places += [(c.term, False) for c in free[:_APPROACHED] if c.term.key not in there]
         near = []
-        for _, term, cut in rows[:_APPROACHED]:
+        for term, cut in places:
             x = state.carried([*state.terms, term], about)
             if cut:
                 x = replace(x, u=x.u + without_rest(case, x.terms, term.places))

@@ -155,8 +155,8 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
             return say("partial", lost or far or "the effects lower the misfit, and something remains")
         if lost:
             return say("inconclusive", lost)
-        if far:
-            return say("unexplained", far)
+        if far and not best.terms:
+            return say("inconclusive", far)
         return say("unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %")
     if not best.terms:
         if any(sets):
