@@ -2,18 +2,22 @@
 
 import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from operando.data import Frf, Geometry, ModalModel
 from operando.diagnosis import diagnose_frf
+from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, WITHOUT_SENSOR
+from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, WITHOUT_SENSOR
+from operando.diagnosis.from_frf import levels_disagree
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.lacking import with_lacking
+from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import fit
+from operando.diagnosis.search import _apart
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import unseen
@@ -202,3 +206,34 @@ def test_power_is_asked_where_a_mode_moves_most_and_for_kinds_not_looked_for():
         kinds=("sensor_gain",),
     )
     assert len(unseen(fit(few, few.forward.start))) == N
+
+
+@pytest.mark.parametrize(("apart", "one"), [(0.9, True), (1.1, False)])
+def test_runs_of_two_levels_are_one_system_within_twice_their_noise(apart, one):
+    low = rest()
+    noise = np.sqrt(low.variance)
+    # two runs without noise of their own, apart by the root of a share of ONE_SYSTEM times the variance of their difference
+    high = replace(low, data=low.data + np.sqrt(2 * apart * ONE_SYSTEM) * noise)
+    runs = [CheckRun("low", "1 N", low), CheckRun("high", "4 N", high)]
+    assert levels_disagree(runs, BAND) is not one
+    assert not levels_disagree([runs[0], replace(runs[1], level="1 N")], BAND)
+
+
+@pytest.mark.parametrize(("share", "apart"), [(0.9, False), (1.1, True)])
+def test_a_mode_within_the_half_power_width_of_another_is_not_lacking(share, apart):
+    one = case()
+    r = 2
+    width = 2 * one.idle.zeta[r]
+    grown = _grown(fit(one, one.forward.start), one.idle.f[r] * (1 + share * width), one.idle.zeta[r], np.ones(N))
+    case_of = Case(grown, rest(), BAND, correlated=1.0)
+    state = SimpleNamespace(case=case_of, terms=case_of.idle.lacking_term)
+    assert _apart(state) is apart
+
+
+def test_an_information_that_rounding_made_singular_is_factored():
+    rng = np.random.default_rng(1)
+    own = rng.standard_normal((1, 50, 2)) * 1e9
+    shared = own @ rng.standard_normal((1, 2, 1))  # nothing is left of the shared unknown once those of the DOF are taken out
+    factor = Factor.of(Information.of(shared, own), np.array([1e-9]), np.ones((1, 2)))
+    assert ROUNDING < 1e-12
+    assert np.isfinite(factor.lower).all()
