@@ -50,8 +50,9 @@ def strained(state: State) -> bool:
 
 def score(state: State) -> float:
     """Log probability of a state but for a constant: a further effect must earn its place."""
-    part = state.case.between.shared["stiffness"]
-    beyond = part.stop > part.start and abs(state.x.d[part.start]) > PROMOTED
+    # all stiffness or all damping that differs far beyond two days is an effect by another name
+    wholes = [state.case.between.shared[name] for name in ("stiffness", "damping_whole")]
+    beyond = sum(part.stop > part.start and abs(state.x.d[part.start]) > PROMOTED for part in wholes)
     containing = sum(bool(t.definition.contains) for t in state.terms)
     return state.log_evidence - EARNED * (len(state.terms) + beyond) - CONTAINING * containing
 
@@ -67,8 +68,9 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> 
     rival : float
         Score of another hypothesis: the search ends where a step does not halve what is missing to it.
     """
-    found = _Search(case, say, rival=rival).run()
-    if score(found.best) < rival - EARNED:
+    one_set_up = "stiffness" not in case.between.spreads  # nothing is learnt of spreads there: one search is all
+    found = _Search(case, say, rival=rival, last=one_set_up).run()
+    if one_set_up or score(found.best) < rival - EARNED:
         return found
     if found.best.alpha < EXPLAINED and not strained(found.best):
         best = found.best
@@ -76,7 +78,7 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> 
             start, factors = update_spreads(best)
             best = fit(case, start, best.alpha)
         say(f"spreads × {factors}, discrepancy {best.alpha:.4f}")
-        found = _Search(case, say, best).run()
+        found = _Search(case, say, best, last=True).run()
     return found
 
 
@@ -156,7 +158,7 @@ def search_elsewhere(
         first = max(starts, key=score)
         say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
         if score(first) > score(best.best) and _apart(first):
-            best, known = _Search(first.case, say, first).run(), geometry
+            best, known = _Search(first.case, say, first, last=True).run(), geometry
             odds = None if len(starts) < 2 else score(starts[1]) - score(starts[0])
             break
     return best, odds, known
@@ -245,8 +247,8 @@ def contained(case: Case, term: Term) -> list[Term]:
 class _Search:
     """A beam of states and the moves between them: one more, one less, one promoted, one in the place of another."""
 
-    def __init__(self, case: Case, say: Say, start: State | None = None, rival: float = -np.inf) -> None:
-        self.case, self.say, self.start, self.rival = case, say, start, rival
+    def __init__(self, case: Case, say: Say, start: State | None = None, rival: float = -np.inf, last: bool = False) -> None:
+        self.case, self.say, self.start, self.rival, self.last = case, say, start, rival, last
         self.pool: dict[tuple[tuple[str, tuple[int, ...]], ...], State] = {}
         self.tried: set[tuple[tuple[str, tuple[int, ...]], ...]] = set()
 
@@ -298,15 +300,16 @@ class _Search:
             grown = len(best.terms) > len(was.terms)
             if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
                 break
-            if start is None and best.alpha < EXPLAINED and not strained(best):
+            if not self.last and best.alpha < EXPLAINED and not strained(best):
                 break
         now = self.best()
         for state in sorted(self.pool.values(), key=lambda s: -s.log_evidence)[:4]:
             # the leaders again, from the best: no evidence by its path
             if state is not now and state.log_evidence > now.log_evidence - 40:
                 self.put(now.carried(state.terms), now.alpha)
-        if start is not None:
-            self._others(max(self.pool.values(), key=score))
+        best = max(self.pool.values(), key=score)
+        if self.last and score(best) > self.rival - EARNED:
+            self._others(best)
         return Found(max(self.pool.values(), key=score), empty, self.pool)
 
     def _grow(self) -> None:
