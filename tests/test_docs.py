@@ -133,7 +133,10 @@ def test_formulas_put_indices_beside_accented_letters():
         formula(r"\nosuch{x}")
 
 
-@pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="the site needs the extra: pip install 'operando[docs]'")
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("sphinx", "myst_parser", "furo")),
+    reason="the site needs the extra: pip install 'operando[docs]'",
+)
 def test_site_builds_without_warnings_and_its_links_hold(tmp_path):
     source, site = tmp_path / "docs", tmp_path / "site"
     shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("_made", "api", "_build", "__pycache__"))

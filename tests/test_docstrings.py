@@ -33,9 +33,10 @@ LEFT = re.compile(
 
 
 WITHOUT = {
+    "structure.model.Model",
     "compare.comparison.compare_all", "compare.comparison.with_effect", "compare.route.gets_worse", "compare.route.recommended",
     "data.mapped.filling", "data.mapped.mapped_rows", "data.objects.expect", "data.objects.plots", "data.provenance.file_hash",
-    "diagnose.diagnosis.Diagnosis", "diagnose.model.Model", "dof.Dof", "effects.base.EffectKind", "effects.base.Parameter",
+    "diagnosis.result.Diagnosis", "dof.Dof", "effects.base.EffectKind", "effects.base.Parameter",
     "effects.effect.Effect", "frf.hits.without_hits", "frf.periodic.periodic_frf", "frf.periodic.steady_periods",
     "frf.rational.local_rational", "frf.runs.merge_runs", "frf.spectra.cross_spectra", "io.hdf5.check_objects", "io.hdf5.read_object",
     "io.hdf5.write_object", "io.hints.check_fields", "io.safe.hdf5_file.opened_hdf5", "oma.beside.beside_pyoma",

@@ -120,7 +120,7 @@ def test_lone_carriage_returns(tmp_path):
     assert content.geometry.coordinates.tolist() == [[1.5, 2.5, 3.5]]
     assert [f.message for f in content.findings if f.kind == "format"] == ["the line ends are lone carriage returns: read all the same"]
     assert len(read_uff_sets(tmp_path / "file.uff")) == 3
-    with pytest.raises(FormatError, match="binary sets"):
+    with pytest.raises(FormatError, match="sets are binary"):
         load(tmp_path, binary58([1.0] * 4, eol=b"\r", tail=b"\r    -1\r"))
 
 

@@ -156,7 +156,7 @@ def test_own_kinds_are_listed_and_drawn(tmp_path, test_file):
     for named in (file, test_file):
         done = call("effects", "strut_for_test", "--own", named)
         assert done.exit_code == 0, done.stderr
-        assert done.stdout.startswith("strut_for_test (own): a strut\nlaw: Z = k·(1 + s·T).")
+        assert done.stdout.startswith("strut_for_test (own): a strut\nforce law: Z = k·(1 + s·T).")
         assert "|dynamic stiffness| [N/m]" in done.stdout
     done = call("effects", "--own", tmp_path / "none.py")
     assert done.exit_code == 1

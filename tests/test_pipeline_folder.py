@@ -276,12 +276,12 @@ def test_imports_are_found_as_the_parser_finds_them():
 def test_a_stage_reaches_its_own_rooms_and_no_later_ones():
     rooms = {step.name: {name.split(".")[1] for name in reached(step.does.__module__) if "." in name} for step in STEPS}
     assert {"frf", "quality", "io", "data"} <= rooms["frf"]
-    assert not rooms["frf"] & {"scaling", "effects", "oma", "compare", "diagnose", "nonlinear", "report", "cli"}
+    assert not rooms["frf"] & {"scaling", "effects", "oma", "compare", "diagnosis", "nonlinear", "report", "cli"}
     assert [name for name in reached(STEPS[1].does.__module__) if name.startswith("operando.ema")] == ["operando.ema.limits"]
     assert not rooms["oma"] & {"scaling", "effects"}
     assert "oma" in rooms["oma"] - rooms["ema"]
     assert "compare" in rooms["compare"] - rooms["ofrf"]
-    assert {"diagnose", "nonlinear"} <= rooms["diagnose"]
+    assert {"diagnosis", "nonlinear"} <= rooms["diagnose"]
     assert "operando.report.page" in reached("operando.pipeline.outputs")
 
 

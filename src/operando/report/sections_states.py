@@ -114,7 +114,9 @@ def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
 
 def _second_opinion(details: Any, results: Results, which: str) -> dict[str, Any] | None:
     """The modes beside those of an independent program; None where it was not asked."""
-    rows: Any = library_rows(results.libraries, which) or getattr(details, "second_opinion", None) or ()
-    if not rows and not results.settings.get("second_opinion"):
+    told: Any = library_rows(results.libraries, which)
+    rows = told["modes"] if told else getattr(details, "second_opinion", None) or ()
+    if not told and not rows and not results.settings.get("second_opinion"):
         return None
-    return {"rows": rows, "against": [r for r in rows if r.get("agrees") is False]}
+    words = [told[key] for key in ("program", "text") if told[key]] if told else []
+    return {"rows": rows, "against": [r for r in rows if r.get("agrees") is False], "words": words}
