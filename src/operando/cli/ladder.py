@@ -134,7 +134,9 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
             records = check_records(str(folder.path), results)
             applied = apply_levels(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
         else:
-            applied = apply_effects(idle, effects, check=runs, band=band, **options)
+            at_rest = None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results))
+            between = results.settings.get("between") or None
+            applied = apply_effects(idle, effects, check=runs, band=band, idle_frf=at_rest, between=between, **options)
     done = applied.to_dict()
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
