@@ -68,9 +68,8 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> 
     rival : float
         Score of another hypothesis: the search ends where a step does not halve what is missing to it.
     """
-    one_set_up = "stiffness" not in case.between.spreads  # nothing is learnt of spreads there: one search is all
-    found = _Search(case, say, rival=rival, last=one_set_up).run()
-    if one_set_up or score(found.best) < rival - EARNED:
+    found = _Search(case, say, rival=rival).run()
+    if score(found.best) < rival - EARNED:
         return found
     if found.best.alpha < EXPLAINED and not strained(found.best):
         best = found.best
