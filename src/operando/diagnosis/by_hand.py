@@ -20,7 +20,7 @@ from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, with_midway
 from operando.diagnosis.posterior import State, approach, at_rest, fit
 from operando.diagnosis.scan import LinearScan, robust_scan
-from operando.diagnosis.search import strained
+from operando.diagnosis.search import strained, with_learnt_spreads
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
 from operando.effects import Effect, parse_effect
@@ -151,7 +151,8 @@ def apply_effects(
         options = [spreads_of(between)] if between else [SAME_SET_UP, spreads_of({})]
         ways = [_steps(of_check(known, spreads), terms, say) for spreads in options]
         states = max((w for w in ways if w is ways[0] or not strained(w[-1])), key=lambda steps: steps[-1].log_evidence)
-        rows = ladder(states[-1])
+        final = with_learnt_spreads(states[-1]) or states[-1]
+        rows = ladder(final)
         words = []
         for k, state in enumerate(states[1:], 1):
             before, after = rows[k - 1]["heldout_misfit"], rows[k]["heldout_misfit"]
@@ -160,7 +161,6 @@ def apply_effects(
                 words.append(
                     f"the data speak for another one: {better[0]} would lower it to {better[1]:.4g}; `operando remove` takes step {k} back"
                 )
-        final = states[-1]
         return Applied(model_of(idle, final, geometry), effects_of(final), tuple(rows), tuple(words), judged_on(final, run))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -98,6 +99,14 @@ class Case:
     @property
     def idle(self) -> Idle:
         return self.forward.idle
+
+    def copy(self) -> Case:
+        """The same case with spreads of its own."""
+        case = copy(self)
+        case.between = copy(self.between)
+        case.between.shared_spread, case.between.own_spread = self.between.shared_spread.copy(), self.between.own_spread.copy()
+        case.forward = replace(self.forward, between=case.between)
+        return case
 
     def _compressed(self, forward: Forward) -> Idle:
         """Directions of the idle model that the FRFs of all pairs, driven or not, could tell: effects see places that were not driven."""

@@ -361,12 +361,22 @@ def _flat(values: Array) -> Array:
     return np.concatenate([laid.real, laid.imag], 1)
 
 
-def update_spreads(state: State) -> tuple[Point, dict[str, list[float]]]:
-    """One turn of empirical Bayes over the spreads of what differs between the days; the unknowns in the new ones, and the factors.
+def update_spreads(state: State) -> tuple[Case, Point, dict[str, list[float]]]:
+    """One turn of empirical Bayes over the spreads of what differs between the days.
 
     The spread of a channel is drawn to that of all channels.
+
+    Returns
+    -------
+    Case
+        With the new spreads.
+    Point
+        The unknowns in them.
+    dict
+        Factors by name.
     """
-    between, n_shape = state.case.between, state.case.forward.n_shape
+    case = state.case.copy()
+    between, n_shape = case.between, case.forward.n_shape
     d, own = np.array(state.x.d), np.array(state.x.own)
     rows = list(state.differences())
     factors: dict[str, list[float]] = {}
@@ -383,7 +393,7 @@ def update_spreads(state: State) -> tuple[Point, dict[str, list[float]]]:
                 between.own_spread[where] *= factor
                 own[:, n_shape:][where] /= factor
             factors.setdefault(name, []).append(round(factor, 2))
-    return replace(state.x, d=d, own=own), factors
+    return case, replace(state.x, d=d, own=own), factors
 
 
 def on_validation_lines(state: State) -> tuple[float, float]:

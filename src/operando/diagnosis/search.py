@@ -71,14 +71,19 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> 
     found = _Search(case, say, rival=rival).run()
     if score(found.best) < rival - EARNED:
         return found
-    if found.best.alpha < EXPLAINED and not strained(found.best):
-        best = found.best
-        for _ in range(_TURNS):
-            start, factors = update_spreads(best)
-            best = fit(case, start, best.alpha)
-        say(f"spreads × {factors}, discrepancy {best.alpha:.4f}")
-        found = _Search(case, say, best, last=True).run()
-    return found
+    taught = with_learnt_spreads(found.best, say)
+    return found if taught is None else _Search(taught.case, say, taught, last=True).run()
+
+
+def with_learnt_spreads(state: State, say: Say = lambda text: None) -> State | None:
+    """Empirical Bayes: a state that explains the lines says how far days differ here; None where it does not explain them."""
+    if state.alpha >= EXPLAINED or strained(state):
+        return None
+    for _ in range(_TURNS):
+        case, start, factors = update_spreads(state)
+        state = fit(case, start, state.alpha)
+    say(f"spreads × {factors}, discrepancy {state.alpha:.4f}")
+    return state
 
 
 def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_rest: float = 0.0) -> tuple[Found, float]:
