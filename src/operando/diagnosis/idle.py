@@ -28,27 +28,25 @@ class Moves:
     own: Array  # (DOFs, terms, e)
 
     def scale(self, phi: Array, driven: Array) -> Array:
-        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g).
-
-        A scale known to worse than a factor e is not known; its standard deviation is cut to that.
-        """
+        """By how much, relatively, g moves the shape of each term at the driven DOFs as a whole, (terms, g)."""
         power = np.sum(phi[driven] ** 2, axis=0)
         along = np.einsum("dt,dtg->tg", phi[driven], self.shared[driven])
         scale = np.divide(along, power[:, None], out=np.zeros_like(along), where=power[:, None] > 0)
-        return np.asarray(scale / np.maximum(1, np.linalg.norm(scale, axis=1))[:, None])
+        return np.asarray(scale)
 
     def at(self, base: Array, scale: Array, driven: Array, g: Array, own: Array) -> tuple[Array, Moves]:
         """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there.
 
         What is measured are products of a driven and another DOF: where the driven value is larger, the other one is smaller by the same
         factor e^t. By sums alone their product would be wrong by t², far beyond its own standard deviation where a reference hardly
-        moves in a mode.
+        moves in a mode. A scale known to worse than a factor e is not known; its standard deviation is cut to that.
         """
         sign = np.where(driven, 1.0, -1.0)[:, None]
-        grown = np.exp(sign * (scale @ g))
+        within = scale / np.maximum(1, np.linalg.norm(scale, axis=1))[:, None]
+        grown = np.exp(sign * (within @ g))
         shared = self.shared - (sign * base)[..., None] * scale
         values = (base + shared @ g + (self.own @ own[..., None])[..., 0]) * grown
-        return values, Moves(grown[..., None] * shared + (sign * values)[..., None] * scale, grown[..., None] * self.own)
+        return values, Moves(grown[..., None] * shared + (sign * values)[..., None] * within, grown[..., None] * self.own)
 
 
 @dataclass(frozen=True)

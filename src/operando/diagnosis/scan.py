@@ -13,7 +13,7 @@ from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ROBUST
 from operando.diagnosis.forward import Outside, Point, Scannable
-from operando.diagnosis.posterior import Problem, State, Step
+from operando.diagnosis.posterior import Problem, State, Step, linear_evidence
 from operando.diagnosis.terms import Term, added, with_term
 
 Array = NDArray[Any]
@@ -145,6 +145,7 @@ class LinearScan:
 
     def __init__(self, state: State, x: Point | None = None) -> None:
         case = self.case = state.case
+        self.fitted = state
         self.x = state.x if x is None else x
         self.at = case.lines.fit[::_STRIDE]
         self.w = case.lines.w[self.at]
@@ -186,9 +187,34 @@ class LinearScan:
         r = self.offset + self.measured - self.problem.rows(self.state.h[..., None]) * self.weights
         rq = self.whitened(r)
         none = -0.5 * float(np.sum(r**2) - np.sum(rq**2))
-        rows = self._by_slope(places, r, rq, none)
+        rows = self._at_size(self._by_slope(places, r, rq, none), none)
         rows += self._by_trials([p for p in places if not p.definition.parameters])
         return _best_of_each(rows), none
+
+    def _at_size(self, rows: Sequence[Candidate], none: float) -> list[Candidate]:
+        """Candidates by their evidence at first order about their size, with what is not known at their places.
+
+        The own compliance of an undriven place, which no column tells, counts for nothing at size zero, and for much at a size.
+        """
+        before = self._about(self.x)
+        out = []
+        for row in rows:
+            there = self._about(self.fitted.carried([*self.x.terms, row.term], row.start))
+            out.append(replace(row, evidence=max(row.evidence, none + there - before)))
+        return out
+
+    def _about(self, x: Point) -> float:
+        """Evidence of the model that is linear about a point."""
+        problem = Problem(self.case, x.terms, self.case.lines.fit)
+        packed = problem.packed(x)
+        try:
+            with np.errstate(all="ignore"):
+                made = problem.predict(packed)
+                shared, own, residual = problem.rows(made.shared), problem.rows(made.own), problem.residual(made.h)
+                evidence = linear_evidence(problem, residual, shared, own, packed, self.fitted.alpha)[0]
+        except np.linalg.LinAlgError:
+            return -np.inf
+        return evidence if np.isfinite(evidence) else -np.inf
 
     def exchanged(self) -> list[Candidate]:
         """Candidates about a state that was not fitted, as one with an effect taken out: by their responses to trial sizes."""
