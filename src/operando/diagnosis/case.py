@@ -80,20 +80,24 @@ class Case:
         modes = idle.modes
         self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated)
         self.band = self.lines.band
-        self.kinds = tuple(kinds)
-        nodes: dict[Any, list[int]] = {}
-        for i, dof in enumerate(idle.dofs):
-            nodes.setdefault((dof.node, dof.axis.startswith("R")), []).append(i)
-        self.nodes = [tuple(v) for v in nodes.values()]
-        self.allowed = tuple(range(len(idle.dofs))) if places is None else tuple(places)
+        self._look_for(kinds, places, like)
         driven = np.array(references)
         spreads = SPREADS.copy() if spreads is None else spreads
         self.between = Between(idle, driven, self.band, spreads)
         rough = Forward(idle, self.between, np.array(responses), driven, self.band)
         self.forward = Forward(self._compressed(rough), self.between, rough.responses, driven, self.band)
         self.between.idle = self.forward.idle
+
+    def _look_for(self, kinds: Sequence[str], places: Sequence[int] | None, like: Case | None) -> None:
+        """Kinds and places of the effects, and what is known of their sizes."""
+        self.kinds = tuple(kinds)
+        nodes: dict[Any, list[int]] = {}
+        for i, dof in enumerate(self.dofs):
+            nodes.setdefault((dof.node, dof.axis.startswith("R")), []).append(i)
+        self.nodes = [tuple(v) for v in nodes.values()]
+        self.allowed = tuple(range(len(self.dofs))) if places is None else tuple(places)
         self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
-        self._base: Scannable | None = None
+        self._base: tuple[Array, Scannable] | None = None
         self._places: dict[str, int] = {}
 
     @property
@@ -159,11 +163,11 @@ class Case:
         return out
 
     def base(self) -> tuple[Array, Scannable]:
-        """Every second line to fit, and the idle model there."""
-        at = self.lines.fit[::2]
+        """Every second line to fit [rad/s], and the idle model there."""
         if self._base is None:
-            self._base = self.forward.scannable(self.forward.start, self.lines.w[at])
-        return at, self._base
+            w = self.lines.w[self.lines.fit[::2]]
+            self._base = w, self.forward.scannable(self.forward.start, w)
+        return self._base
 
     def size_range(self, kind: str, places: tuple[int, ...]) -> tuple[float, float]:
         """Logarithms of sizes that change the FRFs at rest by 0.1 and 10 dB (rms over lines and pairs)."""
@@ -174,8 +178,7 @@ class Case:
         kind = {"tuned_absorber": "point_mass", "sensor_mass": "point_mass"}.get(kind, kind)
         key = kind, tuple(sorted(places))
         if key not in self._ranges:
-            at, base = self.base()
-            w = self.lines.w[at]
+            w, base = self.base()
             trial = Term(kind, places, (0.0, *self._further(kind)[0]))
             unit = added(trial, w, self.band)
             own = np.mean([np.abs(base.columns[:, i, i]) for i in places], axis=0)

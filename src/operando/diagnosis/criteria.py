@@ -89,3 +89,18 @@ standard deviations."""
 
 ONE_SYSTEM = 2.0
 """Mean squared difference of runs of different level over the variance of their noise from which they are not one linear system."""
+
+NEAR_HZ = 0.05
+"""Distance of two modes, as a logarithm of frequency, that counts as much as a MAC of 0.75 when they are paired."""
+
+MODES_FLOOR = (2e-5, 5e-3, 5e-4)
+"""Least standard deviation of ln f, ln ζ and of a shape value over the largest of its mode: what any identification leaves."""
+
+SECOND_ORDER = 0.6
+"""Standard deviation added to every value of a shape of unit norm, in parts of the sum of its variances: the covariance is of first order."""
+
+ASSUMED_MODES = (5e-4, 0.08, 0.01)
+"""Relative standard deviations of frequency, damping and shape of operational modes that bring none."""
+
+PARTNER_LOG_HZ, PARTNER_MAC = 0.03, 0.6
+"""A mode of half the record stands for one of the whole if it lies no farther from it, with a MAC above this."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, channel_laws
-from operando.diagnosis.idle import Idle
+from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.terms import Term, added, slopes, touched
 
 Array = NDArray[Any]
@@ -80,6 +80,36 @@ class Scannable:
     def measured(self, structure: Array) -> Array:
         """What the channels make of FRFs of the structure (lines, DOFs, references, …)."""
         return structure[:, self.order] * self.channel.reshape(*self.channel.shape, *[1] * (structure.ndim - 3))
+
+
+@dataclass
+class Moved:
+    """An idle model at a point.
+
+    Attributes
+    ----------
+    f, zeta : (terms,) arrays
+        Hz, ratio.
+    phi : (DOFs, terms) array
+    shapes : Moves
+        How they move from there.
+    root, more : float
+        Factors on all frequencies and on all damping.
+    whole : float
+        Relative change of the stiffness of the whole.
+    by_mode, by_damping : (terms,) arrays
+        Further factors on each frequency; all factors on each damping.
+    """
+
+    f: Array
+    zeta: Array
+    phi: Array
+    shapes: Moves
+    root: float
+    more: float
+    whole: float
+    by_mode: Array
+    by_damping: Array
 
 
 @dataclass
@@ -163,12 +193,10 @@ class Forward:
         assert found is not None
         return found
 
-    def _forward(self, x: Point, w: Array, derivatives: bool, every: bool) -> tuple[Prediction, Scannable | None]:
-        idle, known, n, m, nd, refs = self.idle, self.between, w.size, self.modes, self.n_dofs, self.references
-        shape_own, rest = x.own[:, : self.n_shape], x.own[:, self.n_shape :]
-        part, own = known.shared_parts(x.d), known.own_parts(rest)
-        terms, line = x.terms, w[:, None]
-        # idle model, stiffness and damping of the whole, frequencies and damping mode by mode
+    def moved(self, x: Point) -> Moved:
+        """Idle model, stiffness and damping of the whole, frequencies and damping mode by mode."""
+        idle, m, terms = self.idle, self.modes, x.terms
+        part = self.between.shared_parts(x.d)
         whole = float(part["stiffness"].sum()) + sum(t.size or 0.0 for t in terms if t.kind == "global_stiffness")
         root = np.sqrt(max(1 + whole, 0.05))
         more = np.exp(part["damping_whole"].sum() + sum(t.values[0] for t in terms if t.kind == "global_damping"))
@@ -176,7 +204,7 @@ class Forward:
         by_mode[m], by_damping[m] = np.exp(part["mode"]), more * np.exp(part["damping"])
         f = (idle.f + idle.f_root @ x.g) * root * by_mode
         zeta = (idle.zeta + idle.zeta_root @ x.g) / root * by_damping
-        phi, shapes = idle.shape(x.g, shape_own)
+        phi, shapes = idle.shape(x.g, x.own[:, : self.n_shape])
         if idle.lacking is not None:
             mode = next((t for t in terms if t.kind == "missing_mode"), None)
             if mode is None:
@@ -184,6 +212,16 @@ class Forward:
             else:
                 own_f, own_zeta = np.exp(mode.values)
                 f[idle.lacking], zeta[idle.lacking] = own_f * root * by_mode[-1], own_zeta / root * by_damping[-1]
+        return Moved(f, zeta, phi, shapes, float(root), float(more), whole, by_mode, by_damping)
+
+    def _forward(self, x: Point, w: Array, derivatives: bool, every: bool) -> tuple[Prediction, Scannable | None]:
+        idle, known, n, m, nd, refs = self.idle, self.between, w.size, self.modes, self.n_dofs, self.references
+        shape_own, rest = x.own[:, : self.n_shape], x.own[:, self.n_shape :]
+        part, own = known.shared_parts(x.d), known.own_parts(rest)
+        terms, line = x.terms, w[:, None]
+        made = self.moved(x)
+        f, zeta, phi, shapes, root, more, whole = made.f, made.zeta, made.phi, made.shapes, made.root, made.more, made.whole
+        by_mode, by_damping = made.by_mode, made.by_damping
         if idle.complex:
             lag, lags = idle.late(x.g, shape_own)
             phi = np.broadcast_to(phi, (n, nd, self.n_terms)).astype(complex)

@@ -48,6 +48,8 @@ class Lines:
         If fewer than ``BLOCKS`` lines are finite.
     """
 
+    stride = 2  # each second line is enough to rank candidates
+
     def __init__(self, frf: Frf, f: Array, zeta: Array, number: int = FIT_LINES, correlated: float = CORRELATED_LINES) -> None:
         self.f, self.zeta, self.correlated = f, zeta, correlated
         hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
@@ -117,10 +119,19 @@ class Lines:
         out = (basis @ laid).reshape(responses, references, combinations, k, 2)
         return np.ascontiguousarray(np.moveaxis(out, 4, 3)).reshape(responses, references * combinations * 2, k)
 
+    def spread(self, at: Array) -> Array:
+        """λ of the rows, (responses, rows)."""
+        spread = self.basis(at)[1]
+        return np.repeat(spread.reshape(spread.shape[0], -1), 2, axis=1)
+
     def rows_variance(self, alpha: float, at: Array) -> Array:
         """Of the rows, times two, (responses, rows)."""
-        spread = self.basis(at)[1]
-        return np.repeat(1 + alpha**2 * spread.reshape(spread.shape[0], -1), 2, axis=1)
+        return np.asarray(1 + alpha**2 * self.spread(at))
+
+    def telling(self, rows: int) -> Array:
+        """A quarter of the rows, real and imaginary parts together, which tells a discrepancy as well as all."""
+        some = np.arange(0, rows // 2, 4)
+        return np.asarray(np.stack([2 * some, 2 * some + 1], 1).ravel())
 
     def correlation(self, predicted: Array, alpha: float) -> float:
         """Neighbouring lines over which the noise is alike, from what a prediction on all lines (``w_all``) leaves.

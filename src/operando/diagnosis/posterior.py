@@ -233,15 +233,11 @@ def linear_evidence(problem: Problem, residual: Array, shared: Array, own: Array
 
 def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, factor: Factor, now: float) -> float:
     """Discrepancy that residuals and posterior variance of the prediction ask for (expectation maximisation), faster downwards."""
-    # a quarter of the values tells it as well; those of each pair are in the order of their part of the discrepancy
-    some = np.arange(0, residual.shape[1] // 2, 4)
-    both = np.stack([2 * some, 2 * some + 1], 1).ravel()
-    power = residual[:, both] ** 2 + factor.of_rows(shared[:, both], own[:, both])
-    power = power.reshape(len(power), -1, 2).sum(2)
-    spread = problem.case.lines.basis(problem.at)[1]
-    spread = spread.reshape(spread.shape[0], -1)[:, some]
+    some = problem.case.lines.telling(residual.shape[1])
+    power = residual[:, some] ** 2 + factor.of_rows(shared[:, some], own[:, some])
+    spread = problem.case.lines.spread(problem.at)[:, some]
     grid = np.exp(np.linspace(np.log(LEAST_DISCREPANCY), 0, 80))
-    cost = [np.sum(power / v + np.log(v)) for v in (1 + a**2 * spread for a in grid)]
+    cost = [np.sum(power / v + 0.5 * np.log(v)) for v in (1 + a**2 * spread for a in grid)]
     new = float(grid[int(np.argmin(cost))])
     return new * min(1, new / now) if new < now else new
 
@@ -323,7 +319,7 @@ def fit(case: Case, start: Point, alpha: float = 0.1, turns: int = 18, floor: fl
 
 def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
     """Robust way from a start to the neighbourhood of a fit: Student weights, damped steps. Its cost, and where it ends."""
-    problem = Problem(case, start.terms, case.lines.fit[::2])
+    problem = Problem(case, start.terms, case.lines.fit[:: case.lines.stride])
     x, damping = problem.packed(start), 1.0
     lines = case.lines
     for alpha in _APPROACH:

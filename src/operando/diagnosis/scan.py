@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ROBUST
+from operando.diagnosis.eigenmodes import ScannableModes
 from operando.diagnosis.forward import Outside, Point, Scannable
 from operando.diagnosis.posterior import Problem, State, Step, linear_evidence
 from operando.diagnosis.terms import Term, added, with_term
@@ -22,7 +23,6 @@ _AT_ONCE = 128  # responses to trial effects at a time
 _ROBUST_SIZES, _SIZES, _FREQUENCIES = 24, 8, 40  # trial sizes; trial frequencies of an absorber
 _DAMPING = (0.01, 0.04, 0.1)  # trial damping ratios of an absorber
 _OTHER_FREQUENCY = 0.1  # of an absorber, as a logarithm: another start
-_STRIDE = 2  # each second line is enough to rank
 _TOP, _SLOPES = 24, 12  # candidates that are refined, and those told by their slope
 _LOOSE_VALUE = 1e-2  # precision of the values of effects that are there, so that one more may change them
 
@@ -62,8 +62,10 @@ def trials(case: Case, term: Term, count: int) -> list[Term]:
     return [Term(kind, term.places, (float(s), *more), sign) for s in sizes for more in rest for sign in signs]
 
 
-def responses(case: Case, x: Point, state: Scannable, columns: Array, terms: Sequence[Term], at: Array) -> Array:
+def responses(case: Case, x: Point, state: Scannable | ScannableModes, columns: Array | None, terms: Sequence[Term], at: Array) -> Array:
     """Measured FRFs (lines, responses, references, n) with each of some terms of one kind and place more."""
+    if isinstance(state, ScannableModes):
+        return state.responses(terms)
     first, w, band = terms[0], case.lines.w[at], case.band
     if first.structural and first.definition.coordinates == "difference":
         b = first.places
@@ -112,7 +114,7 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
     noise = (case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)[..., None]
     variants = [(False, state.columns)]
     below = case.between.below
-    if not x.terms and below.size:
+    if not x.terms and below.size and state.columns is not None:
         idle = case.idle
         w0 = 2 * np.pi * idle.f[below]
         k = 1 / (w0**2 - w[:, None] ** 2 + 2j * idle.zeta[below] * w0 * w[:, None])
@@ -147,13 +149,13 @@ class LinearScan:
         case = self.case = state.case
         self.fitted = state
         self.x = state.x if x is None else x
-        self.at = case.lines.fit[::_STRIDE]
+        self.at = case.lines.fit[:: case.lines.stride]
         self.w = case.lines.w[self.at]
         problem = self.problem = Problem(case, self.x.terms, self.at)
         packed = self.packed = problem.packed(self.x)
         prediction = problem.predict(packed)
         self.state = case.forward.scannable(self.x, self.w)
-        self.weights = np.sqrt(2 * _STRIDE / problem.variance(state.alpha))[..., None]
+        self.weights = np.sqrt(2 * case.lines.stride / problem.variance(state.alpha))[..., None]
         self.shared, self.own = problem.rows(prediction.shared) * self.weights, problem.rows(prediction.own) * self.weights
         precision = np.array(problem.precision)
         values = slice(problem.values_at, problem.values_at + problem.n_values)
@@ -245,6 +247,9 @@ class LinearScan:
         state, w, forward = self.state, self.w, self.case.forward
         for start in range(0, len(terms), _AT_ONCE):
             some = terms[start : start + _AT_ONCE]
+            if isinstance(state, ScannableModes):
+                yield some, self.problem.rows(state.slopes(some)) * self.weights
+                continue
             values = np.zeros((*state.h.shape, len(some)), complex)
             for number, term in enumerate(some):
                 if term.structural:

@@ -1,0 +1,416 @@
+"""Modes that an idle model makes with what differs between the days and with effects, and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.between import OF_A_CHANNEL, channel_laws
+from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial
+from operando.diagnosis.forward import Forward, Point, Prediction
+from operando.diagnosis.operating_modes import ModeSet, OperatingModes
+from operando.diagnosis.terms import Term, added, slopes
+
+Array = NDArray[Any]
+
+
+@dataclass
+class Solved:
+    """Those modes of a system that are paired with measured ones.
+
+    Attributes
+    ----------
+    s : (k,) complex array [rad/s]
+    q : (k, terms) complex array
+        In modal coordinates.
+    shown : (k, responses) complex array
+        Displacements at the sensors.
+    numbers : list of int arrays
+        For each set of measured modes, which of these modes each is.
+    """
+
+    s: Array
+    q: Array
+    shown: Array
+    numbers: list[Array]
+
+
+@dataclass
+class Eigenmodes(Forward):
+    """The model of operational modes: poles and shapes that solve T(s) q = 0 over the terms of the idle model (:class:`System`).
+
+    Nothing is driven, so what is told of forces and driven points stays out.
+
+    Parameters
+    ----------
+    observed : OperatingModes
+    """
+
+    observed: OperatingModes
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.reaching = np.arange(self.n_own)
+        modes = np.cumsum([0, *(s.n for s in self.observed.sets)])
+        values = np.cumsum([0, *(s.n * s.per_mode for s in self.observed.sets)])
+        self._modes = [slice(int(a), int(b)) for a, b in zip(modes[:-1], modes[1:], strict=True)]
+        self._values = [slice(int(a), int(b)) for a, b in zip(values[:-1], values[1:], strict=True)]
+        self._w = 2 * np.pi * np.concatenate([s.f for s in self.observed.sets])
+
+    def reaching_dofs(self, terms: Sequence[Term]) -> list[int]:
+        """All: the noise of a shape ties its DOFs to each other."""
+        return list(range(self.n_dofs))
+
+    def order(self, terms: Sequence[Term]) -> Array:
+        """One block of rows, whose own unknowns stand among the shared ones."""
+        return np.zeros(1, int)
+
+    def predict(self, x: Point, w: Array, *, derivatives: bool = True) -> Prediction:
+        """Values of the measured modes (values, 1, 1) and derivatives; ``w`` are numbers of values."""
+        used = self._used(w)
+        system, channel = System.of(self, x), self.channel(x)
+        solved = self._solved(system, used, channel)
+        h = self.values(solved.s, solved.shown, solved.numbers, used, channel)[w]
+        none = np.zeros((*h.shape, 1, 1, 0))
+        if not derivatives:
+            return Prediction(h[:, None, None], none, none)
+        shared = self._derivatives(system, solved, used, channel)[w]
+        return Prediction(h[:, None, None], shared[:, None, None], np.zeros((w.size, 1, 1, self.n_own)))
+
+    def scannable(self, x: Point, w: Array) -> ScannableModes:  # type: ignore[override]
+        """A state to which effects are added one at a time."""
+        return ScannableModes.of(self, x, w)
+
+    def _used(self, w: Array) -> list[int]:
+        return sorted(set(self.observed.set_of[w].tolist()))
+
+    def shown_dofs(self, terms: Sequence[Term]) -> Array:
+        """DOF that each response shows."""
+        return super().order(terms)
+
+    def channel(self, x: Point) -> Array:
+        """Measured over true at the frequency of each measured mode, (modes of all sets, responses)."""
+        part, own = self.between.shared_parts(x.d), self.between.own_parts(x.own[:, self.n_shape :])
+        sensors, _ = self._channels(x.terms, part, own, channel_laws(self._w / 2 / np.pi, self.band), self._w)
+        return sensors[:, self.shown_dofs(x.terms)]
+
+    def pair(self, s: Array, shown: Array, used: Sequence[int], channel: Array) -> list[Array]:
+        """For each set, which of some modes, shown at the sensors (k, responses), each measured one is."""
+        up = np.flatnonzero(s.imag > 1e-3 * np.abs(s))
+        f = np.abs(s[up]) / 2 / np.pi
+        return [up[self.observed.sets[i].pairs(f, (shown[up] * channel[self._modes[i]].mean(axis=0)).T)] for i in used]
+
+    def _solved(self, system: System, used: Sequence[int], channel: Array) -> Solved:
+        shown = self.shown_dofs(system.terms)
+        kept = involved(system.moved.phi, system.here)
+        matrices = (a[np.ix_(kept, kept)] for a in system.quadratic())
+        s, some = eigenmodes(*matrices)
+        q = np.zeros((s.size, self.n_terms), complex)
+        q[:, kept] = some
+        paired = self.pair(s, q @ (system.moved.phi + system.seen)[shown].T, used, channel)
+        every = np.unique(np.concatenate(paired))
+        s, q = system.refined(s[every], q[every])
+        return Solved(s, q, system.displacement(s, q)[:, shown], [np.searchsorted(every, p) for p in paired])
+
+    def values(self, s: Array, shown: Array, numbers: Sequence[Array], used: Sequence[int], channel: Array) -> Array:
+        """What was measured of these modes: values of all sets, zeros for those that are not used."""
+        out = np.zeros(self.observed.w.size)
+        for i, number in zip(used, numbers, strict=True):
+            one = self.observed.sets[i]
+            out[self._values[i]] = one.values(s[number], shown[number] * channel[self._modes[i]]).ravel()
+        return out
+
+    # derivatives
+
+    def _derivatives(self, system: System, solved: Solved, used: Sequence[int], channel: Array) -> Array:
+        """By all unknowns in the order of :class:`Problem`, (values of all sets, n)."""
+        sides, shown = Sides(self, system, solved.s, solved.q).all()
+        s, q, k = solved.s, solved.q, solved.s.size
+        right = np.concatenate([-sides, np.zeros((k, 1, sides.shape[2]))], 1)
+        moved = np.linalg.solve(system.bordered(s, q), right)
+        by_q, by_s = moved[:, :-1], moved[:, -1]
+        phi, here = system.phi(s), system.here
+        passed = phi + system.seen - system.r(s) @ (system.force(s) @ phi[:, here])
+        along_s = system.by_s(lambda at: system.displacement(at, q), s)
+        order = self.shown_dofs(system.terms)
+        by = shown[:, order] + passed[:, order] @ by_q + along_s[:, order, None] * by_s[:, None]
+        out = np.zeros((self.observed.w.size, by.shape[2]))
+        gains = self._gains(system, by.shape[2])
+        for i, number in zip(used, solved.numbers, strict=True):
+            one, at = self.observed.sets[i], self._modes[i]
+            psi = solved.shown[number] * channel[at]
+            by_psi = by[number] * channel[at][..., None] + psi[..., None] * gains(self._w[at])[:, order]
+            out[self._values[i]] = one.slopes(s[number], psi, by_s[number], by_psi).reshape(-1, by.shape[2])
+        return out
+
+    def _gains(self, system: System, count: int) -> Callable[[Array], Array]:
+        """Logarithm of what a channel makes of its motion: slopes by all unknowns at some frequencies, (k, DOFs, n)."""
+        first = self.n_g + self.n_d + len(system.outside)
+        values = sum(len(t.values) for t in system.terms)
+
+        def at(w: Array) -> Array:
+            out = np.zeros((w.size, self.n_dofs, count), complex)
+            laws, column = channel_laws(w / 2 / np.pi, self.band), first
+            for term in system.terms:
+                if term.definition.acts == "sensor_map" and term.definition.group != "force" and term.values:
+                    out[:, term.places[0], column] = -1j * w if term.kind.endswith("_delay") else 1
+                column += len(term.values)
+            for name in OF_A_CHANNEL:
+                part = self.between.own[name]
+                if part.stop > part.start:
+                    law = laws[name.removeprefix("sensor")]
+                    for i in range(self.n_dofs):
+                        start = first + values + i * self.n_own + self.n_shape
+                        out[:, i, start + part.start] = law * self.between.own_spread[i, part.start]
+            return out
+
+        return at
+
+
+class Sides:
+    """∂T/∂p q and, with q and s held, ∂x/∂p of all DOFs x, for all unknowns p: (k, terms, n) and (k, DOFs, n)."""
+
+    def __init__(self, forward: Eigenmodes, system: System, s: Array, q: Array) -> None:
+        self.forward, self.system, self.s, self.q = forward, system, s, q
+        here = system.here
+        self.phi_here = system.phi(s)[:, here]
+        self.w_force, self.r = system.force(s), system.r(s)
+        self.back = np.swapaxes(self.phi_here, 1, 2) @ self.w_force  # of displacements at the places, (k, terms, places)
+        self.held = (self.w_force @ (self.phi_here @ q[..., None]))[..., 0]  # force at the places
+
+    def all(self) -> tuple[Array, Array]:
+        """Blocks in the order of the unknowns."""
+        blocks = [self._of_g(), *self._of_d(), *self._of_u(), *self._of_terms(), *self._of_own()]
+        return tuple(np.concatenate([b[i] for b in blocks], -1) for i in (0, 1))  # type: ignore[return-value]
+
+    def _none(self, count: int) -> tuple[Array, Array]:
+        k = self.s.size
+        return np.zeros((k, self.forward.n_terms, count), complex), np.zeros((k, self.forward.n_dofs, count), complex)
+
+    @property
+    def _by_f(self) -> Array:
+        w, zeta = self.system.w, self.system.moved.zeta
+        return np.asarray((2 * w + 2 * zeta * self.s[:, None]) * 2 * np.pi * self.q)
+
+    @property
+    def _by_zeta(self) -> Array:
+        return np.asarray(2 * self.system.w * self.s[:, None] * self.q)
+
+    def _shapes(self, moves: Array, lags: Array | None) -> Array:
+        """Moves (DOFs, terms, n) at s, (k, DOFs, terms, n)."""
+        if lags is None:
+            return np.broadcast_to(moves, (self.s.size, *moves.shape))
+        out = np.repeat(moves[None].astype(complex), self.s.size, 0)
+        out[:, :, self.forward.modes] -= self.s[:, None, None, None] * lags
+        return out
+
+    def _through(self, moves: Array) -> tuple[Array, Array]:
+        """Shapes that move at the places, (k, places, terms, n): T, and the force that shows through R."""
+        motion = np.einsum("kjtn,kt->kjn", moves, self.q)
+        side = np.einsum("kjtn,kj->ktn", moves, self.held) + self.back @ motion
+        return side, -self.r @ (self.w_force @ motion)
+
+    def _of_g(self) -> tuple[Array, Array]:
+        idle, made, system = self.forward.idle, self.system.moved, self.system
+        side = self._by_f[..., None] * (idle.f_root * (made.root * made.by_mode)[:, None])
+        side = side + self._by_zeta[..., None] * (idle.zeta_root * (made.by_damping / made.root)[:, None])
+        if idle.between_root.any():
+            side = side + self._ties(True) @ idle.between_root
+        moves = self._shapes(made.shapes.shared, system.lags.shared if idle.complex else None)
+        shown = np.einsum("kitn,kt->kin", moves, self.q)
+        more, held = self._through(moves[:, system.here])
+        return side + more, shown + held
+
+    def _ties(self, damping: bool) -> Array:
+        """By what ties two modes, (k, terms, pairs)."""
+        known = self.forward.between
+        pair = np.arange(known.first.size)
+        out = np.zeros((self.s.size, self.forward.n_terms, pair.size), complex)
+        scale = self.s[:, None] * known.damping_scale * self.system.moved.more if damping else known.stiffness_scale
+        out[:, known.first, pair] += scale * self.q[:, known.second]
+        out[:, known.second, pair] += scale * self.q[:, known.first]
+        return out
+
+    def _whole(self) -> Array:
+        made = self.system.moved
+        return np.asarray((self._by_f * made.f - self._by_zeta * made.zeta) / 2 / (1 + made.whole))[..., None]
+
+    def _all_damping(self) -> Array:
+        between = self.system.damping_tie / (self.forward.between.damping_scale * self.system.moved.more)
+        return np.asarray(self._by_zeta * self.system.moved.zeta + self._ties(True) @ between)[..., None]
+
+    def _of_d(self) -> list[tuple[Array, Array]]:
+        forward, made, m = self.forward, self.system.moved, self.forward.modes
+
+        def each(values: Array) -> Array:
+            out = np.zeros((self.s.size, forward.n_terms, m.size), complex)
+            out[:, m, np.arange(m.size)] = values[:, m]
+            return out
+
+        by_name: dict[str, Callable[[], Array]] = {
+            "stiffness": self._whole,
+            "damping": lambda: each(self._by_zeta * made.zeta),
+            "damping_whole": self._all_damping,
+            "mode": lambda: each(self._by_f * made.f),
+            "stiffness_between": lambda: self._ties(False),
+            "damping_between": lambda: self._ties(True),
+        }
+        out = []
+        for name, where in forward.between.shared.items():
+            count = where.stop - where.start
+            if count:  # what all channels share and no mode shows, as a delay, moves nothing
+                side, shown = self._none(count)
+                out.append((by_name[name]() * forward.between.shared_spread[where] if name in by_name else side, shown))
+        return out
+
+    def _of_u(self) -> list[tuple[Array, Array]]:
+        system, out = self.system, []
+        for row in system.outside:
+            here, slope = system.here, row.spread * (self.s**-2.0 if row.below else np.ones(self.s.size))
+            side, shown = self._none(1)
+            reached = np.zeros_like(shown[..., 0])
+            reached[:, row.other] += slope * self.held[:, here.index(row.place)]
+            if row.other in here and row.other != row.place:
+                reached[:, row.place] += slope * self.held[:, here.index(row.other)]
+            motion = reached[:, here, None]
+            side[:] = -self.back @ motion
+            shown[:] = self.r @ (self.w_force @ motion) - reached[..., None]
+            out.append((side, shown))
+        return out
+
+    def _of_terms(self) -> list[tuple[Array, Array]]:
+        system, here, out = self.system, self.system.here, []
+        at_rest = (self.phi_here @ self.q[..., None])[..., 0]
+        motion = at_rest - (self.r[:, here] @ self.held[..., None])[..., 0]
+        left = np.eye(len(here)) + system.z(self.s) @ self.r[:, here]
+        for term in system.terms:
+            side, shown = self._none(len(term.values))
+            if term.structural:
+                b = [here.index(i) for i in term.places]
+                for number, slope in enumerate(slopes(term, -1j * self.s, self.forward.band)):
+                    force = np.zeros((self.s.size, len(here), 1), complex)
+                    force[:, b] = slope @ motion[:, b, None]
+                    force = np.linalg.solve(left, force)
+                    side[..., number] = (np.swapaxes(self.phi_here, 1, 2) @ force)[..., 0]
+                    shown[..., number] = -(self.r @ force)[..., 0]
+            elif term.kind == "global_stiffness":
+                side = self._whole() * (term.size or 0.0)
+            elif term.kind == "global_damping":
+                side = self._all_damping()
+            out.append((side, shown))
+        return out
+
+    def _of_own(self) -> list[tuple[Array, Array]]:
+        forward, system, out = self.forward, self.system, []
+        made, n_shape, seen = system.moved, forward.n_shape, forward.between.own["seen"]
+        complex_shapes = forward.idle.complex
+        for i in range(forward.n_dofs):
+            side, shown = self._none(forward.n_own)
+            moves = self._shapes(made.shapes.own[i : i + 1], system.lags.own[i : i + 1] if complex_shapes else None)
+            shown[:, i, :n_shape] = np.einsum("ktn,kt->kn", moves[:, 0], self.q)
+            if i in system.here:
+                at = np.zeros((self.s.size, len(system.here), *moves.shape[2:]), moves.dtype)
+                at[:, system.here.index(i)] = moves[:, 0]
+                side[..., :n_shape], held = self._through(at)
+                shown[..., :n_shape] += held
+            if seen.stop > seen.start:
+                columns = slice(n_shape + seen.start, n_shape + seen.stop)
+                shown[:, i, columns] = self.q[:, forward.modes] * forward.between.own_spread[i, seen]
+            out.append((side, shown))
+        return out
+
+
+@dataclass
+class ScannableModes:
+    """A state to which effects are added one at a time: values of the measured modes, and what each effect makes of them.
+
+    Attributes
+    ----------
+    h : (values, 1, 1) array
+    columns : None
+        Of FRFs there are none.
+    """
+
+    forward: Eigenmodes
+    x: Point
+    w: Array
+    system: System
+    solved: Solved
+    used: list[int]
+    channel: Array
+    h: Array
+    columns: None = None
+
+    @classmethod
+    def of(cls, forward: Eigenmodes, x: Point, w: Array) -> ScannableModes:
+        used, system, channel = forward._used(w), System.of(forward, x), forward.channel(x)
+        solved = forward._solved(system, used, channel)
+        h = forward.values(solved.s, solved.shown, solved.numbers, used, channel)[w]
+        return cls(forward, x, w, system, solved, used, channel, h[:, None, None])
+
+    def responses(self, terms: Sequence[Term]) -> Array:
+        """Values (values, 1, 1, n) with each of some terms of one kind and place more."""
+        first = terms[0]
+        if not first.structural:
+            out = []
+            for term in terms:
+                more = Point(self.x.g, self.x.d, self.x.own, self.x.u, (*self.x.terms, term))
+                out.append(self.forward.predict(more, self.w, derivatives=False).h)
+            return np.stack(out, -1)
+        places = list(first.places)
+        kept = involved(self.system.moved.phi, [*self.system.here, *places])
+        base = [a[np.ix_(kept, kept)] for a in self.system.quadratic()]
+        at = self.system.moved.phi[np.ix_(places, kept)]
+        grown = [[b + at.T @ p @ at for b, p in zip(base, self._polynomial(t), strict=True)] for t in terms]
+        stacks = [np.stack([b, *(g[i] for g in grown)]) for i, b in enumerate(base)]
+        shown = (self.system.moved.phi + self.system.seen)[np.ix_(self.forward.shown_dofs(self.x.terms), kept)]
+        made = []
+        for matrices in zip(*stacks, strict=True):
+            try:
+                s, q = eigenmodes(*matrices)
+                psi = q @ shown.T
+                numbers = self.forward.pair(s, psi, self.used, self.channel)
+                made.append(self.forward.values(s, psi, numbers, self.used, self.channel)[self.w])
+            except np.linalg.LinAlgError:
+                made.append(np.full(self.w.size, np.nan))
+        # what the start leaves out of the state itself it leaves out with an effect more, too
+        out = np.stack([m + self.h[:, 0, 0] - made[0] for m in made[1:]], -1)
+        return out[:, None, None]
+
+    def _polynomial(self, term: Term) -> tuple[Array, Array, Array]:
+        ends = self.system.ends
+        return polynomial(added(term, ends, self.forward.band), ends)
+
+    def slopes(self, terms: Sequence[Term]) -> Array:
+        """By the size of each term, at size zero, (values, 1, 1, n)."""
+        system, forward, s, q = self.system, self.forward, self.solved.s, self.solved.q
+        sides, phi = np.zeros((s.size, forward.n_terms + 1, len(terms)), complex), system.phi(s)
+        motion = system.displacement(s, q) - (system.seen @ q[..., None])[..., 0]
+        # an effect's force at a place drives modes, and through what lies outside the band the other effects
+        passed = phi - np.swapaxes(np.swapaxes(phi[:, system.here], 1, 2) @ system.force(s) @ np.swapaxes(system.r(s), 1, 2), 1, 2)
+        gains = np.zeros((len(self.forward._w), forward.n_dofs, len(terms)), complex)
+        for number, term in enumerate(terms):
+            if term.structural:
+                b = list(term.places)
+                unit = added(term.moved((0.0, *term.values[1:])), -1j * s, forward.band)
+                force = unit @ motion[:, b, None]
+                sides[:, :-1, number] = -(np.swapaxes(passed[:, b], 1, 2) @ force)[..., 0]
+            else:
+                gains[:, term.places[0], number] = -1j * forward._w if term.kind.endswith("_delay") else 1
+        moved = np.linalg.solve(system.bordered(s, q), sides)
+        by_q, by_s = moved[:, :-1], moved[:, -1]
+        order = forward.shown_dofs(self.x.terms)
+        seen = phi + system.seen - system.r(s) @ (system.force(s) @ phi[:, system.here])
+        along_s = system.by_s(lambda at: system.displacement(at, q), s)
+        by = seen[:, order] @ by_q + along_s[:, order, None] * by_s[:, None]
+        out = np.zeros((forward.observed.w.size, len(terms)))
+        for i, number in zip(self.used, self.solved.numbers, strict=True):
+            one, at = forward.observed.sets[i], forward._modes[i]
+            psi = self.solved.shown[number] * self.channel[at]
+            by_psi = by[number] * self.channel[at][..., None] + psi[..., None] * gains[at][:, order]
+            out[forward._values[i]] = one.slopes(s[number], psi, by_s[number], by_psi).reshape(-1, len(terms))
+        return out[self.w][:, None, None]
