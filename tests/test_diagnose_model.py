@@ -12,7 +12,7 @@ from operando.data import Geometry, ModalModel, ResidualTerms
 from operando.diagnosis.by_hand import words_of
 from operando.effects import Effect, catalogue, parse_effect
 from operando.errors import ConfigError, DataError, DofError
-from operando.structure import Model, joint_covariance
+from operando.structure import Model
 
 N = 6
 HZ = np.linspace(3, 140, 83)
@@ -333,31 +333,6 @@ def test_variance_counts_what_idle_parameters_and_values_share(texts):
     assert off[0] < 0.5 * off[1]
     only = model.structure()
     assert only.covariance.shape == (p + len(only.effects),) * 2
-
-
-def test_joint_covariance_is_the_gaussian_update():
-    """Measured: a combination of two shape values and one effect value, with noise; against the dense conditional covariance."""
-    idle, _ = _spread_idle(chain_and_idle()[1])
-    p, index = idle.n_parameters, np.array([14, 21])
-    size, vectors = np.linalg.eigh(idle.covariance[np.ix_(index, index)])
-    root = vectors * np.sqrt(size)
-    prior = np.zeros((p + 1, p + 1))
-    prior[:p, :p], prior[p, p] = idle.covariance, 4.0
-    row = np.zeros(p + 1)
-    row[index], row[p] = [30.0, -50.0], 0.7
-    noise = 0.3
-    gain = prior @ row / (row @ prior @ row + noise)
-    truth = prior - np.outer(gain, row @ prior)
-    small = np.diag([4.0, 1.0, 1.0])  # [value, z]
-    seen = np.r_[0.7, np.array([30.0, -50.0]) @ root]
-    posterior = small - np.outer(small @ seen, seen @ small) / (seen @ small @ seen + noise)
-    updated, joint = joint_covariance(idle, index, root, posterior)
-    scale = np.sqrt(np.diag(prior))
-    assert np.allclose(joint / np.outer(scale, scale), truth / np.outer(scale, scale), atol=1e-9)
-    assert np.allclose(updated.covariance, joint[:p, :p])
-    assert np.abs(joint[p, index]).max() > 0
-    with pytest.raises(DataError):
-        joint_covariance(replace(idle, covariance=None), index, root, posterior)
 
 
 def test_variance_of_the_bare_idle_model_is_that_of_the_modal_model():

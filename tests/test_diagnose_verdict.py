@@ -7,7 +7,7 @@ import pytest
 
 from operando.compare import compare_all, gets_worse, recommended
 from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
-from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, shift_reason, verdict_of
+from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose
 from operando.effects import parse_effect
@@ -53,8 +53,6 @@ def test_no_verdict_of_agreement_without_power():
     assert verdict_of([50.0, 0.9], unseen="noise") == ("partial", "noise")  # something is missing for sure
     assert floor_reason(FLOOR_DB) is None
     assert "778 dB" in floor_reason(778.0)
-    assert shift_reason({10.0: 40.0, 20.0: GOOD}) is None
-    assert "at 20 Hz" in shift_reason({10.0: 40.0, 20.0: GOOD - 0.01})
 
 
 def test_every_interval_leaves_out_the_value_that_says_nothing():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 GOOD = 1.5
 """Reduced chi-square on the validation lines below which the data allow no better (contract)."""
@@ -50,17 +50,3 @@ def floor_reason(noise_floor_db: float | None) -> str | None:
         return None
     floor = f"the noise floor (measurement and idle model together) is {noise_floor_db:.3g} dB"
     return f"{floor}, and above {FLOOR_DB:g} dB an agreement says nothing"
-
-
-def shift_reason(left: Mapping[float, float]) -> str | None:
-    """Why a mode could have moved unseen, or None.
-
-    Parameters
-    ----------
-    left : mapping of float to float
-        Reduced chi-square that the idle model would have with a mode, at this frequency [Hz], moved by one half-power width.
-    """
-    hidden = [f"{hz:.4g}" for hz, value in left.items() if not value >= GOOD]
-    if not hidden:
-        return None
-    return f"a mode could move by its half-power width and the agreement would look as good: at {', '.join(hidden)} Hz"

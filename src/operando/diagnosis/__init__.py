@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from operando.diagnosis.by_hand import Applied, apply_effects
 from operando.diagnosis.from_frf import diagnose, diagnose_frf
+from operando.diagnosis.from_modes import diagnose_modes
 from operando.diagnosis.result import Diagnosis
 
-__all__ = ["Applied", "Diagnosis", "apply_effects", "diagnose", "diagnose_frf"]
+__all__ = ["Applied", "Diagnosis", "apply_effects", "diagnose", "diagnose_frf", "diagnose_modes"]

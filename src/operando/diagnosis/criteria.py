@@ -97,7 +97,7 @@ MODES_FLOOR = (2e-5, 5e-3, 5e-4)
 """Least standard deviation of ln f, ln ζ and of a shape value over the largest of its mode: what any identification leaves."""
 
 SECOND_ORDER = 0.6
-"""Standard deviation added to every value of a shape of unit norm, in parts of the sum of its variances: the covariance is of first order."""
+"""Standard deviation added to every value of a shape of unit norm, in parts of the sum of its variances: a covariance is of first order."""
 
 ASSUMED_MODES = (5e-4, 0.08, 0.01)
 """Relative standard deviations of frequency, damping and shape of operational modes that bring none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 from operando.diagnosis.between import OF_A_CHANNEL, channel_laws
 from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial
 from operando.diagnosis.forward import Forward, Point, Prediction
-from operando.diagnosis.operating_modes import ModeSet, OperatingModes
+from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.terms import Term, added, slopes
 
 Array = NDArray[Any]
+_NEAR = 1.3  # terms up to so many times beyond the band are scanned as modes
 
 
 @dataclass
@@ -55,10 +57,11 @@ class Eigenmodes(Forward):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.reaching = np.arange(self.n_own)
+        self.undriven = ~self.idle.driven
         modes = np.cumsum([0, *(s.n for s in self.observed.sets)])
         values = np.cumsum([0, *(s.n * s.per_mode for s in self.observed.sets)])
-        self._modes = [slice(int(a), int(b)) for a, b in zip(modes[:-1], modes[1:], strict=True)]
-        self._values = [slice(int(a), int(b)) for a, b in zip(values[:-1], values[1:], strict=True)]
+        self._modes = [slice(int(a), int(b)) for a, b in pairwise(modes)]
+        self._values = [slice(int(a), int(b)) for a, b in pairwise(values)]
         self._w = 2 * np.pi * np.concatenate([s.f for s in self.observed.sets])
 
     def reaching_dofs(self, terms: Sequence[Term]) -> list[int]:
@@ -129,46 +132,57 @@ class Eigenmodes(Forward):
     def _derivatives(self, system: System, solved: Solved, used: Sequence[int], channel: Array) -> Array:
         """By all unknowns in the order of :class:`Problem`, (values of all sets, n)."""
         sides, shown = Sides(self, system, solved.s, solved.q).all()
-        s, q, k = solved.s, solved.q, solved.s.size
-        right = np.concatenate([-sides, np.zeros((k, 1, sides.shape[2]))], 1)
+        return self.passed_on(system, solved, used, channel, sides, shown, self._gains(system, sides.shape[2]))
+
+    def passed_on(
+        self, system: System, solved: Solved, used: Sequence[int], channel: Array, sides: Array, shown: Array | None, gains: Array
+    ) -> Array:
+        """Derivatives of the values (values of all sets, n) by unknowns p.
+
+        Parameters
+        ----------
+        sides : (k, terms, n) array
+            ∂T/∂p q.
+        shown : (k, DOFs, n) array, optional
+            ∂x/∂p of the displacements of all DOFs, with s and q held; none where p moves nothing there.
+        gains : (measured modes, DOFs, n) array
+            ∂ ln of what a channel makes of its motion.
+        """
+        s, q, count = solved.s, solved.q, sides.shape[2]
+        right = np.concatenate([-sides, np.zeros((s.size, 1, count))], 1)
         moved = np.linalg.solve(system.bordered(s, q), right)
         by_q, by_s = moved[:, :-1], moved[:, -1]
-        phi, here = system.phi(s), system.here
-        passed = phi + system.seen - system.r(s) @ (system.force(s) @ phi[:, here])
+        phi, order = system.phi(s), self.shown_dofs(system.terms)
+        passed = phi + system.seen - system.r(s) @ (system.force(s) @ phi[:, system.here])
         along_s = system.by_s(lambda at: system.displacement(at, q), s)
-        order = self.shown_dofs(system.terms)
-        by = shown[:, order] + passed[:, order] @ by_q + along_s[:, order, None] * by_s[:, None]
-        out = np.zeros((self.observed.w.size, by.shape[2]))
-        gains = self._gains(system, by.shape[2])
+        by = passed[:, order] @ by_q + along_s[:, order, None] * by_s[:, None]
+        if shown is not None:
+            by = by + shown[:, order]
+        out = np.zeros((self.observed.w.size, count))
         for i, number in zip(used, solved.numbers, strict=True):
             one, at = self.observed.sets[i], self._modes[i]
             psi = solved.shown[number] * channel[at]
-            by_psi = by[number] * channel[at][..., None] + psi[..., None] * gains(self._w[at])[:, order]
-            out[self._values[i]] = one.slopes(s[number], psi, by_s[number], by_psi).reshape(-1, by.shape[2])
+            by_psi = by[number] * channel[at][..., None] + psi[..., None] * gains[at][:, order]
+            out[self._values[i]] = one.slopes(s[number], psi, by_s[number], by_psi).reshape(-1, count)
         return out
 
-    def _gains(self, system: System, count: int) -> Callable[[Array], Array]:
-        """Logarithm of what a channel makes of its motion: slopes by all unknowns at some frequencies, (k, DOFs, n)."""
-        first = self.n_g + self.n_d + len(system.outside)
+    def _gains(self, system: System, count: int) -> Array:
+        """∂ ln of what a channel makes of its motion, by all unknowns, (measured modes, DOFs, n)."""
+        first, w = self.n_g + self.n_d + len(system.outside), self._w
         values = sum(len(t.values) for t in system.terms)
-
-        def at(w: Array) -> Array:
-            out = np.zeros((w.size, self.n_dofs, count), complex)
-            laws, column = channel_laws(w / 2 / np.pi, self.band), first
-            for term in system.terms:
-                if term.definition.acts == "sensor_map" and term.definition.group != "force" and term.values:
-                    out[:, term.places[0], column] = -1j * w if term.kind.endswith("_delay") else 1
-                column += len(term.values)
-            for name in OF_A_CHANNEL:
-                part = self.between.own[name]
-                if part.stop > part.start:
-                    law = laws[name.removeprefix("sensor")]
-                    for i in range(self.n_dofs):
-                        start = first + values + i * self.n_own + self.n_shape
-                        out[:, i, start + part.start] = law * self.between.own_spread[i, part.start]
-            return out
-
-        return at
+        out = np.zeros((w.size, self.n_dofs, count), complex)
+        laws, column = channel_laws(w / 2 / np.pi, self.band), first
+        for term in system.terms:
+            if term.definition.acts == "sensor_map" and term.definition.group != "force" and term.values:
+                out[:, term.places[0], column] = -1j * w if term.kind.endswith("_delay") else 1
+            column += len(term.values)
+        for name in OF_A_CHANNEL:
+            part = self.between.own[name]
+            if part.stop > part.start:
+                for i in range(self.n_dofs):
+                    start = first + values + i * self.n_own + self.n_shape + part.start
+                    out[:, i, start] = laws[name.removeprefix("sensor")] * self.between.own_spread[i, part.start]
+        return out
 
 
 class Sides:
@@ -344,6 +358,13 @@ class ScannableModes:
     channel: Array
     h: Array
     columns: None = None
+    _base: tuple[Array, list[Array], Array, Array] | None = None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it is the idle model as it is: then what effects make of it is the same for all spreads."""
+        x = self.x
+        return not (x.terms or x.g.any() or x.d.any() or x.own.any())
 
     @classmethod
     def of(cls, forward: Eigenmodes, x: Point, w: Array) -> ScannableModes:
@@ -354,63 +375,71 @@ class ScannableModes:
 
     def responses(self, terms: Sequence[Term]) -> Array:
         """Values (values, 1, 1, n) with each of some terms of one kind and place more."""
-        first = terms[0]
-        if not first.structural:
-            out = []
-            for term in terms:
-                more = Point(self.x.g, self.x.d, self.x.own, self.x.u, (*self.x.terms, term))
-                out.append(self.forward.predict(more, self.w, derivatives=False).h)
-            return np.stack(out, -1)
-        places = list(first.places)
-        kept = involved(self.system.moved.phi, [*self.system.here, *places])
-        base = [a[np.ix_(kept, kept)] for a in self.system.quadratic()]
-        at = self.system.moved.phi[np.ix_(places, kept)]
-        grown = [[b + at.T @ p @ at for b, p in zip(base, self._polynomial(t), strict=True)] for t in terms]
-        stacks = [np.stack([b, *(g[i] for g in grown)]) for i, b in enumerate(base)]
-        shown = (self.system.moved.phi + self.system.seen)[np.ix_(self.forward.shown_dofs(self.x.terms), kept)]
-        made = []
-        for matrices in zip(*stacks, strict=True):
-            try:
-                s, q = eigenmodes(*matrices)
-                psi = q @ shown.T
-                numbers = self.forward.pair(s, psi, self.used, self.channel)
-                made.append(self.forward.values(s, psi, numbers, self.used, self.channel)[self.w])
-            except np.linalg.LinAlgError:
-                made.append(np.full(self.w.size, np.nan))
-        # what the start leaves out of the state itself it leaves out with an effect more, too
-        out = np.stack([m + self.h[:, 0, 0] - made[0] for m in made[1:]], -1)
-        return out[:, None, None]
+        known = self.forward.observed.at_rest if self.at_rest else {}
+        key = (*terms, self.w.size)
+        if key not in known:
+            known[key] = self._exact(terms) if not terms[0].structural else self._changed(terms)
+        return known[key]
 
-    def _polynomial(self, term: Term) -> tuple[Array, Array, Array]:
-        ends = self.system.ends
-        return polynomial(added(term, ends, self.forward.band), ends)
+    def _exact(self, terms: Sequence[Term]) -> Array:
+        out = []
+        for term in terms:
+            more = Point(self.x.g, self.x.d, self.x.own, self.x.u, (*self.x.terms, term))
+            out.append(self.forward.predict(more, self.w, derivatives=False).h)
+        return np.stack(out, -1)
+
+    def _changed(self, terms: Sequence[Term]) -> Array:
+        """Over the terms in and near the band; what lies farther follows at once, with its receptance at both ends of the band."""
+        if self._base is None:
+            self._base = self._near()
+        near, matrices, shown, rest = self._base
+        places, ends = np.array(terms[0].places), self.system.ends
+        at, still = self.system.moved.phi[np.ix_(places, near)], rest[:, places][:, :, places]
+        stacks = [[m] for m in matrices]
+        for term in terms:
+            z = added(term, ends, self.forward.band)
+            z = np.linalg.solve(np.eye(len(places)) + z @ still, z)
+            for stack, base, part in zip(stacks, matrices, polynomial(z, ends), strict=True):
+                stack.append(base + at.T @ part @ at)
+        out = np.full((self.w.size, len(terms) + 1), np.nan)
+        mass, damping, stiffness = (np.stack(stack) for stack in stacks)
+        fine = np.linalg.eigvalsh(mass)[:, 0] > 0
+        poles, coordinates = eigenmodes(mass[fine], damping[fine], stiffness[fine])
+        for number, s, q in zip(np.flatnonzero(fine).tolist(), poles, coordinates, strict=True):
+            psi = q @ shown.T
+            numbers = self.forward.pair(s, psi, self.used, self.channel)
+            out[:, number] = self.forward.values(s, psi, numbers, self.used, self.channel)[self.w]
+        # what is left out of the state itself is left out with an effect more, too
+        return (out[:, 1:] + self.h[:, 0] - out[:, :1])[:, None, None]
+
+    def _near(self) -> tuple[Array, list[Array], Array, Array]:
+        """Terms in and near the band: numbers, M, C, K, shapes at the sensors; the receptance of the others at the band's ends."""
+        system, phi = self.system, self.system.moved.phi
+        w, zeta, ends = system.w, system.moved.zeta, system.ends
+        close = involved(phi, system.here)
+        near = close[(w[close] > ends[0] / _NEAR) & (w[close] < ends[1] * _NEAR)]
+        far = np.setdiff1d(np.arange(w.size), near)
+        matrices = [a[np.ix_(near, near)] for a in system.quadratic()]
+        shown = (phi + system.seen)[np.ix_(self.forward.shown_dofs(self.x.terms), near)]
+        k = 1 / (w[far] ** 2 - ends[:, None] ** 2 + 2j * zeta[far] * w[far] * ends[:, None])
+        return near, matrices, shown, (phi[:, far] * k[:, None]) @ phi[:, far].T
 
     def slopes(self, terms: Sequence[Term]) -> Array:
         """By the size of each term, at size zero, (values, 1, 1, n)."""
         system, forward, s, q = self.system, self.forward, self.solved.s, self.solved.q
-        sides, phi = np.zeros((s.size, forward.n_terms + 1, len(terms)), complex), system.phi(s)
+        sides, phi = np.zeros((s.size, forward.n_terms, len(terms)), complex), system.phi(s)
         motion = system.displacement(s, q) - (system.seen @ q[..., None])[..., 0]
         # an effect's force at a place drives modes, and through what lies outside the band the other effects
-        passed = phi - np.swapaxes(np.swapaxes(phi[:, system.here], 1, 2) @ system.force(s) @ np.swapaxes(system.r(s), 1, 2), 1, 2)
-        gains = np.zeros((len(self.forward._w), forward.n_dofs, len(terms)), complex)
+        held = np.swapaxes(phi[:, system.here], 1, 2) @ system.force(s) @ np.swapaxes(system.r(s), 1, 2)
+        passed = phi - np.swapaxes(held, 1, 2)
+        gains = np.zeros((forward._w.size, forward.n_dofs, len(terms)), complex)
         for number, term in enumerate(terms):
             if term.structural:
                 b = list(term.places)
                 unit = added(term.moved((0.0, *term.values[1:])), -1j * s, forward.band)
                 force = unit @ motion[:, b, None]
-                sides[:, :-1, number] = -(np.swapaxes(passed[:, b], 1, 2) @ force)[..., 0]
+                sides[..., number] = (np.swapaxes(passed[:, b], 1, 2) @ force)[..., 0]
             else:
                 gains[:, term.places[0], number] = -1j * forward._w if term.kind.endswith("_delay") else 1
-        moved = np.linalg.solve(system.bordered(s, q), sides)
-        by_q, by_s = moved[:, :-1], moved[:, -1]
-        order = forward.shown_dofs(self.x.terms)
-        seen = phi + system.seen - system.r(s) @ (system.force(s) @ phi[:, system.here])
-        along_s = system.by_s(lambda at: system.displacement(at, q), s)
-        by = seen[:, order] @ by_q + along_s[:, order, None] * by_s[:, None]
-        out = np.zeros((forward.observed.w.size, len(terms)))
-        for i, number in zip(self.used, self.solved.numbers, strict=True):
-            one, at = forward.observed.sets[i], forward._modes[i]
-            psi = self.solved.shown[number] * self.channel[at]
-            by_psi = by[number] * self.channel[at][..., None] + psi[..., None] * gains[at][:, order]
-            out[forward._values[i]] = one.slopes(s[number], psi, by_s[number], by_psi).reshape(-1, len(terms))
-        return out[self.w][:, None, None]
+        slopes_of = forward.passed_on(system, self.solved, self.used, self.channel, sides, None, gains)
+        return slopes_of[self.w][:, None, None]

@@ -172,7 +172,7 @@ class System:
             matrix[known.second, known.first] += tie
         at = self.moved.phi[self.here]
         parts = polynomial(self.force(1j * self.ends), self.ends)
-        return tuple(a + at.T @ part @ at for a, part in zip((mass, damping, stiffness), parts, strict=True))  # type: ignore[return-value]
+        return tuple(a + at.T @ part @ at for a, part in zip((mass, damping, stiffness), parts, strict=True))
 
     @property
     def ends(self) -> Array:

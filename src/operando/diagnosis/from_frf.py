@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -26,13 +26,13 @@ from operando.diagnosis.document import (
     proposal,
 )
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.posterior import AtRest, State, at_rest
-from operando.diagnosis.result import Diagnosis, spacing, where_it_fails
+from operando.diagnosis.posterior import AtRest, at_rest
+from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, search_both, search_elsewhere
 from operando.diagnosis.sensor_mass import of_a_sensor
-from operando.diagnosis.terms import SEARCHED, Term
-from operando.diagnosis.verdict import others, verdict
-from operando.dof import Dof, parse_dofs
+from operando.diagnosis.terms import SEARCHED
+from operando.diagnosis.verdict import no_other_answer, others, verdict
+from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
 from operando.threads import one_blas_thread
@@ -210,9 +210,10 @@ def diagnose(
         return from_frf()
     if operating is None:
         raise MissingError("neither check FRFs nor operational modes to diagnose from")
-    from operando.diagnosis.output_only import diagnose_output_only
+    from operando.diagnosis.from_modes import diagnose_modes
 
-    return diagnose_output_only(idle, operating, geometry=geometry, kinds=kinds, places=places, band=band, progress=progress)
+    del asked["compared"]
+    return diagnose_modes(idle, operating, idle_frf=idle_frf, between=between, **asked)
 
 
 def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
@@ -274,7 +275,7 @@ def told(
     best = found.best
     rivals = others(found)[0]
     name, why = said.name, said.why
-    if name == "ambiguous" and all(_no_other_answer(best, rival, geometry) for rival in rivals):
+    if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""
     notes = notes_of(check, run, found, rest, one_set_up)
     if levels_disagree(check, case.band) and name in ("explained", "no_misfit", "ambiguous"):
@@ -306,36 +307,6 @@ def told(
         why or None,
         tuple(between_rows(final)),
         {"value": best.alpha, "std": None},
-    )
-
-
-def _no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:
-    """Whether a rival only moves effects by no more than a sensor spacing (contract), or has kinds that contain those found."""
-
-    def apart(state: State, other: State) -> list[Term]:
-        return sorted((t for t in state.terms if t.key not in {o.key for o in other.terms}), key=lambda t: t.kind)
-
-    mine, theirs = apart(best, rival), apart(rival, best)
-    if len(mine) != len(theirs) or any(a.kind not in (b.kind, *b.definition.contains) for a, b in zip(mine, theirs, strict=True)):
-        return False
-    limit, dofs = spacing(geometry) * 1.05, best.case.dofs
-
-    def near(a: Term, b: Term) -> bool:
-        return _distance([dofs[i] for i in a.places], [dofs[i] for i in b.places], geometry) <= limit
-
-    return all(near(a, b) for a, b in zip(mine, theirs, strict=True))
-
-
-def _distance(one: Sequence[Dof], other: Sequence[Dof], geometry: Geometry | None) -> float:
-    """Largest way between places, paired as is nearest [m]; infinite where it is not known."""
-    if [d.node for d in one] == [d.node for d in other]:
-        return 0.0
-    points = [[p for d in dofs if geometry is not None and (p := geometry.position(d.node)) is not None] for dofs in (one, other)]
-    if len(points[0]) != len(one) or len(points[1]) != len(one) or len(one) != len(other):
-        return float("inf")
-    return min(
-        max((float(np.linalg.norm(np.subtract(p, q))) for p, q in zip(points[0], order, strict=True)), default=0.0)
-        for order in permutations(points[1])
     )
 
 

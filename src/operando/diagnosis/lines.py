@@ -48,7 +48,7 @@ class Lines:
         If fewer than ``BLOCKS`` lines are finite.
     """
 
-    stride = 2  # each second line is enough to rank candidates
+    stride, sizes = 2, 24  # each second line is enough to rank candidates; trial sizes that meet every peak
 
     def __init__(self, frf: Frf, f: Array, zeta: Array, number: int = FIT_LINES, correlated: float = CORRELATED_LINES) -> None:
         self.f, self.zeta, self.correlated = f, zeta, correlated
@@ -127,6 +127,16 @@ class Lines:
     def rows_variance(self, alpha: float, at: Array) -> Array:
         """Of the rows, times two, (responses, rows)."""
         return np.asarray(1 + alpha**2 * self.spread(at))
+
+    @property
+    def known(self) -> Array:
+        """Lines from which those that validate are predicted."""
+        return self.fit
+
+    def error(self, predicted: Array, at: Array) -> float:
+        """Of predicted FRFs (lines, responses, references), dB, rms."""
+        db = 20 * np.log10(np.abs(predicted[:, self.there]) / np.abs(self.h[at][:, self.there]))
+        return float(np.sqrt(np.mean(db**2)))
 
     def telling(self, rows: int) -> Array:
         """A quarter of the rows, real and imaginary parts together, which tells a discrepancy as well as all."""

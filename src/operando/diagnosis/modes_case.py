@@ -8,7 +8,7 @@ import numpy as np
 
 from operando.diagnosis.between import SPREADS, Between
 from operando.diagnosis.case import Array, Case
-from operando.diagnosis.criteria import REST_LINES
+from operando.diagnosis.criteria import FIT_LINES
 from operando.diagnosis.eigenmodes import Eigenmodes
 from operando.diagnosis.forward import Forward, Point, Scannable
 from operando.diagnosis.idle import Idle
@@ -59,7 +59,7 @@ class ModesCase(Case):
     def base(self) -> tuple[Array, Scannable]:
         """Lines of the band [rad/s], and FRFs at rest there from the points that were driven."""
         if self._base is None:
-            w = 2 * np.pi * np.linspace(*self.band, REST_LINES)
+            w = 2 * np.pi * np.linspace(*self.band, FIT_LINES)
             driven = np.flatnonzero(self.idle.driven)
             rest = Forward(self.idle, Between(self.idle, driven, self.band, {}), np.arange(len(self.dofs)), driven, self.band)
             self._base = w, rest.scannable(rest.start, w)

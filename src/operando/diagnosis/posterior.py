@@ -328,6 +328,8 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
         def cost(h: Array, x: Step, noise: Array = noise) -> float:
             return float(np.sum(np.log1p(np.abs(problem.measured - h) ** 2 / noise))) + problem.penalty(x)
 
+        if not np.isfinite(problem.tried(x, cost)[1]):
+            return np.inf, start  # no such structure can be
         for _ in range(turns):
             prediction = problem.predict(x)
             residual = problem.measured - prediction.h
@@ -393,32 +395,39 @@ def update_spreads(state: State) -> tuple[Case, Point, dict[str, list[float]]]:
 
 
 def on_validation_lines(state: State) -> tuple[float, float]:
-    """Reduced chi-square of the validation lines under noise, discrepancy and posterior, per independent value; their error [dB, rms]."""
+    """Reduced chi-square of the validation lines under noise, discrepancy and posterior, per independent value; their error."""
     return left_on(state.case, state.x, state.alpha, state.case.lines.validation)
 
 
 def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float]:
-    """What a point leaves of some lines: reduced chi-square per independent value, and error [dB, rms].
+    """What a point leaves of some lines: reduced chi-square per independent value, and rms error (of FRFs in dB).
 
     Under noise, a discrepancy, and what the fitted lines leave open of the unknowns; of the fitted lines themselves under the first two.
     """
-    problem, there = Problem(case, x.terms, at), case.lines.there
+    problem, known_at = Problem(case, x.terms, at), case.lines.known
     packed = problem.packed(x)
     prediction = problem.predict(packed)
     root = np.sqrt(2 / problem.variance(alpha))
     residual = problem.residual(prediction.h) * root
     chi = np.sum(residual**2)
     if at is not case.lines.fit:
-        fitted = Problem(case, x.terms, case.lines.fit)
+        fitted = Problem(case, x.terms, known_at)
         made, weights = fitted.predict(packed), np.sqrt(2 / fitted.variance(alpha))
-        known = Information.of(*(fitted.rows(v) * weights[..., None] for v in (made.shared, made.own)))
+        rows = [fitted.rows(v) * weights[..., None] for v in (made.shared, made.own)]
+        known = Information.of(*rows)
         shared, own = (problem.rows(v) * root[..., None] for v in (prediction.shared, prediction.own))
+        if known_at is not case.lines.fit:  # the point is that of other values: as these alone have it, at first order
+            step = fitted.solved(
+                Factor.of(known, fitted.precision, fitted.own_precision),
+                fitted.gradient(rows[0], rows[1], fitted.residual(made.h) * weights, packed),
+            )
+            residual = residual - problem.spread(shared, own, step)
+            chi = np.sum(residual**2)
         factor = Factor.of(known + Information.of(shared, own), problem.precision, problem.own_precision)
         along = np.tensordot(shared, residual, ((0, 1), (0, 1)))
         a, b = factor.whitened(along[:, None], np.swapaxes(own, 1, 2) @ residual[..., None])
         chi -= np.sum(a**2) + np.sum(b**2)
-    db = 20 * np.log10(np.abs(prediction.h[:, there]) / np.abs(problem.measured[:, there]))
-    return float(chi / (residual.size * there.mean())), float(np.sqrt(np.mean(db**2)))
+    return float(chi / (residual.size * case.lines.there.mean())), case.lines.error(prediction.h, at)
 
 
 @dataclass(frozen=True)

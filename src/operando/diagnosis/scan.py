@@ -20,7 +20,7 @@ from operando.diagnosis.terms import Term, added, with_term
 Array = NDArray[Any]
 
 _AT_ONCE = 128  # responses to trial effects at a time
-_ROBUST_SIZES, _SIZES, _FREQUENCIES = 24, 8, 40  # trial sizes; trial frequencies of an absorber
+_SIZES, _FREQUENCIES = 8, 40  # trial sizes; trial frequencies of an absorber
 _DAMPING = (0.01, 0.04, 0.1)  # trial damping ratios of an absorber
 _OTHER_FREQUENCY = 0.1  # of an absorber, as a logarithm: another start
 _TOP, _SLOPES = 24, 12  # candidates that are refined, and those told by their slope
@@ -64,7 +64,8 @@ def trials(case: Case, term: Term, count: int) -> list[Term]:
 
 def responses(case: Case, x: Point, state: Scannable | ScannableModes, columns: Array | None, terms: Sequence[Term], at: Array) -> Array:
     """Measured FRFs (lines, responses, references, n) with each of some terms of one kind and place more."""
-    if isinstance(state, ScannableModes):
+    if isinstance(state, ScannableModes) or columns is None:
+        assert isinstance(state, ScannableModes)
         return state.responses(terms)
     first, w, band = terms[0], case.lines.w[at], case.band
     if first.structural and first.definition.coordinates == "difference":
@@ -128,7 +129,7 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
         for place in case.candidates(x.terms) if places is None else places:
             if cut and not (place.structural and forward.undriven[list(place.places)].all()):
                 continue
-            some = trials(case, place, _ROBUST_SIZES)
+            some = trials(case, place, case.lines.sizes)
             with np.errstate(all="ignore"):
                 h = responses(case, x, state, columns, some, at)
                 cost = np.nan_to_num(np.sum(np.log1p(np.abs(measured - h) ** 2 / noise), axis=(0, 1, 2)), nan=np.inf)

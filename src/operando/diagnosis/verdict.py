@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
+from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import (
     EARNED,
@@ -17,9 +20,11 @@ from operando.diagnosis.criteria import (
     SUPPORTED,
 )
 from operando.diagnosis.posterior import State, on_validation_lines
+from operando.diagnosis.result import spacing
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.search import Found, score, strained
 from operando.diagnosis.terms import BY_SLOPE, Term
+from operando.dof import Dof
 
 
 @dataclass(frozen=True)
@@ -170,3 +175,33 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
     if sets:
         return say("ambiguous", "other effects fit as well")
     return say("explained")
+
+
+def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:
+    """Whether a rival only moves effects by no more than a sensor spacing (contract), or has kinds that contain those found."""
+
+    def apart(state: State, other: State) -> list[Term]:
+        return sorted((t for t in state.terms if t.key not in {o.key for o in other.terms}), key=lambda t: t.kind)
+
+    mine, theirs = apart(best, rival), apart(rival, best)
+    if len(mine) != len(theirs) or any(a.kind not in (b.kind, *b.definition.contains) for a, b in zip(mine, theirs, strict=True)):
+        return False
+    limit, dofs = spacing(geometry) * 1.05, best.case.dofs
+
+    def near(a: Term, b: Term) -> bool:
+        return _distance([dofs[i] for i in a.places], [dofs[i] for i in b.places], geometry) <= limit
+
+    return all(near(a, b) for a, b in zip(mine, theirs, strict=True))
+
+
+def _distance(one: Sequence[Dof], other: Sequence[Dof], geometry: Geometry | None) -> float:
+    """Largest way between places, paired as is nearest [m]; infinite where it is not known."""
+    if [d.node for d in one] == [d.node for d in other]:
+        return 0.0
+    points = [[p for d in dofs if geometry is not None and (p := geometry.position(d.node)) is not None] for dofs in (one, other)]
+    if len(points[0]) != len(one) or len(points[1]) != len(one) or len(one) != len(other):
+        return float("inf")
+    return min(
+        max((float(np.linalg.norm(np.subtract(p, q))) for p, q in zip(points[0], order, strict=True)), default=0.0)
+        for order in permutations(points[1])
+    )

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from operando.structure.model import Model, joint_covariance
+from operando.structure.model import Model
 
-__all__ = ["Model", "joint_covariance"]
+__all__ = ["Model"]

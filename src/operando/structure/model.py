@@ -38,7 +38,7 @@ class Model:
         Sensor positions, for effects at places without a sensor.
     covariance : (p, p) array, optional
         Of all values of the effects, one after the other; or joint with the idle parameters θ = [f (Hz), ζ, shapes mode by mode],
-        which then come first (see :func:`joint_covariance`). Default: the squares of the values' standard deviations.
+        which then come first. Default: the squares of the values' standard deviations.
     cache : dict, optional
         Idle receptances on the last sets of lines; models made from one another share it.
 
@@ -385,50 +385,6 @@ class Model:
         """Other values of one effect, within its bounds or not, for derivatives: without a covariance."""
         changed = self.effects[number].with_values(**values)
         return replace(self, effects=(*self.effects[:number], changed, *self.effects[number + 1 :]), covariance=None)
-
-
-def joint_covariance(
-    idle: ModalModel, index: NDArray[np.int_], root: NDArray[np.float64], posterior: NDArray[np.float64]
-) -> tuple[ModalModel, NDArray[np.float64]]:
-    """Covariance of idle parameters and effect values after some idle parameters were fitted together with the values under their prior.
-
-    The fit moved θ[index] = θ0 + root·z, z of unit variance before. What it learnt on z reaches the other idle parameters through their
-    correlation: C' = C − G (I − P_zz) Gᵀ, cov(θ, v) = G P_zv, with G = cov(θ, z).
-
-    Parameters
-    ----------
-    idle : ModalModel
-        With its covariance before the fit.
-    index : (r,) int array
-        Rows of θ = [f (Hz), ζ, shapes mode by mode] that were fitted.
-    root : (r, k) array
-        Orthogonal columns; root rootᵀ is the prior covariance of θ[index].
-    posterior : (p + k, p + k) array
-        Of [values, z].
-
-    Returns
-    -------
-    idle : ModalModel
-        With the new covariance (shapes as given: move them yourself).
-    covariance : (n_parameters + p, n_parameters + p) array
-        Of [θ, values], for :class:`Model`.
-
-    Raises
-    ------
-    DataError
-        If the idle model has no covariance or sizes do not fit.
-    """
-    if idle.covariance is None:
-        raise DataError("the idle model has no covariance to start from")
-    k = root.shape[1]
-    p = posterior.shape[0] - k
-    if root.shape[0] != len(index) or p < 0:
-        raise DataError(f"{len(index)} parameters, root {root.shape} and posterior {posterior.shape} do not fit")
-    g = idle.covariance[:, index] @ (root / np.maximum(np.sum(root**2, axis=0), 1e-300))
-    own = idle.covariance - g @ (np.eye(k) - posterior[p:, p:]) @ g.T
-    own = (own + own.T) / 2
-    cross = g @ posterior[p:, :p]
-    return replace(idle, covariance=own, std=None), np.block([[own, cross], [cross.T, posterior[:p, :p]]])
 
 
 class _Lines:

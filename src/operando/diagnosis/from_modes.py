@@ -1,0 +1,217 @@
+"""Find the missing physics from operational modes alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from operando.data import Frf, Geometry, ModalModel
+from operando.diagnosis.between import SAME_SET_UP, spreads_of
+from operando.diagnosis.corrected import effects_of, model_of
+from operando.diagnosis.criteria import MOST_CHI_SQUARE
+from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
+from operando.diagnosis.operating_modes import OperatingModes
+from operando.diagnosis.posterior import AtRest, State, at_rest
+from operando.diagnosis.result import Diagnosis
+from operando.diagnosis.search import Found, search, search_both
+from operando.diagnosis.verdict import no_other_answer, others, verdict
+from operando.dof import Dof, parse_dofs
+from operando.effects import Effect
+from operando.errors import ConfigError, DataError
+from operando.threads import one_blas_thread
+
+_FEW = 4  # modes from which some values can be set apart
+
+
+def diagnose_modes(
+    idle: ModalModel,
+    operating: ModalModel,
+    *,
+    halves: Sequence[ModalModel] | None = None,
+    idle_frf: Frf | None = None,
+    geometry: Geometry | None = None,
+    kinds: Sequence[str] | None = None,
+    places: Sequence[Any] | None = None,
+    band: tuple[float, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+    between: Mapping[str, float] | None = None,
+) -> Diagnosis:
+    """Name the physical effect that turns the idle modes into the operating ones.
+
+    The statistical model and the search of :func:`diagnose_frf`, with other observations: frequency, damping and shape of each
+    operational mode under their covariance (Döhler & Mevel, Mech. Syst. Signal Process. 38, 2013, 346–366), predicted by the
+    eigenproblem of the idle model with effects. A discrepancy moves poles and shapes as it would a resonance of an FRF.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass, with residual terms and covariance.
+    operating : ModalModel
+        Complex shapes of arbitrary scale, with covariance.
+    halves : (ModalModel, ModalModel), optional
+        Modes of the first and of the second half of the record (:func:`operando.oma.fit_halves`): the second is predicted from the
+        first, with the effects that the whole record chose. Default: those that ``operating.details`` carries, if any.
+    idle_frf : Frf, optional
+        FRFs at rest: which DOFs were driven, and a better idle model where its modes are complex.
+    geometry : Geometry, optional
+        Sensor positions, for what counts as a neighbour.
+    kinds, places : sequences, optional
+        Look only for these.
+    band : (float, float), optional
+        Hz; default the idle model's band.
+    progress : callable, optional
+        Told what is being done.
+    between : mapping, optional
+        What may differ between the measurements at rest and in operation, as for :func:`diagnose_frf`.
+
+    Raises
+    ------
+    DataError
+        If the idle model has no scale, or nothing in common is measured.
+    ConfigError
+        If no kind asked for can be told from modes.
+    """
+    if idle.scaling != "unit_modal_mass":
+        raise DataError("the idle shapes have no scale: no effect can be sized", hint="give units to the idle test")
+    say = progress or (lambda text: None)
+    with one_blas_thread():
+        parts = list(getattr(operating.details, "halves", ()) if halves is None else halves)
+        if band is not None:
+            operating, *parts = (_within(model, band) for model in (operating, *parts))
+        band = band or idle.band_hz or (0.5 * float(idle.frequencies_hz.min()), 1.1 * float(idle.frequencies_hz.max()))
+        asked = told_by_modes(kinds)
+        model, rest = Idle.of(idle, band, driven_dofs(idle, idle_frf)), None
+        if idle_frf is not None and not (idle.misfit is not None and idle.misfit < MOST_CHI_SQUARE):
+            say("idle model on the FRFs at rest")
+            rest = at_rest(model, idle_frf, band)
+            model = rest.idle
+        lines = OperatingModes(model, operating, parts)
+        where = None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)]
+        days = ModesCase(model, lines, band, spreads_of(between or {}), asked, where)
+        odds: float | None = None
+        if between:
+            found = search(days, say)
+        else:
+            one = ModesCase(model, lines, band, SAME_SET_UP, asked, where, like=days)
+            found, odds = search_both(days, one, say, 0.0 if rest is None else rest.state.alpha)
+        return _told(idle, found, rest, geometry, odds)
+
+
+def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
+    """Kinds to look for.
+
+    Raises
+    ------
+    ConfigError
+        If none of those named can be told from modes.
+    """
+    known = tuple(k for k in TOLD_BY_MODES if kinds is None or k in kinds)
+    if not known:
+        raise ConfigError("none of the kinds asked for can be told from operating modes", hint="kinds: " + ", ".join(TOLD_BY_MODES))
+    return known
+
+
+def driven_dofs(idle: ModalModel, idle_frf: Frf | None) -> tuple[Dof, ...]:
+    """DOFs driven at rest: as the FRFs say, or all but those to which a residual term of their own was given."""
+    if idle_frf is not None:
+        return idle_frf.references
+    terms = idle.terms
+    shapes = np.abs(np.asarray(terms.shapes)[:, np.asarray(terms.residual)])
+    own = shapes[:, np.count_nonzero(shapes, axis=0) == 1]
+    return tuple(d for d, row in zip(terms.dofs, own, strict=True) if not row.any())
+
+
+def _within(model: ModalModel, band: tuple[float, float]) -> ModalModel:
+    return model.select_modes((model.frequencies_hz >= band[0]) & (model.frequencies_hz <= band[1]))
+
+
+def _told(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Geometry | None, one_set_up: float | None) -> Diagnosis:
+    """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
+    best = found.best
+    lines: OperatingModes = best.case.lines  # type: ignore[assignment]
+    said, rivals = verdict(best.case, found, None if rest is None else rest.state), others(found)[0]
+    name, why = said.name, said.why
+    if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
+        name, why = "explained", ""
+    shown = best.terms if said.terms and name != "unexplained" else ()
+    final = best if shown else found.empty
+    have = {t.key for t in best.terms}
+    ambiguous = tuple(e for rival in rivals for e in effects_of(rival, [t for t in rival.terms if t.key not in have]))
+    return Diagnosis(
+        name,
+        effects_of(final) if shown else (),
+        tuple({e.kind + e.place: e for e in ambiguous}.values()),
+        _proposal(name, effects_of(best), ambiguous),
+        tuple(row | {"error_db": None, "heldout_error_db": None} for row in ladder(final)),
+        tuple(candidate_rows(found)),
+        {"by_dof": [], "by_band": [], "by_mode": _by_mode(found, final)},
+        None,
+        ("operating_modes",),
+        notes=tuple(_notes(lines, rest, one_set_up)),
+        idle=idle,
+        model=model_of(idle, final, geometry),
+        judged_on={"state": "operating", "measured": _judged(lines)},
+        detectable=tuple(detectable_rows(final, said)),
+        reason=why or None,
+        between=tuple(between_rows(final)),
+        discrepancy={"value": best.alpha, "std": None},
+    )
+
+
+def _by_mode(found: Found, final: State) -> list[dict[str, Any]]:
+    """Mean squared standardised difference of each mode, with what was found and of the idle model as it is."""
+    forward, lines = final.case.forward, final.case.lines
+    w = lines.w[lines.fit]
+    before, after = (forward.predict(x, w, derivatives=False) for x in (forward.start, final.x))
+    one = lines.sets[0]  # type: ignore[attr-defined]
+    out = []
+    for k, f in enumerate(one.f):
+        at = lines.fit[k * one.per_mode : (k + 1) * one.per_mode]
+        left = [float(np.mean(2 * lines.rows(lines.h[at][..., None] - p.h[at][..., None], at) ** 2)) for p in (after, before)]
+        out.append({"frequency_hz": float(f), "misfit": left[0], "idle_misfit": left[1]})
+    return out
+
+
+def _judged(lines: OperatingModes) -> str:
+    if lines.apart:
+        text = "the whole record chose the effects and gave the sizes; its second half, identified apart, was predicted from the first"
+        if lines.left_out:
+            text += f"; {lines.left_out} mode{'s' if lines.left_out > 1 else ''} that one half alone showed stayed out"
+        return text
+    if lines.sets[0].n < _FEW:
+        return f"{lines.sets[0].n} operating modes are too few to set some apart: what judges was fitted"
+    return "one third of the values (of each mode its frequency, damping or shape, in turn) was predicted from the others"
+
+
+def _notes(lines: OperatingModes, rest: AtRest | None, one_set_up: float | None) -> list[str]:
+    notes = [_judged(lines)]
+    if one_set_up is not None and one_set_up > 0:
+        notes.append(
+            f"the data say that nothing was touched between the measurements at rest and in operation (log odds {one_set_up:.0f}); "
+            "gains, places of sensors, temperature and damping count as the same"
+        )
+    if rest is not None and rest.again:
+        notes.append(
+            f"the idle model was fitted to the FRFs at rest again, with complex modes; {100 * rest.state.alpha:.2g} % stay unexplained"
+        )
+    return notes
+
+
+def _proposal(name: str, effects: Sequence[Effect], ambiguous: Sequence[Effect]) -> str | None:
+    """Which measurement would decide."""
+    one = next(iter(effects), None)
+    if ambiguous:
+        other = ambiguous[0]
+        first = f"{one.kind} at {one.place or 'the whole structure'}" if one else "nothing"
+        at = (one.place if one else "") or other.place or "two points"
+        return (
+            f"operating modes alone do not tell {first} from {other.kind} at {other.place or 'the whole structure'}: measure FRFs in "
+            f"operation with a force at {at}; or {other.confirm}"
+        )
+    if name in ("partial", "unexplained", "inconclusive"):
+        return "measure FRFs in operation with a known force: they tell more than operating modes"
+    return None
