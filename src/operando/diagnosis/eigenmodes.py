@@ -395,18 +395,21 @@ class ScannableModes:
         near, matrices, shown, rest = self._base
         places, ends = np.array(terms[0].places), self.system.ends
         at, still = self.system.moved.phi[np.ix_(places, near)], rest[:, places][:, :, places]
-        stacks = [[m] for m in matrices]
+        stacks, laws = [[m] for m in matrices], [np.zeros((3, len(places), len(places)))]
         for term in terms:
             z = added(term, ends, self.forward.band)
-            z = np.linalg.solve(np.eye(len(places)) + z @ still, z)
-            for stack, base, part in zip(stacks, matrices, polynomial(z, ends), strict=True):
+            laws.append(np.stack(polynomial(np.linalg.solve(np.eye(len(places)) + z @ still, z), ends)))
+            for stack, base, part in zip(stacks, matrices, laws[-1], strict=True):
                 stack.append(base + at.T @ part @ at)
+        follows = rest[:, self.forward.shown_dofs(self.x.terms)][:, :, places].real.mean(axis=0)
         out = np.full((self.w.size, len(terms) + 1), np.nan)
-        mass, damping, stiffness = (np.stack(stack) for stack in stacks)
-        fine = np.linalg.eigvalsh(mass)[:, 0] > 0
-        poles, coordinates = eigenmodes(mass[fine], damping[fine], stiffness[fine])
+        every = [np.stack(stack) for stack in stacks]
+        fine = np.linalg.eigvalsh(every[0])[:, 0] > 0
+        poles, coordinates = eigenmodes(*(a[fine] for a in every))
         for number, s, q in zip(np.flatnonzero(fine).tolist(), poles, coordinates, strict=True):
-            psi = q @ shown.T
+            mass, damping, stiffness = (q @ at.T @ part.T for part in laws[number])
+            held = s[:, None] ** 2 * mass + s[:, None] * damping + stiffness
+            psi = q @ shown.T - held @ follows.T
             numbers = self.forward.pair(s, psi, self.used, self.channel)
             out[:, number] = self.forward.values(s, psi, numbers, self.used, self.channel)[self.w]
         # what is left out of the state itself is left out with an effect more, too
