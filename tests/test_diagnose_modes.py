@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -176,7 +178,7 @@ def test_derivatives_agree_with_differences(terms, driven):
 
 
 def test_slopes_and_responses_of_a_scan_are_those_of_the_model():
-    """Slopes exactly; trial values, which take what lies above the band as it is at its ends, to 6 % of the largest change."""
+    """Slopes exactly; trial values, which take what lies above the band as it is at its ends, to a tenth of the largest change."""
     c = chain()
     case = case_of(c, running(c, TRUTHS[0]), exact=True)
     scan = LinearScan(fit(case, case.forward.start))
@@ -186,7 +188,7 @@ def test_slopes_and_responses_of_a_scan_are_those_of_the_model():
         got = scan.state.responses([term])[:, 0, 0, 0]
         more = Point(scan.x.g, scan.x.d, scan.x.own, start.u, (term,))
         want = case.forward.predict(more, scan.w, derivatives=False).h[:, 0, 0]
-        np.testing.assert_allclose(got, want, atol=0.06 * np.abs(want - scan.state.h[:, 0, 0]).max())
+        np.testing.assert_allclose(got, want, atol=0.1 * np.abs(want - scan.state.h[:, 0, 0]).max())
         unit = Term(kind, term.places, (0.0,), term.sign)
         slope = scan.state.slopes([unit])[:, 0, 0, 0]
         little = term.moved((np.log(1e-4 * abs(size)),))
@@ -302,6 +304,18 @@ def test_noise_is_at_least_what_any_identification_leaves():
     np.testing.assert_allclose(variance[:, 2:].min(axis=1), (MODES_FLOOR[2] * np.abs(one.shapes).max(axis=0)) ** 2, rtol=1e-3)
 
 
+def test_a_covariance_of_few_blocks_counts_as_larger():
+    """88 blocks, 14 values a mode: by 87/72; of a half twice that of the whole."""
+    c = chain()
+    whole, half = running(c), running(c, seed=1)
+    told = replace(whole, details=SimpleNamespace(settings={"blocks": 88}, halves=()))
+    plain, more = (case_of(c, m, halves=(half, half)).lines.sets for m in (whole, told))
+    floor = np.tile(np.r_[np.square(MODES_FLOOR[:2]), np.zeros(12)], IN_BAND)
+    ratio = (np.diag(more[0].noise) - floor) / (np.diag(plain[0].noise) - floor)
+    np.testing.assert_allclose(ratio, 87 / 72, rtol=0.03)
+    np.testing.assert_allclose(np.diag(more[1].noise).reshape(IN_BAND, -1)[:, :2], 2 * np.diag(more[0].noise).reshape(IN_BAND, -1)[:, :2])
+
+
 def test_noise_of_modes_without_a_covariance_is_assumed():
     c = chain()
     exact = running(c, noise=0.0)
@@ -320,7 +334,7 @@ def test_residuals_are_standard_normal_without_an_effect():
     values = []
     for seed in range(12):
         c = chain(seed)
-        whole, *halves = (running(c, seed=40 * k + seed) for k in range(3))
+        whole, *halves = (running(c, seed=40 * k + seed, noise=np.sqrt(2) if k else 1.0) for k in range(3))
         case = case_of(c, whole, halves=halves, seed=seed)
         start, lines = case.forward.start, case.lines
         values.append([left_on(case, start, 0.0, at)[0] for at in (lines.fit, lines.validation)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +20,7 @@ from operando.errors import DataError
 Array = NDArray[Any]
 _FREQUENCY_OVER_MAC = 4.0  # a pair with a MAC of 0 costs as much as one that is four times ``NEAR_HZ`` apart
 _LEAST_DAMPING = 1e-5  # a predicted ratio below counts as this: its logarithm must exist
+_LEAST_SHARE = 0.1  # of the blocks, that are left where there are hardly more of them than values
 _ABOVE = 1.15  # modes up to so many times the highest one at rest are used
 
 
@@ -158,11 +159,12 @@ class OperatingModes:
         self.responses = np.asarray(responses)
         kept = [half.select_modes(partners(half, whole)) for half in halves]
         top = _ABOVE * float(idle.f[idle.modes].max())
-        self.sets = [mode_set(whole, common, np.asarray(signs), top)]
+        blocks = int(getattr(whole.details, "settings", {}).get("blocks", 0) or 0)
+        self.sets = [mode_set(whole, common, np.asarray(signs), top, blocks)]
         self.left_out = sum(h.n_modes for h in halves) - sum(h.n_modes for h in kept)
         self.apart = len(kept) == 2 and all(h.n_modes for h in kept)
         if self.apart:
-            self.sets += [mode_set(half, common, np.asarray(signs), top) for half in kept]
+            self.sets += [_of_half(mode_set(half, common, np.asarray(signs), top), self.sets[0]) for half in kept]
         ends = np.cumsum([0, *(s.n * s.per_mode for s in self.sets)])
         parts = [np.arange(a, b) for a, b in pairwise(ends)]
         self.fit = parts[0]
@@ -216,11 +218,14 @@ class OperatingModes:
         return np.asarray(1 + alpha**2 * self.spread(at))
 
 
-def mode_set(model: ModalModel, common: tuple[Dof, ...], signs: Array, top: float) -> ModeSet:
+def mode_set(model: ModalModel, common: tuple[Dof, ...], signs: Array, top: float, blocks: int = 0) -> ModeSet:
     """Modes below ``top`` [Hz] on some DOFs, ``signs`` of the idle model over these.
 
-    Their covariance is taken as stated: over four structures of ``benchmarks/hidden_effects`` with nothing hidden the mean squared
-    standardised difference from the truth is 0.5 to 0.9 of frequencies, 0.5 to 1 of damping and 0.4 to 0.9 of shapes.
+    Parameters
+    ----------
+    blocks : int
+        Of the record, from whose scatter its covariance was estimated; 0 where that is not known. The inverse of a covariance of p
+        values from N blocks is (N − 1)/(N − p − 2) times too large on average (Hartlap et al., Astron. Astrophys. 464, 2007, 399–404).
     """
     inside = np.asarray(model.in_band) & (model.frequencies_hz < top) & (model.damping_ratios > 0) & (model.frequencies_hz > 0)
     kept = model.select_modes(inside)
@@ -243,6 +248,8 @@ def mode_set(model: ModalModel, common: tuple[Dof, ...], signs: Array, top: floa
             at = np.r_[k, n + k, real, real + n * full]
             unit = np.r_[1 / kept.frequencies_hz[k], 1 / kept.damping_ratios[k], np.tile(sense, 2) / norm[k]]
             covariance = np.asarray(kept.covariance)[np.ix_(at, at)] * unit[:, None] * unit
+            if blocks:
+                covariance = covariance * ((blocks - 1) / max(blocks - 2 * m - 2, _LEAST_SHARE * blocks))
         else:
             relative = [ASSUMED_MODES[0] if f_std is None else f_std[k] / kept.frequencies_hz[k]]
             relative.append(ASSUMED_MODES[1] if z_std is None else z_std[k] / kept.damping_ratios[k])
@@ -257,6 +264,27 @@ def mode_set(model: ModalModel, common: tuple[Dof, ...], signs: Array, top: floa
         noise[k, :, k] = to @ covariance @ to.T + np.diag(floor)
     size = n * 2 * m
     return ModeSet(kept.frequencies_hz, kept.damping_ratios, shapes, across, noise.reshape(size, size))
+
+
+def _of_half(half: ModeSet, whole: ModeSet) -> ModeSet:
+    """Modes of half a record with twice the covariance of the whole.
+
+    That of 26 values from the 44 blocks of a half would have an inverse 2.5 times too large, and each another.
+    """
+    apart = np.abs(np.log(half.f[:, None] / whole.f)) / PARTNER_LOG_HZ + 1 - np.abs(half.shapes.conj().T @ whole.shapes) ** 2
+    n, size = half.n, half.per_mode
+    noise = np.zeros((n, size, n, size))
+    known = whole.noise.reshape(whole.n, size, whole.n, size)
+    for k, other in enumerate(np.argmin(apart, axis=1)):
+        turn = np.vdot(whole.shapes[:, other], half.shapes[:, k])
+        turn = turn / np.abs(turn)
+        unit = np.eye(len(half.shapes))
+        rotation = np.block([[turn.real * unit, -turn.imag * unit], [turn.imag * unit, turn.real * unit]])
+        to = np.eye(size)
+        to[2:, 2:] = half.across[k].T @ rotation @ whole.across[other]
+        noise[k, :, k] = 2 * to @ known[other, :, other] @ to.T
+        noise[k, :, k] += np.diag(1e-9 * np.diag(noise[k, :, k]))
+    return replace(half, noise=noise.reshape(n * size, n * size))
 
 
 def _across(y: Array) -> Array:
