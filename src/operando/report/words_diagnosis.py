@@ -25,9 +25,6 @@ VERDICTS: dict[str, tuple[str, str]] = {
 FAULT = "The measurement is at fault, not the structure"
 """What ``explained`` means where only channels are to blame."""
 
-FAINT = ("No effect is shown to be missing, yet one is not excluded", "fair")
-"""Title and colour class of ``no_misfit`` where candidates are neither shown nor excluded."""
-
 BY_HAND = ("changed_by_hand", "Effects were added or taken out by hand", "none")
 """What stands in the place of verdict, title and colour class then."""
 
@@ -260,8 +257,6 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
         verdict, title, grade = BY_HAND
     elif verdict == "explained" and effects and all(e.group in ("sensor", "force") for e in effects):
         title = FAULT
-    elif verdict == "no_misfit" and document.get("ambiguous_with"):
-        title, grade = FAINT
     ladder = ladder_of(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
