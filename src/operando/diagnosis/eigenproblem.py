@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.forward import Moved, Outside, Point
+from operando.diagnosis.forward import Forward, Moved, Outside, Point
 from operando.diagnosis.idle import Moves
 from operando.diagnosis.terms import Term, added, touched
-
-if TYPE_CHECKING:
-    from operando.diagnosis.forward import Forward
 
 Array = NDArray[Any]
 _TURNS, _CLOSE = 30, 1e-11  # of Newton's method; relative change of a pole at which it ends
