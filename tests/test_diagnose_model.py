@@ -421,7 +421,7 @@ def test_a_kind_of_the_users_own_serves_frfs_and_poles(inerter):
         (100.0, 0.9, "lower by 99.1"),
         (100.0, 99.0, "the data do not support it"),
         (100.0, 110.0, "makes the prediction worse"),
-        (100.0, 70.0, "most of the misfit remains"),
+        (100.0, 70.0, "most of the error remains"),
         (0.9, 0.7, "nothing was left to explain"),
     ],
 )

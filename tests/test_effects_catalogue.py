@@ -146,9 +146,9 @@ def test_the_contracts_examples_read():
     ("text", "says"),
     [
         ("point_mas@3+Z", "did you mean 'point_mass'"),
-        ("point_mass", "1 places, 0 given"),
-        ("gyroscopic@3+Z", "2 places, 1 given"),
-        ("coupling_spring@3+Z,3-Z", "two different places"),
+        ("point_mass", "1 DOFs, 0 given"),
+        ("gyroscopic@3+Z", "2 DOFs, 1 given"),
+        ("coupling_spring@3+Z,3-Z", "two different DOFs"),
         ("point_mass@3+Z=weight:2", "no parameter 'weight'"),
         ("point_mass@3+Z=mass:heavy", "no number"),
         ("point_mass@3+Z=mass", "no name:value"),
@@ -186,10 +186,10 @@ def test_a_negative_size_is_the_effect_taken_away():
 
 def test_size_with_its_spread():
     effect = parse_effect("point_mass@272+Z=mass:0.2").with_std({"mass": 0.004})
-    assert effect.explanation == "A mass of 0.200 ± 0.008 kg sits on 272+Z"  # ± is the 95 % interval
+    assert effect.explanation == "A mass of 200 ± 8 g sits on 272+Z"  # ± is the 95 % interval
     assert effect.with_values(mass=0.3).std == {}
     assert parse_effect("global_stiffness=change:-0.08").with_std({"change": 0.0012}).size == "-8.0 ± 0.2 %"
-    assert parse_effect("ground_spring@3+Z=stiffness:1e6").with_std({"stiffness": 3e3}).size == "1000000 ± 5880 N/m"
+    assert parse_effect("ground_spring@3+Z=stiffness:1e6").with_std({"stiffness": 3e3}).size == "1.000 ± 0.006 MN/m"
 
 
 def test_a_kind_of_the_users_own():
@@ -218,8 +218,8 @@ def test_a_kind_of_the_users_own():
         ({"plain": ""}, "plain words"),
         ({"acts": "magic"}, "acts"),
         ({"acts": "sensor_map"}, "does not define"),
-        ({"places": 3}, "places"),
-        ({"places": 0}, "takes no place"),
+        ({"places": 3}, "DOFs"),
+        ({"places": 0}, "takes no DOF"),
         ({"coordinates": "node", "places": 2}, "coordinates"),
         ({"parameters": (Parameter("a", "", 0.0, 1.0, "linear"),) * 2}, "two parameters"),
     ],

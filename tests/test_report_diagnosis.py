@@ -33,7 +33,7 @@ MASS = {
     "kind": "point_mass",
     "location": ["103+Z"],
     "parameters": {"mass": {"value": 0.2, "unit": "kg", "std": 0.001}},
-    "explanation": "A mass of 0.200 ± 0.001 kg sits on 103+Z",
+    "explanation": "A mass of 200 ± 1 g sits on 103+Z",
     "confirm": "weigh what was put there",
 }
 
@@ -142,7 +142,7 @@ def sections(results):
 
 def test_answer_says_what_where_how_large_and_how_much_it_helps():
     words = diagnosis_words(document())
-    assert words.found == ("A mass of 0.200 ± 0.002 kg (95 %) sits on 103+Z; the idle model does not have it.",)
+    assert words.found == ("A mass of 200 ± 2 g (95 %) sits on 103+Z; the idle model does not have it.",)
     assert "the error of the idle model is 3.93 dB, with the effect 0.15 dB" in words.sentences[0]
     assert "0.14 dB" in words.sentences[0]
     assert words.sentences[1] == "Nothing else in the catalogue does as well."
@@ -153,8 +153,8 @@ def test_answer_says_what_where_how_large_and_how_much_it_helps():
 def test_intervals_are_1_96_standard_deviations():
     wide = copy.deepcopy(MASS)
     wide["parameters"]["mass"]["std"] = 0.01
-    assert effect_words(wide).size == "0.20 ± 0.02 kg"
-    assert effect_words(MASS).size == "0.200 ± 0.002 kg"
+    assert effect_words(wide).size == "200 ± 20 g"
+    assert effect_words(MASS).size == "200 ± 2 g"
 
 
 def test_what_was_taken_away_is_still_in_the_idle_model():
@@ -200,7 +200,7 @@ def test_wrong_effect_added_by_hand_is_never_told_as_the_diagnosis(whole):
     assert found_intro(words) == "In the model now:"
     assert "Ground spring at 105+Z: misfit 72920 → 18900: lower by 74.1 %." in words.sentences
     assert "The data speak for another one." in words.sentences
-    assert "The diagnosis by itself (explained) found: A mass of 0.200 ± 0.002 kg (95 %) sits on 103+Z." in words.sentences
+    assert "The diagnosis by itself (explained) found: A mass of 200 ± 2 g (95 %) sits on 103+Z." in words.sentences
     assert "Nothing else" not in " ".join(words.sentences)
     assert not words.decide
     results = replace(whole, diagnosis=found)
@@ -241,7 +241,7 @@ def test_ladder_takes_the_sizes_of_the_last_refit_and_says_when_nothing_was_held
     final = copy.deepcopy(MASS)
     final["parameters"]["mass"]["value"] = 0.25
     found["effects"] = [final]
-    assert "0.250" in ladder_of(found).rungs[1].effect.size
+    assert "250" in ladder_of(found).rungs[1].effect.size
     for row in found["ladder"]:
         row["heldout_error_db"] = None
     ladder = ladder_of(found)
@@ -286,7 +286,7 @@ def test_ladder_figure_holds_values_labels_floor_and_verdict():
     text = text_of(ladder_figure(words.ladder, "explained", "good"))
     for piece in ("3.93 dB", "1.20 dB", "0.15 dB", "−2.73 dB", "−1.05 dB", "noise floor 0.14 dB", "explained", "idle model"):
         assert piece in text, piece
-    for piece in ("+ point mass", "103+Z", "0.200 ± 0.002 kg", "+ ground spring (taken away)", "105+Z", "900 ± 20 N/m"):
+    for piece in ("+ point mass", "103+Z", "200 ± 2 g", "+ ground spring (taken away)", "105+Z", "900 ± 20 N/m"):
         assert piece in text, piece
 
 
@@ -349,7 +349,7 @@ def test_ladder_is_the_first_figure_and_the_answer_the_first_section(whole):
     assert "Error by step, verdict explained" in first
     assert "3.93 dB" in first
     assert "Figure 1." in first
-    assert "A mass of 0.200 ± 0.002 kg (95 %) sits on 103+Z" in html
+    assert "A mass of 200 ± 2 g (95 %) sits on 103+Z" in html
     assert "<script>" not in html.replace("<script>addEventListener", "")
 
 
@@ -360,7 +360,7 @@ def test_evidence_has_maps_stiffness_places_frfs_and_candidates(whole):
         "The error of the idle model is largest at",
         "With the effects",
         "Noise floor",
-        "103+Z: point mass 0.200 ± 0.002 kg",
+        "103+Z: point mass 200 ± 2 g",
         "the real part falls as the square of frequency",
         "hold-out lines",
         "103+Z from",
@@ -512,7 +512,7 @@ def test_effect_between_sensors_is_named_by_its_position(whole):
     assert "(0.45, 0, 0) m, +Z" in diagnosis_words(found).found[0]
     made = sections(replace(whole, diagnosis=found))
     assert "(0.45, 0, 0) m, +Z" in text_of(made["missing"][made["missing"].index("<figure>") :])
-    assert "(0.45, 0, 0) m, +Z: point mass 0.200 ± 0.002 kg" in text_of(made["diagnosis"])
+    assert "(0.45, 0, 0) m, +Z: point mass 200 ± 2 g" in text_of(made["diagnosis"])
     assert "acts on the whole" not in made["diagnosis"]
     everywhere = {"kind": "global_stiffness", "location": [], "parameters": {"change": {"value": 0.01, "unit": "", "std": 1e-4}}}
     assert "acts on the whole" in sections(replace(whole, diagnosis=document(effects=(everywhere,))))["diagnosis"]
@@ -576,7 +576,7 @@ def test_missing_keys_are_said_or_left_out(whole, key):
 def test_results_without_models_still_tell_the_diagnosis():
     bare = Results("bare", diagnosis=document())
     made = sections(bare)
-    assert "A mass of 0.200" in made["missing"]
+    assert "A mass of 200" in made["missing"]
     assert "Only one route" in made["diagnosis"]
     anchors = [s.anchor for s in build(bare)]
     assert anchors[:2] == ["missing", "answer"]

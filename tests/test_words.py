@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from pathlib import Path
 
 import click
 import jinja2
@@ -83,10 +84,16 @@ def prose_of_page(text: str) -> str:
 
 
 TEMPLATES = sorted((SRC / "report" / "templates").glob("*.j2"))
-OWN_WORDS = ("diagnosis", "diagnose", "effects", "nonlinear")
-"""Rooms of the diagnosis, which says its own results."""
+TO_COME = {f"diagnosis/{name}.py" for name in (
+    "case", "output_only", "output_only_scan", "output_only_sets", "output_only_undecided", "search",
+)}  # fmt: skip
+"""Modules of the diagnosis whose messages still hold words of the left column; the set only grows shorter."""
 
-MODULES = [p for p in sorted(SRC.rglob("*.py")) if p.relative_to(SRC).parts[0] not in OWN_WORDS]
+MODULES = sorted(SRC.rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(SRC).as_posix()
 
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda p: p.name)
@@ -94,9 +101,10 @@ def test_templates(path):
     assert offences(prose_of_template(path.read_text(encoding="utf-8"))) == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(SRC).as_posix())
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_texts_and_messages(path):
-    assert [o for text in prose_of_module(path.read_text(encoding="utf-8")) for o in offences(text)] == []
+    found = [o for text in prose_of_module(path.read_text(encoding="utf-8")) for o in offences(text)]
+    assert bool(found) == (name_of(path) in TO_COME), found
 
 
 @pytest.mark.parametrize("path", [p for p in pages() if p.parent.name != "project"], ids=lambda p: p.relative_to(ROOT).as_posix())

@@ -7,11 +7,12 @@ from typing import Any
 
 import operando
 from generators.drawings import draw
-from operando.cli.effects import example, law, places_words, unit_words
+from operando.cli.effects import example, law, places_words
+from operando.units import written_unit
 
 GROUPS = {
     "structure": ("Effects in the structure", "They change the FRFs of the machine."),
-    "idle": ("Shortcomings of the idle model", "The structure is the same; the idle model lacks something."),
+    "idle": ("Shortcomings of the idle model", "The structure is the same; something is missing in the idle model."),
     "sensor": ("Faults of response channels", "They change what is measured, not the structure."),
     "force": ("Faults of force channels", "They change what is measured, not the structure."),
     "excitation": ("Excitation", "Neither structure nor measurement chain."),
@@ -53,8 +54,8 @@ def entry(kind: Any) -> list[str]:
     table = []
     if kind.parameters or kind.constants:
         table = ["| parameter | unit | meaning |", "| --- | --- | --- |"]
-        table += [f"| `{p.name}` | {unit_words(p.unit)} | {p.plain} |" for p in kind.parameters]
-        table += [f"| `{p.name}` | {unit_words(p.unit)} | {p.plain} (stated, never fitted) |" for p in kind.constants]
+        table += [f"| `{p.name}` | {written_unit(p.unit) or '–'} | {p.plain} |" for p in kind.parameters]
+        table += [f"| `{p.name}` | {written_unit(p.unit) or '–'} | {p.plain} (stated, never fitted) |" for p in kind.constants]
         table.append("")
     where = {0: "", 1: "7+Z", 2: "7+Z and 12+Z"}[kind.places]
     confirm = kind.confirm(where, kind.defaults((5.0, 145.0))) if not kind.constants or kind.parameters else kind.confirm(where, {})

@@ -126,3 +126,57 @@ def parse_unit(text: str, quantity: str | None = None) -> tuple[str, float]:
 def si_factor(text: str, quantity: str | None = None) -> float:
     """Factor from the unit ``text`` to SI (see :func:`parse_unit`)."""
     return parse_unit(text, quantity)[1]
+
+
+_LARGE = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""))
+_SMALL = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+_PREFIXES = {
+    "N/m": _LARGE,
+    "N s/m": _LARGE,
+    "N": (*_LARGE, *_SMALL[1:]),
+    "kg": ((1.0, "kg"), (1e-3, "g"), (1e-6, "mg")),
+    "m": ((1.0, ""), (1e-4, "m"), (1e-7, "µ"), (1e-10, "n")),
+    "m/s": _SMALL,
+    "s": _SMALL,
+}
+"""Sizes from which on an SI unit is written with a prefix; millimetres from 0.1 mm on."""
+
+
+def written_unit(unit: str) -> str:
+    """An SI unit as people write it: ``N·s/m`` for ``N s/m``."""
+    return unit.replace("N s", "N·s").replace("m3", "m³").replace("m2", "m²").replace("s2", "s²")
+
+
+def engineering_unit(size: float, unit: str) -> tuple[float, str]:
+    """The unit in which engineers write a value of that size.
+
+    Parameters
+    ----------
+    size : float
+        Magnitude in the SI unit.
+    unit : str
+        SI unit; units without a customary prefix are returned as they are.
+
+    Returns
+    -------
+    factor : float
+        Divide a value in the SI unit by this.
+    text : str
+        The unit with its prefix.
+
+    Examples
+    --------
+    >>> engineering_unit(149994.0, "N/m")
+    (1000.0, 'kN/m')
+    >>> engineering_unit(4e-4, "m")
+    (0.001, 'mm')
+    >>> engineering_unit(0.15, "kg")
+    (0.001, 'g')
+    """
+    steps = _PREFIXES.get(unit)
+    if steps is None or size == 0:
+        return 1.0, written_unit(unit)
+    least, prefix = next(((f, p) for f, p in steps if abs(size) >= f), steps[-1])
+    if unit == "kg":
+        return least, prefix
+    return {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "m": 1e-3, "µ": 1e-6, "n": 1e-9}[prefix], prefix + written_unit(unit)

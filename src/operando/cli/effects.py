@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from operando.cli.answer import Answer, answers, own_option, table
+from operando.units import written_unit
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -74,11 +75,6 @@ def law(kind: EffectKind) -> str:
     return (type(kind).__doc__ or "").strip().split("\n")[0].replace("``", "")
 
 
-def unit_words(unit: str) -> str:
-    """A unit as people write it."""
-    return unit.replace("N s2/m2", "N·s²/m²").replace("N s/m", "N·s/m").replace("m3", "m³").replace("m2", "m²") or "–"
-
-
 def places_words(kind: EffectKind) -> str:
     """How many DOFs a kind takes, in words."""
     words = {0: "none", 1: "one DOF", 2: "two DOFs"}
@@ -93,7 +89,7 @@ def example(kind: EffectKind) -> str:
 
 
 def _parameter(p: Any) -> str:
-    return f"{p.name} [{unit_words(p.unit)}]"
+    return f"{p.name} [{written_unit(p.unit) or '–'}]"
 
 
 def _text(kind: EffectKind) -> str:
@@ -104,8 +100,8 @@ def _text(kind: EffectKind) -> str:
     if not kind.symmetric:
         lines.append("not reciprocal: H differs from its transpose")
     parts = ["\n".join(line for line in lines if line)]
-    rows = [[p.name, unit_words(p.unit), _ends(p), p.plain] for p in kind.parameters]
-    rows += [[p.name, unit_words(p.unit), _ends(p), f"{p.plain} (stated, never fitted)"] for p in kind.constants]
+    rows = [[p.name, written_unit(p.unit) or "–", _ends(p), p.plain] for p in kind.parameters]
+    rows += [[p.name, written_unit(p.unit) or "–", _ends(p), f"{p.plain} (stated, never fitted)"] for p in kind.constants]
     if rows:
         parts.append(table(rows, ["parameter", "unit", "range", "meaning"]))
     drawn = picture(kind)

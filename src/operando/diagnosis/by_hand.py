@@ -117,14 +117,18 @@ def apply_effects(
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
     if not check:
-        raise MissingError("no check FRFs to judge an added effect by", hint="measure the running structure with a known force")
+        raise MissingError(
+            "no FRFs of a validation measurement to test an added effect on", hint="measure the running structure with a known force"
+        )
     say = progress or (lambda text: None)
     wanted = [parse_effect(e, band or idle.band_hz) if isinstance(e, str) else e for e in effects]
     if not refit:
         wanted = [replace(e, fixed=e.definition.names) for e in wanted]
     for e in wanted:
         if e.definition.acts not in _HANDLED:
-            raise ConfigError(f"{e.kind} cannot be judged by FRFs", hint="name a linear kind, or give the records of the check")
+            raise ConfigError(
+                f"{e.kind} cannot be tested on FRFs", hint="name a linear kind, or give the records of the validation measurement"
+            )
     with one_blas_thread():
         run = chosen_run(check)
         band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
@@ -231,9 +235,11 @@ def _better(state: State, misfit: float) -> tuple[Effect, float] | None:
 
 
 def words_of(effect: Effect, before: float, after: float) -> str:
-    """What an effect did to the misfit on lines the fit has not seen, and where the data do not support it."""
+    """What an effect did to the reduced chi-square on validation lines, and where the data do not support it."""
     fall = 1 - after / before
-    start = f"{effect.kind}{f' at {effect.place}' if effect.place else ''}: misfit on lines the fit has not seen {before:.4g} → {after:.4g}"
+    start = (
+        f"{effect.kind}{f' at {effect.place}' if effect.place else ''}: reduced chi-square on validation lines {before:.4g} → {after:.4g}"
+    )
     if fall < 0:
         return f"{start}: it makes the prediction worse; nothing in the data speaks for it"
     if fall < _LITTLE:
@@ -241,5 +247,5 @@ def words_of(effect: Effect, before: float, after: float) -> str:
     if before < 1:
         return f"{start}: lower by {100 * fall:.0f} %, but it was no more than the data allow: nothing was left to explain"
     if fall < 0.5 and after > 1.5:
-        return f"{start}: lower by {100 * fall:.0f} %; most of the misfit remains, so something else is missing"
+        return f"{start}: lower by {100 * fall:.0f} %; most of the error remains, so something else is missing"
     return f"{start}: lower by {100 * fall:.{1 if fall < 0.99 else 3}f} %"

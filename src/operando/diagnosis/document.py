@@ -247,7 +247,7 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
             line = int(np.argmax(np.median(gap[:, :, j], axis=1)))
             decibel = float(np.max(20 * np.abs(np.log10(np.abs(two[line, :, j]) / np.maximum(size[line, :, j], 1e-300)))))
             new = [t for t in state.terms if t.key not in {o.key for o in best.terms}]
-            name = " and ".join(f"{t.kind} at {', '.join(case.place(i) for i in t.places) or 'no place'}" for t in new) or "nothing"
+            name = " and ".join(f"{t.kind} at {', '.join(case.place(i) for i in t.places) or 'no location'}" for t in new) or "nothing"
             texts.append(
                 f"to tell it from {name}: excite {case.dofs[j]} while it runs; near {w[line] / 2 / np.pi:.4g} Hz the two predictions "
                 f"differ by up to {decibel:.2g} dB"
@@ -264,9 +264,7 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
         own += float(np.mean(2 * np.sum(problem.rows(prediction.own[..., :shape]) ** 2, 2)))
         alone = float(np.mean(problem.variance(best.alpha)))
         if own > alone:
-            return (
-                "what is not known of the idle model hides it: measure the FRFs at rest again with more averages and force at more points"
-            )
+            return "what is not known of the idle model hides it: measure the idle FRFs again with more averages and force at more points"
         there = case.lines.there
         noise = float(np.mean(case.lines.variance[at][:, there] / case.lines.level[at][:, there] ** 2))
         if noise > best.alpha**2:

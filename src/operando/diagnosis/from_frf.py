@@ -54,7 +54,7 @@ def diagnose_frf(
     between: Mapping[str, float] | None = None,
     operating: ModalModel | None = None,
 ) -> Diagnosis:
-    """Name the physical effect that the idle model lacks, where it acts and how large it is, from FRFs of the running structure.
+    """Name the physical effect that is missing in the idle model, where it acts and how large it is, from FRFs of the running structure.
 
     One statistical model: idle parameters with their covariance, what differs between two measurements, effects with priors, and a
     discrepancy in proportion to the FRFs, smooth over a resonance (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425–464). Effects
@@ -68,7 +68,7 @@ def diagnose_frf(
     check : sequence of CheckRun
         FRFs of the running structure; the run of the lowest level with the most values is used.
     idle_frf : Frf, optional
-        FRFs at rest: whether the idle model explains them, and which DOFs were driven.
+        Idle FRFs: whether the idle model explains them, and which DOFs were driven.
     geometry : Geometry, optional
         Sensor positions, for what counts as a neighbour.
     kinds, places : sequences, optional
@@ -80,7 +80,7 @@ def diagnose_frf(
     compared : mapping, optional
         Errors of the idle model against the check, as :func:`operando.compare.compare_all` gives them.
     between : mapping, optional
-        What may differ between the measurements at rest and in operation → one standard deviation (``[between]`` of a test file): of
+        What may differ between the idle and the operating measurement → one standard deviation (``[between]`` of a test file): of
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
         stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
     operating : ModalModel, optional
@@ -107,7 +107,7 @@ def diagnose_frf(
         rest = None
         known = Idle.of(idle, band, driven)
         if idle_frf is not None:
-            say("idle model on the FRFs at rest")
+            say("idle model on the idle FRFs")
             rest = at_rest(known, idle_frf, band)
         model = known if rest is None else rest.idle
         asked: dict[str, Any] = {
@@ -156,7 +156,7 @@ def diagnose(
     compared: Mapping[str, Any] | None = None,
     between: Mapping[str, float] | None = None,
 ) -> Diagnosis:
-    """Name the physical effect that the idle model lacks, where it acts and how large it is.
+    """Name the physical effect that is missing in the idle model, where it acts and how large it is.
 
     From FRFs of the running structure (:func:`diagnose_frf`), from its records where it is not linear, or from operational modes alone.
 
@@ -179,13 +179,13 @@ def diagnose(
     records : sequence of TimeRecord, optional
         The check's records, force and responses: where the running structure is not linear they are looked at.
     idle_frf : Frf, optional
-        FRFs at rest.
+        Idle FRFs.
     exclude_bands : sequence of (float, float)
         Lines of the records left out [Hz].
     compared : mapping, optional
         Errors of the idle model against the check, as :func:`operando.compare.compare_all` gives them.
     between : mapping, optional
-        What may differ between the measurements at rest and in operation → one standard deviation (``[between]`` of a test file): of
+        What may differ between the idle and the operating measurement → one standard deviation (``[between]`` of a test file): of
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
         stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
 
@@ -209,7 +209,7 @@ def diagnose(
     if check:
         return from_frf()
     if operating is None:
-        raise MissingError("neither check FRFs nor operational modes to diagnose from")
+        raise MissingError("neither FRFs of a validation measurement nor operating modes to diagnose from")
     from operando.diagnosis.from_modes import diagnose_modes
 
     del asked["compared"]
@@ -316,20 +316,20 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
     unused = [r.name for r in check if r is not run]
     if one_set_up is not None and one_set_up > 0:
         notes.append(
-            f"the data say that nothing was touched between the measurements at rest and in operation (log odds {one_set_up:.0f}); "
-            "gains, places of sensors, temperature and damping count as the same"
+            f"the data say that nothing was touched between the idle and the operating measurement (log odds {one_set_up:.0f}); "
+            "gains, positions of sensors, temperature and damping count as the same"
         )
     if unused:
         notes.append(f"the diagnosis uses {run.name} alone; {', '.join(unused)} stand in the comparison only")
     if rest is None:
-        notes.append("there are no FRFs at rest: the idle model is taken as it is, and the noise of neighbouring lines as independent")
+        notes.append("there are no idle FRFs: the idle model is taken as it is, and the noise of neighbouring lines as independent")
     elif rest.again:
         notes.append(
-            f"the idle model was fitted to the FRFs at rest again, with complex modes; {100 * rest.state.alpha:.2g} % of them stay "
+            f"the idle model was fitted to the idle FRFs again, with complex modes; {100 * rest.state.alpha:.2g} % of them stay "
             "unexplained. The model with the effects holds real modes: its FRFs leave out what ties the modes to each other"
         )
     case = found.best.case
     count = len(case.dofs) - case.forward.responses.size
     if count:
-        notes.append(f"{count} DOFs of the idle model were not measured in operation: what happens there is told by the others alone")
+        notes.append(f"{count} DOFs of the idle model were not measured in operation: what happens there follows from the others alone")
     return tuple(notes)

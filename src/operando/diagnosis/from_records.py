@@ -151,7 +151,7 @@ def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | N
         if pairs:
             ratios.append(float(np.quantile(pairs, LOUDEST)))
     if ratios and max(ratios) > DISTORTION:
-        return f"the responses in operation hold {max(ratios):.3g} times as much as at rest that is not proportional to the force"
+        return f"the responses in operation hold {max(ratios):.3g} times as much as in the idle state that is not proportional to the force"
     return None
 
 
@@ -226,7 +226,7 @@ def diagnose_levels(
         else:
             if seen.nonlinear:
                 return merged(seen, idle, check, geometry, band, compared, (reason,))
-            notes.append(f"{reason}, but no level-dependent effect of the catalogue earns a place")
+            notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
     found = linear()
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
@@ -246,7 +246,7 @@ def diagnose_levels(
             progress(f"look at the records: {reason}")
         seen = look()
     except OperandoError as error:
-        return replace(found, notes=(*found.notes, f"the records were not looked at: {error.message}"))
+        return replace(found, notes=(*found.notes, f"the records were not used: {error.message}"))
     left = [row["heldout_misfit"] for row in seen.ladder]
     if seen.nonlinear and (seen.verdict in SURE or (found.verdict == "no_misfit" and left[-1] < 0.5 * left[0])):
         return merged(seen, idle, check, geometry, band, compared, (reason,) if found.verdict == "no_misfit" else ())
@@ -316,7 +316,7 @@ def standing(document: Mapping[str, Any]) -> list[Effect]:
         if not found or not found[0]:
             raise MissingError(
                 f"{effect.kind} at {effect.place} depends on the level: without records it has no FRF",
-                hint="run the diagnosis with the check's records",
+                hint="run the diagnosis with the records of the validation measurement",
             )
         out += linear_effects(effect, found[0])
     return out

@@ -59,7 +59,7 @@ class Lines:
         good = finite[:, self.there].all(1)
         if good.sum() < BLOCKS or not self.there.any():
             raise DataError(
-                f"{int(good.sum()) if self.there.any() else 0} lines of the check FRFs are finite in all measured pairs, "
+                f"{int(good.sum()) if self.there.any() else 0} lines of validation FRFs are finite in all measured pairs, "
                 f"a diagnosis needs {BLOCKS}",
                 hint="name the bad channel in the test file, or widen the band",
             )

@@ -132,14 +132,14 @@ def supported(state: State) -> bool:
 
 
 def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
-    """The verdict of the contract.
+    """The verdict, by the rules of the specification.
 
     Parameters
     ----------
     case : Case
     found : Found
     rest : State or None
-        The idle model on the FRFs at rest, where there are any.
+        The idle model on the idle FRFs, where there are any.
     """
     best = found.best
     chi, db = on_validation_lines(best)
@@ -153,11 +153,11 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
         return Verdict(name, why, terms, sets, probability, chi, db, tuple(blind), least)
 
     far = strained(best) and "what differs between the measurements is more than between days in a laboratory: it stands for something else"
-    lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the FRFs at rest themselves" if rest and rest.alpha > EXPLAINED else ""
+    lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
     if lost or far or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
         if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
-            return say("partial", lost or far or "the effects lower the misfit, and something remains")
+            return say("partial", lost or far or "the effects lower the error, and something remains")
         if lost:
             return say("inconclusive", lost)
         if far and not best.terms:

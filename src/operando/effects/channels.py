@@ -31,7 +31,7 @@ class SensorGain(_Channel):
         return f"the channel at {place} has a wrong sensitivity ({size} times the true value): measurement, not structure"
 
     def confirm(self, place: str, values: Values) -> str:
-        return f"calibrate the sensor at {place} on a shaker, or put another sensor in its place"
+        return f"calibrate the sensor at {place} on a shaker, or mount another sensor instead"
 
 
 class SensorPolarity(_Channel):

@@ -14,6 +14,7 @@ from operando.effects.base import EffectKind
 from operando.effects.registry import kind_of
 from operando.errors import ConfigError
 from operando.indicators import INTERVAL
+from operando.units import engineering_unit
 
 
 @dataclass(frozen=True)
@@ -69,15 +70,15 @@ class Effect:
             put("direction", str(Dof.parse(f"0{self.direction}"))[1:])
             if self.location or definition.places != 1 or definition.group in ("sensor", "force"):
                 raise ConfigError(
-                    f"{self.kind} cannot stand at a position without a sensor", hint="only kinds of one place on the structure can"
+                    f"{self.kind} cannot stand at a position without a sensor", hint="only kinds at one DOF of the structure can"
                 )
         elif len(self.location) not in (definition.places, *definition.alternative_places):
             raise ConfigError(
-                f"{self.kind} takes {definition.places} places, {len(self.location)} given",
+                f"{self.kind} takes {definition.places} DOFs, {len(self.location)} given",
                 hint=f"write {self.kind}" + ("", "@12+Z", "@12+Z,13+Z")[definition.places],
             )
         elif definition.places == 2 and self.location[0].same_axis(self.location[1]):
-            raise ConfigError(f"{self.kind} needs two different places, got {self.location[0]} twice")
+            raise ConfigError(f"{self.kind} needs two different DOFs, got {self.location[0]} twice")
         values = dict(self.values)
         for name in values:
             definition.parameter(name)
@@ -145,10 +146,10 @@ class Effect:
                     continue
                 parts.append(", ".join(f"{v:.5g}" for v in value) + (f" {p.unit}" if p.unit else ""))
                 continue
-            scale = 100 if p.name == "change" else 1
-            number, spread = scale * value, None if std is None else scale * INTERVAL * std
-            text = f"{number:.4g}" if not spread else _with_spread(number, spread)
-            unit = "%" if p.name == "change" else p.unit
+            spread = None if std is None else INTERVAL * std
+            size = max(abs(value), spread if spread is not None and np.isfinite(spread) else 0.0)
+            factor, unit = (0.01, "%") if p.name == "change" else engineering_unit(size, p.unit)
+            text = f"{value / factor:.4g}" if not spread else _with_spread(value / factor, spread / factor)
             text = f"{text} {unit}".strip()
             alone = len(definition.parameters) + len(definition.constants) == 1
             parts.append(text if alone else f"{p.plain} {text}")

@@ -84,7 +84,7 @@ def spline_weights(points: ArrayLike, targets: ArrayLike) -> tuple[Array, Array]
     polynomial = np.c_[np.ones(n), u]
     system = np.block([[between, polynomial], [polynomial.T, np.zeros((d + 1, d + 1))]])
     if np.linalg.cond(system) > 1e13:
-        raise DataError("two sensors lie at one place, or all on one line but one: shapes cannot be interpolated")
+        raise DataError("two sensors lie at one position, or all on one line but one: shapes cannot be interpolated")
     inverse = np.linalg.inv(system)
     basis = np.c_[_kernel(np.linalg.norm(v[:, None] - u[None], axis=2), d), np.ones(len(v)), v]
     own = np.diag(inverse)[:n]

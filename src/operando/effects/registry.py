@@ -53,11 +53,11 @@ def register(kind: type[EffectKind]) -> type[EffectKind]:
     if wanted and all(getattr(kind, name) is getattr(EffectKind, name) for name in wanted):
         raise ConfigError(f"{kind.kind} acts by {wanted[0]}, which it does not define")
     if kind.places not in (0, 1, 2):
-        raise ConfigError(f"{kind.kind} takes {kind.places} places", hint="0, 1 or 2")
+        raise ConfigError(f"{kind.kind} takes {kind.places} DOFs", hint="0, 1 or 2")
     if kind.acts == "dynamic_stiffness" and kind.places == 0:
-        raise ConfigError(f"{kind.kind} adds stiffness but takes no place")
+        raise ConfigError(f"{kind.kind} adds stiffness but takes no DOF")
     if kind.coordinates not in ("difference", "separate", "node") or (kind.coordinates == "node" and kind.places != 1):
-        raise ConfigError(f"coordinates of {kind.kind} cannot be {kind.coordinates!r} on {kind.places} places")
+        raise ConfigError(f"coordinates of {kind.kind} cannot be {kind.coordinates!r} on {kind.places} DOFs")
     names = [p.name for p in (*kind.parameters, *kind.constants)]
     if len(set(names)) != len(names):
         raise ConfigError(f"{kind.kind} has two parameters of one name")

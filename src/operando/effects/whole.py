@@ -1,4 +1,4 @@
-"""Effects without a place: all stiffness, all damping, a mode the idle model lacks, and excitation that is no structure."""
+"""Effects without a location: all stiffness, all damping, a mode missing in the idle model, and excitation that is no structure."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class GlobalStiffness(EffectKind):
         )
 
     def explain(self, place: str, size: str, removed: bool = False) -> str:
-        return f"the whole structure is stiffer or softer than at rest ({size}), as by temperature or preload"
+        return f"the whole structure is stiffer or softer than in the idle state ({size}), as by temperature or preload"
 
     def confirm(self, place: str, values: Values) -> str:
-        return "measure at rest again while it is still at working temperature and load: all frequencies must lie as in operation"
+        return "measure the idle state again while it is still at working temperature and load: all frequencies must lie as in operation"
 
 
 class GlobalDamping(EffectKind):
@@ -58,17 +58,17 @@ class GlobalDamping(EffectKind):
         return idle.with_terms(damping_ratios=damping, covariance=_scaled(idle.covariance, factors))
 
     def explain(self, place: str, size: str, removed: bool = False) -> str:
-        return f"the whole structure is damped more or less than at rest ({size})"
+        return f"the whole structure is damped more or less than in the idle state ({size})"
 
     def confirm(self, place: str, values: Values) -> str:
-        return "measure at rest again at working temperature, and at half the level: a change that depends on level is friction in joints"
+        return "measure the idle state again at working temperature, and at half the level: a change with level is friction in joints"
 
 
 class MissingMode(EffectKind):
-    """A mode that the idle model lacks, put behind its modes (before its residual terms) with the shape the effect carries."""
+    """A mode missing in the idle model, put behind its modes (before its residual terms) with the shape of the effect."""
 
     kind = "missing_mode"
-    plain = "a mode that the idle model lacks"
+    plain = "a mode missing in the idle model"
     group = "idle"
     acts = "added_mode"
     places = 0
@@ -98,11 +98,11 @@ class MissingMode(EffectKind):
         )
 
     def explain(self, place: str, size: str, removed: bool = False) -> str:
-        return f"the idle model lacks a mode ({size})"
+        return f"a mode is missing in the idle model ({size})"
 
     def confirm(self, place: str, values: Values) -> str:
         near = f"{float(values['frequency']):.4g} Hz"
-        return f"excite at rest at another point, where the mode near {near} can be driven, and identify the idle model again"
+        return f"excite the idle structure at another point, where the mode near {near} can be driven, and identify the idle model again"
 
 
 class HarmonicExcitation(EffectKind):

@@ -72,7 +72,9 @@ def fineness(top_hz: float, sampling_hz: float, steepest: float = 0.0, sticks: b
     per_cycle = STICK_PER_CYCLE if sticks else PER_CYCLE
     fine = max(1, int(np.ceil(per_cycle * top_hz / sampling_hz)), int(np.ceil(steepest / (SHARE * sampling_hz))))
     if fine > FINEST:
-        raise DataError(f"so stiff a law takes {fine} steps a sample to be simulated", hint="give the force at a higher sampling rate")
+        raise DataError(
+            f"so stiff a force law takes {fine} steps a sample to be simulated", hint="give the force at a higher sampling rate"
+        )
     return fine
 
 

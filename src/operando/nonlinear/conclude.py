@@ -60,7 +60,7 @@ def candidate_row(case: Case, tried: Tried, base: float) -> dict[str, Any]:
     fall = 100 * (1 - tried.selection / base)
     return effect_of(case, tried).to_dict() | {
         "selection_misfit": tried.selection,
-        "evidence": f"misfit on lines the fit has not seen {base:.4g} → {tried.selection:.4g} ({fall:.1f} % lower)",
+        "evidence": f"reduced chi-square on validation lines {base:.4g} → {tried.selection:.4g} ({fall:.1f} % lower)",
     }
 
 
@@ -119,15 +119,15 @@ def conclude(
         unnamed = free_law(best.spot.fit, best.spot.select) / count
         if unnamed < GOOD_LAW * best.selection and verdict in ("explained", "ambiguous"):
             more = (
-                f"a law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
-                "the place is right, the law is none of the catalogue"
+                f"a force law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
+                "the location is right, the force law is none of the catalogue"
             )
             verdict, reason = verdict_of(judged, unseen=unseen, more=more, within=within)
     if verdict not in ("explained", "ambiguous", "partial") and effects:
         dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], dict[str, Any]()
     notes += too_fast(effects, accepted[: len(effects)], n, rows[-1]["heldout_misfit"])
     if not first.judged:
-        notes.append("one level alone: a third of the blocks of lines judges; a second level would show what scales")
+        notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
     step = steps[0]
     return NonlinearDiagnosis(
         verdict,
@@ -173,7 +173,7 @@ def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, 
         if change > SHARE * (left - 1) and max(m.above_noise(SEEN_PART) for m in motions) > FAST_SEEN:
             top = motions[0].along.run.sampling_hz / 2
             out.append(
-                f"the judge records stay {10 * np.log10(left):.1f} dB above the floor, and the motion across {effect.place} is faster than "
+                f"the validation records stay {10 * np.log10(left):.1f} dB above the floor, and {effect.place} moves faster than "
                 f"they show: what lies between {SEEN_PART * top:.0f} and {top:.0f} Hz changes the force in the band by {change:.2g} times "
                 f"the floor, so what lies above counts, too; record at {FASTER * 2 * top:.0f} samples a second or more"
             )

@@ -88,7 +88,7 @@ class PeriodicResponse:
             out.append("distortion is " + " and ".join(seen) if seen else "lines that were not excited show no distortion")
         if self.above_db is not None and np.max(self.above_db) > limit:
             out.append(f"harmonics above the excited band stand {np.max(self.above_db):.0f} dB above the noise")
-        out.append("one level cannot tell how it grows with the level, so neither a law nor its size: measure at a second level")
+        out.append("one level cannot tell how it grows with the level, so neither a force law nor its size: measure at a second level")
         return tuple(out)
 
 

@@ -1,4 +1,4 @@
-"""Diagnosis from records with measured force: which level-dependent effect the idle model lacks, where and how large."""
+"""Diagnosis from records with measured force: which level-dependent effect is missing in the idle model, where and how large."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def diagnose_records(
     exclude_bands: Sequence[tuple[float, float]] = (),
     progress: Callable[[str], None] | None = None,
 ) -> NonlinearDiagnosis:
-    """Name the level-dependent effect that the idle model lacks in records of the running state with measured force.
+    """Name the level-dependent effect that is missing in the idle model in records of the running state with measured force.
 
     Reverse path with a known linear part (Bendat & Piersol, Random Data): the idle model is the underlying linear system, so the only
     unknowns are the place, the law and its few values. Searched in response space, weighted by the model and the noise.

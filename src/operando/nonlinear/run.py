@@ -238,7 +238,9 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
 
     driven, measured = usable(record.force_indices), usable(record.response_indices)
     if not driven or len(driven) < len(record.force_indices):
-        raise DataError("a force of the record is not at a DOF of the idle model", where=where, hint="measure the drive point at rest, too")
+        raise DataError(
+            "a force of the record is not at a DOF of the idle model", where=where, hint="measure the drive point in the idle state, too"
+        )
     if not measured:
         raise DataError("no response of the record is a DOF of the idle model", where=where)
     n = record.n_samples

@@ -138,7 +138,7 @@ def rank_places(
         return sorted(each(lambda p: (look(few, case.modes, case.b(p), case.doubt, none, turns).misfit, p), some))
 
     if say:
-        say(f"look at {min(LOOKED, len(places))} of {len(places)} places")
+        say(f"{min(LOOKED, len(places))} of {len(places)} locations")
     best = [p for _, p in compared(places, FIRST_LINES, 1)[:LOOKED]] if len(places) > LOOKED else places
     return compared(best, RANK_LINES, 3)
 

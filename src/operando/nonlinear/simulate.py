@@ -126,7 +126,7 @@ def law_of(effect: Effect, idle: ModalModel) -> tuple[LawFit, Real]:
     if not has_restoring_force(effect):
         raise ConfigError(f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time")
     if not effect.location:
-        raise ConfigError(f"{effect.kind} stands at a place without a sensor: not simulated yet")
+        raise ConfigError(f"{effect.kind} stands at a position without a sensor: not simulated yet")
     rows, signs = match_dofs(effect.location, idle.dofs)
     b = np.zeros(len(idle.dofs))
     b[rows[0]] = signs[0]

@@ -97,7 +97,7 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     if singles and singles[0] not in near:
         near.append(singles[0])
     if say:
-        say(f"fit laws at {'; '.join(place_name(case, p) for p in near)}")
+        say(f"fit force laws at {'; '.join(place_name(case, p) for p in near)}")
 
     def compared(places: Sequence[tuple[int, ...]]) -> tuple[list[Spot], list[tuple[float, Spot, LawFit]]]:
         spots = each(lambda p: examine(stage, p), places)

@@ -110,7 +110,9 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
         raise DataError("displacement and force need the same number of samples")
     strokes = strokes_of(x, f, sampling_hz)
     if len(strokes) < 2 * FOLDS:
-        raise DataError(f"{len(strokes)} strokes to and fro are too few to tell a law", hint="six at least; move the device more often")
+        raise DataError(
+            f"{len(strokes)} strokes to and fro are too few to identify a force law", hint="six at least; move the device more often"
+        )
     fold = np.arange(len(strokes)) * FOLDS // len(strokes)
     size = float(np.mean(np.abs(np.concatenate([s.force for s in strokes]))))
     errors = dict.fromkeys(MODELS, 0.0)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from operando.report.svg import GREEN, GREY, IDLE, INK, MEASURED, MODEL, PALE, PURPLE, SKY, dots, drawn, log_axis, new_figure, thin
 from operando.report.text import fixed, number
 from operando.report.words_diagnosis import BY_HAND, EffectWords, Ladder
+from operando.units import engineering_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -193,9 +194,8 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
     for k, (picture, title) in enumerate(zip(pictures, titles, strict=True)):
         hz = np.asarray(picture["frequency_hz"], float)
         spans = [stiffness_span(picture.get(part), picture.get(f"law_{part}")) for part in ("real", "imag")]
-        factor, prefix = _prefix(max(abs(end) for span in spans for end in span))
+        factor, unit = engineering_unit(max(abs(end) for span in spans for end in span), str(picture.get("unit") or "N/m"))
         spans = [(low / factor, high / factor) for low, high in spans]
-        unit = prefix + str(picture.get("unit") or "N/m")
         both = max(high - low for low, high in spans)
         for j, (part, word) in enumerate((("real", "Real part"), ("imag", "Imaginary part"))):
             axes = figure.add_axes((0.085 + 0.495 * j, (height - top - row * (k + 1) + 0.5) / height, 0.4, (row - 0.85) / height))
@@ -217,11 +217,6 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
             if k == 0 and j == 0:
                 figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
     return figure, "Dynamic stiffness, real and imaginary part with the fitted force law: " + "; ".join(titles)
-
-
-def _prefix(size: float) -> tuple[float, str]:
-    """Factor and SI prefix of a size."""
-    return next(((f, p) for f, p in ((1e9, "G"), (1e6, "M"), (1e3, "k")) if size >= f), (1.0, ""))
 
 
 def _values(given: Any, hz: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,13 +10,11 @@ import numpy as np
 from operando.indicators import INTERVAL
 from operando.report.svg import GREEN, GREY, IDLE, MEASURED, SKY, dots, drawn, new_figure
 from operando.report.text import number
+from operando.units import engineering_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-LENGTHS = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-"""SI prefixes of small sizes."""
 
 
 @drawn
@@ -34,7 +32,7 @@ def force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
     for k, (name, unit) in enumerate((("displacement", "m"), ("velocity", "m/s"))):
         axes = figure.add_axes((0.085 + 0.495 * k, 0.155, 0.4, 0.66))
         over = np.asarray(picture[name], float)
-        factor, prefix = _prefix(float(np.max(np.abs(over))))
+        factor, written = engineering_unit(float(np.max(np.abs(over))), unit)
         rows = picture.get("binned" if k == 0 else "binned_velocity") or {}
         at, mean, spread = (np.asarray(rows.get(key) or [], float) for key in (name, "force", "force_std"))
         axes.axhline(0, color=GREY, lw=0.8)
@@ -42,17 +40,13 @@ def force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
         axes.errorbar(at / factor, mean, INTERVAL * spread, color=MEASURED, lw=0, elinewidth=0.9, marker="o", ms=3, label="mean, ± 95 %")
         if rows.get("law"):
             axes.plot(at / factor, np.asarray(rows["law"], float), color=IDLE, lw=1.8, ls=(0, (4, 2)), label="force law fitted, mean")
-        axes.set_xlabel(f"{name.capitalize()} [{prefix}{unit}]")
+        axes.set_xlabel(f"{name.capitalize()} [{written}]")
         axes.set_ylabel("Restoring force [N]")
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)
         if k == 0:
             figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=3, bbox_to_anchor=(0.985, 1.01))
     return figure, f"Restoring force over displacement and velocity with the fitted force law: {title}"
-
-
-def _prefix(size: float) -> tuple[float, str]:
-    return next(((f, p) for f, p in LENGTHS if size >= f), LENGTHS[-1])
 
 
 @drawn
@@ -68,7 +62,7 @@ def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure,
     figure = new_figure(10.2, 2.5)
     order = sorted(rows, key=lambda r: r["displacement_m"])
     x = np.array([r["displacement_m"] for r in order])
-    factor, prefix = _prefix(float(x.max()))
+    factor, length = engineering_unit(float(x.max()), "m")
     for k, (name, unit, color) in enumerate((("stiffness", "N/m", GREEN), ("damping", "N s/m", IDLE))):
         axes: Axes = figure.add_axes((0.085 + 0.495 * k, 0.2, 0.4, 0.64))
         axes.plot(x / factor, [r[name] for r in order], color=color, marker="o", ms=4, lw=1.2)
@@ -82,7 +76,7 @@ def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure,
             least = 0.1 * max(abs(r["stiffness"]) * r["displacement_m"] / max(r["velocity_m_s"], 1e-300) for r in order)
             low, high = axes.get_ylim()
             axes.set_ylim(min(low, -least), max(high, least))
-        axes.set_xlabel(f"Displacement across the location, rms [{prefix}m]")
+        axes.set_xlabel(f"Displacement across the location, rms [{length}]")
         axes.set_ylabel(f"Equivalent {name} [{unit}]")
         axes.set_title(title if k == 0 else "", fontsize=9.5)
         axes.grid(True)

@@ -10,7 +10,8 @@ from typing import Any
 from operando.effects import Effect
 from operando.errors import OperandoError
 from operando.indicators import INTERVAL
-from operando.report.text import decibel, finite, listing, number
+from operando.report.text import decibel, finite, listing, number, plus_minus
+from operando.units import engineering_unit
 
 VERDICTS: dict[str, tuple[str, str]] = {
     "no_misfit": ("Nothing is missing: the idle model predicts the operating state", "good"),
@@ -199,8 +200,10 @@ def _plain_size(document: Mapping[str, Any]) -> str:
         value = entry if isinstance(entry, Mapping) else {"value": entry}
         if not finite(value.get("value")):
             continue
-        spread = f" ± {number(INTERVAL * float(value['std']), 2)}" if finite(value.get("std")) else ""
-        text = f"{number(value['value'], 4)}{spread} {value.get('unit') or ''}".strip()
+        size, si = float(value["value"]), str(value.get("unit") or "")
+        std: Any = value.get("std")
+        factor, unit = engineering_unit(size, si)
+        text = (plus_minus(size / factor, float(std) / factor) if finite(std) else number(size / factor, 4)) + f" {unit}".rstrip()
         parts.append(text if len(parameters) == 1 else f"{kind_words(name)} {text}")
     return ", ".join(parts)
 
@@ -282,7 +285,8 @@ def _hidden(document: Mapping[str, Any]) -> str:
         return f"Of effects of these sizes, depending on the location, 95 % would have been found: {effects}."
     if verdict == "no_misfit" and seen:
         worst = max(seen, key=lambda row: float(row["value"]))
-        least = f"{number(worst['value'], 2)} {worst['unit']}"
+        factor, unit = engineering_unit(float(worst["value"]), worst["unit"])
+        least = f"{number(float(worst['value']) / factor, 2)} {unit}"
         return f"A mode that moves by {least} or more would have been seen (least well the {worst['parameter']})."
     if verdict in ("inconclusive", "partial", "unexplained") and document.get("reason"):
         text = str(document["reason"])
@@ -299,8 +303,9 @@ def _would_have_been_seen(rows: Sequence[Mapping[str, Any]]) -> str:
     parts = []
     for kind, some in sizes.items():
         values = sorted(float(row["value"]) for row in some)
-        span = number(values[0], 2) if len(values) == 1 else f"{number(values[0], 2)} … {number(values[-1], 2)}"
-        parts.append(f"{kind_words(kind)} {span} {some[0]['unit']}")
+        factor, unit = engineering_unit(values[-1], some[0]["unit"])
+        span = " … ".join(number(v / factor, 2) for v in dict.fromkeys((values[0], values[-1])))
+        parts.append(f"{kind_words(kind)} {span} {unit}")
     return listing(parts, len(parts))
 
 
