@@ -29,7 +29,13 @@ LEFT = re.compile(
     r"|earn\w*|learnt)\b|\brooms\b|\broom of\b|(?<!`)\bmisfit\b(?!`| :|_)",
     re.IGNORECASE,
 )
-"""Left column of the glossary, as far as one word tells it; ``misfit`` is the name of a field."""
+"""Left column of the glossary, as far as one word tells it; ``misfit`` and ``ladder`` are names of fields, as in the result files."""
+
+FIELD = re.compile(r"^ladder :.*$|[\"`']ladder[\"`']", re.MULTILINE)
+TO_COME = {f"diagnosis/{name}.py" for name in (
+    "output_only", "output_only_fit", "output_only_scan", "output_only_sets", "output_only_undecided", "posterior", "scan", "search",
+)}  # fmt: skip
+"""Modules whose docstrings still hold words of the left column; the set only grows shorter."""
 
 
 WITHOUT = {
@@ -83,15 +89,14 @@ def test_errors_are_named(name):
     assert not {kind for kind in raised(function) if kind not in told}
 
 
-@pytest.mark.parametrize("package", ["data", "frf", "ema", "oma", "scaling", "compare", "io"])
-def test_docstrings_use_the_words_of_the_glossary(package):
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
+def test_docstrings_use_the_words_of_the_glossary(path):
     found = []
-    for path in sorted((SOURCE / package).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef):
-                text = ast.get_docstring(node) or ""
-                found += [f"{path.name} {getattr(node, 'name', '')}: {m[0]}" for m in LEFT.finditer(text)]
-    assert not found
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef):
+            text = FIELD.sub("", ast.get_docstring(node) or "")
+            found += [f"{getattr(node, 'name', '')}: {m[0]}" for m in LEFT.finditer(text)]
+    assert bool(found) == (path.relative_to(SOURCE).as_posix() in TO_COME), found
 
 
 def classes() -> dict[str, type]:

@@ -20,7 +20,7 @@ from operando.ema.doubts import (
     MIN_COLLINEARITY,
     MIN_RANK_SHARE,
     SAME_SHARE,
-    judge_modes,
+    evidence_of_modes,
     unknown_to,
 )
 from operando.ema.findings import NOTABLE_RESIDUE, drive_residues
@@ -44,7 +44,7 @@ def codes(*made, **how):
 
 
 def doubts(fit):
-    return [[code for code, _ in evidence.doubts] for evidence in judge_modes(fit)]
+    return [[code for code, _ in evidence.doubts] for evidence in evidence_of_modes(fit)]
 
 
 def fitted(hz, zeta, shapes, error, seed=0, step=5.0):
@@ -156,7 +156,7 @@ def test_residues_that_one_shape_does_not_explain_are_no_mode(sound, off):
     residues = sound.residues()
     residues[:, 0] = ((u * np.sqrt([share, 1 - share])) @ v).ravel()
     grid = np.argwhere(np.ones((PLACES // 2, 2)))
-    found = judge_modes(with_residues(replace(sound, pairs=replace(sound.pairs, grid=grid)), residues))[0]
+    found = evidence_of_modes(with_residues(replace(sound, pairs=replace(sound.pairs, grid=grid)), residues))[0]
     assert found.rank_share == pytest.approx(share, abs=1e-3)
     assert ("not_one_shape" in dict(found.doubts)) == (off < 0)
 
@@ -173,7 +173,7 @@ def test_residues_that_one_shape_does_not_explain_are_no_mode(sound, off):
 )
 def test_a_pole_that_rules_nowhere_must_be_nearer_to_phase(sound, share, collinearity, told):
     fit = with_last_mode(sound, collinearity, share)
-    evidence = judge_modes(fit)[2]
+    evidence = evidence_of_modes(fit)[2]
     assert (evidence.collinearity, evidence.dominance) == pytest.approx((collinearity, share), abs=0.01)
     assert ("complex_shape" in doubts(fit)[2]) == told
 

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from operando.cli import main
-from operando.cli.ladder import check_records
+from operando.cli.by_hand import check_records
 from operando.diagnosis.from_records import apply_levels
 from operando.effects import parse_effect
 from operando.errors import ConfigError, MissingError

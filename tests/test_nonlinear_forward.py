@@ -52,7 +52,7 @@ def test_the_slip_law_holds_at_the_end_of_each_step():
 def test_the_loop_finds_friction_that_sticks_where_the_motion_seen_does_not():
     _, seen, made = before_and_after()
     # Nothing was fitted to the lower level, at which it sticks most of the time.
-    assert made.judge < 0.4 * seen.judge
+    assert made.validation < 0.4 * seen.validation
     assert abs(made.law.values["force"] - FORCE) < 0.3 * abs(seen.law.values["force"] - FORCE)
     assert abs(made.law.values["force"] - FORCE) < 2 * std_of(made)["force"] < 0.05
     assert made.law.values["slip_speed"] == seen.law.values["slip_speed"]
@@ -74,7 +74,7 @@ def test_values_held_stay_and_laws_that_follow_the_motion_are_left():
     case, seen, _ = before_and_after()
     held = by_loop(case, seen, fitted=False)
     assert held.law.values == seen.law.values
-    assert held.judge < seen.judge
+    assert held.validation < seen.validation
     spring = fit_law(seen.spot.fit, "ground_damper")
     tried = replace(seen, law=spring)
     assert by_loop(case, tried) is tried

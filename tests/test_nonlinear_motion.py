@@ -94,8 +94,8 @@ def test_residual_modes_far_below_the_band_say_nothing_there():
 def test_residual_modes_that_carry_the_structure_count():
     idle = with_low_residuals(STRIP.idle(), 2.0)
     modes = make_case(idle, records()[:2]).modes
-    assert not np.any(modes.invented(place(STRIP, 4), 5.0))
-    assert np.any(make_case(with_low_residuals(STRIP.idle(), 0.02), records()[:2]).modes.invented(place(STRIP, 4), 5.0))
+    assert not np.any(modes.spurious(place(STRIP, 4), 5.0))
+    assert np.any(make_case(with_low_residuals(STRIP.idle(), 0.02), records()[:2]).modes.spurious(place(STRIP, 4), 5.0))
 
 
 def test_places_are_compared_with_what_lies_outside_the_band():

@@ -25,8 +25,8 @@ def start():
     law = LawFit("hysteresis", 1.0, {"stiffness": 4.3e3, "yield_force": 1.9, "exponent": 1.6, "ratio": 0.25}, 0.0, 4)
     spot = settled(examine(Field.of(case), (3,)), case, law)
     cost, count = law_cost(law, spot.select)
-    judged, n = law_cost(law, spot.judge)
-    return case, Tried(spot, law, cost / count, judged / n)
+    validation, n = law_cost(law, spot.validation)
+    return case, Tried(spot, law, cost / count, validation / n)
 
 
 @cache
@@ -38,7 +38,7 @@ def test_values_that_lean_on_each_other_come_right_together():
     _, rough = start()
     better = polished_start()
     assert better.selection < 0.5 * rough.selection
-    assert better.judge < rough.judge
+    assert better.validation < rough.validation
     errors = {n: abs(better.law.values[n] / v - 1) for n, v in TRUE.items()}
     assert errors["stiffness"] < 0.02
     assert errors["yield_force"] < 0.02

@@ -318,7 +318,7 @@ def replace_check(run, factor):
 
 
 def test_runs_of_one_level_stand_side_by_side(whole):
-    run = derive.judge_run(whole)
+    run = derive.validation_run(whole)
     assert run.level == "b"
     assert [str(d) for d in run.frf.references] == ["100+Z", "107+Z"]
     assert len(run.frf.drive_points()) == 2
@@ -331,7 +331,7 @@ def test_level_difference_is_one_where_only_noise_differs(whole):
 
 
 def test_error_map_agrees_with_a_known_gain(whole):
-    run = derive.judge_run(whole)
+    run = derive.validation_run(whole)
     louder = replace(run.frf, data=run.frf.data * 2)
     error = derive.error_by_dof_band(louder, run.frf, derive.band_edges(BAND))
     assert error.shape == (N, 8)
@@ -431,7 +431,7 @@ def test_thinned_curve_steps_over_gaps():
 
 
 def test_variance_is_filled_for_the_pairs_drawn_only(whole):
-    run = derive.judge_run(whole)
+    run = derive.validation_run(whole)
     bare = derive.model_frf(whole.hybrid, run.frf)
     assert bare.variance is None
     some = derive.with_variance(whole.hybrid, bare, [(3, 1, "worst pair")])

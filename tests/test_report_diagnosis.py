@@ -17,11 +17,11 @@ from operando.effects import Effect
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
 from operando.report.assessment import RECIPROCITY
 from operando.report.figures_compare import error_maps
-from operando.report.figures_diagnosis import ladder_figure, places_figure, running_median, stiffness_figure, stiffness_span
+from operando.report.figures_diagnosis import places_figure, running_median, steps_figure, stiffness_figure, stiffness_span
 from operando.report.figures_records import force_figure, level_figure, simulation_figure
 from operando.report.parts import Numbering, render
 from operando.report.sections import build
-from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, found_intro, ladder_of
+from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, error_by_step, found_intro
 from operando.results import CheckRun, Results
 from operando.structure import Model
 from structures import Chain
@@ -227,13 +227,13 @@ def test_channel_fault_is_no_missing_structure():
     # levels say nothing of a delay, so the ladder is in misfits
     assert words.ladder.by_phase
     assert not words.ladder.decibel
-    assert [r.heldout for r in words.ladder.rungs] == [9000.0, 1.0]
+    assert [r.heldout for r in words.ladder.rows] == [9000.0, 1.0]
     assert "phase" in words.sentences[0]
 
 
 def test_levels_stay_where_they_tell():
-    assert not ladder_of(document()).by_phase
-    assert not ladder_of(document(decibels=(3.0, 2.9), misfits=(90.0, 80.0))).by_phase
+    assert not error_by_step(document()).by_phase
+    assert not error_by_step(document(decibels=(3.0, 2.9), misfits=(90.0, 80.0))).by_phase
 
 
 def test_ladder_takes_the_sizes_of_the_last_refit_and_says_when_nothing_was_held_out():
@@ -241,12 +241,12 @@ def test_ladder_takes_the_sizes_of_the_last_refit_and_says_when_nothing_was_held
     final = copy.deepcopy(MASS)
     final["parameters"]["mass"]["value"] = 0.25
     found["effects"] = [final]
-    assert "250" in ladder_of(found).rungs[1].effect.size
+    assert "250" in error_by_step(found).rows[1].effect.size
     for row in found["ladder"]:
         row["heldout_error_db"] = None
-    ladder = ladder_of(found)
-    assert not ladder.held_out
-    assert ladder.rungs[0].heldout == pytest.approx(1.1 * 3.93)
+    ladder = error_by_step(found)
+    assert not ladder.on_hold_out
+    assert ladder.rows[0].heldout == pytest.approx(1.1 * 3.93)
     assert "On all lines of the validation measurement" in diagnosis_words(found).sentences[0]
 
 
@@ -257,7 +257,7 @@ def test_unknown_kind_and_bare_documents_are_told_as_they_stand():
     assert words.size.startswith("1.21")
     assert words.label == "flux capacitor at 103+Z"
     bare = diagnosis_words({"verdict": "explained"})
-    assert bare.ladder.rungs == ()
+    assert bare.ladder.rows == ()
     assert diagnosis_words({}).title.startswith("Diagnosis")
 
 
@@ -283,7 +283,7 @@ def test_command_line_says_it_in_the_same_words():
 
 def test_ladder_figure_holds_values_labels_floor_and_verdict():
     words = diagnosis_words(document(effects=(MASS, spring(-900.0)), decibels=(3.93, 1.2, 0.15), misfits=(5000.0, 90.0, 0.9)))
-    text = text_of(ladder_figure(words.ladder, "explained", "good"))
+    text = text_of(steps_figure(words.ladder, "explained", "good"))
     for piece in ("3.93 dB", "1.20 dB", "0.15 dB", "−2.73 dB", "−1.05 dB", "noise floor 0.14 dB", "explained", "idle model"):
         assert piece in text, piece
     for piece in ("+ point mass", "103+Z", "200 ± 2 g", "+ ground spring (taken away)", "105+Z", "900 ± 20 N/m"):
@@ -292,7 +292,7 @@ def test_ladder_figure_holds_values_labels_floor_and_verdict():
 
 def test_ladder_figure_in_misfits_has_the_noise_at_one():
     words = diagnosis_words(output_only())
-    text = text_of(ladder_figure(words.ladder, "explained", "good"))
+    text = text_of(steps_figure(words.ladder, "explained", "good"))
     for piece in ("144", "0.810", "÷180", "1: as good as the noise allows", "reduced χ²"):
         assert piece in text, piece
     assert "dB" not in text
@@ -300,7 +300,7 @@ def test_ladder_figure_in_misfits_has_the_noise_at_one():
 
 def test_worse_step_is_drawn_upwards():
     words = diagnosis_words(document("unexplained", (MASS,), (0.94, 4.73), (200.0, 1000.0)))
-    assert "+3.79 dB" in text_of(ladder_figure(words.ladder, "unexplained", "poor"))
+    assert "+3.79 dB" in text_of(steps_figure(words.ladder, "unexplained", "poor"))
 
 
 def test_stiffness_figure_spans_the_law_and_scales_units():
@@ -375,7 +375,7 @@ def test_evidence_has_maps_stiffness_places_frfs_and_candidates(whole):
 
 def test_effects_lower_the_map_to_the_noise(whole):
     model = derive_diagnosis.effect_model(whole)
-    run = derive.judge_run(whole)
+    run = derive.validation_run(whole)
     edges = derive.band_edges(BAND)
     before = derive.error_by_dof_band(derive.model_frf(whole.idle, run.frf), run.frf, edges)
     after = derive.error_by_dof_band(derive_diagnosis.predicted(model, run.frf), run.frf, edges)
@@ -386,7 +386,7 @@ def test_effects_lower_the_map_to_the_noise(whole):
 
 
 def test_relative_map_of_a_known_phase_is_exact(whole):
-    run = derive.judge_run(whole)
+    run = derive.validation_run(whole)
     late = replace(run.frf, data=run.frf.data * np.exp(0.1j))
     edges = derive.band_edges(BAND)
     share = derive_diagnosis.relative_by_dof_band(np.abs(late.data - run.frf.data) ** 2, run.frf, edges)
@@ -394,14 +394,14 @@ def test_relative_map_of_a_known_phase_is_exact(whole):
 
 
 def test_held_out_ranges_are_the_blocks_that_judge(whole):
-    run = derive.judge_run(whole)
-    ranges, everything = derive_diagnosis.held_out_ranges(whole, run)
+    run = derive.validation_run(whole)
+    ranges, everything = derive_diagnosis.hold_out_ranges(whole, run)
     assert not everything
     assert ranges == [tuple(r) for r in RANGES]
     assert all(BAND[0] <= a < b <= BAND[1] for a, b in ranges)
     another = replace(whole, diagnosis=document(judged_on=JUDGED | {"whole_run": True, "ranges_hz": []}))
-    assert derive_diagnosis.held_out_ranges(another, run) == ([], True)
-    assert derive_diagnosis.held_out_ranges(whole, CheckRun("check/run2.uff", "20 N", run.frf)) == ([], False)
+    assert derive_diagnosis.hold_out_ranges(another, run) == ([], True)
+    assert derive_diagnosis.hold_out_ranges(whole, CheckRun("check/run2.uff", "20 N", run.frf)) == ([], False)
 
 
 class Louder:

@@ -50,7 +50,7 @@ def entry(kind: Any) -> list[str]:
     if not kind.symmetric:
         rows.append("- Not reciprocal: H ≠ Hᵀ, which a modal model of real shapes cannot represent")
     if kind.removable:
-        rows.append("- May be negative: what was there at rest and is missing in operation")
+        rows.append("- May be negative: what was there in the idle state and is missing in operation")
     table = []
     if kind.parameters or kind.constants:
         table = ["| parameter | unit | meaning |", "| --- | --- | --- |"]

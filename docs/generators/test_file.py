@@ -35,7 +35,7 @@ SECTIONS: dict[str, tuple[str, str]] = {
     ),
     "records": (
         "A part of a record",
-        'In `records`, a table may stand in place of a path: `{file = "run1.uff", start_s = 10, stop_s = 70}`. '
+        'In `records`, a table may stand instead of a path: `{file = "run1.uff", start_s = 10, stop_s = 70}`. '
         "Where a pattern and a table name the same file, the table counts.",
     ),
     "geometry": ("`[geometry]` (optional)", "Without it, geometry in the measurement files is used (UFF 15, 2411, 82, 2412)."),
@@ -43,14 +43,14 @@ SECTIONS: dict[str, tuple[str, str]] = {
     "channels": (
         "`[channels]` (optional)",
         "One entry for each channel, by its name or DOF: "
-        '`"ch1" = {dof = "12+Z", quantity = "acceleration", unit = "g"}`. What stands here takes the place of the label in the file.',
+        '`"ch1" = {dof = "12+Z", quantity = "acceleration", unit = "g"}`. What stands here replaces the label in the file.',
     ),
     "analysis": ("`[analysis]` (optional)", "Every setting has a default; the values used are stated in `summary.json` and in the report."),
     "between": (
         "`[between]` (optional)",
-        "What may differ between the measurements at rest and in operation and is no missing physics, each as one standard deviation; "
+        "What may differ between the idle and the operating measurement and is no missing physics, each as one standard deviation; "
         "0 says that it does not. Without this section two days in a laboratory and one set-up are both tried, and the more probable one "
-        "is told.",
+        "is stated.",
     ),
     "report": (
         "`[report]` (optional)",
@@ -98,7 +98,7 @@ WORDS: dict[str, dict[str, str]] = {
         "force_gain": "Gain of each force channel, relative. Two days: 0.01.",
         "stiffness": "Stiffness of the whole, relative, as by temperature. Two days: 0.003.",
         "damping": "Damping, relative. Two days: 0.1.",
-        "offset": "How far sensors and exciter are put back beside their place, as a share of the rms of a mode shape. Two days: 0.015.",
+        "offset": "How far sensors and exciter are put back beside their position, as a share of the rms of a mode shape. Two days: 0.015.",
         "skew": "Delay of the responses against the forces [s]. Two days: 3e-5.",
     },
     "effects": {

@@ -12,7 +12,7 @@ from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted
 
 @dataclass
 class CheckRun:
-    """One measured operating FRF set the model is judged against."""
+    """One measured operating FRF set the model is compared with."""
 
     name: str
     level: str

@@ -122,7 +122,7 @@ def outliers(values: Sequence[float], stds: Sequence[float | None]) -> list[int]
     """Places of single values that stand out from their neighbours: a spike, not a change that stays.
 
     The value is compared with the running median of five, which a change that stays, or goes on, passes through untouched. The first
-    and last two values are not judged: nothing tells a spike from a change there.
+    and last two values are not tested: nothing tells a spike from a change there.
 
     Parameters
     ----------

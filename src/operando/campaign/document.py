@@ -206,7 +206,7 @@ def _mode_part(tracks: Sequence[Track], places: Sequence[float], base: int | Non
                 }
             )
         out.append({"track": track.number, "seen": len(points), "points": points})
-        found_steps += _judge(track, places, tell, kind)
+        found_steps += _steps_at(track, places, tell, kind)
     cross = [
         {
             "tracks": [c.first, c.second],
@@ -221,7 +221,7 @@ def _mode_part(tracks: Sequence[Track], places: Sequence[float], base: int | Non
     return {"tracks": out, "crossings": cross, "steps": found_steps}
 
 
-def _judge(track: Track, places: Sequence[float], tell: _Teller, kind: str) -> list[dict[str, Any]]:
+def _steps_at(track: Track, places: Sequence[float], tell: _Teller, kind: str) -> list[dict[str, Any]]:
     """Steps of a mode's frequency; values that stand out go to their tests."""
     states = [p.state for p in track.points]
     hz, ratio = [p.frequency_hz for p in track.points], [p.damping_ratio for p in track.points]

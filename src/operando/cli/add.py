@@ -24,7 +24,7 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
     """
     if bool(effects) == suggested:
         raise click.UsageError("name effects to add, or --suggested")
-    from operando.cli.ladder import accepted, change, present, suggestion
+    from operando.cli.by_hand import accepted, change, present, suggestion
     from operando.cli.ofrf import check_dofs
     from operando.cli.sources import changing
     from operando.effects import parse_effect

@@ -52,7 +52,7 @@ def campaign(
     )
     document |= {"results": str(out)}
     if show:
-        from operando.cli.story import open_report
+        from operando.cli.summary import open_report
 
         open_report(out / "report.html")
     failure = None

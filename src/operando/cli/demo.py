@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from operando.cli.answer import Answer, answers, verbosity
-from operando.cli.story import open_report, run_answer, run_to
+from operando.cli.summary import open_report, run_answer, run_to
 from operando.cli.test_file import read_test, test_options
 
 

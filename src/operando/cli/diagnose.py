@@ -30,7 +30,7 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
     if (path.is_file() and path.suffix == ".toml") or (
         path.is_dir() and not (path / "model.h5").exists() and (path / "test.toml").exists()
     ):
-        from operando.cli.story import run_to
+        from operando.cli.summary import run_to
 
         test = read_test(path, changes)
         need_stage(test, "diagnose")
@@ -55,7 +55,7 @@ def text_of(name: str | None, document: dict[str, Any]) -> str:
     lines += [intro] if intro else []
     lines += [f"  {sentence}" for sentence in words.found]
     lines += [*words.sentences, *words.decide]
-    parts = ["\n".join(lines), ladder_table(document["ladder"], document.get("judged_on"))]
+    parts = ["\n".join(lines), steps_table(document["ladder"], document.get("judged_on"))]
     if words.ladder.decibel and words.ladder.floor is not None:
         parts[-1] += f"\nnoise floor {words.ladder.floor:.4g} dB"
     if document.get("notes"):
@@ -63,7 +63,7 @@ def text_of(name: str | None, document: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def ladder_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | None = None) -> str:
+def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | None = None) -> str:
     """The error before and after each step, on all lines and on those that nothing was fitted to; these are named."""
     from operando.report.words_diagnosis import lines_words
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from operando.cli.answer import Answer, answers, table
-from operando.cli.story import failure, open_report, run_to
+from operando.cli.summary import failure, open_report, run_to
 from operando.cli.test_file import open_option, output_option, read_test, results_folder, set_option
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from operando.cli.answer import Answer, answers, own_option
 @answers
 def remove(folder: str, step: int) -> Answer:
     """Take the effect of a step back and refit the others (step 0 is the idle model)."""
-    from operando.cli.ladder import accepted, change, present
+    from operando.cli.by_hand import accepted, change, present
     from operando.cli.sources import changing
     from operando.errors import ConfigError
 

@@ -26,7 +26,7 @@ def report(folder: str, show: bool) -> Answer:
     path = out.path / "report.html"
     size = path.stat().st_size
     if show:
-        from operando.cli.story import open_report
+        from operando.cli.summary import open_report
 
         open_report(path)
     return Answer(

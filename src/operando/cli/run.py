@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from operando.cli.answer import Answer, answers
-from operando.cli.story import open_report, run_answer, run_to
+from operando.cli.summary import open_report, run_answer, run_to
 from operando.cli.test_file import output_option, read_test, results_folder, test_options
 
 

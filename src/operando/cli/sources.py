@@ -79,7 +79,7 @@ def load_model(path: str) -> Source:
 
 
 def load_measured(path: str) -> list[CheckRun]:
-    """Measured FRFs of a file; records with a force are estimated first; of a results folder its check runs.
+    """Measured FRFs of a file; records with a force are estimated first; of a results folder its validation measurements.
 
     Raises
     ------

@@ -323,16 +323,16 @@ def compare_all(
     """
     if not runs:
         raise DataError("no validation measurement to compare with")
-    judge = lowest_level(runs)
-    judged = [r for r in runs if r.level == judge]
-    overall = {name: compare(m, [r.frf for r in judged], band_hz).to_dict() for name, m in models.items()}
+    lowest = lowest_level(runs)
+    chosen = [r for r in runs if r.level == lowest]
+    overall = {name: compare(m, [r.frf for r in chosen], band_hz).to_dict() for name, m in models.items()}
     by_run = []
     for r in runs:
-        alone = len(judged) == 1 and r.level == judge  # this run is all that judged: its errors are known
+        alone = len(chosen) == 1 and r.level == lowest  # this run is all that judged: its errors are known
         errors = overall if alone else {name: compare(m, r.frf, band_hz).to_dict() for name, m in models.items()}
         by_run.append({"name": r.name, "level": r.level, "models": errors})
-    on = {"runs": [r.name for r in judged], "level": judge, "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
-    return {"schema": "operando/comparison/1", "judge_level": judge, "judged_on": on, "models": overall, "by_run": by_run}
+    on = {"runs": [r.name for r in chosen], "level": lowest, "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
+    return {"schema": "operando/comparison/1", "judge_level": lowest, "judged_on": on, "models": overall, "by_run": by_run}
 
 
 def with_effect(
@@ -359,17 +359,17 @@ def with_effect(
     dict
         The document.
     """
-    judged = None if effect is None else compare_all({"effect": effect}, runs, band_hz)
+    chosen = None if effect is None else compare_all({"effect": effect}, runs, band_hz)
 
     def changed(models: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
         rest = {name: errors for name, errors in models.items() if name != "effect"}
         return rest if new is None else rest | {"effect": new["models"]["effect"]}
 
     by_run = [
-        old | {"models": changed(old["models"], None if judged is None else judged["by_run"][k])}
+        old | {"models": changed(old["models"], None if chosen is None else chosen["by_run"][k])}
         for k, old in enumerate(comparison.get("by_run", []))
     ]
-    return comparison | {"models": changed(comparison["models"], judged), "by_run": by_run}
+    return comparison | {"models": changed(comparison["models"], chosen), "by_run": by_run}
 
 
 def lowest_level(runs: Sequence[CheckRun]) -> str:

@@ -153,10 +153,10 @@ def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.compl
         # Two poles of a very different width are one mode and a slope.
         if pair_cost < SPLIT_GAIN * cost and inside and max(pair.real / pair.real[::-1]) < 3:
             poles = pair
-    return _peaks_of(y, f, _earned(y, f, poles), w)
+    return _peaks_of(y, f, _improves(y, f, poles), w)
 
 
-def _earned(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _improves(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Drop poles that explain little: what noise makes of a peak."""
     while poles.size:
         cost = float(np.sum(np.abs(_project(poles, f, y.T)[0]) ** 2))

@@ -13,7 +13,7 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import CORRELATED_LINES, LOOSE, MOST_CHI_SQUARE
-from operando.diagnosis.document import judged_on, ladder, ladder_row
+from operando.diagnosis.document import judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
@@ -58,7 +58,7 @@ class Applied:
     judged_on: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: effects, ladder, words, and what the figures on lines never fitted stand on."""
+        """JSON object: effects, errors by step, words, and what the figures on lines never fitted stand on."""
         return {
             "effects": [e.to_dict() for e in self.effects],
             "ladder": [dict(r) for r in self.ladder],
@@ -79,7 +79,7 @@ def apply_effects(
     idle_frf: Frf | None = None,
     between: Mapping[str, float] | None = None,
 ) -> Applied:
-    """Put effects into the idle model, refit all of them together, and judge each step on lines that were never fitted.
+    """Put effects into the idle model, refit all of them together, and test each step on lines that were never fitted.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def _better(state: State, misfit: float) -> tuple[Effect, float] | None:
             other = fit(case, start, min(state.alpha, 0.03))
         except np.linalg.LinAlgError:
             continue
-        left = ladder_row(other, len(other.terms))["heldout_misfit"]
+        left = step_row(other, len(other.terms))["heldout_misfit"]
         if left < misfit:
             return effects_of(other)[-1], left
     return None

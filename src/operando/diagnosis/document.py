@@ -1,4 +1,4 @@
-"""What ``diagnosis.json`` says of a search: differences between the days, the ladder, what would have been seen, pictures."""
+"""What ``diagnosis.json`` says of a search: differences between the days, the error by step, what would have been seen, pictures."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ def between_rows(state: State) -> list[dict[str, Any]]:
 def ladder(best: State) -> list[dict[str, Any]]:
     """Error and reduced chi-square of each step, with what differs between the days, noise and discrepancy as of the last step.
 
-    A discrepancy beyond what an explanation may leave is no excuse: the chi-square is that of noise then.
+    A discrepancy beyond what an explanation may leave is no reason to lower it: the chi-square is that of noise then.
     """
-    return [ladder_row(best, number) for number in range(len(best.terms) + 1)]
+    return [step_row(best, number) for number in range(len(best.terms) + 1)]
 
 
-def ladder_row(state: State, number: int) -> dict[str, Any]:
+def step_row(state: State, number: int) -> dict[str, Any]:
     """One step: a state with its first effects."""
     lines = state.case.lines
     share = lines.validation.size / (lines.validation.size + lines.fit.size)

@@ -59,7 +59,7 @@ def diagnose_frf(
     One statistical model: idle parameters with their covariance, what differs between two measurements, effects with priors, and a
     discrepancy in proportion to the FRFs, smooth over a resonance (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425–464). Effects
     are chosen by the Laplace evidence (MacKay, Neural Computation 4, 1992, 415–447) of all kinds at all places; one third of the lines
-    is never fitted and judges.
+    is the hold-out set.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class RecordsApplied(Applied):
     records: AppliedToRecords | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: effects, ladder, words; ``picture`` and ``simulation`` as in ``diagnosis.json``."""
+        """JSON object: effects, errors by step, words; ``picture`` and ``simulation`` as in ``diagnosis.json``."""
         out = super().to_dict()
         return out if self.records is None else out | {"picture": self.records.picture, "simulation": self.records.simulation}
 
@@ -95,7 +95,7 @@ def apply_levels(
     refit: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> RecordsApplied:
-    """Effects chosen by hand, level-dependent ones among them: fitted together to records, with honest words about each.
+    """Effects chosen by hand, level-dependent ones among them: fitted together to records, with a sentence about each.
 
     Parameters
     ----------

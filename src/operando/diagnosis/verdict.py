@@ -178,7 +178,7 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
 
 
 def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:
-    """Whether a rival only moves effects by no more than a sensor spacing (contract), or has kinds that contain those found."""
+    """Whether a rival only moves effects by no more than a sensor spacing (specification), or has kinds that contain those found."""
 
     def apart(state: State, other: State) -> list[Term]:
         return sorted((t for t in state.terms if t.key not in {o.key for o in other.terms}), key=lambda t: t.kind)

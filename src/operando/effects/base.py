@@ -27,7 +27,7 @@ class Parameter:
     Parameters
     ----------
     name : str
-        As in the contract's table.
+        As in the specification's table.
     unit : str
         SI unit, empty for a ratio.
     low, high : float or None
@@ -130,7 +130,7 @@ class EffectKind:
     Attributes
     ----------
     kind : str
-        Name in the contract's table.
+        Name in the specification's table.
     plain : str
         Plain words, without place and size.
     group : {"structure", "sensor", "force", "idle", "excitation"}

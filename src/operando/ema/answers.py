@@ -269,10 +269,10 @@ def heldout_misfit(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_do
     if used.frequencies_hz.size < 8 or not held.any():
         return float("nan"), np.full(n_dofs, np.nan)
     again = fit_linear(used, fit.poles, fit.ends_hz, start=fit.projection.coefficients, rounds=2)
-    judged = pairs.lines(held & (f >= band[0]) & (f <= band[1]))
-    if not judged.frequencies_hz.size:
+    seen = pairs.lines(held & (f >= band[0]) & (f <= band[1]))
+    if not seen.frequencies_hz.size:
         return float("nan"), np.full(n_dofs, np.nan)
-    error = np.abs(judged.accelerance - again.on_lines(judged)) ** 2 / (again.variance.kappa[:, None] * judged.noise)
+    error = np.abs(seen.accelerance - again.on_lines(seen)) ** 2 / (again.variance.kappa[:, None] * seen.noise)
     by_pair = error.mean(axis=1)
     by_row = np.full(n_dofs, np.nan)
     for row in np.unique(pairs.rows):

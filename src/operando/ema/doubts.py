@@ -70,7 +70,7 @@ class Evidence:
     doubts: tuple[tuple[str, str], ...] = ()
 
 
-def judge_modes(fit: LinearFit) -> list[Evidence]:
+def evidence_of_modes(fit: LinearFit) -> list[Evidence]:
     """Evidence and doubts of each pole."""
     n = fit.n_modes
     zeta = fit.poles.zeta

@@ -15,7 +15,7 @@ from operando.ema.answers import LinearModes, heldout_misfit, linear_model, line
 from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.choose import ChoiceLog, choose_modes
-from operando.ema.doubts import judge_modes, unknown_to
+from operando.ema.doubts import evidence_of_modes, unknown_to
 from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
 from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
@@ -292,7 +292,7 @@ def _answer(
     if turned.size:
         pairs = pairs.turned(turned)
         fit = fit.turned(turned)
-    evidence = judge_modes(fit)
+    evidence = evidence_of_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, evidence, mass.scaled)
     signs = drive_residues(fit, mass, np.array([not e.doubts for e in evidence]))

@@ -39,7 +39,7 @@ OUTER_TOLERANCE = 0.3
 LARGEST, NEAREST = 8.0, 4
 """Out of size: over so many times the shape values in the band; the nearest so many pseudo-modes are looked at."""
 
-VAGUE = 5.0
+ILL_DETERMINED = 5.0
 """Standard deviation of a shape value of a mode beyond the lines, over the shape values of the others, above which it is no mode.
 
 It makes up for what lies outside: driven by next to nothing, its shape anywhere else is what the columns hold over next to nothing.
@@ -69,7 +69,7 @@ def make_up(runs: Sequence[RunSpectra], fit: Polished) -> NDArray[np.int_]:
     m, n = theta.shapes.shape
     rms = float(np.median(np.sqrt(np.mean(theta.shapes[:, ~beyond] ** 2, axis=0))))
     std = np.sqrt(np.maximum(np.diag(fit.covariance)[2 * n :], 0)).reshape(n, m).T
-    return np.flatnonzero(beyond & (np.max(std, axis=0) > VAGUE * rms))
+    return np.flatnonzero(beyond & (np.max(std, axis=0) > ILL_DETERMINED * rms))
 
 
 def without_modes(fit: Polished, gone: NDArray[np.int_]) -> Polished:

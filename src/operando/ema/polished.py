@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Frf, TimeRecord
 from operando.dof import Dof
-from operando.ema.heldout import heldout_misfit
+from operando.ema.hold_out import heldout_misfit
 from operando.ema.model_error import relative_model_error, with_model_error
 from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
 from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes

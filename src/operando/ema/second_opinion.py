@@ -99,15 +99,15 @@ def second_opinion(
         for k, label in enumerate(labels):
             rows = np.all(np.isfinite(data[:, k]), axis=1) & np.any(data[:, k] != 0, axis=1)
             found, model = _poles(model_class, f * stretch, data[rows, k], order, quantity, hz * stretch)
-            judged = [
-                _judge(r, label, hz[r], damping[r], found[r], stretch, window[r], frequency_tolerance, damping_tolerance)
+            seen = [
+                _compared(r, label, hz[r], damping[r], found[r], stretch, window[r], frequency_tolerance, damping_tolerance)
                 for r in range(hz.size)
             ]
             if shapes is not None:
-                kept = [r for r in range(hz.size) if judged[r]["second_frequency_hz"] is not None]
+                kept = [r for r in range(hz.size) if seen[r]["second_frequency_hz"] is not None]
                 for r, likeness in zip(kept, _macs(model, [found[r] for r in kept], np.asarray(shapes)[rows][:, kept]), strict=True):
-                    judged[r]["mac"] = likeness
-            out += judged
+                    seen[r]["mac"] = likeness
+            out += seen
     return out
 
 
@@ -197,7 +197,7 @@ def _macs(model: Any, poles: Sequence[_Pole | None], shapes: NDArray[Any]) -> li
     return [float(mac(np.asarray(model.A)[:, [i]], shapes[:, [i]])[0, 0]) for i in range(len(found))]
 
 
-def _judge(
+def _compared(
     mode: int,
     reference: str,
     hz: float,

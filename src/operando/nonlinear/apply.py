@@ -1,4 +1,4 @@
-"""Effects chosen by hand in records with measured force: fitted together, and judged on the level that nothing was fitted to."""
+"""Effects chosen by hand in records with measured force: fitted together, and tested on the level that nothing was fitted to."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from operando.effects import Effect
 from operando.errors import ConfigError, DataError
 from operando.nonlinear.conclude import effect_of, pictures_of, simulated
 from operando.nonlinear.forward import by_loop
-from operando.nonlinear.judge import judged_on, ladder_row
+from operando.nonlinear.hold_out import judged_on, step_row
 from operando.nonlinear.laws import LawFit, fit_law
 from operando.nonlinear.place import Weighted
 from operando.nonlinear.polish import polished, std_of
@@ -42,13 +42,13 @@ class AppliedToRecords:
     ladder : tuple of dict
         One row a step, as in ``diagnosis.json``.
     better : tuple of (int, Effect, float)
-        Step, and an effect that lowers the misfit of that step to less than half of what the chosen one leaves, with that misfit.
+        Step, and an effect that lowers the chi-square of that step to less than half of what the chosen one leaves, with that chi-square.
     picture, simulation : dict
         As in :class:`operando.nonlinear.NonlinearDiagnosis`.
     noise_floor_db : float or None
     notes : tuple of str
     judged_on : dict
-        State, level and lines of the held-out figures.
+        State, level and lines of the hold-out figures.
     """
 
     effects: tuple[Effect, ...]
@@ -71,7 +71,7 @@ def apply_to_records(
     refit: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> AppliedToRecords:
-    """Put effects into the idle model in order, fit all of them in records, and judge each step on the level that nothing was fitted to.
+    """Put effects into the idle model in order, fit all of them in records, and test each step on the level that nothing was fitted to.
 
     Parameters
     ----------
@@ -111,17 +111,17 @@ def apply_to_records(
                     others = [t for j, t in enumerate(tried) if j != i]
                     tried[i] = _fitted(_case_with(first, others), effects[i], tried[i].law, held[i])
         steps = _steps(first, effects, tried)
-        weights = [Weighted.of(r) for r in (*first.fitted, *first.judged)]
-        errors = [r.error for r in (*first.fitted, *first.judged)]
+        weights = [Weighted.of(r) for r in (*first.fitted, *first.validation)]
+        errors = [r.error for r in (*first.fitted, *first.validation)]
         n = len(first.fitted)
-        rows = [ladder_row(0, None, weights, n, errors)]
+        rows = [step_row(0, None, weights, n, errors)]
         stated: list[Effect] = []
         for k, (effect, t) in enumerate(zip(effects, steps, strict=True)):
             std = {} if held[k] else std_of(t)
             stated.append(replace(effect, values={n: abs(v) for n, v in t.law.values.items()}, std=std))
             # The spot saw the records without the earlier effects already.
             errors = [m.along.weighted.error / m.along.weighted.root + m.along.h * _force(t, m) for m in t.spot.whole]
-            rows.append(ladder_row(k + 1, stated[-1], weights, n, errors))
+            rows.append(step_row(k + 1, stated[-1], weights, n, errors))
         notes: list[str] = []
         better = _better(first, rows, steps, say)
         return AppliedToRecords(
@@ -177,7 +177,7 @@ def _spot(stage: Field, effect: Effect) -> Spot:
 
 
 def _fitted(case: Case, effect: Effect, law: LawFit, held: bool) -> Tried:
-    """An effect in a case whose other effects are known; as it stands where it is held or no size of it lowers the misfit."""
+    """An effect in a case whose other effects are known; as it stands where it is held or no size of it lowers the chi-square."""
     stage = Field.of(case)
     spot = _spot(stage, effect)
     found = None if held or effect.removed else fit_law(spot.fit, law.kind)
@@ -193,7 +193,7 @@ def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> lis
     out: list[Tried] = []
     for effect, t in zip(effects, tried, strict=True):
         stage = Field.of(_case_with(case, out))
-        here = Tried(settled(_spot(stage, effect), stage.case, t.law), t.law, t.selection, t.judge)
+        here = Tried(settled(_spot(stage, effect), stage.case, t.law), t.law, t.selection, t.validation)
         out.append(by_loop(stage.case, here, fitted=False))
     return out
 
@@ -208,6 +208,6 @@ def _better(
         if left > ENOUGH and rows[k - 1]["heldout_misfit"] > ENOUGH:
             say("look for what would do better")
             found = search_step(_case_with(case, steps[: k - 1]), wanted_kinds(None), None, rows[0]["misfit"])
-            if found.tried and (best := choose(found.tried)).judge < 0.5 * left:
-                out.append((k, effect_of(case, best), best.judge))
+            if found.tried and (best := choose(found.tried)).validation < 0.5 * left:
+                out.append((k, effect_of(case, best), best.validation))
     return tuple(out)

@@ -96,7 +96,7 @@ def steepness(law: LawFit, shape: Real, reach: float) -> float:
 
 
 def loop_of(
-    modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None], run: Run, step: float, invented: NDArray[np.bool_]
+    modes: Modes, bs: Sequence[Real], outside: Sequence[Outside | None], run: Run, step: float, spurious: NDArray[np.bool_]
 ) -> Loop:
     """Response across the places to forces along them; for one place with what lies outside the band made passive.
 
@@ -110,7 +110,7 @@ def loop_of(
         For its lines.
     step : float
         [s].
-    invented : (n,) bool array
+    spurious : (n,) bool array
         Modes that say nothing below the band; for one place what they add in the band counts among what lies outside.
     """
     shapes = np.stack([modes.phi.T @ b for b in bs])
@@ -120,7 +120,7 @@ def loop_of(
     if len(bs) == 1 and outside[0] is not None:
         top = outside[0].top_hz
         hz = run.hz[:: max(1, run.hz.size // 200)]
-        above = (modes.hz[keep] > max(top, modes.known_hz)) | invented[keep]
+        above = (modes.hz[keep] > max(top, modes.known_hz)) | spurious[keep]
         extra_hz = np.array(FACTORS) * max(top, modes.known_hz)
         extra = Modes(extra_hz, np.full(extra_hz.size, DAMPING), np.zeros((1, extra_hz.size)))
         wanted = (shapes[0, above] ** 2) @ modes.receptance_kernel(hz)[keep][above] + outside[0].compliance(hz, bs[0])
@@ -130,7 +130,7 @@ def loop_of(
         poles = np.concatenate([poles[~above], extra.poles])
         shapes = np.concatenate([shapes[:, ~above], np.sqrt(weights)[None]], axis=1)
     else:
-        poles, shapes = poles[~invented[keep]], shapes[:, ~invented[keep]]
+        poles, shapes = poles[~spurious[keep]], shapes[:, ~spurious[keep]]
     return Loop(poles, shapes, step)
 
 

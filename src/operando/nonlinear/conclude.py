@@ -1,4 +1,4 @@
-"""What the search found in words and figures: effects with sizes, ladder, verdict, alternatives, the measurement that would decide."""
+"""The result in words and figures: effects with sizes, errors by step, verdict, alternatives, the measurement that would decide."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from operando.data import Geometry
 from operando.effects import Effect, kind_of
 from operando.errors import DataError
 from operando.nonlinear.equivalent import equivalents
-from operando.nonlinear.judge import discrepancy, judged_on, ladder_row, where_it_fails
+from operando.nonlinear.hold_out import discrepancy, judged_on, step_row, where_it_fails
 from operando.nonlinear.laws import free_law
 from operando.nonlinear.place import Weighted
 from operando.nonlinear.polish import std_of
@@ -78,17 +78,17 @@ def conclude(
     detection: dict[str, Any],
     geometry: Geometry | None,
 ) -> NonlinearDiagnosis:
-    """Verdict, ladder and words; ``more``: why something may be missing still."""
+    """Verdict, errors by step and words; ``more``: why something may be missing still."""
     last = steps[-1].case
     notes: list[str] = []
     weak = next((k for k, t in enumerate(accepted) if not effect_of(first, t).supported), len(accepted))
     dropped, accepted = [effect_of(first, t) for t in accepted[weak:]], accepted[:weak]
     if dropped:
         more = f"{dropped[0].kind} at {dropped[0].place} is a candidate only: its 95 % interval holds zero"
-    weighted = [Weighted.of(r) for r in (*last.fitted, *last.judged)]
-    idle_errors = [r.error for r in (*first.fitted, *first.judged)]
+    weighted = [Weighted.of(r) for r in (*last.fitted, *last.validation)]
+    idle_errors = [r.error for r in (*first.fitted, *first.validation)]
     n = len(first.fitted)
-    rows = [ladder_row(0, None, weighted, n, idle_errors)]
+    rows = [step_row(0, None, weighted, n, idle_errors)]
     effects = []
     alternatives: list[Tried] = []
     other = False
@@ -99,18 +99,18 @@ def conclude(
         for m in best.spot.whole:
             corrected = m.along.weighted.error / m.along.weighted.root
             errors.append(corrected + m.along.h * m.under(best.law))
-        rows.append(ladder_row(k + 1, effect, weighted, n, errors))
+        rows.append(step_row(k + 1, effect, weighted, n, errors))
         for t in steps[k].tried:
             if t.key != best.key and not nested(best, t) and alike(best, t):
                 alternatives.append(t)
                 other = other or t.law.kind != best.law.kind or not neighbours(first, best, t, geometry)
-    judged = [r["heldout_misfit"] for r in rows]
+    validation = [r["heldout_misfit"] for r in rows]
     unseen = floor_reason(rows[0].get("noise_floor_db"))
-    judges = slice(n if len(weighted) > n else 0, None)
-    off = discrepancy(weighted[judges], errors[judges]) if accepted else 0.0
+    hold_out = slice(n if len(weighted) > n else 0, None)
+    off = discrepancy(weighted[hold_out], errors[hold_out]) if accepted else 0.0
     within = bool(accepted) and off <= DISCREPANCY
     picture = pictures_of(first, effects, accepted, notes)
-    verdict, reason = verdict_of(judged, unseen=unseen, more=more, ambiguous=other, within=within)
+    verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
     if verdict in ("explained", "ambiguous") and off > 0:
         notes.append(f"what is left beyond the noise is {100 * off:.2g} % of the responses; {100 * DISCREPANCY:g} % are allowed")
     if len(accepted) == 1 and accepted[0].selection > 2.0:
@@ -122,11 +122,11 @@ def conclude(
                 f"a force law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
                 "the location is right, the force law is none of the catalogue"
             )
-            verdict, reason = verdict_of(judged, unseen=unseen, more=more, within=within)
+            verdict, reason = verdict_of(validation, unseen=unseen, more=more, within=within)
     if verdict not in ("explained", "ambiguous", "partial") and effects:
         dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], dict[str, Any]()
     notes += too_fast(effects, accepted[: len(effects)], n, rows[-1]["heldout_misfit"])
-    if not first.judged:
+    if not first.validation:
         notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
     step = steps[0]
     return NonlinearDiagnosis(
@@ -157,9 +157,9 @@ def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, 
     accepted : sequence of Tried
         The same with their motions.
     fitted : int
-        Runs that were fitted; those behind them judge (all where there are none).
+        Runs that were fitted; those behind them are the hold-out set (all where there are none).
     left : float
-        Misfit of the judge records with all effects.
+        Chi-square of the validation records with all effects.
     """
     if left < TWICE:
         return []
@@ -183,7 +183,7 @@ def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, 
 def pictures_of(case: Case, effects: Sequence[Effect], accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
     """Restoring force, law over it and equivalents of each level-dependent effect; notes say how much of the force each explains."""
     pictures = []
-    levels = [r.force_level for r in (*case.fitted, *case.judged)]
+    levels = [r.force_level for r in (*case.fitted, *case.validation)]
     for effect, best in zip(effects, accepted, strict=True):
         if not effect.definition.level_dependent:
             continue
@@ -198,7 +198,7 @@ def pictures_of(case: Case, effects: Sequence[Effect], accepted: Sequence[Tried]
 
 
 def simulated(case: Case, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
-    """The closed loop against the records that judge, where a level-dependent law was accepted."""
+    """The closed loop against the validation records, where a level-dependent law was accepted."""
     if not any(kind_of(t.law.kind).level_dependent for t in accepted):
         return {}
     try:

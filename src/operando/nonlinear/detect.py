@@ -58,7 +58,7 @@ def detect(case: Case) -> dict[str, Any]:
         here.
     """
     groups: dict[tuple[int, ...], list[Run]] = {}
-    for run in (*case.fitted, *case.judged):
+    for run in (*case.fitted, *case.validation):
         groups.setdefault(run.forces_at, []).append(run)
     worst, coherences = float("nan"), []
     for runs in groups.values():
@@ -95,7 +95,7 @@ def distortion(case: Case) -> float | None:
         None where there is one level.
     """
     groups: dict[tuple[int, ...], list[Run]] = {}
-    for run in (*case.fitted, *case.judged):
+    for run in (*case.fitted, *case.validation):
         groups.setdefault(run.forces_at, []).append(run)
     largest = []
     for runs in groups.values():

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft as sfft
 
 from operando.nonlinear.closed import follow, track
-from operando.nonlinear.judge import GOOD
+from operando.nonlinear.hold_out import GOOD
 from operando.nonlinear.laws import LawFit, law_cost
 from operando.nonlinear.loop import Loop
 from operando.nonlinear.polish import EASY, bounded, free_names, linearised
@@ -54,7 +54,7 @@ def by_loop(case: Case, tried: Tried, fitted: bool = True) -> Tried:
     """
     law, spot = tried.law, tried.spot
     names = free_names(law)
-    runs = [*case.fitted, *case.judged]
+    runs = [*case.fitted, *case.validation]
     if law.kind not in KINDS or len(names) < len(law.values) or len({r.sampling_hz for r in runs}) > 1:
         return tried
     loop = recorded(loop_for(case, [tried]), runs[0].sampling_hz)
@@ -69,8 +69,8 @@ def by_loop(case: Case, tried: Tried, fitted: bool = True) -> Tried:
         gram, right, cost = linearised(law, spot.fit, names)
         fallen = cost < (1 - ENOUGH) * least
         if cost < least:
-            (select, n), (judged, k) = law_cost(law, spot.select), law_cost(law, spot.judge)
-            best, least = Tried(spot, law, select / n, judged / k), cost
+            (select, n), (validation, k) = law_cost(law, spot.select), law_cost(law, spot.validation)
+            best, least = Tried(spot, law, select / n, validation / k), cost
         if not fallen:
             break
         step = float(np.clip(right[0] / max(gram[0, 0], 1e-300), -FARTHEST, FARTHEST))

@@ -362,8 +362,8 @@ def law_cost(fit: LawFit | None, motions: Sequence[Motion]) -> tuple[float, int]
     return cost, count
 
 
-def free_law(motions: Sequence[Motion], judged: Sequence[Motion], knots: int = 21) -> float:
-    """Cost on ``judged`` of a law without a formula: piecewise linear in x, and v, v|v|, sign v; fitted on ``motions``."""
+def free_law(motions: Sequence[Motion], validation: Sequence[Motion], knots: int = 21) -> float:
+    """Cost on ``validation`` of a law without a formula: piecewise linear in x, and v, v|v|, sign v; fitted on ``motions``."""
     x_all = np.concatenate([m.x for m in motions])
     v_rms = float(np.sqrt(np.mean([np.mean(m.v**2) for m in motions])))
     reach = float(np.max(np.abs(x_all)))
@@ -377,12 +377,12 @@ def free_law(motions: Sequence[Motion], judged: Sequence[Motion], knots: int = 2
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     system = gram / np.outer(scale, scale)
     theta = np.linalg.solve(system + 1e-9 * np.eye(len(system)), right / scale) / scale
-    gram, right, total = pooled(judged, [columns(m) for m in judged])
+    gram, right, total = pooled(validation, [columns(m) for m in validation])
     return total - 2 * float(theta @ right) + float(theta @ gram @ theta)
 
 
-def linear_law(motions: Sequence[Motion], judged: Sequence[Motion], blocks: int = 24) -> float:
-    """Cost on ``judged`` of any linear law: a complex dynamic stiffness for each of some bands of frequency, fitted on ``motions``."""
+def linear_law(motions: Sequence[Motion], validation: Sequence[Motion], blocks: int = 24) -> float:
+    """Cost on ``validation`` of any linear law: a complex dynamic stiffness for each of some bands of frequency, fitted on ``motions``."""
     top = max(float(m.along.run.hz[-1]) for m in motions)
     low = min(float(m.along.run.hz[0]) for m in motions)
     edges = np.geomspace(low * 0.999, top * 1.001, blocks + 1)
@@ -401,7 +401,7 @@ def linear_law(motions: Sequence[Motion], judged: Sequence[Motion], blocks: int 
     gram, right, _ = normal(motions)
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     theta = np.linalg.solve(gram / np.outer(scale, scale) + 1e-9 * np.eye(gram.shape[0]), right / scale) / scale
-    gram, right, total = normal(judged)
+    gram, right, total = normal(validation)
     return total - 2 * float(theta @ right) + float(theta @ gram @ theta)
 
 

@@ -78,7 +78,7 @@ def at_level(
     pairs = [law_of(e, idle) for e in effects]
     if not pairs:
         return []
-    modes = modes.only(~np.all([modes.invented(b, low) for _, b in pairs], axis=0))
+    modes = modes.only(~np.all([modes.spurious(b, low) for _, b in pairs], axis=0))
     laws, shapes = [law for law, _ in pairs], np.stack([modes.phi.T @ b for _, b in pairs])
     rate = OVER * high
     samples = WALKED if any(getattr(e.definition, "has_state", False) for e in effects) else SAMPLES

@@ -249,7 +249,7 @@ class Crossing:
         top = int(run.lines[-1]) + 1
         across = modes.phi.T @ along.b
         first_hz = float(run.hz[0])
-        kernel = modes.bounded_kernel(hz[:top], modes.invented(along.b, first_hz), first_hz) * across[:, None]
+        kernel = modes.bounded_kernel(hz[:top], modes.spurious(along.b, first_hz), first_hz) * across[:, None]
         base, compliance = np.zeros(hz.size, complex), np.zeros(hz.size, complex)
         for shape, force in zip(run.directions @ modes.phi, run.forces, strict=True):
             base[:top] += (shape @ kernel) * force[:top]

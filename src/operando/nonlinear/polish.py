@@ -79,8 +79,8 @@ def polished(case: Case, tried: Tried) -> Tried:
     select, count = law_cost(law, spot.select)
     if not select / count < tried.selection:
         return tried
-    judged, n = law_cost(law, spot.judge)
-    return Tried(spot, law, select / count, judged / n)
+    validation, n = law_cost(law, spot.validation)
+    return Tried(spot, law, select / count, validation / n)
 
 
 def bounded(law: LawFit) -> LawFit:
@@ -93,9 +93,9 @@ def bounded(law: LawFit) -> LawFit:
 def std_of(tried: Tried) -> dict[str, float]:
     """Standard deviations, from three sources that add up.
 
-    The curvature of the misfit, for errors that stay together over some lines. What is wrong with the motion that the idle model makes is
-    common to all lines of a run, so the curvature does not show it; it differs between runs, for another drive point and level moves the
-    place otherwise: the scatter of the values that each run would have by itself, judging ones included. And where much more is left than
+    The curvature of the chi-square, for errors that stay together over some lines. What is wrong with the motion of the idle model is
+    common to all lines of a run, so the curvature does not show it. It differs between runs, for another drive point and level moves the
+    location otherwise: the scatter of the values of each run by itself, validation runs included. And where much more is left than
     noise, some of it may lie along the law in all runs alike: a part of what is left over what the law explains.
     """
     law = tried.law

@@ -16,7 +16,7 @@ from operando.nonlinear.forward import by_loop
 from operando.nonlinear.polish import polished
 from operando.nonlinear.result import NonlinearDiagnosis
 from operando.nonlinear.search import Case, make_case
-from operando.nonlinear.steps import Step, Tried, choose, earns, search_step, with_law
+from operando.nonlinear.steps import Step, Tried, choose, improves, search_step, with_law
 from operando.threads import one_blas_thread
 
 MAX_EFFECTS = 3
@@ -45,7 +45,7 @@ def diagnose_records(
     idle : ModalModel
         Of unit modal mass, residual modes included.
     records : sequence of TimeRecord
-        Force and responses of the running state, best at two levels: the lower one judges.
+        Force and responses of the running state, best at two levels: the lower one is the hold-out set.
     geometry : Geometry, optional
         Sensor positions, for what counts as a neighbour.
     kinds, places : sequences, optional
@@ -128,7 +128,7 @@ def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Call
         if not step.tried:
             break
         best = choose(step.tried)
-        if not earns(step, best, accepted):
+        if not improves(step, best, accepted):
             break
         best = by_loop(case, polished(case, best))
         accepted.append(best)

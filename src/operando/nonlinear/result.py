@@ -15,18 +15,18 @@ class NonlinearDiagnosis:
     Parameters
     ----------
     verdict : {"no_misfit", "inconclusive", "explained", "partial", "unexplained", "ambiguous"}
-        As in the contract.
+        As in the specification.
     effects : tuple of Effect
         Accepted, in order; springs and dampers that turned out to be linear among them.
     ambiguous_with : tuple of Effect
         Effects that the records cannot tell from the accepted ones.
     proposed_measurement : str or None
     ladder : tuple of dict
-        Error and misfit of the records step by step.
+        Error and chi-square of the records step by step.
     candidates : tuple of dict
         Ranked.
     where : dict
-        ``by_dof``, ``by_band``, ``by_mode`` of the idle model on the judge records.
+        ``by_dof``, ``by_band``, ``by_mode`` of the idle model on the validation records.
     noise_floor_db : float or None
     detection : dict
         What was seen before anything was named: homogeneity over levels, even share, coherence.
@@ -34,10 +34,10 @@ class NonlinearDiagnosis:
         ``restoring_force``: for each level-dependent effect the force over displacement and velocity at its place, with the law over it,
         and the spring and damper it is equivalent to at each level.
     simulation : dict
-        The model with its effects in the closed loop against the judge record.
+        The model with its effects in the closed loop against the validation record.
     notes : tuple of str
     judged_on : dict
-        State, level and lines of the held-out figures.
+        State, level and lines of the hold-out figures.
     discrepancy : float or None
         Part of the responses that the effects leave beyond the noise.
     reason : str or None

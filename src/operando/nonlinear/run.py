@@ -81,7 +81,7 @@ class Modes:
         w, w0 = 2 * np.pi * hz[None, :], 2 * np.pi * self.hz[:, None]
         return np.asarray(1 / (w0**2 - w**2 + 2j * self.zeta[:, None] * w0 * w))
 
-    def invented(self, b: Real, first_hz: float) -> NDArray[np.bool_]:
+    def spurious(self, b: Real, first_hz: float) -> NDArray[np.bool_]:
         """Residual modes below all others that do not prevail across a place b at the first line, (n,).
 
         What stands for little in the band grows without bound below it: there it says nothing.
@@ -92,10 +92,10 @@ class Modes:
             return np.zeros(self.hz.size, bool)
         return np.asarray(low)
 
-    def bounded_kernel(self, hz: Real, invented: NDArray[np.bool_], first_hz: float) -> Complex:
-        """The receptance kernel, invented modes below the first line as they are there: structures that stand are flat below it."""
+    def bounded_kernel(self, hz: Real, spurious: NDArray[np.bool_], first_hz: float) -> Complex:
+        """The receptance kernel, spurious modes below the first line as they are there: structures that stand are flat below it."""
         kernel = self.receptance_kernel(hz)
-        kernel[invented] = self.only(invented).receptance_kernel(np.maximum(hz, first_hz))
+        kernel[spurious] = self.only(spurious).receptance_kernel(np.maximum(hz, first_hz))
         return kernel
 
     def only(self, keep: NDArray[np.bool_]) -> Modes:

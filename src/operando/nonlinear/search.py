@@ -48,7 +48,7 @@ class Case:
     modes : Modes
     fitted : tuple of Run
         Runs of the highest level of each reference.
-    judged : tuple of Run
+    validation : tuple of Run
         Runs of another level, which nothing is fitted to; empty where there is one level alone.
     band : (float, float)
     doubt : Doubt
@@ -58,7 +58,7 @@ class Case:
     idle: ModalModel
     modes: Modes
     fitted: tuple[Run, ...]
-    judged: tuple[Run, ...]
+    validation: tuple[Run, ...]
     band: tuple[float, float]
     doubt: Doubt
     places: tuple[tuple[int, ...], ...]
@@ -101,17 +101,17 @@ def make_case(
     for run in runs:
         driven.setdefault(run.forces_at, []).append(run)
     fitted: list[Run] = []
-    judged: list[Run] = []
+    validation: list[Run] = []
     for group in driven.values():
         top = max(r.force_level for r in group)
         for run in group:
-            (fitted if one_level(run.force_level, top) else judged).append(run)
-    if not judged and len(fitted) > 1:
-        judged = [fitted.pop()]
+            (fitted if one_level(run.force_level, top) else validation).append(run)
+    if not validation and len(fitted) > 1:
+        validation = [fitted.pop()]
     measured = sorted({int(i) for r in runs for i in r.rows})
     everywhere = [(i,) for i in measured] + list(combinations(measured, 2))
     wanted = everywhere if places is None else [tuple(int(i) for i in p) for p in places]
-    return Case(idle, modes, tuple(fitted), tuple(judged), band, Doubt.of(idle, modes, band), tuple(wanted))
+    return Case(idle, modes, tuple(fitted), tuple(validation), band, Doubt.of(idle, modes, band), tuple(wanted))
 
 
 def without(run: Run, bands: Sequence[tuple[float, float]]) -> Run:
@@ -149,32 +149,32 @@ class Field:
 
     case: Case
     fitted: list[Weighted]
-    judged: list[Weighted]
+    validation_runs: list[Weighted]
     fit_lines: list[np.ndarray]
     select_lines: list[np.ndarray]
-    judge_lines: list[np.ndarray]
+    validation_lines: list[np.ndarray]
     fit: list[Weighted] = field(default_factory=list)
     select: list[Weighted] = field(default_factory=list)
-    judge: list[Weighted] = field(default_factory=list)
+    validation: list[Weighted] = field(default_factory=list)
 
     @classmethod
     def of(cls, case: Case) -> Field:
         """Weights and sets of a case."""
         fitted = [Weighted.of(r) for r in case.fitted]
-        judged = [Weighted.of(r) for r in case.judged]
-        fit_lines, select_lines, judge_lines = [], [], []
+        runs = [Weighted.of(r) for r in case.validation]
+        fit_lines, select_lines, validation_lines = [], [], []
         for run in case.fitted:
             index = np.arange(run.hz.size)[strided(run, SET_LINES)]
             block = np.minimum(index * BLOCKS // run.hz.size, BLOCKS - 1)
-            third = 3 if not case.judged else 2
+            third = 3 if not case.validation else 2
             fit_lines.append(index[block % third == 0])
             select_lines.append(index[block % third == 1])
-            judge_lines.append(index[block % third == 2])
-        out = cls(case, fitted, judged, fit_lines, select_lines, judge_lines)
+            validation_lines.append(index[block % third == 2])
+        out = cls(case, fitted, runs, fit_lines, select_lines, validation_lines)
         out.fit = [Weighted.of(r.on(k)) for r, k in zip(case.fitted, fit_lines, strict=True)]
         out.select = [Weighted.of(r.on(k)) for r, k in zip(case.fitted, select_lines, strict=True)]
         # A run of another level judges; with one level alone a third of the blocks of lines does.
-        out.judge = judged or [Weighted.of(r.on(k)) for r, k in zip(case.fitted, judge_lines, strict=True)]
+        out.validation = runs or [Weighted.of(r.on(k)) for r, k in zip(case.fitted, validation_lines, strict=True)]
         return out
 
 
@@ -189,7 +189,7 @@ class Spot:
     whole: list[Motion]
     fit: list[Motion]
     select: list[Motion]
-    judge: list[Motion]
+    validation: list[Motion]
 
 
 def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot:
@@ -198,8 +198,8 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
     b = case.b(place) if b is None else b
     none = Outside.none([w.run for w in stage.fit], case.n_dofs, case.band[1])
     outside = look(stage.fit, case.modes, b, case.doubt, none, 4).outside
-    runs = [*case.fitted, *case.judged]
-    weights = [*stage.fitted, *stage.judged]
+    runs = [*case.fitted, *case.validation]
+    weights = [*stage.fitted, *stage.validation_runs]
     feed = {r.forces_at: outside.forces[i] for i, r in enumerate(case.fitted)}
     same_rows = {r.forces_at: tuple(r.rows.tolist()) for r in case.fitted}
     alongs = []
@@ -235,9 +235,9 @@ def examine(stage: Field, place: tuple[int, ...], b: Real | None = None) -> Spot
     def part(weights: Sequence[Weighted], lines: Sequence[np.ndarray]) -> list[Motion]:
         return [replace(m, along=m.along.on(w, k)) for m, w, k in zip(whole[:n], weights, lines, strict=True)]
 
-    judge = whole[n:] or part(stage.judge, stage.judge_lines)
+    validation = whole[n:] or part(stage.validation, stage.validation_lines)
     return Spot(
-        place, b, outside, rest / max(count, 1), whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), judge
+        place, b, outside, rest / max(count, 1), whole, part(stage.fit, stage.fit_lines), part(stage.select, stage.select_lines), validation
     )
 
 
@@ -255,7 +255,7 @@ def moving(spot: Spot, case: Case, whole: list[Motion]) -> Spot:
     def renew(parts: Sequence[Motion]) -> list[Motion]:
         return [replace(p, x=m.x, v=m.v, made=m.made, closed=m.closed) for p, m in zip(parts, whole[:n], strict=True)]
 
-    return replace(spot, whole=whole, fit=renew(spot.fit), select=renew(spot.select), judge=whole[n:] or renew(spot.judge))
+    return replace(spot, whole=whole, fit=renew(spot.fit), select=renew(spot.select), validation=whole[n:] or renew(spot.validation))
 
 
 def smooth_size(force: Any, width: int = 61) -> Real:

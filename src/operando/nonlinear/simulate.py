@@ -14,7 +14,7 @@ from operando.dof import match_dofs, parse_dofs
 from operando.effects import Effect, kind_of
 from operando.errors import ConfigError, DataError
 from operando.nonlinear.closed import Track, fineness, follow, loop_of, on_lines, steepness, sticks, track
-from operando.nonlinear.judge import decayed
+from operando.nonlinear.hold_out import decayed
 from operando.nonlinear.laws import LawFit
 from operando.nonlinear.loop import Loop
 from operando.nonlinear.place import Weighted
@@ -141,7 +141,7 @@ def law_of(effect: Effect, idle: ModalModel) -> tuple[LawFit, Real]:
 
 def tracks_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) -> Track:
     """One run of a case with its accepted laws, ready to be followed."""
-    run = [*case.fitted, *case.judged][number]
+    run = [*case.fitted, *case.validation][number]
     places = []
     for t in accepted:
         m = t.spot.whole[number]
@@ -154,7 +154,7 @@ def tracks_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) ->
     _, amplitudes, _ = m.along.free_force(0.0, m.under(last.law))
     hz = run.all_hz
     drive = run.drive(case.modes)
-    kernel = case.modes.bounded_kernel(hz, invented(case, accepted), float(run.hz[0]))
+    kernel = case.modes.bounded_kernel(hz, spurious(case, accepted), float(run.hz[0]))
     base = np.stack([(case.modes.phi.T @ t.spot.b) @ (kernel * drive) for t in accepted])
     # Beyond its last mode the model knows nothing of a place that was not driven.
     base[:, max(int(run.lines[-1]) + 1, int(np.searchsorted(hz, min(case.modes.known_hz, 0.47 * run.sampling_hz)))) :] = 0
@@ -170,13 +170,13 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
         steep = max(steep, steepness(t.law, case.modes.phi.T @ t.spot.b, reach))
     step = 1 / (run.sampling_hz * fineness(float(run.hz[-1]), run.sampling_hz, steep, sticks(t.law for t in accepted)))
     bs, outside = [t.spot.b for t in accepted], [t.spot.outside for t in accepted]
-    return loop_of(case.modes, bs, outside, run, step, invented(case, accepted))
+    return loop_of(case.modes, bs, outside, run, step, spurious(case, accepted))
 
 
-def invented(case: Case, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
+def spurious(case: Case, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
     """Modes (n,) that say nothing below the band at any of the places."""
     first = float(case.fitted[0].hz[0])
-    return np.all([case.modes.invented(t.spot.b, first) for t in accepted], axis=0)
+    return np.all([case.modes.spurious(t.spot.b, first) for t in accepted], axis=0)
 
 
 def lowest_hz(case: Case) -> float:
@@ -186,7 +186,7 @@ def lowest_hz(case: Case) -> float:
 
 
 def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
-    """The model with its laws in the closed loop against the records that judge (the fitted ones where there is one level).
+    """The model with its laws in the closed loop against the validation records (the fitted ones where there is one level).
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
         ``gain_db`` (fall of the error of all responses against the idle model), ``horizon_s``, ``records`` [{name, force_n, gain_db,
         idle_misfit, misfit}], ``figure`` {record, dof, time_s, measured, idle, simulated [m/s²]}; empty where the sampling rates differ.
     """
-    runs = [*case.fitted, *case.judged]
+    runs = [*case.fitted, *case.validation]
     n = len(case.fitted)
     picked = list(range(n, len(runs))) or list(range(n))
     if len({runs[i].sampling_hz for i in (0, *picked)}) > 1:

@@ -23,7 +23,7 @@ KINDS = (
     "one_sided_contact",
     "saturating_spring",
 )
-EARNED = 0.10
+IMPROVES = 0.10
 """A law lowers the squared error on blocks that were not fitted by more than this part."""
 
 BLOCKS = 24
@@ -145,11 +145,11 @@ def fit_single(
     base = [blocks.cut(s) for s in (blocks.a, blocks.v, blocks.x)]
     accepted: list[tuple[str, dict[str, float]]] = []
     columns = list(base)
-    linear = error = _held_out(columns, blocks.force)
+    linear = error = _hold_out_error(columns, blocks.force)
     first: dict[str, float] = {}
     while len(accepted) < most:
         options = [
-            (_held_out([*columns, c], blocks.force), kind, shape, c)
+            (_hold_out_error([*columns, c], blocks.force), kind, shape, c)
             for kind in kinds
             if kind not in [k for k, _ in accepted]
             for shape, c in _shapes(blocks, kind)
@@ -162,7 +162,7 @@ def fit_single(
         least = min(options, key=lambda o: o[0])
         near = [o for o in options if o[0] <= 1.03 * least[0]]
         chosen = min(near, key=lambda o: (len(o[2]), o[0]))
-        if not chosen[0] < (1 - EARNED) * error:
+        if not chosen[0] < (1 - IMPROVES) * error:
             break
         accepted.append((chosen[1], chosen[2]))
         columns.append(chosen[3])
@@ -201,7 +201,7 @@ def _solve(columns: Sequence[Complex], force: Complex, use: np.ndarray | slice =
     return np.asarray(np.linalg.lstsq(table / scale, right, rcond=None)[0] / scale)
 
 
-def _held_out(columns: Sequence[Complex], force: Complex, folds: int = 4) -> float:
+def _hold_out_error(columns: Sequence[Complex], force: Complex, folds: int = 4) -> float:
     """Share of the force's power that is left on blocks in turn not fitted; contiguous folds."""
     fold = np.arange(len(force)) * folds // len(force)
     rest = 0.0

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from operando.effects import kind_of
-from operando.nonlinear.judge import residual
+from operando.nonlinear.hold_out import residual
 from operando.nonlinear.laws import LawFit, fit_law, law_cost, linear_law, turned
 from operando.nonlinear.outside import Outside, force_columns, look
 from operando.nonlinear.run import Real, Run, smoothed_variance
 from operando.nonlinear.search import NOISE_FLOOR, WITHIN, Case, Field, Spot, examine, rank_places, settled
 from operando.threads import each
 
-EARNED, PARSIMONY = 0.10, 0.03
+IMPROVES, PARSIMONY = 0.10, 0.03
 """An effect lowers the selection misfit by more than this part; within this part of the best the fewest parameters win."""
 
 ALIKE, ALIKE_Z, ALIKE_AT_MOST = 0.02, 2.0, 0.15
@@ -57,14 +57,14 @@ class Tried:
     ----------
     spot : Spot
     law : LawFit
-    selection, judge : float
-        Misfits.
+    selection, validation : float
+        Chi-squares.
     """
 
     spot: Spot
     law: LawFit
     selection: float
-    judge: float
+    validation: float
 
     @property
     def key(self) -> tuple[tuple[int, ...], str, float]:
@@ -78,7 +78,7 @@ class Step:
 
     case: Case
     base_select: float
-    base_judge: float
+    base_validation: float
     tried: list[Tried]
     free: float
 
@@ -91,7 +91,7 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
         stage = Field.of(case)
         ranked = rank_places(case, [p for _, p in ranked[:8]])
     stage = Field.of(case)
-    base_select, base_judge = baseline(stage)
+    base_select, base_validation = baseline(stage)
     near = [p for misfit, p in ranked if misfit <= WITHIN * ranked[0][0]][:KEPT]
     singles = [p for _, p in ranked if len(p) == 1]
     if singles and singles[0] not in near:
@@ -114,7 +114,7 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     floor = min((s.free for s in spots), default=1.0)
     simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
     if at_first is not None and len(case.places) == 1 and rough and base_select <= simple and rough[0][0] > UNPROMISING * base_select:
-        return Step(case, base_select, base_judge, [], floor)
+        return Step(case, base_select, base_validation, [], floor)
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
     have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
     # Without the mean deflection an even law may seem to act towards the other side.
@@ -140,11 +140,11 @@ def search_step(case: Case, kinds: list[str], say: Callable[[str], None] | None,
     remember()
     tried += walked
     tried.sort(key=lambda t: t.selection)
-    return Step(case, base_select, base_judge, tried, floor)
+    return Step(case, base_select, base_validation, tried, floor)
 
 
 def roughly(spot: Spot, kind: str, side: float) -> tuple[float, Spot, LawFit] | None:
-    """A law with the motion as measured, and its misfit on the select set; enough to tell which laws are worth more."""
+    """A law with the motion as measured, and its chi-square on the select set; enough to tell which laws are worth more."""
     law = fit_law([m.coarse for m in spot.fit], kind, side, rounds=ROUGH_ROUNDS)
     if law is None:
         return None
@@ -190,8 +190,8 @@ def settle_law(stage: Field, spot: Spot, law: LawFit, turns: int = TURNS) -> Tri
             trail = [towards(*trail)]
     if step > UNSETTLED and turns > FIRST_TURNS and len(law.values) == 1 and len(sides(law.kind)) > 1:
         best, here, cost = narrowed(stage, here, best, cost, seen)
-    judged, n = law_cost(best, here.judge)
-    return Tried(here, best, cost / count, judged / n)
+    validation, n = law_cost(best, here.validation)
+    return Tried(here, best, cost / count, validation / n)
 
 
 def narrowed(stage: Field, spot: Spot, law: LawFit, cost: float, seen: Sequence[LawFit]) -> tuple[LawFit, Spot, float]:
@@ -206,9 +206,9 @@ def narrowed(stage: Field, spot: Spot, law: LawFit, cost: float, seen: Sequence[
         one = replace(law, values={name: float(np.exp(at))})
         moved = settled(spot, stage.case, one)
         own, _ = law_cost(one, moved.fit)
-        judged, _ = law_cost(one, moved.select)
-        if judged < best[0]:
-            best = (judged, one, moved)
+        validation, _ = law_cost(one, moved.select)
+        if validation < best[0]:
+            best = (validation, one, moved)
         return own
 
     a, b = high - golden * (high - low), low + golden * (high - low)
@@ -246,14 +246,14 @@ def towards(one: LawFit, two: LawFit, three: LawFit) -> LawFit:
 
 
 def baseline(stage: Field) -> tuple[float, float]:
-    """Misfits on the select and judge sets of the idle model with what lies outside the band, and nothing at any place."""
+    """Chi-squares on the select and hold-out sets of the idle model with what lies outside the band, and nothing at any place."""
     case = stage.case
     none = Outside.none([w.run for w in stage.fit], case.n_dofs, case.band[1])
     nowhere = np.zeros(case.n_dofs)
     zero = [np.zeros(w.run.hz.size, complex) for w in stage.fit]
     seen = look(stage.fit, case.modes, nowhere, case.doubt, none, 2, zero)
     out = []
-    for weights in (stage.select, stage.judge):
+    for weights in (stage.select, stage.validation):
         cost, count = 0.0, 0
         for w in weights:
             known = next((seen.outside.forces[i] for i, r in enumerate(case.fitted) if r.forces_at == w.run.forces_at), None)
@@ -269,7 +269,7 @@ def weighed(case: Case, place: tuple[int, ...]) -> Case:
     stage = Field.of(case)
     spot = examine(stage, place)
     runs = []
-    for run, m in zip([*case.fitted, *case.judged], spot.whole, strict=True):
+    for run, m in zip([*case.fitted, *case.validation], spot.whole, strict=True):
         if run.rows.size == 1:  # a free force explains all of one response: nothing is left that would tell its noise
             runs.append(run)
             continue
@@ -278,7 +278,7 @@ def weighed(case: Case, place: tuple[int, ...]) -> Case:
         q = run.rows.size
         runs.append(replace(run, variance=run.own + smoothed_variance(rest, floor, max((q - 1) / q, 0.5))))
     n = len(case.fitted)
-    return replace(case, fitted=tuple(runs[:n]), judged=tuple(runs[n:]))
+    return replace(case, fitted=tuple(runs[:n]), validation=tuple(runs[n:]))
 
 
 def choose(tried: Sequence[Tried]) -> Tried:
@@ -287,31 +287,31 @@ def choose(tried: Sequence[Tried]) -> Tried:
     return min(near, key=lambda t: (t.law.size, len(t.spot.place), t.selection))
 
 
-def earns(step: Step, best: Tried, before: Sequence[Tried] = ()) -> bool:
-    """Whether the law lowers the misfit, and a level-dependent one more than any linear law at the same place could."""
+def improves(step: Step, best: Tried, before: Sequence[Tried] = ()) -> bool:
+    """Whether the law lowers the chi-square, and a level-dependent one more than any linear law at the same place could."""
     again = any(set(b.spot.place) == set(best.spot.place) for b in before)
-    if not best.selection < (SAME_PLACE if again else 1 - EARNED) * step.base_select:
+    if not best.selection < (SAME_PLACE if again else 1 - IMPROVES) * step.base_select:
         return False
-    if not best.judge < step.base_judge:
+    if not best.validation < step.base_validation:
         return False
     if not kind_of(best.law.kind).level_dependent:
         return True
     count = sum(m.along.weighted.error.size for m in best.spot.select)
     linear = linear_law(best.spot.fit, best.spot.select) / count
-    return best.selection < (1 - EARNED) * linear
+    return best.selection < (1 - IMPROVES) * linear
 
 
 def with_law(case: Case, best: Tried) -> Case:
     """The case with the restoring force of an accepted law as one more known force."""
     runs: list[Run] = []
-    for run, m in zip([*case.fitted, *case.judged], best.spot.whole, strict=True):
+    for run, m in zip([*case.fitted, *case.validation], best.spot.whole, strict=True):
         runs.append(run.with_force(case.modes, best.spot.b, m.along.h, -m.spectrum(best.law)))
     n = len(case.fitted)
-    return replace(case, fitted=tuple(runs[:n]), judged=tuple(runs[n:]))
+    return replace(case, fitted=tuple(runs[:n]), validation=tuple(runs[n:]))
 
 
 def block_misfits(tried: Tried, blocks: int = 18) -> Real:
-    """Misfit on each block of the select set."""
+    """Chi-square on each block of the select set."""
     out = []
     for m in tried.spot.select:
         r = residual(m, m.under(tried.law))

@@ -18,7 +18,7 @@ from operando.errors import DataError
 
 Real = NDArray[np.float64]
 
-EARNED = 0.10
+IMPROVES = 0.10
 """A part of the law lowers the error on strokes that were not fitted by more than this part."""
 
 SHORTEST = 0.08
@@ -87,7 +87,7 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
     """Friction and play of a device from its displacement and its force.
 
     The law over the way gone since a reversal: from the force at the reversal back to zero with the stiffness of the device, zero over the
-    play, up again with the same stiffness to the slip force of the new direction, and that from there on. Fitted and judged by absolute
+    play, up again with the same stiffness to the slip force of the new direction, and that from there on. Fitted and compared by absolute
     errors: play ends in a blow that rings.
 
     Parameters
@@ -119,15 +119,15 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
     parts: dict[str, list[Real]] = {name: [] for name in MODELS}
     for k in range(FOLDS):
         fitted = [s for s, i in zip(strokes, fold, strict=True) if i != k]
-        judged = [s for s, i in zip(strokes, fold, strict=True) if i == k]
+        validation = [s for s, i in zip(strokes, fold, strict=True) if i == k]
         for name, (fit, predict) in MODELS.items():
             values = fit(fitted)
             parts[name].append(values)
-            errors[name] += _apart(judged, [predict(s, values) for s in judged]) / FOLDS / size
+            errors[name] += _apart(validation, [predict(s, values) for s in validation]) / FOLDS / size
     kinds: list[str] = []
     best = "linear"
     for name in ("coulomb_friction", "clearance"):
-        if errors[name] < (1 - EARNED) * errors[best]:
+        if errors[name] < (1 - IMPROVES) * errors[best]:
             kinds.append(name)
             best = name
     if "clearance" in kinds and "coulomb_friction" not in kinds:

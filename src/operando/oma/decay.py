@@ -260,8 +260,8 @@ def uncertain_decays(estimate: Estimate, keep_hz: Sequence[float]) -> dict[int, 
     out = {}
     for i in range(n):
         hz, zeta = float(estimate.hz[i]), float(estimate.zeta[i])
-        vague = 1.96 * std[i] > 2 * zeta * hz or 1.96 * std[n + i] > zeta
-        if vague and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
+        ill_determined = 1.96 * std[i] > 2 * zeta * hz or 1.96 * std[n + i] > zeta
+        if ill_determined and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
             value = f"{hz:.4g} ± {1.96 * float(std[i]):.2g} Hz, damping ratio {100 * zeta:.3g} ± {196 * float(std[n + i]):.3g} %"
             out[i] = ("uncertain", f"{value}: the decays do not hold this pole")
     return out

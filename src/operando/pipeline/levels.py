@@ -1,4 +1,4 @@
-"""Check runs by excitation level."""
+"""Validation measurements by excitation level."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
 
 
 def check_frfs(records: Sequence[TimeRecord], estimate: Callable[[list[TimeRecord]], Frf]) -> list[CheckRun]:
-    """FRFs of the check runs: one for all levels where the estimate finds them homogeneous, else one a level, lowest first.
+    """FRFs of the validation measurements: one for all levels where the estimate finds them homogeneous, else one a level, lowest first.
 
     Parameters
     ----------

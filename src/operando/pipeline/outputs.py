@@ -90,7 +90,7 @@ def _diagnosis(path: Path, results: Results) -> list[Finding]:
     return []
 
 
-def _ladder(path: Path, results: Results) -> list[Finding]:
+def _errors_by_step(path: Path, results: Results) -> list[Finding]:
     write_json(path, (results.diagnosis or {}).get("ladder", []))
     return []
 
@@ -128,7 +128,7 @@ OUTPUTS = (
     Output("ofrf.uff", _ofrf, "ofrf"),
     Output("comparison.json", _comparison, "compare", whole=True),
     Output("diagnosis.json", _diagnosis, "diagnose"),
-    Output("ladder.json", _ladder, "diagnose"),
+    Output("ladder.json", _errors_by_step, "diagnose"),
     Output("ofrf_effect.uff", _ofrf_effect, "diagnose"),
     Output("report.html", _report, whole=True),
     Output("summary.json", _summary, whole=True),
@@ -137,7 +137,7 @@ OUTPUTS = (
 )
 """In the order they are written: what cannot be written is a finding, which those behind tell of."""
 
-LADDER_OUTPUTS = tuple(o for o in OUTPUTS if o.stage == "diagnose" or o.name in ("comparison.json", "model.h5", "report.html"))
+STEP_OUTPUTS = tuple(o for o in OUTPUTS if o.stage == "diagnose" or o.name in ("comparison.json", "model.h5", "report.html"))
 """What ``add`` and ``remove`` change."""
 
 
@@ -153,7 +153,7 @@ def _uff(path: Path, results: Results, content: Any, node_set: int = 2411) -> li
 
 
 def _modes(path: Path, results: Results, model: ModalModel | None) -> list[Finding]:
-    """Modes and residual terms along the axes; the contract wants set 15 beside them, the other files have nodes in double precision."""
+    """Modes and residual terms along the axes; set 15 stands beside them, the other files have nodes in double precision."""
     findings: list[Finding] = []
     if model is not None:
         model = along_axes(replace(model, details=None), _directions(results), path.name, findings)
@@ -169,7 +169,7 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
     ----------
     results : Results
     changes : sequence of (int, str, float), optional
-        Step of the ladder, parameter and another value of it [SI]: a state that was not measured.
+        Step of the steps, parameter and another value of it [SI]: a state that was not measured.
 
     Raises
     ------

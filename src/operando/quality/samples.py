@@ -177,7 +177,7 @@ def soft_clipping(x: Array) -> Saturation | None:
     """Evidence that large values are compressed, None where there is none or it cannot be told.
 
     In a random signal slope and level are independent; a compressing characteristic y = g(x) leaves the slope at the top small,
-    and the crest factor low. Not judged are signals of few zero crossings, those of few tones and sweeps (a sine looks the
+    and the crest factor low. Not tested are signals of few zero crossings, those of few tones and sweeps (a sine looks the
     same), and white noise up to the Nyquist frequency, where neighbouring samples say nothing about the slope.
     """
     x = x - float(np.mean(x, dtype=float))

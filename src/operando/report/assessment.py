@@ -17,12 +17,12 @@ from operando.report.derive import (
     all_findings,
     analysis_band,
     comparison_models,
-    judge_run,
     level_difference,
     mode_pairs,
     pairing_of,
     reciprocity,
     scaling_of,
+    validation_run,
 )
 from operando.report.text import band_text, count, decibel, finite, fixed, listing, number
 from operando.report.words_diagnosis import effect_words, found_by_itself
@@ -121,8 +121,8 @@ def headline(results: Results) -> Headline:
     elif error < CLOSE_DB:
         verdict, grade = f"The operating FRFs agree with the validation measurement to within {CLOSE_DB:g} dB", "good"
     elif idle is not None and error > 0.95 * idle:
-        judged = judge_run(results)
-        where = f" at {judged.level}" if judged is not None and _levels_text(results) else ""
+        measured = validation_run(results)
+        where = f" at {measured.level}" if measured is not None and _levels_text(results) else ""
         verdict, grade = f"The operating FRFs are no better than the idle model{where}", "poor"
     else:
         against = f", the idle model by {decibel(idle)}" if idle is not None else ""
@@ -410,7 +410,7 @@ def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assu
     name = RECIPROCITY
     consequence = "A sum over real shapes is symmetric: operating FRFs cannot represent gyroscopic or circulatory effects; "
     consequence += "only the route idle model + effect can."
-    run = judge_run(results)
+    run = validation_run(results)
     rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []
     text, measured = "", None
     if rows:

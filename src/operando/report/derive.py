@@ -1,4 +1,4 @@
-"""Numbers the report draws that no stage keeps: judge run, errors by DOF and band, level and reciprocity tests, conditioning by DOF."""
+"""Numbers the report draws that no stage keeps: errors by DOF and band, level and reciprocity tests, conditioning by DOF."""
 
 from __future__ import annotations
 
@@ -103,8 +103,8 @@ def comparison_models(results: Results) -> dict[str, dict[str, Any]]:
     return {name: m for name, m in models.items() if m and not (stale and name == "effect")}
 
 
-def judge_run(results: Results) -> CheckRun | None:
-    """What the dB errors are drawn for: the check runs of the level that judges, their references side by side where they fit.
+def validation_run(results: Results) -> CheckRun | None:
+    """What the dB errors are drawn for: validation measurements of the level compared, their references side by side where they fit.
 
     The level is the one named in ``comparison.json``, else the last by name.
     """
@@ -180,7 +180,7 @@ def analysis_band(results: Results) -> tuple[float, float] | None:
 
 
 def band_edges(band: Sequence[float], n: int = 8) -> NDArray[np.float64]:
-    """n bands, equal in log frequency (contract, ``by_band``)."""
+    """n bands, equal in log frequency (``by_band``)."""
     low = max(float(band[0]), 1e-3 * float(band[1]))
     return np.geomspace(low, float(band[1]), n + 1)
 

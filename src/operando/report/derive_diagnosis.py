@@ -1,4 +1,4 @@
-"""Numbers behind the figures of the diagnosis: the model with the effects, lines held out, error maps, the two routes to the OFRFs."""
+"""Numbers behind the figures of the diagnosis: the model with the effects, hold-out lines, error maps, the two routes to the OFRFs."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ def predicted(model: Any, frf: Frf) -> Frf | None:
     return made
 
 
-def held_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, float]], bool]:
-    """Frequency ranges of a check run [Hz] whose lines judged and were never fitted to, and whether that is all of the run."""
-    judged = (results.diagnosis or {}).get("judged_on") or {}
-    if run.name not in (judged.get("runs") or ()):
+def hold_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, float]], bool]:
+    """Frequency ranges of a validation measurement [Hz] in the hold-out set, and whether that is all of it."""
+    hold_out = (results.diagnosis or {}).get("judged_on") or {}
+    if run.name not in (hold_out.get("runs") or ()):
         return [], False
-    return [(float(low), float(high)) for low, high in judged.get("ranges_hz") or []], bool(judged.get("whole_run"))
+    return [(float(low), float(high)) for low, high in hold_out.get("ranges_hz") or []], bool(hold_out.get("whole_run"))
 
 
 def every(frf: Frf, most: int = MAP_LINES) -> Frf:
@@ -141,7 +141,7 @@ def routes(results: Results, model: Any) -> Routes | None:
 
     With a check its lines that stand clear of the noise count, else all lines of the idle FRFs.
     """
-    run = derive.judge_run(results)
+    run = derive.validation_run(results)
     grid = run.frf if run is not None else results.idle_frf
     if model is None or results.hybrid is None or grid is None:
         return None

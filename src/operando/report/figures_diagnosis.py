@@ -1,4 +1,4 @@
-"""Figures of the diagnosis: the ladder of the error, misfit by mode, dynamic stiffness at the place found, places ranked."""
+"""Figures of the diagnosis: the error by step, chi-square by mode, dynamic stiffness at the place found, places ranked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.report.svg import GREEN, GREY, IDLE, INK, MEASURED, MODEL, PALE, PURPLE, SKY, dots, drawn, log_axis, new_figure, thin
 from operando.report.text import fixed, number
-from operando.report.words_diagnosis import BY_HAND, EffectWords, Ladder
+from operando.report.words_diagnosis import BY_HAND, EffectWords, ErrorByStep
 from operando.units import engineering_unit
 
 if TYPE_CHECKING:
@@ -23,28 +23,28 @@ BADGE = {"good": "#00664a", "fair": "#7a5200", "poor": "#a33a00", "none": "#4b57
 
 
 @drawn
-def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str]:
+def steps_figure(ladder: ErrorByStep, verdict: str, grade: str) -> tuple[Figure, str]:
     """SVG: the error at each step, idle model first, each column with what was added, against the noise floor.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : ErrorByStep
         At least one step.
     verdict : str
         Word on the badge.
     grade : {"good", "fair", "poor", "none"}
         Its colour.
     """
-    rungs = ladder.rungs
-    values = np.array([r.heldout for r in rungs])
-    n, slots = len(rungs), max(len(rungs), 2) + 0.4
-    labels = [_column_label(r.effect, max(12, round(116 / slots))) for r in rungs]
+    rows = ladder.rows
+    values = np.array([r.heldout for r in rows])
+    n, slots = len(rows), max(len(rows), 2) + 0.4
+    labels = [_column_label(r.effect, max(12, round(116 / slots))) for r in rows]
     foot = 0.2 + 0.165 * max(label.count("\n") + 1 for label in labels)
     width, plot, head = 10.2, 2.55, 0.42
     height = head + plot + foot
     figure = new_figure(width, height)
     axes = figure.add_axes((0.075, foot / height, 0.91, plot / height))
-    bottom = _ladder_scale(axes, ladder, values)
+    bottom = _steps_scale(axes, ladder, values)
     x = np.arange(n)
     axes.bar(
         x,
@@ -54,7 +54,7 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str
         color=[IDLE] + [{"unexplained": GREY, BY_HAND[0]: MODEL}.get(verdict, GREEN)] * (n - 1),
         zorder=2,
     )
-    lines = [(i, r.everything) for i, r in enumerate(rungs) if ladder.held_out and np.isfinite(r.everything) and r.everything > 0]
+    lines = [(i, r.everything) for i, r in enumerate(rows) if ladder.on_hold_out and np.isfinite(r.everything) and r.everything > 0]
     if lines:
         axes.plot(*np.transpose(lines), ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=0.9, zorder=4)
     if ladder.floor is not None and ladder.floor > bottom:
@@ -64,7 +64,7 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str
         axes.annotate(words, (1, ladder.floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
     for i, v in enumerate(values):
         axes.annotate(
-            ladder.text(v), (i, _clear_of(v, rungs[i].everything if lines else np.nan, axes)), (0, 5), textcoords="offset points",
+            ladder.text(v), (i, _clear_of(v, rows[i].everything if lines else np.nan, axes)), (0, 5), textcoords="offset points",
             ha="center", fontsize=11, fontweight="bold", zorder=5,
         )  # fmt: skip
     for i in range(1, n):
@@ -78,15 +78,15 @@ def ladder_figure(ladder: Ladder, verdict: str, grade: str) -> tuple[Figure, str
     at = (0.985 - 0.0055 * len(word), 1.0 + 0.14 / plot)  # in the middle: the reader's font is narrower than the one measured with
     axes.text(*at, word, transform=axes.transAxes, ha="center", va="bottom", color="white", fontsize=10.5, fontweight="bold", bbox=box)
     steps = [f"idle model {ladder.text(values[0])}"]
-    steps += [f"with {r.effect.label if r.effect else 'effect'} {ladder.text(v)}" for r, v in zip(rungs[1:], values[1:], strict=True)]
+    steps += [f"with {r.effect.label if r.effect else 'effect'} {ladder.text(v)}" for r, v in zip(rows[1:], values[1:], strict=True)]
     floor = "" if ladder.floor is None else f"; noise floor {ladder.text(ladder.floor)}"
     return figure, f"Error by step, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
 
 
-def _ladder_scale(axes: Axes, ladder: Ladder, values: NDArray[np.float64]) -> float:
+def _steps_scale(axes: Axes, ladder: ErrorByStep, values: NDArray[np.float64]) -> float:
     """Set the axis of the errors; the value its columns stand on."""
-    top = float(np.max([*values, *(r.everything for r in ladder.rungs if np.isfinite(r.everything)), ladder.floor or 0.0]))
-    kind = "Hold-out" if ladder.held_out else "Error on all data:"
+    top = float(np.max([*values, *(r.everything for r in ladder.rows if np.isfinite(r.everything)), ladder.floor or 0.0]))
+    kind = "Hold-out" if ladder.on_hold_out else "Error on all data:"
     if ladder.decibel:
         axes.set_ylim(0, 1.2 * max(top, 1e-9))
         axes.set_ylabel(f"{kind} level error, rms [dB]")
@@ -114,7 +114,7 @@ def _column_label(effect: EffectWords | None, width: int) -> str:
     return "\n".join(line for part in parts if part for line in textwrap.wrap(part, width))
 
 
-def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> None:
+def _fall(axes: Axes, i: int, before: float, after: float, ladder: ErrorByStep) -> None:
     """Arrow from the height of one column to that of the next, with the change."""
     worse = after > before
     color = BADGE["poor"] if worse else MEASURED
@@ -142,8 +142,8 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: Ladder) -> No
 
 
 @drawn
-def mode_misfit(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
-    """SVG: misfit of each operating mode by the idle model and by the model with the effects, against 1, the noise.
+def mode_errors(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
+    """SVG: chi-square of each operating mode by the idle model and by the model with the effects, against 1, the noise.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from operando.report.text import listing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HELD_OUT = "#fdf3d8"
+HOLD_OUT = "#fdf3d8"
 
 Pair = tuple[int, int, str]
 
@@ -72,7 +72,7 @@ def ofrf_pairs(
     pairs: Sequence[Pair],
     band: Sequence[float] | None = None,
     label: str = "operating FRF",
-    held_out: Sequence[tuple[float, float]] = (),
+    on_hold_out: Sequence[tuple[float, float]] = (),
 ) -> tuple[Figure, str]:
     """SVG: magnitudes of operating FRFs with their 95 % band, the check measurement and the idle model, one panel a pair.
 
@@ -86,7 +86,7 @@ def ofrf_pairs(
     band : (float, float), optional
     label : str
         What the model with the band is.
-    held_out : sequence of (float, float)
+    on_hold_out : sequence of (float, float)
         Frequency ranges [Hz] set off, whose lines nothing was fitted to.
     """
     columns = min(2, len(pairs))
@@ -104,8 +104,8 @@ def ofrf_pairs(
         plot_ofrf(
             ofrf, check, idle, axes, response=response, reference=reference, band=band, label=label, parts=("magnitude",), legend=False
         )
-        for n, (low, high) in enumerate(held_out):
-            axes.axvspan(low, high, color=HELD_OUT, lw=0, zorder=0, label=None if n else "hold-out lines")
+        for n, (low, high) in enumerate(on_hold_out):
+            axes.axvspan(low, high, color=HOLD_OUT, lw=0, zorder=0, label=None if n else "hold-out lines")
         axes.set_title(f"{check.responses[i]} from {check.references[j]} ({why})")
         if k == 0:
             handles, labels = axes.get_legend_handles_labels()

@@ -35,7 +35,7 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
         floor: Any = models["ofrf"].get("noise_floor_db")
         errors = [float(models[k]["error_db"]) for k in keys]
         bars = figures_compare.error_bars([MODEL_NAMES[k] for k in keys], keys, errors, float(floor) if finite(floor) else None)
-    run, hybrid_frf, rest = _judged(results, page)
+    run, hybrid_frf, rest = _validation(results, page)
     if run is not None and hybrid_frf is not None:
         pairs = derive.choose_pairs(run.frf, _pair_error(hybrid_frf, run.frf, results), 1, 0)[:1]
         pair = _drawn(results, run.frf, hybrid_frf, rest, pairs)
@@ -48,11 +48,11 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _judged(results: Results, page: Numbering) -> tuple[CheckRun | None, Frf | None, Frf | None]:
-    """The check that judges, the operating FRFs and the idle model on its lines and pairs."""
+def _validation(results: Results, page: Numbering) -> tuple[CheckRun | None, Frf | None, Frf | None]:
+    """The validation measurement, the operating FRFs and the idle model on its lines and pairs."""
 
     def make() -> tuple[CheckRun | None, Frf | None, Frf | None]:
-        run = derive.judge_run(results)
+        run = derive.validation_run(results)
         if run is None:
             return None, None, None
         return run, derive.model_frf(results.hybrid, run.frf), derive.model_frf(derive.scaled_idle(results), run.frf)
@@ -96,7 +96,7 @@ def _tiles(results: Results) -> list[Tile]:
 def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
     """Operating FRFs with band, check and idle model; errors by DOF, band, mode and run."""
     models, band = derive.comparison_models(results), derive.analysis_band(results)
-    run, model, rest = _judged(results, page)
+    run, model, rest = _validation(results, page)
     chosen = [k for k in BY_MODE_WORDS if (models.get(k) or {}).get("by_mode")]
     named = [(MODEL_NAMES.get(k, k), k, models[k]) for k in _ordered(models)]
     out: dict[str, Any] = {
@@ -127,7 +127,7 @@ def _ordered(models: Any) -> list[str]:
 
 
 def _by_run(results: Results) -> tuple[list[str], list[tuple[str, Any, list[Any]]]]:
-    """Names of the models, and name, level and errors of each check run."""
+    """Names of the models, and name, level and errors of each validation measurement."""
     rows = (results.comparison or {}).get("by_run") or []
     found = [row.get("models") or {} for row in rows]
     keys = [k for k in MODEL_NAMES if any(k in models for models in found)]

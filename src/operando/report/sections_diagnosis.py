@@ -1,4 +1,4 @@
-"""What the sections on the diagnosis show: the answer with the ladder, then where the idle model fails, what acts there, the evidence."""
+"""Sections on the diagnosis: the answer with the error by step, then where the idle model fails, what acts there, the evidence."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ APART_DB = 0.5
 
 
 def answer(results: Results, page: Numbering) -> dict[str, Any]:
-    """The answer of the diagnosis first: verdict, effect with size and place, and the ladder of the error."""
+    """The answer of the diagnosis first: verdict, effect with size and place, and the error by step."""
     words = diagnosis_words(results.diagnosis or {})
-    drawn = figures_diagnosis.ladder_figure(words.ladder, words.verdict, words.grade) if words.ladder.rungs else None
+    drawn = figures_diagnosis.steps_figure(words.ladder, words.verdict, words.grade) if words.ladder.rows else None
     grade, route = joint_grade(results, words.grade), route_words(results)
     return {"said": words, "intro": found_intro(words), "grade": grade, "route": route, "drawn": drawn, "kind_words": kind_words}
 
@@ -54,9 +54,9 @@ def diagnosis(results: Results, page: Numbering) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _judge(results: Results, page: Numbering, model: Any) -> tuple[CheckRun | None, Any, Any]:
-    """The check run that judges, and idle model and model with effects on its lines and pairs."""
-    run = derive.judge_run(results)
+def _validation(results: Results, page: Numbering, model: Any) -> tuple[CheckRun | None, Any, Any]:
+    """The validation measurement of the comparison, and idle model and model with effects on its lines and pairs."""
+    run = derive.validation_run(results)
     if run is None:
         return None, None, None
     idle = page.once("idle on check", lambda: derive.model_frf(derive.scaled_idle(results), run.frf))
@@ -64,9 +64,9 @@ def _judge(results: Results, page: Numbering, model: Any) -> tuple[CheckRun | No
 
 
 def _where(results: Results, page: Numbering, words: DiagnosisWords, model: Any) -> dict[str, Any] | None:
-    """Maps of the error with the worst cell, or the misfit by mode where there is no check; None where there is neither."""
+    """Maps of the error with the worst cell, or the chi-square by mode where there is no check; None where there is neither."""
     band = derive.analysis_band(results)
-    run, idle, after = _judge(results, page, model)
+    run, idle, after = _validation(results, page, model)
     if run is None or idle is None or band is None:
         return _by_mode(results)
     edges = derive.band_edges(band)
@@ -101,7 +101,7 @@ def _by_mode(results: Results) -> dict[str, Any] | None:
     idle = [value(r, "idle_misfit" if "idle_misfit" in r else "misfit") for r in rows]
     after = [value(r, "misfit") for r in rows] if "idle_misfit" in rows[0] and found.get("effects") else None
     k = int(np.nanargmax(idle))
-    drawn = figures_diagnosis.mode_misfit([r["frequency_hz"] for r in rows], idle, after)
+    drawn = figures_diagnosis.mode_errors([r["frequency_hz"] for r in rows], idle, after)
     return {"by_mode": (rows[k]["frequency_hz"], idle[k], None if after is None else after[k]), "drawn": drawn}
 
 
@@ -181,8 +181,8 @@ def _at_place(picture: Mapping[str, Any], found: Mapping[str, Any], k: int) -> E
 
 
 def _before_after(results: Results, page: Numbering, words: DiagnosisWords, model: Any) -> dict[str, Any]:
-    """FRFs before and after at telling pairs with the lines that judge, or the sentence why there are none."""
-    run, idle, after = _judge(results, page, model)
+    """FRFs before and after at telling pairs with the hold-out lines, or the sentence why there are none."""
+    run, idle, after = _validation(results, page, model)
     if run is None:
         return {"why": "There is no validation measurement to draw FRFs before and after against."}
     if idle is None:
@@ -198,7 +198,7 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
     error = derive.rms_over(derive.level_error_db(idle, run.frf), clear, axis=2)
     places = [str(d) for e in (results.diagnosis or {}).get("effects") or [] for d in e.get("location") or ()]
     pairs = derive_diagnosis.telling_pairs(run.frf, error, places)
-    ranges, everything = derive_diagnosis.held_out_ranges(results, run)
+    ranges, everything = derive_diagnosis.hold_out_ranges(results, run)
     banded = derive.with_variance(model, after, pairs)
     return {
         "why": "", "drawn": figures_frf.ofrf_pairs(run.frf, banded, idle, pairs, band, "idle model + effects", ranges), "ranges": ranges,
@@ -208,7 +208,7 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
 
 
 def _candidates(found: Mapping[str, Any]) -> list[tuple[EffectWords, Any, str, tuple[str, str] | None]]:
-    """Each candidate in words with its misfit, the evidence, and a tag where something became of it."""
+    """Each candidate in words with its chi-square, the evidence, and a tag where something became of it."""
     accepted = {effect_key(e) for e in found_by_itself(found)}
     added = {effect_key(e) for e in found.get("effects") or []} - accepted
     rivals = {effect_key(e) for e in found.get("ambiguous_with") or []}

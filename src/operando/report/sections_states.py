@@ -15,7 +15,7 @@ from operando.results import Results
 
 
 def idle(results: Results, page: Numbering) -> dict[str, Any]:
-    """FRFs at rest, stabilisation, rejected poles, residual modes, misfit, reciprocity, second opinion."""
+    """FRFs at rest, stabilisation, rejected poles, residual modes, chi-square, reciprocity, comparison with a library."""
     frf, model, band = results.idle_frf, results.idle, derive.analysis_band(results)
     out: dict[str, Any] = {"frf": frf, "model": model, "error": None, "reciprocity": []} | _identified(results, model, "idle")
     if frf is not None:
@@ -67,7 +67,7 @@ def _alone(setup: Any) -> list[str]:
 
 
 def _identified(results: Results, model: ModalModel | None, which: str) -> dict[str, Any]:
-    """What both states show of an identification: the diagram, the poles rejected, the modes, the second opinion."""
+    """What both states show of an identification: the diagram, the poles rejected, the modes, the comparison with a library."""
     details = getattr(model, "details", None)
     stabilization = getattr(details, "stabilization", None)
     given = getattr(details, "rejected", None) or getattr(stabilization, "rejected", None) or ()

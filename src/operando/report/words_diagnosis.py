@@ -1,4 +1,4 @@
-"""The diagnosis in words: verdicts, effects with 95 % intervals, the steps of the ladder, the answer."""
+"""The diagnosis in words: verdicts, effects with 95 % intervals, the steps of the steps, the answer."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ class EffectWords:
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One step of the ladder: what was added, and the error on lines held out and on all lines (dB or misfit; NaN where not known)."""
+class StepError:
+    """One step: what was added, and the error on hold-out lines and on all lines (dB or chi-square; NaN where not known)."""
 
     step: int
     effect: EffectWords | None
@@ -83,25 +83,25 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Ladder:
+class ErrorByStep:
     """The steps of the error.
 
     Parameters
     ----------
-    rungs : tuple of Rung
+    rows : tuple of StepError
     decibel : bool
-        Level errors, else misfits (1 is the noise).
-    held_out : bool
-        Whether they were judged on data that nothing was fitted to.
+        Level errors, else chi-squares (1 is the noise).
+    on_hold_out : bool
+        Whether they were computed on data that nothing was fitted to.
     floor : float or None
         What noise and the model's own uncertainty explain, in the same measure.
     by_phase : bool
-        Whether misfits stand because levels hardly change.
+        Whether chi-squares stand because levels hardly change.
     """
 
-    rungs: tuple[Rung, ...] = ()
+    rows: tuple[StepError, ...] = ()
     decibel: bool = True
-    held_out: bool = True
+    on_hold_out: bool = True
     floor: float | None = None
     by_phase: bool = False
 
@@ -124,12 +124,12 @@ class DiagnosisWords:
         How far the idle model is off without and with them, and what they cannot be distinguished from.
     decide : tuple of str
         The measurement that would decide or confirm.
-    ladder : Ladder
+    ladder : ErrorByStep
     effects : tuple of EffectWords
     output_only : bool
-        Whether operating modes alone were judged by.
+        Whether operating modes alone were used.
     on_records : bool
-        Whether records of force judged.
+        Whether records of force were used.
     """
 
     verdict: str
@@ -138,7 +138,7 @@ class DiagnosisWords:
     found: tuple[str, ...]
     sentences: tuple[str, ...]
     decide: tuple[str, ...]
-    ladder: Ladder
+    ladder: ErrorByStep
     effects: tuple[EffectWords, ...] = ()
     output_only: bool = False
     on_records: bool = False
@@ -208,10 +208,10 @@ def _plain_size(document: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def ladder_of(document: Mapping[str, Any]) -> Ladder:
-    """The steps of a diagnosis in dB on lines held out; as misfits, or on all lines, where it has no others.
+def error_by_step(document: Mapping[str, Any]) -> ErrorByStep:
+    """The steps of a diagnosis in dB on hold-out lines; as chi-squares, or on all lines, where it has no others.
 
-    Misfits stand also where the levels hardly change and the misfit does: a fault of phase alone has no dB.
+    Chi-squares are shown also where the levels hardly change and the chi-square does: a fault of phase alone has no dB.
     A step is named by the effect as it stands after the last refit of all.
     """
     rows = [row for row in document.get("ladder") or [] if isinstance(row, Mapping)]
@@ -220,20 +220,20 @@ def ladder_of(document: Mapping[str, Any]) -> Ladder:
     channels = all(effect_words(r["added"]).group in ("sensor", "force") for r in rows if isinstance(r.get("added"), Mapping))
     by_phase = in_decibel and channels and _phase_only(rows)
     keys = ("heldout_error_db", "error_db") if in_decibel and not by_phase else ("heldout_misfit", "misfit")
-    held_out = bool(rows) and all(finite(r.get(keys[0])) for r in rows)
+    on_hold_out = bool(rows) and all(finite(r.get(keys[0])) for r in rows)
     value = lambda row, key: float(row[key]) if finite(row.get(key)) else float("nan")  # noqa: E731
-    rungs = []
+    steps = []
     for i, row in enumerate(rows):
         added = row.get("added")
         words = effect_words(final.get(effect_key(added), added)) if isinstance(added, Mapping) else None
-        rungs.append(Rung(int(row.get("step", i)), words, value(row, keys[0 if held_out else 1]), value(row, keys[1])))
-    rungs = [r for r in rungs if finite(r.heldout)]
+        steps.append(StepError(int(row.get("step", i)), words, value(row, keys[0 if on_hold_out else 1]), value(row, keys[1])))
+    steps = [s for s in steps if finite(s.heldout)]
     floor: Any = document.get("noise_floor_db") if keys[1] == "error_db" else 1.0
-    return Ladder(tuple(rungs), keys[1] == "error_db", held_out, float(floor) if finite(floor) else None, by_phase)
+    return ErrorByStep(tuple(steps), keys[1] == "error_db", on_hold_out, float(floor) if finite(floor) else None, by_phase)
 
 
 def _phase_only(rows: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether the misfit fell by more than half and the level error by less than a tenth."""
+    """Whether the chi-square fell by more than half and the level error by less than a tenth."""
     ends = []
     for keys in (("heldout_error_db", "error_db"), ("heldout_misfit", "misfit")):
         first, last = ([r[k] for k in keys if finite(r.get(k))][:1] for r in (rows[0], rows[-1]))
@@ -260,7 +260,7 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
         verdict, title, grade = BY_HAND
     elif verdict == "explained" and effects and all(e.group in ("sensor", "force") for e in effects):
         title = FAULT
-    ladder = ladder_of(document)
+    ladder = error_by_step(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
     judged_on = document.get("judged_on") or {}
@@ -376,16 +376,16 @@ def _diagnosed(document: Mapping[str, Any]) -> tuple[str, ...]:
     return (*(f"{w[:1].upper()}{w[1:]}." for w in said), found)
 
 
-def _errors(ladder: Ladder, output_only: bool) -> str:
-    if not ladder.rungs:
+def _errors(ladder: ErrorByStep, output_only: bool) -> str:
+    if not ladder.rows:
         return ""
-    first, last = ladder.rungs[0].heldout, ladder.rungs[-1].heldout
-    added = len(ladder.rungs) - 1
+    first, last = ladder.rows[0].heldout, ladder.rows[-1].heldout
+    added = len(ladder.rows) - 1
     modes, lines = "operating frequencies, damping ratios and shapes", "lines of the validation measurement"
     where = (
-        f"{'the hold-out set' if ladder.held_out else 'all'} of {modes}"
+        f"{'the hold-out set' if ladder.on_hold_out else 'all'} of {modes}"
         if output_only
-        else f"{'hold-out' if ladder.held_out else 'all'} {lines}"
+        else f"{'hold-out' if ladder.on_hold_out else 'all'} {lines}"
     )
     value = decibel if ladder.decibel else _deviations
     text = f"On {where}, the error of the idle model is {value(first)}"
@@ -399,7 +399,7 @@ def _errors(ladder: Ladder, output_only: bool) -> str:
 
 
 def lines_words(judged_on: Mapping[str, Any]) -> str:
-    """State, level and lines of the held-out figures."""
+    """State, level and lines of the hold-out figures."""
     if not judged_on:
         return ""
     part = "whole runs" if judged_on.get("whole_run") else "hold-out blocks of lines"

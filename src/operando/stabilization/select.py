@@ -276,7 +276,7 @@ def _verdict(
     n_orders: int,
     tol: Tolerances,
 ) -> tuple[str, str] | None:
-    """Code and reason for not taking chain ``c``, or None; longer chains were judged before."""
+    """Code and reason for not taking chain ``c``, or None; longer chains were tested before."""
     f, z, vector = centres[c]
     n = chains[c].size
     if not band[0] <= f <= band[1]:

@@ -42,7 +42,7 @@ class Stage:
     name : str
         Name in the cache.
     part_of : str
-        Stage of the contract it belongs to.
+        Stage of the specification it belongs to.
     does : callable
         ``Work`` → fields of ``Results`` it fills (and ``findings``, those of the stage itself).
     lacks : callable

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from operando.cli.answer import Answer
-from operando.cli.diagnose import ladder_table
+from operando.cli.diagnose import steps_table
 from operando.cli.progress import following
 from operando.effects import Effect
 from operando.errors import MissingError
@@ -42,7 +42,7 @@ def present(folder: str) -> Results:
 
 
 def judging(results: Results) -> tuple[list[CheckRun], tuple[float, float] | None]:
-    """Check runs without the bands that the test leaves out, and its band."""
+    """Validation measurements without the bands that the test leaves out, and its band."""
     band = results.settings.get("band")
     runs = [replace(run, frf=run.frf.without_bands(left_out(results))) for run in results.check]
     return runs, (float(band[0]), float(band[1])) if band else None
@@ -116,11 +116,11 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
 
 
 def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> Answer:
-    """Refit with these effects, rewrite the folder's ladder and model, and tell what it did."""
+    """Refit with these effects, rewrite the folder's errors by step and model, and tell what it did."""
     from operando.compare import with_effect
     from operando.diagnosis import apply_effects
     from operando.diagnosis.from_records import apply_levels, need_records, with_levels
-    from operando.pipeline.outputs import LADDER_OUTPUTS
+    from operando.pipeline.outputs import STEP_OUTPUTS
 
     idle = results.idle
     assert idle is not None  # present() saw to it
@@ -151,9 +151,9 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     if results.comparison is not None:
         shown = applied.model if applied.effects else None
         results.comparison = with_effect(results.comparison, shown, runs, band or idle.band_hz)
-    for output in LADDER_OUTPUTS:
+    for output in STEP_OUTPUTS:
         if output.name != "comparison.json" or results.comparison is not None:
             folder.stage(output.name, None, output.of(results))
     folder.commit()
     words = list(applied.words) or ["the idle model alone"]
-    return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", ladder_table(done["ladder"], done["judged_on"])]))
+    return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", steps_table(done["ladder"], done["judged_on"])]))

@@ -100,10 +100,10 @@ def headline(results: Results) -> str:
         return f"{results.name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}. {route_words(results)}".strip()
     if results.hybrid is not None:
         count, method = len(results.hybrid.modal.dofs), results.hybrid.method
-        judged = route_words(results) if results.comparison is not None else ""
+        route = route_words(results) if results.comparison is not None else ""
         made = f"{results.name}: operational FRFs of {count} DOFs by method {method}"
-        if judged:
-            return f"{made}. {judged}"
+        if route:
+            return f"{made}. {route}"
         return f"{made}; there is no validation measurement."
     if results.operating is not None and results.idle is not None:
         why = results.left_out.get("ofrf", "")

@@ -1,4 +1,4 @@
-"""Figures of records: residuals, the ladder, where the model fails, the verdict."""
+"""Figures of records: residuals, the error by step, where the model fails, the verdict."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def decayed(weighted: Weighted) -> Complex:
 
 
 def figures(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, float]:
-    """Misfit, error in dB and noise floor of runs with given errors (q, L)."""
+    """Chi-square, error in dB and noise floor of runs with given errors (q, L)."""
     power, count, squares, floor, n = 0.0, 0, 0.0, 0.0, 0
     for w, error in zip(weighted, errors, strict=True):
         run, rest = w.run, decayed(w.with_error(error))
@@ -75,8 +75,8 @@ def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> floa
     return high
 
 
-def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fitted: int, errors: Sequence[Complex]) -> dict[str, Any]:
-    """One row of the ladder: all runs, and those that judge, which stand behind the ``fitted`` ones (all where there is one level)."""
+def step_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fitted: int, errors: Sequence[Complex]) -> dict[str, Any]:
+    """One row of the error table: all runs, and the hold-out set, which stand behind the ``fitted`` ones (all where there is one level)."""
     everything = figures(weighted, errors)
     held = figures(weighted[fitted:], errors[fitted:]) if len(weighted) > fitted else everything
     number = lambda v: float(v) if np.isfinite(v) else None  # noqa: E731
@@ -92,8 +92,8 @@ def ladder_row(step: int, added: Effect | None, weighted: Sequence[Weighted], fi
 
 
 def judged_on(case: Case) -> dict[str, Any]:
-    """State, level and lines of the ladder's figures on the judge set."""
-    runs = case.judged or case.fitted
+    """State, level and lines of the figures of the steps on the hold-out set."""
+    runs = case.validation or case.fitted
     levels = sorted({float(run.force_level) for run in runs})
     return {
         "state": "operating",
@@ -102,12 +102,12 @@ def judged_on(case: Case) -> dict[str, Any]:
         "level": " … ".join(dict.fromkeys(f"{v:.4g}" for v in (levels[0], levels[-1]))) + " N rms",
         "band_hz": [float(v) for v in case.band],
         "n_lines": int(sum(run.rows.size * run.lines.size for run in runs)),
-        "whole_run": bool(case.judged),
+        "whole_run": bool(case.validation),
     }
 
 
 def where_it_fails(case: Case, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
-    """``by_dof`` and ``by_band`` of the idle model on the judge runs."""
+    """``by_dof`` and ``by_band`` of the idle model on the validation runs."""
     n = len(case.fitted)
     pairs = list(zip(weighted, errors, strict=True))
     pairs = pairs[n:] or pairs

@@ -15,7 +15,7 @@ from operando.ema.spectra import RunSpectra
 N_BLOCKS = 18
 
 
-def heldout_masks(runs: Sequence[RunSpectra]) -> list[NDArray[np.bool_]]:
+def hold_out_masks(runs: Sequence[RunSpectra]) -> list[NDArray[np.bool_]]:
     """Lines kept away from the fit: one third of 18 contiguous blocks, other blocks in each run.
 
     Where several runs excite different references, what one run does not show the fit another one does, so no mode is lost.
@@ -39,9 +39,9 @@ def heldout_misfit(runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band:
         Mean |e|²/var over hold-out lines within the band, responses and runs.
     by_row : (M,) array
     """
-    masks = heldout_masks(runs)
+    masks = hold_out_masks(runs)
     kept = [run.lines(~mask) for run, mask in zip(runs, masks, strict=True)]
     theta = fit.parameters
     partial = refine(kept, n_dofs, theta.hz, theta.zeta, lower=False, start=theta, max_iterations=6, tolerance=0.5)
-    judged = [mask & (run.frequencies_hz >= band[0]) & (run.frequencies_hz <= band[1]) for run, mask in zip(runs, masks, strict=True)]
-    return run_misfit(runs, partial.parameters, judged)
+    seen = [mask & (run.frequencies_hz >= band[0]) & (run.frequencies_hz <= band[1]) for run, mask in zip(runs, masks, strict=True)]
+    return run_misfit(runs, partial.parameters, seen)
