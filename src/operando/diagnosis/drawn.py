@@ -9,6 +9,8 @@ from operando.data import plots
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from operando.data import Geometry
+
 
 class Drawn:
     """Draws itself by ``operando.plots``."""
@@ -59,4 +61,23 @@ class Drawn:
         matplotlib Axes
         """
         made: Axes = plots().plot_dynamic_stiffness(self, axes, number=number)
+        return made
+
+    def plot_location(self, geometry: Geometry, axes: Axes | None = None, *, names: bool | None = None) -> Axes:
+        """The structure with the effects found marked on it: see :func:`operando.plots.plot_location`.
+
+        Parameters
+        ----------
+        geometry : Geometry
+            Positions of the nodes.
+        axes : matplotlib Axes, optional
+            Three-dimensional. Default: of a new figure.
+        names : bool, optional
+            Write node names; default: with 100 nodes at most.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        made: Axes = plots().plot_location(self, geometry, axes, names=names)
         return made

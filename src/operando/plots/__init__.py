@@ -6,6 +6,7 @@ from operando.plots.diagnosis import plot_dynamic_stiffness, plot_steps, plot_wh
 from operando.plots.errors import plot_comparison, plot_error_map, plot_errors
 from operando.plots.fits import fit_circle, plot_nyquist, plot_synthesis_correlation
 from operando.plots.frfs import plot_frf, plot_frf_rms
+from operando.plots.location import plot_location
 from operando.plots.modes import plot_changes, plot_complexity, plot_mac, plot_participation, plot_shares
 from operando.plots.ofrfs import plot_hybrid, plot_ofrf
 from operando.plots.records import plot_force_spectra, plot_hits, plot_psd, plot_record
@@ -27,6 +28,7 @@ __all__ = [
     "plot_geometry",
     "plot_hits",
     "plot_hybrid",
+    "plot_location",
     "plot_mac",
     "plot_nyquist",
     "plot_ofrf",

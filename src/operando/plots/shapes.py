@@ -231,6 +231,7 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
         if len(geometry.nodes) <= MOST_NAMES if names is None else names:
             _names(place, geometry.nodes, mesh.xyz, mesh.span)
         _box(place, mesh.xyz if not arrows else np.vstack([mesh.xyz, start + 0.1 * mesh.span * way]), mesh.span)
+        unclipped(place)
         axes.set_title(short_name(geometry.name) or f"{len(geometry.nodes)} nodes")
     return axes
 
@@ -302,8 +303,7 @@ def draw_shape(
     turned = [] if bare else [2 * mesh.xyz[shown] - moved[shown]]  # where half a period later stands, which an animation shows
     _box(place, np.vstack([mesh.xyz, moved[shown], *turned]), mesh.span)
     if bare:
-        for part in (*place.collections, *place.lines):
-            part.set_clip_on(False)
+        unclipped(place)
         place.set_axis_off()
         _fill(place, np.vstack([mesh.xyz, moved[shown]]))
     return drawn
@@ -358,6 +358,12 @@ def _faces(place: Any, corners: Any, colors: Any, alpha: float) -> Any:
 
     made = Poly3DCollection(list(corners), facecolors=colors, edgecolors="none", linewidths=0, alpha=None if alpha >= 1 else alpha)
     return place.add_collection3d(made)
+
+
+def unclipped(place: Any) -> None:
+    """Draw what lies beyond the square of the axes, too: a flat structure is wider than it."""
+    for part in (*place.collections, *place.lines):
+        part.set_clip_on(False)
 
 
 def _names(place: Any, nodes: Sequence[object], xyz: NDArray[np.float64], span: float) -> list[Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.plots.location import marks, plot_location
 from operando.report.svg import GREEN, GREY, IDLE, INK, MEASURED, MODEL, PALE, PURPLE, SKY, dots, drawn, log_axis, new_figure, thin
 from operando.report.text import fixed, number
 from operando.report.words_diagnosis import BY_HAND, EffectWords, ErrorByStep
@@ -17,6 +18,8 @@ from operando.units import engineering_unit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from operando.data import Geometry
 
 BADGE = {"good": "#00664a", "fair": "#7a5200", "poor": "#a33a00", "none": "#4b5762"}
 """Colours of the verdict, as in the page."""
@@ -139,6 +142,21 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: ErrorByStep) 
         words, (i - 0.5, middle), (0 if short else 5, lift), textcoords="offset points", color=color, fontsize=8.5, zorder=5,
         ha="center" if short else "left", va="bottom" if short else "center",
     )  # fmt: skip
+
+
+@drawn
+def location_figure(found: Mapping[str, Any], geometry: Geometry) -> tuple[Figure, str]:
+    """SVG: the machine with the effects of ``diagnosis.json`` marked.
+
+    Parameters
+    ----------
+    found : dict
+    geometry : Geometry
+    """
+    figure = new_figure(7.0, 4.0)
+    axes = figure.add_axes((0.0, -0.1, 1.0, 1.14), projection="3d")
+    plot_location(found, geometry, axes)
+    return figure, "The machine with the location of " + "; ".join(m.name for m in marks(found.get("effects") or (), geometry))
 
 
 @drawn

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from operando.plots.location import marks
 from operando.report import derive, derive_diagnosis, figures_compare, figures_diagnosis, figures_frf, figures_records
 from operando.report.assessment import joint_grade, route_words
 from operando.report.parts import Numbering
+from operando.report.svg import Drawing
 from operando.report.text import decibel, finite, listing, number
 from operando.report.words_diagnosis import (
     DiagnosisWords,
@@ -36,7 +38,23 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
     words = diagnosis_words(results.diagnosis or {})
     drawn = figures_diagnosis.steps_figure(words.ladder, words.verdict, words.grade) if words.ladder.rows else None
     grade, route = joint_grade(results, words.grade), route_words(results)
-    return {"said": words, "intro": found_intro(words), "grade": grade, "route": route, "drawn": drawn, "kind_words": kind_words}
+    return {
+        "said": words,
+        "intro": found_intro(words),
+        "grade": grade,
+        "route": route,
+        "drawn": drawn,
+        "location": _location(results),
+        "kind_words": kind_words,
+    }
+
+
+def _location(results: Results) -> Drawing | None:
+    """The machine with the effects marked; None where no effect has a location on the geometry."""
+    geometry, found = results.geometry, results.diagnosis or {}
+    if geometry is None or not any(marks(found.get(key) or (), geometry) for key in ("effects", "ambiguous_with")):
+        return None
+    return figures_diagnosis.location_figure(found, geometry)
 
 
 def diagnosis(results: Results, page: Numbering) -> dict[str, Any]:
