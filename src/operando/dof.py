@@ -77,6 +77,13 @@ class Dof:
     ------
     DofError
         If a field is out of range.
+
+    Examples
+    --------
+    >>> Dof(12, "Z", -1)
+    Dof('12-Z')
+    >>> str(Dof.parse("FRAM:12+X"))
+    'FRAM:12+X'
     """
 
     node: Node

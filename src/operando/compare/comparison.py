@@ -320,6 +320,17 @@ def compare_all(
     ------
     DataError
         If there is no run.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from operando.results import CheckRun
+    >>> f = np.arange(8.0, 12.0, 0.1)
+    >>> model = operando.ModalModel([10.0], [0.01], np.array([[1.0]]), "1+Z", scaling="unit_modal_mass")
+    >>> running = operando.ModalModel([10.1], [0.01], np.array([[1.0]]), "1+Z", scaling="unit_modal_mass")
+    >>> document = compare_all({"idle": model}, [CheckRun("run 1", "10 N", running.frf(f))])
+    >>> document["models"]["idle"]["error_db"] > 1
+    True
     """
     if not runs:
         raise DataError("no validation measurement to compare with")
@@ -358,6 +369,11 @@ def with_effect(
     -------
     dict
         The document.
+
+    Examples
+    --------
+    >>> with_effect({"models": {"idle": {"error_db": 5.0}, "effect": {"error_db": 0.2}}}, None, [])
+    {'models': {'idle': {'error_db': 5.0}}, 'by_run': []}
     """
     chosen = None if effect is None else compare_all({"effect": effect}, runs, band_hz)
 

@@ -73,6 +73,14 @@ def gets_worse(models: Mapping[str, Any]) -> str | None:
     -------
     str or None
         The sentence.
+
+    Examples
+    --------
+    >>> idle = {"by_dof": [{"dof": "1+Z", "error_db": 1.0}]}
+    >>> gets_worse({"idle": idle, "effect": {"by_dof": [{"dof": "1+Z", "error_db": 2.5}]}})
+    'with the effects the model is farther off at 1+Z (1.00 → 2.50 dB)'
+    >>> gets_worse({"idle": idle, "effect": idle}) is None
+    True
     """
     idle, effect = models.get("idle") or {}, models.get("effect") or {}
     floor = effect.get("noise_floor_db") or 0.0
@@ -104,6 +112,12 @@ def recommended(comparison: Mapping[str, Any] | None, diagnosis: Mapping[str, An
     Returns
     -------
     Route or None
+
+    Examples
+    --------
+    >>> route = recommended({"models": {"ofrf": {"error_db": 0.3}, "idle": {"error_db": 5.0}}}, None, hybrid=True)
+    >>> route.name, route.reason
+    ('hybrid', 'no diagnosis was made')
     """
     models = (comparison or {}).get("models") or {}
     verdict, effects = (diagnosis or {}).get("verdict"), (diagnosis or {}).get("effects") or []

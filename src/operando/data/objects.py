@@ -31,6 +31,11 @@ def plots() -> Any:
     -------
     module
         ``operando.plots``.
+
+    Examples
+    --------
+    >>> plots().__name__
+    'operando.plots'
     """
     return importlib.import_module("operando.plots")
 
@@ -205,6 +210,13 @@ def expect(value: Any, kinds: type | tuple[type, ...], what: str, hint: str) -> 
     ------
     ObjectError
         It says what was given and what to do.
+
+    Examples
+    --------
+    >>> expect(3, int, "an index is needed", "give a whole number")
+    >>> expect("three", int, "an index is needed", "give a whole number")
+    Traceback (most recent call last):
+    operando.errors.ObjectError: an index is needed, not str (give a whole number)
     """
     if not isinstance(value, kinds):
         found = f"a list of {type(value[0]).__name__}" if isinstance(value, list | tuple) and value else f"{type(value).__name__}"

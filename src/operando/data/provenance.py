@@ -49,6 +49,15 @@ def file_hash(path: str | Path) -> str:
     -------
     str
         64 hexadecimal digits.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "record.txt"
+    ...     written = path.write_text("abc")
+    ...     file_hash(path)[:16]
+    'ba7816bf8f01cfea'
     """
     digest = hashlib.sha256()
     with open(path, "rb") as stream:

@@ -52,6 +52,13 @@ class Diagnosis(Drawn):
         What stands in the way of a better verdict.
     between, discrepancy : tuple of dict and dict, optional
         What differs between the two measurements and is no missing physics; the share of the FRFs that no parameter explains.
+
+    Examples
+    --------
+    >>> import operando
+    >>> found = operando.Diagnosis("no_misfit", (), (), None, (), (), {}, None)
+    >>> found.to_dict()["verdict"]
+    'no_misfit'
     """
 
     verdict: str

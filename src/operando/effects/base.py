@@ -38,6 +38,12 @@ class Parameter:
         Start where nothing better is known; None stands for the centre of the band [Hz].
     plain : str
         What it is, in words.
+
+    Examples
+    --------
+    >>> gap = Parameter("gap", "m", 1e-6, 1e-2, "log", 1e-4, "half the play")
+    >>> gap.bounds()
+    (1e-06, 0.01)
     """
 
     name: str
@@ -156,6 +162,17 @@ class EffectKind:
         What it moves: "frequencies", "damping", "both", or "nothing" (the channels only).
     removable : bool
         Whether the opposite (a mass taken away, a spring that is missing) makes sense.
+
+    Examples
+    --------
+    >>> class Inerter(EffectKind):
+    ...     kind, plain, places = "inerter", "an inerter between two points", 2
+    ...     parameters = (Parameter("inertance", "kg", 1e-3, 1e4, "log", 1.0, "inertance"),)
+    ...
+    ...     def dynamic_stiffness(self, s, values):
+    ...         return values["inertance"] * s**2
+    >>> [p.name for p in Inerter.parameters]
+    ['inertance']
     """
 
     kind: ClassVar[str] = ""

@@ -48,6 +48,13 @@ class Effect:
     ------
     ConfigError
         If the kind is unknown, takes another number of places, or has no parameter of a given name.
+
+    Examples
+    --------
+    >>> import operando
+    >>> spring = operando.Effect("ground_spring", (operando.Dof(2, "Z"),), {"stiffness": 1.5e5}, {"stiffness": 50.0})
+    >>> spring.size
+    '150.0 ± 0.1 kN/m'
     """
 
     kind: str
@@ -257,10 +264,10 @@ class Effect:
 
 
 def _with_spread(value: float, std: float) -> str:
-    """``0.200 ± 0.004``: the spread with one or two digits, the value to the same digit."""
+    """``0.200 ± 0.004``: the spread with one digit, the value to the same digit."""
     if not np.isfinite(std) or std <= 0:
         return f"{value:.4g}"
-    digits = int(np.floor(np.log10(std)))
+    digits = int(np.floor(np.log10(float(f"{std:.0e}"))))  # of the rounded spread: 0.098 is 0.1
     if -6 <= digits <= 4:
         places = max(0, -digits)
         return f"{value:.{places}f} ± {std:.{places}f}"

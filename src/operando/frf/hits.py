@@ -444,6 +444,11 @@ def without_hits(records: Sequence[TimeRecord], hits_reject: Iterable[str]) -> t
     ------
     DataError
         If a hit named is not there.
+
+    Examples
+    --------
+    >>> without_hits([], [])
+    ([], [])
     """
     wanted = list(hits_reject)
     if not wanted:

@@ -230,6 +230,13 @@ def steady_periods(
     ------
     DataError
         If a force is not periodic, or fewer than three whole periods are there.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> force = np.tile(np.random.default_rng(0).normal(size=256), 5)
+    >>> steady_periods(np.array([force, 2 * force]), [0], [1], 256.0).period
+    256
     """
     n = int(period) if period is not None else max(period_of(np.asarray(data[row], float)) for row in force_rows)
     last = _end_of_force(np.asarray(data[list(force_rows)], float))
@@ -363,6 +370,14 @@ def periodic_frf(experiments: Sequence[SteadyPeriods]) -> PeriodicFrf:
     DataError
         If there are fewer experiments than forces, periods differ, the forces of the experiments cannot be told apart, or too few lines
         are excited.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> force = np.tile(np.random.default_rng(0).normal(size=256), 5)
+    >>> found = periodic_frf([steady_periods(np.array([force, 2 * force]), [0], [1], 256.0)])
+    >>> bool(np.allclose(found.data, 2))
+    True
     """
     base = experiments[0]
     n_f = base.forces.shape[0]

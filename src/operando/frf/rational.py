@@ -160,6 +160,15 @@ def local_rational(
     ------
     DataError
         If a window has too few lines for the parameters.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng, n = np.random.default_rng(0), np.arange(100, 200)
+    >>> force = rng.normal(size=(1, 100)) + 1j * rng.normal(size=(1, 100))
+    >>> found = local_rational(force, 2 * force + 1e-6 * rng.normal(size=(1, 100)), n, np.array([150.0]))
+    >>> bool(np.allclose(found.data, 2, atol=1e-4))
+    True
     """
     n_f, n_x = force.shape[0], response.shape[0]
     p = (order + 1) * (n_f + transient)

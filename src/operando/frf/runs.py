@@ -233,6 +233,17 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
     ------
     DataError
         If the lines of the runs differ or a reference was not excited.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from operando.dof import Dof
+    >>> f, h = np.arange(1.0, 21.0), np.full((1, 1, 20), 2.0 + 0j)
+    >>> small, ones = np.full((1, 1, 20), 1e-6), np.ones((1, 20))
+    >>> at = lambda node: (Dof(node, "Z"),)
+    >>> run = RunEstimate(f, h, small, 0 * small + 1, ones, 8.0, at(2), at(1), "accelerance", 1.0, "h1", name="run 1")
+    >>> merge_runs([run]).data.shape
+    (1, 1, 20)
     """
     axis = runs[0].frequencies_hz
     if any(r.frequencies_hz.shape != axis.shape or not np.allclose(r.frequencies_hz, axis) for r in runs[1:]):

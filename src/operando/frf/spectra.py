@@ -178,6 +178,14 @@ def cross_spectra(
     ------
     DataError
         If no block is usable.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> force = np.random.default_rng(0).normal(size=4096)
+    >>> spectra = cross_spectra(np.array([force, 2 * force]), [0], [1], 256.0, 512)
+    >>> bool(np.allclose(spectra.cross[0, 0, 5] / spectra.force[0, 0, 5], 2))
+    True
     """
     first = block_starts(data.shape[1], block, overlap) if starts is None else np.asarray(starts, int)
     w_force, w = windows if windows is not None else (window_samples(window, block),) * 2

@@ -56,6 +56,14 @@ def write_object(group: h5py.Group, obj: Any) -> None:
     ------
     DataError
         If the object holds something that has no lasting form (a function, a foreign object).
+
+    Examples
+    --------
+    >>> import h5py
+    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
+    ...     write_object(file.create_group("numbers"), {"f": [1.0, 2.0]})
+    ...     read_object(file["numbers"])
+    {'f': [1.0, 2.0]}
     """
     text = json.dumps(_encode(obj, group, ""), ensure_ascii=False, allow_nan=False)
     _dataset(group, TREE, text)
@@ -80,6 +88,14 @@ def read_object(group: h5py.Group) -> Any:
     ------
     FormatError
         If the group does not hold an operando object, names a class that does not exist, or holds something else than was written.
+
+    Examples
+    --------
+    >>> import h5py
+    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
+    ...     write_object(file.create_group("text"), "a note")
+    ...     read_object(file["text"])
+    'a note'
     """
     if TREE not in group:
         raise FormatError(f"group {group.name!r} holds no operando object", where=_where(group), hint="expected a dataset " + TREE)
@@ -180,6 +196,12 @@ def check_objects(file: h5py.File) -> None:
     ------
     FormatError
         If an object is missing, or the format of the file is of no known version.
+
+    Examples
+    --------
+    >>> import h5py
+    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
+    ...     check_objects(file)  # a file of another program lists none
     """
     schema = _schema(file)
     if schema is not None and schema not in _SCHEMAS:

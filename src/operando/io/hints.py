@@ -40,6 +40,11 @@ def check_fields(made: Any, where: str) -> None:
     ------
     FormatError
         If a field is of another type.
+
+    Examples
+    --------
+    >>> from operando.dof import Dof
+    >>> check_fields(Dof(3, "Z"), "model.h5")
     """
     declared = _declared(type(made))
     for field in fields(made):

@@ -37,6 +37,19 @@ def beside_pyoma(model: ModalModel, records: TimeRecord | Sequence[TimeRecord]) 
         If pyOMA-2 has nothing to set beside: set-ups of different sensors, or free decays.
     MissingError
         If pyOMA-2 is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from scipy.signal import lfilter
+    >>> rng = np.random.default_rng(1)
+    >>> pole = np.exp(2 * np.pi / 200 * (-0.02 * 20 + 20j))  # 20 Hz, 2 % damping, sampled at 200 Hz
+    >>> motion = lfilter([1.0], np.poly([pole, pole.conjugate()]).real, rng.standard_normal(60_000))
+    >>> channels = [operando.Channel("1+Z", "acceleration", "m/s2"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.stack([motion, -motion]) + 0.01 * rng.standard_normal((2, 60_000)), 200.0, channels)
+    >>> model = operando.fit_oma(record, band=(5, 50))
+    >>> [row["agrees"] for row in beside_pyoma(model, record)][:1]
+    [True]
     """
     setups = group_setups(several(records, TimeRecord, "a model is compared on time records", "read(file).records holds them"))
     settings = getattr(model.details, "settings", None) or {}

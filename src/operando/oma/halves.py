@@ -28,6 +28,19 @@ def fit_halves(record: TimeRecord | Sequence[TimeRecord], whole: ModalModel) -> 
     -------
     tuple of ModalModel
         First and second half, without details; empty where a half is too short to be identified.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from scipy.signal import lfilter
+    >>> rng = np.random.default_rng(1)
+    >>> pole = np.exp(2 * np.pi / 200 * (-0.02 * 20 + 20j))  # 20 Hz, 2 % damping, sampled at 200 Hz
+    >>> motion = lfilter([1.0], np.poly([pole, pole.conjugate()]).real, rng.standard_normal(60_000))
+    >>> channels = [operando.Channel("1+Z", "acceleration", "m/s2"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> record = operando.TimeRecord(np.stack([motion, -motion]) + 0.01 * rng.standard_normal((2, 60_000)), 200.0, channels)
+    >>> model = operando.fit_oma(record, band=(5, 50))
+    >>> [float(half.frequencies_hz[0].round(0)) for half in fit_halves(record, model)]
+    [20.0, 20.0]
     """
     runs = [record] if isinstance(record, TimeRecord) else list(record)
     settings: dict[str, Any] = whole.details.settings

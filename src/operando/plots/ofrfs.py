@@ -148,6 +148,15 @@ def plot_hybrid(
     ------
     DofError
         If the model, or the measurement, does not have the pair.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> operating = operando.ModalModel([21.0, 45.0], [0.01, 0.02], np.array([[2, 3], [2, -3]]), "1+Z, 2+Z", "unscaled")
+    >>> hybrid = operando.scale_operational(idle, operating)
+    >>> operando.plots.plot_hybrid(hybrid, response="2+Z", reference="1+Z", frequencies=np.arange(10, 60, 0.1)).get_ylabel()
+    'Accelerance [(m/s²)/N]'
     """
     modal = hybrid.modal
     known = DofIndex(modal.dofs)

@@ -184,6 +184,14 @@ def plot_stabilization_of(model: ModalModel, axes: Axes | None = None, *, frf: F
     ------
     DataError
         If the model keeps no diagram.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> found = operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70))
+    >>> operando.plots.plot_stabilization_of(found).get_ylabel()
+    'Model order [poles]'
     """
     kept = getattr(model.details, "stabilization", None)
     if kept is None:

@@ -48,6 +48,14 @@ class Model:
         If the idle model is not of unit modal mass, or the covariance has another size.
     DofError
         If an effect stands at a DOF that the idle model does not have.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([10.0], [0.01], np.array([[1.0]]), "1+Z", scaling="unit_modal_mass")
+    >>> model = operando.Model(idle).add("ground_spring@1+Z=stiffness:1000")
+    >>> float(model.modes().frequencies_hz[0].round(2))
+    11.2
     """
 
     idle: ModalModel

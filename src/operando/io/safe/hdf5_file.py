@@ -39,6 +39,17 @@ def opened_hdf5(path: str | Path) -> Iterator[h5py.File]:
         If it is damaged, refers to other files, or its content is out of proportion to its size.
     MissingError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib, h5py
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "values.h5"
+    ...     with h5py.File(path, "w") as file:
+    ...         file["rate"] = 256.0
+    ...     with opened_hdf5(path) as file:
+    ...         float(file["rate"][()])
+    256.0
     """
     import h5py
 

@@ -72,7 +72,7 @@ Chart.prototype.buttons = function () {
   var self = this, group = make('span', this.tools, '', {'class': 'group'});
   button(group, '+', 'Zoom in', function () { self.scale(0.5); });
   button(group, '−', 'Zoom out', function () { self.scale(2); });
-  button(group, 'All', 'Whole band', function () { self.zoom(self.full[0], self.full[1]); });
+  button(group, 'All', 'All of the band', function () { self.zoom(self.full[0], self.full[1]); });
 };
 Chart.prototype.scale = function (by) {
   var middle = this.cursor !== null && this.cursor > this.x[0] && this.cursor < this.x[1] ? this.cursor : (this.x[0] + this.x[1]) / 2;
