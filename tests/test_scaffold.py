@@ -59,7 +59,7 @@ def test_without_names_forces_decide_and_doubts_are_said(folder, tmp_path):
     assert roles(made, flat) == {"broken.uff": "ignored", "m0.uff": "idle records", "m1.uff": "operating records"}
     assert any("unsure: m0.uff" in note for note in made.notes)
     assert any("broken.uff" in note for note in made.notes)
-    assert any("no check measurement" in note for note in made.notes)
+    assert any("no validation measurement" in note for note in made.notes)
     # the test file may lie elsewhere
     target = tmp_path / "elsewhere/test.toml"
     made = scaffold(flat, target)

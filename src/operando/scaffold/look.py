@@ -264,13 +264,13 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
     if len(seen.rates) > 1:
         notes.append("records of different sampling rates: " + ", ".join(f"{r:.6g} Hz" for r in sorted(seen.rates)))
     roles = {t.role.split()[0] for t in taken}
-    for state, loss in (
-        ("idle", "no scaled model, no operational FRFs"),
-        ("operating", "idle modes only"),
-        ("check", "nothing validates the result"),
+    for state, name, loss in (
+        ("idle", "idle", "no scaled model, no operational FRFs"),
+        ("operating", "operating", "idle modes only"),
+        ("check", "validation", "nothing validates the result"),
     ):
         if state not in roles:
-            notes.append(f"no {state} measurement: {loss}")
+            notes.append(f"no {name} measurement: {loss}")
     if sum(t.role == "geometry" for t in taken) > 1:
         notes.append("several geometry files: the first one is used")
     return notes
