@@ -31,9 +31,9 @@ LEFT = re.compile(
 )
 """Left column of the glossary, as far as one word tells it; ``misfit`` and ``ladder`` are names of fields, as in the result files."""
 
-FIELD = re.compile(r"^ladder :.*$|[\"`']ladder[\"`']", re.MULTILINE)
+FIELD = re.compile(r"^ladder :.*$|[\"`']ladder[\"`']|``(?:idle_)?misfit``", re.MULTILINE)
 TO_COME = {f"diagnosis/{name}.py" for name in (
-    "output_only", "output_only_fit", "output_only_scan", "output_only_sets", "output_only_undecided", "posterior", "scan", "search",
+    "posterior", "scan", "search",
 )}  # fmt: skip
 """Modules whose docstrings still hold words of the left column; the set only grows shorter."""
 

@@ -85,7 +85,7 @@ def prose_of_page(text: str) -> str:
 
 TEMPLATES = sorted((SRC / "report" / "templates").glob("*.j2"))
 TO_COME = {f"diagnosis/{name}.py" for name in (
-    "case", "output_only", "output_only_scan", "output_only_sets", "output_only_undecided", "search",
+    "case", "search",
 )}  # fmt: skip
 """Modules of the diagnosis whose messages still hold words of the left column; the set only grows shorter."""
 
@@ -124,8 +124,6 @@ KEYS = {"heldout", "heldout_misfit", "heldout_error_db", "judged_on", "ladder", 
 
 NAMES_TO_COME = {
     "diagnosis/criteria.py": {"EARNED"},
-    "diagnosis/output_only.py": {"judge_misfit", "judge_before", "judge"},
-    "diagnosis/output_only_sets.py": {"EARN_MORE", "judge_before", "judge", "EARN", "judged", "judge_rows"},
     "diagnosis/search.py": {"with_learnt_spreads"},
 }
 """Names that are still to go; the table only grows shorter."""

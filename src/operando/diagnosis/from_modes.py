@@ -86,7 +86,7 @@ def diagnose_modes(
         asked = told_by_modes(kinds)
         model, rest = Idle.of(idle, band, driven_dofs(idle, idle_frf)), None
         if idle_frf is not None and not (idle.misfit is not None and idle.misfit < MOST_CHI_SQUARE):
-            say("idle model on the FRFs at rest")
+            say("idle model on the idle FRFs")
             rest = at_rest(model, idle_frf, band)
             model = rest.idle
         lines = OperatingModes(model, operating, parts)
@@ -98,7 +98,7 @@ def diagnose_modes(
         else:
             one = ModesCase(model, lines, band, SAME_SET_UP, asked, where, like=days)
             found, odds = search_both(days, one, say, 0.0 if rest is None else rest.state.alpha)
-        return _told(idle, found, rest, geometry, odds)
+        return _diagnosis(idle, found, rest, geometry, odds)
 
 
 def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
     """
     known = tuple(k for k in TOLD_BY_MODES if kinds is None or k in kinds)
     if not known:
-        raise ConfigError("none of the kinds asked for can be told from operating modes", hint="kinds: " + ", ".join(TOLD_BY_MODES))
+        raise ConfigError("none of the kinds asked for shows in operating modes", hint="kinds: " + ", ".join(TOLD_BY_MODES))
     return known
 
 
@@ -129,7 +129,7 @@ def _within(model: ModalModel, band: tuple[float, float]) -> ModalModel:
     return model.select_modes((model.frequencies_hz >= band[0]) & (model.frequencies_hz <= band[1]))
 
 
-def _told(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Geometry | None, one_set_up: float | None) -> Diagnosis:
+def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Geometry | None, one_set_up: float | None) -> Diagnosis:
     """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
     best = found.best
     lines: OperatingModes = best.case.lines  # type: ignore[assignment]
@@ -154,7 +154,7 @@ def _told(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Geometr
         notes=tuple(_notes(lines, rest, one_set_up)),
         idle=idle,
         model=model_of(idle, final, geometry),
-        judged_on={"state": "operating", "measured": _judged(lines)},
+        judged_on={"state": "operating", "measured": _validated_on(lines)},
         detectable=tuple(detectable_rows(final, said)),
         reason=why or None,
         between=tuple(between_rows(final)),
@@ -176,27 +176,27 @@ def _by_mode(found: Found, final: State) -> list[dict[str, Any]]:
     return out
 
 
-def _judged(lines: OperatingModes) -> str:
+def _validated_on(lines: OperatingModes) -> str:
     if lines.apart:
         text = "the whole record chose the effects and gave the sizes; its second half, identified apart, was predicted from the first"
         if lines.left_out:
             text += f"; {lines.left_out} mode{'s' if lines.left_out > 1 else ''} that one half alone showed stayed out"
         return text
     if lines.sets[0].n < _FEW:
-        return f"{lines.sets[0].n} operating modes are too few to set some apart: what judges was fitted"
+        return f"{lines.sets[0].n} operating modes are too few to set some apart: the validation values were fitted"
     return "one third of the values (of each mode its frequency, damping or shape, in turn) was predicted from the others"
 
 
 def _notes(lines: OperatingModes, rest: AtRest | None, one_set_up: float | None) -> list[str]:
-    notes = [_judged(lines)]
+    notes = [_validated_on(lines)]
     if one_set_up is not None and one_set_up > 0:
         notes.append(
-            f"the data say that nothing was touched between the measurements at rest and in operation (log odds {one_set_up:.0f}); "
-            "gains, places of sensors, temperature and damping count as the same"
+            f"the data say that nothing was touched between the idle and the operating measurement (log odds {one_set_up:.0f}); "
+            "gains, positions of sensors, temperature and damping count as the same"
         )
     if rest is not None and rest.again:
         notes.append(
-            f"the idle model was fitted to the FRFs at rest again, with complex modes; {100 * rest.state.alpha:.2g} % stay unexplained"
+            f"the idle model was fitted to the idle FRFs again, with complex modes; {100 * rest.state.alpha:.2g} % stay unexplained"
         )
     return notes
 

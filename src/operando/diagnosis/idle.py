@@ -39,10 +39,12 @@ class Moves:
 
         What is measured are products of a driven and another DOF: where the driven value is larger, the other one is smaller by the same
         factor e^t. By sums alone their product would be wrong by t², far beyond its own standard deviation where a reference hardly
-        moves in a mode. A scale known to worse than a factor e is not known; its standard deviation is cut to that.
+        moves in a mode. The factor is log-normal, with the relative standard deviation σ of the scale: t has √ln(1 + σ²).
         """
         sign = np.where(driven, 1.0, -1.0)[:, None]
-        within = scale / np.maximum(1, np.linalg.norm(scale, axis=1))[:, None]
+        relative = np.linalg.norm(scale, axis=1)
+        by_log = np.divide(np.sqrt(np.log1p(relative**2)), relative, out=np.ones_like(relative), where=relative > 0)
+        within = by_log[:, None] * scale
         grown = np.exp(sign * (within @ g))
         shared = self.shared - (sign * base)[..., None] * scale
         values = (base + shared @ g + (self.own @ own[..., None])[..., 0]) * grown

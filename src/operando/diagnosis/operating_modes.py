@@ -171,8 +171,8 @@ class OperatingModes:
         if self.apart:
             self.known, self.validation = parts[1], parts[2]
         else:
-            judges = in_turn(self.sets[0]).ravel()
-            self.known, self.validation = parts[0][~judges], parts[0][judges]
+            apart = in_turn(self.sets[0]).ravel()
+            self.known, self.validation = parts[0][~apart], parts[0][apart]
         self.set_of = np.repeat(np.arange(len(self.sets)), [p.size for p in parts])
         self.w = np.arange(int(ends[-1]))  # what a prediction is asked for: numbers of values
         self.h = np.concatenate([s.measured.ravel() for s in self.sets])[:, None, None]

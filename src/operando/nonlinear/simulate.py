@@ -197,8 +197,8 @@ def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``gain_db`` (fall of the error of all responses against the idle model), ``horizon_s``, ``records`` [{name, force_n, gain_db,
-        idle_misfit, misfit}], ``figure`` {record, dof, time_s, measured, idle, simulated [m/s²]}; empty where the sampling rates differ.
+        ``gain_db`` (fall of the error against the idle model), ``horizon_s``, ``records`` [{name, force_n, gain_db, ``idle_misfit``,
+        ``misfit``}], ``figure`` {record, dof, time_s, measured, idle, simulated [m/s²]}; empty where the sampling rates differ.
     """
     runs = [*case.fitted, *case.validation]
     n = len(case.fitted)
