@@ -187,8 +187,8 @@ def test_force_levels_are_split_by_one_ratio_everywhere():
         pair = [base, replace(base, data=base.data * ratio, name="louder")]
         assert len(level_groups(pair)) == levels
         case = make_case(strip.idle(), pair, places=[(2,)])
-        assert [len(case.fitted), len(case.judged)] == [1, 1]
-        assert ("louder" in {r.name for r in case.judged}) is (levels == 1)  # of two levels the lower one judges
+        assert [len(case.fitted), len(case.validation)] == [1, 1]
+        assert ("louder" in {r.name for r in case.validation}) is (levels == 1)  # of two levels the lower one validates
 
 
 # DOF labels

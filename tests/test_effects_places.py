@@ -83,5 +83,5 @@ def test_places_that_cannot_be_interpolated():
         virtual_shape(idle, geometry, (0.3, 0, 0), "+X")
     with pytest.raises(DataError, match="few"):
         spline_weights(np.array([[0.0, 0, 0], [1, 0, 0]]), [[0.5, 0, 0]])
-    with pytest.raises(DataError, match="one place"):
+    with pytest.raises(DataError, match="one position"):
         spline_weights(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0]]), [[0.5, 0, 0]])

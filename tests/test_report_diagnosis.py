@@ -342,13 +342,13 @@ def test_map_writes_each_value_once_and_a_dash_for_none():
 # The report.
 
 
-def test_ladder_is_the_first_figure_and_the_answer_the_first_section(whole):
+def test_the_machine_and_the_error_by_step_are_the_first_figures_and_the_answer_the_first_section(whole):
     html = render_report(whole)
     assert html.index('id="missing"') < html.index('id="answer"')
-    first = html[html.index("<figure>") : html.index("</figure>")]
+    machine, first = (part.split("</figure>")[0] for part in html.split("<figure>")[1:3])
+    assert "where the effect acts" in machine
     assert "Error by step, verdict explained" in first
     assert "3.93 dB" in first
-    assert "Figure 1." in first
     assert "A mass of 200 ± 2 g (95 %) sits on 103+Z" in html
     assert "<script>" not in html.replace("<script>addEventListener", "")
 
