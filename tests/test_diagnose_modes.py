@@ -17,7 +17,8 @@ from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
 from operando.diagnosis.operating_modes import OperatingModes, partners
-from operando.diagnosis.posterior import Problem, Step, fit, left_on
+from operando.diagnosis.posterior import fit, left_on
+from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.terms import Term
 from operando.effects import Effect

@@ -188,7 +188,7 @@ def test_derivatives_are_those_of_the_frfs(responses):
     )
     seen = one.between.own["seen"]
     x.own[:, forward.n_shape + seen.start : forward.n_shape + seen.stop] = 0  # enters the others' derivatives at first order only
-    from operando.diagnosis.posterior import Problem
+    from operando.diagnosis.problem import Problem
 
     problem = Problem(one, terms, one.lines.fit[::9])
     packed = problem.packed(x)
@@ -199,7 +199,7 @@ def test_derivatives_are_those_of_the_frfs(responses):
         up, down = (problem.predict(packed + move * side, False).h for side in (width, -width))
         return (up - down) / (2 * width)
 
-    from operando.diagnosis.posterior import Step
+    from operando.diagnosis.problem import Step
 
     for i in range(problem.n_shared):
         move = Step(np.eye(problem.n_shared)[i], np.zeros_like(packed.own))

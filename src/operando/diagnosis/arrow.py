@@ -94,6 +94,18 @@ class Factor:
         second = np.swapaxes(self.inverse, 1, 2) @ (y - self.across @ first)[..., None]
         return first, second[..., 0]
 
+    def root(self) -> Array:
+        """R with R Rᵀ = H⁻¹, shared unknowns first, (s + blocks k, s + blocks k)."""
+        s, (blocks, k) = len(self.lower), self.across.shape[:2]
+        out = np.zeros((s + blocks * k, s + blocks * k))
+        out[:s, :s] = solve_triangular(self.lower, np.eye(s), lower=True, check_finite=False).T
+        turned = np.swapaxes(self.inverse, 1, 2)
+        out[s:, :s] = -(turned @ (self.across @ out[:s, :s])).reshape(blocks * k, s)
+        for block in range(blocks):
+            at = slice(s + block * k, s + (block + 1) * k)
+            out[at, at] = turned[block]
+        return out
+
     def variances(self) -> tuple[Array, Array]:
         """Diagonal of H⁻¹, (s,) and (blocks, k)."""
         root = solve_triangular(self.lower, np.eye(len(self.lower)), lower=True, check_finite=False)

@@ -12,7 +12,7 @@ from operando.data import Frf, Geometry, ModalModel
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import CORRELATED_LINES, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, LOOSE, MOST_CHI_SQUARE
 from operando.diagnosis.document import judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.idle import Idle
@@ -20,7 +20,7 @@ from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, with_midway
 from operando.diagnosis.posterior import State, approach, at_rest, fit
 from operando.diagnosis.scan import LinearScan, robust_scan
-from operando.diagnosis.search import strained, with_learnt_spreads
+from operando.diagnosis.search import strained
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
 from operando.effects import Effect, parse_effect
@@ -155,7 +155,9 @@ def apply_effects(
         options = [spreads_of(between)] if between else [SAME_SET_UP, spreads_of({})]
         ways = [_steps(of_check(known, spreads), terms, say) for spreads in options]
         states = max((w for w in ways if w is ways[0] or not strained(w[-1])), key=lambda steps: steps[-1].log_evidence)
-        final = with_learnt_spreads(states[-1]) or states[-1]
+        final = states[-1]
+        if final.alpha < EXPLAINED:
+            final = fit(final.case, final.x, final.alpha, learn=True)
         rows = ladder(final)
         words = []
         for k, state in enumerate(states[1:], 1):

@@ -97,6 +97,7 @@ class Case:
         self.nodes = [tuple(v) for v in nodes.values()]
         self.allowed = tuple(range(len(self.dofs))) if places is None else tuple(places)
         self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
+        self.at_rest: dict[str, Any] = {} if like is None else like.at_rest  # scans about the model as it is, whatever the spreads
         self._base: tuple[Array, Scannable] | None = None
         self._places: dict[str, int] = {}
 
@@ -104,11 +105,10 @@ class Case:
     def idle(self) -> Idle:
         return self.forward.idle
 
-    def copy(self) -> Case:
-        """The same case with spreads of its own."""
+    def widened(self, by: Array) -> Case:
+        """The same case with spreads larger by exp(by) of each group of what differs between the days."""
         case = copy(self)
-        case.between = copy(self.between)
-        case.between.shared_spread, case.between.own_spread = self.between.shared_spread.copy(), self.between.own_spread.copy()
+        case.between = self.between.widened(by)
         case.forward = replace(self.forward, between=case.between)
         return case
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import EXPLAINED, LEAST_DISCREPANCY, UNUSUAL
-from operando.diagnosis.posterior import Problem, State, left_on
+from operando.diagnosis.posterior import State, left_on
+from operando.diagnosis.problem import Problem
 from operando.diagnosis.search import Found, score
 from operando.diagnosis.terms import Term, added
 from operando.diagnosis.verdict import Verdict

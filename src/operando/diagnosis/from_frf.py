@@ -28,16 +28,14 @@ from operando.diagnosis.document import (
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
-from operando.diagnosis.search import Found, search, search_both, search_elsewhere
+from operando.diagnosis.search import Found, search, search_both, search_elsewhere, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import SEARCHED
-from operando.diagnosis.verdict import no_other_answer, others, verdict
+from operando.diagnosis.verdict import judged, no_other_answer, others, verdict
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
 from operando.threads import one_blas_thread
-
-SURE = ("explained", "ambiguous", "no_misfit")
 
 
 def diagnose_frf(
@@ -126,16 +124,18 @@ def diagnose_frf(
             found = search(both[0], say)
         else:
             found, odds = search_both(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha)
-        sure = verdict(found.best.case, found, None if rest is None else rest.state).name in SURE
-        terms, asked_for_all = found.best.terms, kinds is None and places is None
+        found = judged(found)
+        name = verdict(found.best.case, found, None if rest is None else rest.state).name
+        asked_for_all = kinds is None and places is None
         # several effects may stand for one where no sensor is, and an absorber for a mode that is lacking
-        instead = not sure or len(terms) > 1
+        left = name in ("partial", "unexplained") or len(found.best.terms) > 1 or unlike_days(found.best)
         if (
             asked_for_all
             and (rest is None or rest.state.alpha <= EXPLAINED)
-            and (instead or any(t.kind == "tuned_absorber" for t in terms))
+            and (left or any(t.kind == "tuned_absorber" for t in found.best.terms))
         ):
-            found, odds, geometry = search_elsewhere(found, odds, cases, geometry, instead, say)
+            found, odds, geometry = search_elsewhere(found, odds, cases, geometry, left, say)
+            found = judged(found)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 

@@ -13,149 +13,20 @@ from operando.data import Frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import CORRELATED_LINES, LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
-from operando.diagnosis.forward import Point, Prediction
+from operando.diagnosis.descent import Descent
+from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.terms import Term, moved
+from operando.diagnosis.problem import Problem, Step
+from operando.diagnosis.spreads import WIDER, likely_spreads, log_prior, rescaled
+from operando.diagnosis.terms import Term
 
 Array = NDArray[Any]
 
-_STEP = 0.7  # of a value on its search scale, at most
+_TURNS = 18  # of a fit; twice as many where spreads are learnt
 _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
-_FIXED_SPREADS = (
-    "force",
-    "force_slope",
-    "force_corner",
-    "force_late",
-    "stiffness",
-    "late",
-    "damping_whole",
-)  # too few numbers to estimate from
-_PRIOR_COUNT, _SPREAD_FACTOR = 5.0, (0.3, 3.0)
-
-
-@dataclass(frozen=True)
-class Step:
-    """A vector over all unknowns: those that reach all channels, (n,), and those of each DOF, (DOFs, k)."""
-
-    shared: Array
-    own: Array
-
-    def __add__(self, other: Step) -> Step:
-        return Step(self.shared + other.shared, self.own + other.own)
-
-    def __mul__(self, factor: float) -> Step:
-        return Step(factor * self.shared, factor * self.own)
-
-
-class Problem:
-    """Lines of a case with some effects: the unknowns in one order, residuals and derivatives as independent rows.
-
-    Shared unknowns are g, d, u, the values, and those of touched DOFs that reach all channels; the latter are zero among the own ones.
-    """
-
-    def __init__(self, case: Case, terms: Sequence[Term], at: Array) -> None:
-        self.case, self.at, self.forward = case, at, case.forward
-        self.terms = tuple(terms)
-        self.w = case.lines.w[at]
-        self.measured = case.lines.h[at]
-        forward = case.forward
-        self.n_u = len(forward.outside(terms))
-        self.n_values = sum(len(t.values) for t in terms)
-        self.values_at = forward.n_g + forward.n_d + self.n_u
-        self.reaching = [(int(dof), forward.reaching) for dof in forward.reaching_dofs(terms)]
-        self.n_shared = self.values_at + self.n_values + sum(at.size for _, at in self.reaching)
-        self.order = forward.order(terms)
-        means, stds = zip(*(case.prior(t) for t in terms), strict=True) if terms else ((), ())
-        self.mean = np.zeros(self.n_shared)
-        self.precision = np.ones(self.n_shared)
-        if self.n_values:
-            part = slice(self.values_at, self.values_at + self.n_values)
-            self.mean[part], self.precision[part] = np.concatenate(means), np.concatenate(stds) ** -2.0
-        self.own_precision = np.ones((self.order.size, forward.n_own))
-
-    def packed(self, x: Point) -> Step:
-        """Unknowns of a point; own ones by DOF."""
-        own = np.array(x.own)
-        far = []
-        for dof, at in self.reaching:
-            far.append(own[dof, at])
-            own[dof, at] = 0
-        values = [np.array(t.values) for t in x.terms]
-        return Step(np.concatenate([x.g, x.d, x.u, *values, *far]), own)
-
-    def point(self, step: Step) -> Point:
-        forward = self.forward
-        g, d, u, values, far = np.split(step.shared, np.cumsum([forward.n_g, forward.n_d, self.n_u, self.n_values]))
-        own, start = np.array(step.own), 0
-        for dof, at in self.reaching:
-            own[dof, at] = far[start : start + at.size]
-            start += at.size
-        return Point(g, d, own, u, tuple(moved(self.terms, values)))
-
-    def by_response(self, own: Array) -> Array:
-        """Own unknowns (DOFs, k) in the order of the responses."""
-        return own[self.order]
-
-    def by_dof(self, own: Array) -> Array:
-        out = np.zeros((self.forward.n_dofs, own.shape[1]))
-        out[self.order] = own
-        return out
-
-    def predict(self, x: Step, derivatives: bool = True) -> Prediction:
-        return self.forward.predict(self.point(x), self.w, derivatives=derivatives)
-
-    def rows(self, values: Array) -> Array:
-        """Values (lines, responses, references, k) as independent rows (responses, rows, k)."""
-        return self.case.lines.rows(values, self.at)
-
-    def residual(self, h: Array) -> Array:
-        return self.rows((self.measured - h)[..., None])[..., 0]
-
-    def variance(self, alpha: float) -> Array:
-        """Of the rows, times two."""
-        return self.case.lines.rows_variance(alpha, self.at)
-
-    def penalty(self, x: Step) -> float:
-        values = slice(self.values_at, self.values_at + self.n_values)
-        known = x.shared @ x.shared - x.shared[values] @ x.shared[values] + np.sum(x.own**2)
-        return float(0.5 * known - sum(self.case.log_prior(t) for t in self.point(x).terms))
-
-    def objective(self, h: Array, x: Step, variance: Array) -> float:
-        return float(np.sum(self.residual(h) ** 2 / variance)) + self.penalty(x)
-
-    def tried(self, x: Step, cost: Callable[[Array, Step], float]) -> tuple[Array, float]:
-        """FRFs and cost where a step leads; infinite where it leads to numbers that cannot be."""
-        try:
-            with np.errstate(all="ignore"):
-                h = self.predict(x, False).h
-                value = cost(h, x)
-        except np.linalg.LinAlgError:
-            return self.measured, np.inf
-        return h, value if np.isfinite(value) else np.inf
-
-    def gradient(self, shared: Array, own: Array, weighted: Array, x: Step) -> Step:
-        """Of −objective: Jᵀ of weighted residuals (responses, rows), and the prior."""
-        first = np.tensordot(shared, weighted, ((0, 1), (0, 1))) - self.precision * (x.shared - self.mean)
-        second = (np.swapaxes(own, 1, 2) @ weighted[..., None])[..., 0] - self.by_response(x.own)
-        return Step(first, second)
-
-    def solved(self, factor: Factor, gradient: Step) -> Step:
-        """Step by DOF from a gradient by response."""
-        shared, own = factor.solve(gradient.shared, gradient.own)
-        return Step(shared, self._without_reaching(self.by_dof(own)))
-
-    def _without_reaching(self, own: Array) -> Array:
-        for dof, at in self.reaching:
-            own[dof, at] = 0
-        return own
-
-    def limited(self, step: Step) -> Step:
-        values = np.abs(step.shared[self.values_at : self.values_at + self.n_values]).max(initial=0.0)
-        return step * min(1.0, _STEP / max(float(values), 1e-9))
-
-    def spread(self, shared: Array, own: Array, step: Step) -> Array:
-        """J step, (responses, rows)."""
-        return np.asarray(shared @ step.shared + (own @ self.by_response(step.own)[..., None])[..., 0])
+_SETTLED = 1.0  # nats that a turn takes off the objective, below which its unknowns tell how wide their spreads are
+_LEARNT = 0.2  # nats that a further turn promises, below which spreads are learnt
+_FAR = 60.0  # nats below the best state at which a fit is left where a turn does not take a quarter of them
 
 
 @dataclass
@@ -221,8 +92,7 @@ def linear_evidence(problem: Problem, residual: Array, shared: Array, own: Array
     """Log evidence of the model r(x + s) = r − J s, where its maximum lies, and the factor of its information."""
     variance = problem.variance(alpha)
     weights = 2 / variance
-    root = np.sqrt(weights)
-    factor = Factor.of(Information.of(shared * root[..., None], own * root[..., None]), problem.precision, problem.own_precision)
+    factor = Factor.of(problem.information(shared, own, weights), problem.precision, problem.own_precision)
     step = problem.solved(factor, problem.gradient(shared, own, residual * weights, x))
     best = x + step
     left = residual - problem.spread(shared, own, step)
@@ -242,79 +112,77 @@ def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, f
     return new * min(1, new / now) if new < now else new
 
 
-def fit(case: Case, start: Point, alpha: float = 0.1, turns: int = 18, floor: float = -np.inf) -> State:
-    """Damped Gauss–Newton over all unknowns, in the metric of the prior; the discrepancy between the turns, fivefold a turn at most.
+def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, learn: bool = False) -> State:
+    """The most probable unknowns near a start; discrepancy and spreads between the turns, by the evidence.
 
     Parameters
     ----------
     case : Case
     start : Point
     alpha : float
-        Discrepancy to start from.
-    turns : int
+        Discrepancy to start from; it changes fivefold a turn at most.
     floor : float
         Log evidence of a state that this one has to come near to; left off where it plainly does not.
+    learn : bool
+        Whether the spreads of what differs between the days are learnt with it.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If a start leads to numbers that cannot be.
     """
-    problem = Problem(case, start.terms, case.lines.fit)
-    x, damping, done = problem.packed(start), 0.0, False
+    turns = 2 * _TURNS if learn else _TURNS
+    problem, descent = Problem(case, start.terms, case.lines.fit), Descent()
+    x, done, reached = problem.packed(start), False, -np.inf
+    last, most = np.zeros(case.between.log_factors.size), WIDER  # of the spreads: the step before, and how far the next may go
     for turn in range(turns):
         prediction = problem.predict(x)
         shared, own, residual = problem.rows(prediction.shared), problem.rows(prediction.own), problem.residual(prediction.h)
         evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
-        if done or (turn >= 2 and evidence < floor - 60 * (1 if turn > 3 else 10)):
+        if done or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
             break
+        reached = evidence
         if turn == 0 and alpha > 0.02:  # nothing is known of the discrepancy yet: from the linear model
             left = residual - problem.spread(shared, own, linear + x * -1)
             alpha = max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 4)
             evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
-        variance = problem.variance(alpha)
-
-        def cost(h: Array, x: Step, variance: Array = variance) -> float:
-            return problem.objective(h, x, variance)
-
-        begun = now = cost(prediction.h, x)
-        left = residual
-        for chord in range(6):
-            gradient = problem.gradient(shared, own, left * (2 / variance), x)
-            new, mu = np.inf, 0.0
-            there, h = x, prediction.h
-            if not damping:
-                there = x + problem.limited(problem.solved(factor, gradient))
-                h, new = problem.tried(there, cost)
-            if chord == 0 and not new < now:
-                root = np.sqrt(2 / variance)
-                information = Information.of(shared * root[..., None], own * root[..., None])
-                for mu in [(damping or 1e-2) * 10.0**i for i in range(12)]:
-                    damped = Factor.of(information, (1 + mu) * problem.precision, (1 + mu) * problem.own_precision)
-                    there = x + problem.limited(problem.solved(damped, gradient))
-                    h, new = problem.tried(there, cost)
-                    if new < now:
-                        break
-            if not new < now:
-                break
-            if chord == 0:
-                damping = 0.0 if mu <= 1e-2 else mu / 10
-            gain, now, x = now - new, new, there
-            left = problem.residual(h)
-            if gain < 0.02 * max(1, 0.02 * now) or mu > 0:
-                break
+        x, left, now, gain = descent.turn(problem, x, (shared, own, residual), alpha, factor)
         before = alpha
         alpha = min(max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
         change = abs(np.log(alpha / before))
-        done = turn == turns - 2 or (begun - now < 0.3 and change < 0.1)
-        done = done or (begun - now < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
+        done = turn == turns - 2 or (gain < 0.3 and change < 0.1)
+        done = done or (gain < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
+        if learn and gain < _SETTLED and turn < turns - 2:
+            by, promised = likely_spreads(problem, x, factor, most)
+            if promised > _LEARNT:
+                most = min(most * (0.5 if last @ by < 0 else 1.5), WIDER)  # too far, or on its way
+                last = by
+                (problem, x), done = rescaled(problem, x, by), False
+                continue
         if done and turn < turns - 2:  # expectation maximisation is slow where little is known: a step along the evidence itself
             here = linear_evidence(problem, left, shared, own, x, alpha)[0]
             for other in (alpha / 2, 2 * alpha):
                 if LEAST_DISCREPANCY <= other <= MOST_DISCREPANCY and linear_evidence(problem, left, shared, own, x, other)[0] > here + 0.3:
                     alpha, done = other, False
                     break
-    return State(problem.point(x), alpha, evidence, factor, problem)
+    return State(problem.point(x), alpha, evidence + log_prior(problem), factor, problem)
+
+
+def with_discrepancy(state: State, alpha: float) -> State:
+    """The same state where the discrepancy is known from elsewhere: its unknowns, and what they leave open, under it."""
+    problem = state.problem
+
+    def rows(x: Step) -> tuple[Array, Array, Array]:
+        made = problem.predict(x)
+        return problem.rows(made.shared), problem.rows(made.own), problem.residual(made.h)
+
+    x = problem.packed(state.x)
+    shared, own, residual = rows(x)
+    factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
+    x = Descent().turn(problem, x, (shared, own, residual), alpha, factor)[0]
+    shared, own, residual = rows(x)
+    factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
+    return replace(state, x=problem.point(x), alpha=alpha, factor=factor)
 
 
 def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
@@ -357,41 +225,6 @@ def _flat(values: Array) -> Array:
     """Values (lines, responses, references, k) as real rows (responses, rows, k)."""
     laid = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1, values.shape[3])
     return np.concatenate([laid.real, laid.imag], 1)
-
-
-def update_spreads(state: State) -> tuple[Case, Point, dict[str, list[float]]]:
-    """One turn of empirical Bayes over the spreads of what differs between the days.
-
-    The spread of a channel is drawn to that of all channels.
-
-    Returns
-    -------
-    Case
-        With the new spreads.
-    Point
-        The unknowns in them.
-    dict
-        Factors by name.
-    """
-    case = state.case.copy()
-    between, n_shape = case.between, case.forward.n_shape
-    d, own = np.array(state.x.d), np.array(state.x.own)
-    rows = list(state.differences())
-    factors: dict[str, list[float]] = {}
-    for name in {r[0] for r in rows} - set(_FIXED_SPREADS):
-        mine = [(shared, values**2 + std**2, where) for other, shared, values, std, where in rows if other == name]
-        every = np.concatenate([power for _, power, _ in mine])
-        common = (every.sum() + _PRIOR_COUNT) / (every.size + _PRIOR_COUNT)
-        for shared, power, where in mine:
-            factor = float(np.clip(np.sqrt((power.sum() + _PRIOR_COUNT * common) / (power.size + _PRIOR_COUNT)), *_SPREAD_FACTOR))
-            if shared:
-                between.shared_spread[where] *= factor
-                d[where] /= factor
-            else:
-                between.own_spread[where] *= factor
-                own[:, n_shape:][where] /= factor
-            factors.setdefault(name, []).append(round(factor, 2))
-    return case, replace(state.x, d=d, own=own), factors
 
 
 def on_validation_lines(state: State) -> tuple[float, float]:

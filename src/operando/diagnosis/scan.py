@@ -14,7 +14,8 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ROBUST
 from operando.diagnosis.eigenmodes import ScannableModes
 from operando.diagnosis.forward import Outside, Point, Scannable
-from operando.diagnosis.posterior import Problem, State, Step, linear_evidence
+from operando.diagnosis.posterior import State, linear_evidence
+from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.terms import Term, added, with_term
 
 Array = NDArray[Any]
@@ -24,6 +25,7 @@ _SIZES, _FREQUENCIES = 8, 40  # trial sizes; trial frequencies of an absorber
 _DAMPING = (0.01, 0.04, 0.1)  # trial damping ratios of an absorber
 _OTHER_FREQUENCY = 0.1  # of an absorber, as a logarithm: another start
 _TOP, _SLOPES = 24, 12  # candidates that are refined, and those told by their slope
+_HELD = 1e12  # precision of a value that stays
 _LOOSE_VALUE = 1e-2  # precision of the values of effects that are there, so that one more may change them
 
 
@@ -146,7 +148,8 @@ class LinearScan:
     are. Kinds without a size by their response.
     """
 
-    def __init__(self, state: State, x: Point | None = None) -> None:
+    def __init__(self, state: State, x: Point | None = None, held: Term | None = None) -> None:
+        """Of a state, or about another point; values of the effect ``held`` stay as they are."""
         case = self.case = state.case
         self.fitted = state
         self.x = state.x if x is None else x
@@ -160,7 +163,7 @@ class LinearScan:
         self.shared, self.own = problem.rows(prediction.shared) * self.weights, problem.rows(prediction.own) * self.weights
         precision = np.array(problem.precision)
         values = slice(problem.values_at, problem.values_at + problem.n_values)
-        precision[values] = _LOOSE_VALUE
+        precision[values] = [_HELD if t is held else _LOOSE_VALUE for t in self.x.terms for _ in t.values]
         self.factor = Factor.of(Information.of(self.shared, self.own), precision, problem.own_precision)
         without = packed.shared.copy()
         without[values] = 0
@@ -219,6 +222,19 @@ class LinearScan:
             return -np.inf
         return evidence if np.isfinite(evidence) else -np.inf
 
+    def in_place_of(self, term: Term) -> list[Candidate]:
+        """What could do the same as an effect that is there and ``held``: what changes the FRFs as it does, once all unknowns follow.
+
+        By the slopes of both about the state with the effect: without it all unknowns would be far from where they belong.
+        """
+        at = self.problem.values_at + sum(len(t.values) for t in self.x.terms[: self.x.terms.index(term)])
+        near_zero = term.kind.endswith(("_gain", "_delay")) or term.kind == "global_damping"
+        r = self.shared[..., at : at + 1] * (term.values[0] if near_zero else 1.0)
+        rq = self.whitened(r)
+        rest = [t for t in self.x.terms if t is not term]
+        places = [p for p in self.case.candidates(rest) if p.key != term.key]
+        return self._by_slope(places, r, rq, 0.0, term)
+
     def exchanged(self) -> list[Candidate]:
         """Candidates about a state that was not fitted, as one with an effect taken out: by their responses to trial sizes."""
         return _best_of_each(self._by_trials(self.case.candidates(self.x.terms)))
@@ -266,11 +282,15 @@ class LinearScan:
                 values[..., number] = sign * by_value * state.h * mine
             yield some, self.problem.rows(values) * self.weights
 
-    def _by_slope(self, places: Sequence[Term], r: Array, rq: Array, none: float) -> list[Candidate]:
+    def _by_slope(self, places: Sequence[Term], r: Array, rq: Array, none: float, instead: Term | None = None) -> list[Candidate]:
+        """Of residuals r (whitened: rq), or of what the effect does in whose place others are to be."""
         case = self.case
         out: list[tuple[float, Term, float, Array]] = []
         # a change of the whole is one of what differs between the days, and comes by promotion
-        terms = [t for p in places if p.definition.parameters and p.definition.acts != "modal_change" for t in grid(case, p)]
+        places = [p for p in places if p.definition.parameters and p.definition.acts != "modal_change"]
+        terms = [t for p in places for t in grid(case, p)]
+        if instead is not None:
+            terms += [p.moved((0.0, *instead.values[1:])) for p in places if p.kind == instead.kind and p.values[1:]]
         for some, rows in self.slopes(terms):
             along = self.whitened(rows)
             information = np.sum(rows**2, (0, 1)) - np.sum(along**2, 0)
@@ -289,7 +309,8 @@ class LinearScan:
                 same = [k for k in same if abs(k[1].values[1] - row[1].values[1]) < _OTHER_FREQUENCY]
             if not same and len(kept) < _SLOPES:
                 kept.append(row)
-        return [Candidate(value, term, self._start(size * along)) for value, term, size, along in kept]
+        given = 0.0 if instead is None else rq[:, 0]
+        return [Candidate(value, term, self._start(size * along - given)) for value, term, size, along in kept]
 
     def _start(self, along: Array) -> Point:
         """The unknowns less what the slope of an effect takes over from them; the values of the others stay."""

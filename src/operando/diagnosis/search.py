@@ -4,24 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operando.data import Geometry
+from operando.diagnosis.between import SPREAD_FACTOR
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, PROMOTED, STRAINED, UNUSUAL
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import with_midway
-from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines, update_spreads
+from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
 from operando.diagnosis.terms import Term, added
 
+Array = NDArray[Any]
+
 _FITTED, _APPROACHED, _BEAM, _DEPTH = 3, 6, 3, 5
-_OTHERS, _CLOSE = 5, 10.0  # of what may stand in the place of an effect: so many are fitted, where their scan is within so many nats
+_OTHERS = 5  # of what may stand in the place of an effect: so many are fitted
+_ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
 _SHORT = 20.0  # nats below what its scan promises from which a fit counts as lost on its way
-_TURNS = 2  # of empirical Bayes
+_LITTLE = 0.75  # of what is missing to another hypothesis, left by the best single effect, from which no pair of effects makes up for it
+_RIVALS = 40.0  # nats below the best state up to which others are compared with it again
 
 
 @dataclass
@@ -42,10 +49,13 @@ class Found:
 
 
 def strained(state: State) -> bool:
-    """Whether a part of what differs between the days is far beyond its spread: it stands for something else."""
+    """Whether a part of what differs between the days is far beyond the spread stated for it: it may stand for something else."""
     between, n_shape = state.case.between, state.case.forward.n_shape
-    parts = [state.x.d[p] for p in between.shared.values()] + [state.x.own[:, n_shape:][:, p] for p in between.own.values()]
-    return any(float(np.mean(v**2)) > STRAINED for v in parts if v.size > 1)
+    power: dict[str, list[Array]] = {}
+    for (name, shared, where), factor in zip(between.groups, np.exp(between.log_factors), strict=True):
+        values = state.x.d[where] if shared else state.x.own[:, n_shape:][where]
+        power.setdefault(name, []).append((factor * values.ravel()) ** 2)
+    return any(float(np.mean(v)) > STRAINED for v in map(np.concatenate, power.values()) if v.size > 1)
 
 
 def score(state: State) -> float:
@@ -57,8 +67,8 @@ def score(state: State) -> float:
     return state.log_evidence - EARNED * (len(state.terms) + beyond) - CONTAINING * containing
 
 
-def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> Found:
-    """To the first state that explains the lines; then with the spreads that it teaches.
+def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf, start: Found | None = None) -> Found:
+    """To the first state that explains the lines; then with spreads learnt in each state.
 
     Parameters
     ----------
@@ -67,23 +77,19 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf) -> 
         Told each step.
     rival : float
         Score of another hypothesis: the search ends where a step does not halve what is missing to it.
+    start : Found, optional
+        States to begin with.
     """
-    found = _Search(case, say, rival=rival).run()
-    if score(found.best) < rival - EARNED:
+    found = _Search(case, say, start, rival=rival).run()
+    if score(found.best) < rival - EARNED or found.best.alpha >= EXPLAINED:
         return found
-    taught = with_learnt_spreads(found.best, say)
-    return found if taught is None else _Search(taught.case, say, taught, last=True).run()
+    say("with the spreads of what differs learnt:")
+    return _Search(case, say, found, learn=True).run()
 
 
-def with_learnt_spreads(state: State, say: Say = lambda text: None) -> State | None:
-    """Empirical Bayes: a state that explains the lines says how far days differ here; None where it does not explain them."""
-    if state.alpha >= EXPLAINED or strained(state):
-        return None
-    for _ in range(_TURNS):
-        case, start, factors = update_spreads(state)
-        state = fit(case, start, state.alpha)
-    say(f"spreads × {factors}, discrepancy {state.alpha:.4f}")
-    return state
+def unlike_days(state: State) -> bool:
+    """Whether a learnt spread of what differs is beyond what laboratories have: it stands for something else."""
+    return bool((state.case.between.log_factors > UNUSUAL * SPREAD_FACTOR).any())
 
 
 def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_rest: float = 0.0) -> tuple[Found, float]:
@@ -113,8 +119,13 @@ def search_both(days: Case, one_set_up: Case, say: Say = lambda text: None, at_r
             return same, odds
     say("on another day:")
     found = search(days, say)
-    odds = score(same.best) - score(found.best)
+    odds = -np.inf if _remounted(same.best) else score(same.best) - score(found.best)
     return (same if odds > 0 else found), odds
+
+
+def _remounted(state: State) -> bool:
+    """Whether more than one channel has changed: then something was touched."""
+    return sum(t.definition.acts == "sensor_map" for t in state.terms) > 1
 
 
 def search_elsewhere(
@@ -148,7 +159,11 @@ def search_elsewhere(
     if wider is not None:
         say(f"{len(wider[0].midway)} places between sensors:")
         cases = again(wider[0])
-        other, its_odds = search_both(cases[0], cases[1], say) if len(cases) > 1 else (search(cases[0], say), None)
+        its_odds = odds
+        if len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
+            other, its_odds = search_both(cases[0], cases[1], say)
+        else:
+            other = search(cases[0], say)
         if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
             best, known, odds = other, wider[1], its_odds
     # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most
@@ -162,7 +177,8 @@ def search_elsewhere(
         first = max(starts, key=score)
         say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
         if score(first) > score(best.best) and _apart(first):
-            best, known = _Search(first.case, say, first, last=True).run(), geometry
+            pool = {s.key: s for s in (fit(first.case, first.case.forward.start, 0.1), first)}
+            best, known = search(first.case, say, start=Found(first, pool[()], pool)), geometry
             odds = None if len(starts) < 2 else score(starts[1]) - score(starts[0])
             break
     return best, odds, known
@@ -251,17 +267,23 @@ def contained(case: Case, term: Term) -> list[Term]:
 class _Search:
     """A beam of states and the moves between them: one more, one less, one promoted, one in the place of another."""
 
-    def __init__(self, case: Case, say: Say, start: State | None = None, rival: float = -np.inf, last: bool = False) -> None:
-        self.case, self.say, self.start, self.rival, self.last = case, say, start, rival, last
+    def __init__(self, case: Case, say: Say, start: Found | None = None, rival: float = -np.inf, learn: bool = False) -> None:
+        self.case, self.say, self.start, self.rival, self.learn = case, say, start, rival, learn
         self.pool: dict[tuple[tuple[str, tuple[int, ...]], ...], State] = {}
         self.tried: set[tuple[tuple[str, tuple[int, ...]], ...]] = set()
 
     def best(self) -> State:
         return max(self.pool.values(), key=lambda s: s.log_evidence)
 
-    def put(self, x: Point, alpha: float) -> State | None:
+    def leaders(self, within: float, count: int) -> list[State]:
+        """States not far below the best one."""
+        ranked = sorted(self.pool.values(), key=lambda s: -s.log_evidence)[:count]
+        return [s for s in ranked if s.log_evidence > ranked[0].log_evidence - within]
+
+    def put(self, x: Point, alpha: float, case: Case) -> State | None:
+        """Fits; ``case`` has the spreads in which the unknowns are given."""
         try:
-            state = fit(self.case, x, alpha, floor=self.best().log_evidence if self.pool else -np.inf)
+            state = fit(case, x, alpha, floor=self.best().log_evidence if self.pool else -np.inf, learn=self.learn)
         except np.linalg.LinAlgError:
             return None
         known = self.pool.get(state.key)
@@ -277,54 +299,62 @@ class _Search:
         return new
 
     def run(self) -> Found:
-        start = self.start
-        if start is not None and not start.terms:
-            self.put(start.x, start.alpha)
+        if self.start is None:
+            self.put(self.case.forward.start, 0.1, self.case)
         else:
-            self.put(self.case.forward.start, 0.1)
-        empty = self.best()
-        if start is not None and start.terms:
-            self.pool[start.key] = start
-            empty.robustly = True
+            first = self.start
+            near = [s for s in first.pool.values() if s.log_evidence > first.best.log_evidence - _RIVALS]
+            for state in {s.key: s for s in (first.best, *sorted(near, key=lambda s: -s.log_evidence)[:_BEAM], first.empty)}.values():
+                self.once(state.terms)
+                if self.learn:
+                    self.put(state.x, state.alpha, state.case)
+                else:
+                    self.pool[state.key] = state
+        empty = self.pool.get((), self.best())
+        empty.robustly = self.start is not None
         for _ in range(_DEPTH):
             was = self.best()
             if (was.alpha > LOOSE or strained(was)) and not was.robustly:
                 was.robustly = True
                 self._robust_stage(was)
+                if self.rival - score(self.best()) > _LITTLE * (self.rival - score(was)) > 0:
+                    break
             self._grow()
             now = self.best()
             if len(now.terms) > 1:
                 for term in now.terms:
                     rest = [t for t in now.terms if t is not term]
                     if self.once(rest):
-                        self.put(now.carried(rest), now.alpha)
+                        self.put(now.carried(rest), now.alpha, now.case)
             best = self.best()
             if self.rival - score(best) > max(0.5 * (self.rival - score(was)), 0.0):
+                break
+            if np.isfinite(self.rival) and _remounted(best):
                 break
             grown = len(best.terms) > len(was.terms)
             if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
                 break
-            if not self.last and best.alpha < EXPLAINED and not strained(best):
+            if not self.learn and best.alpha < EXPLAINED and not strained(best):
                 break
         now = self.best()
-        for state in sorted(self.pool.values(), key=lambda s: -s.log_evidence)[:4]:
-            # the leaders again, from the best: no evidence by its path
-            if state is not now and state.log_evidence > now.log_evidence - 40:
-                self.put(now.carried(state.terms), now.alpha)
-        best = max(self.pool.values(), key=score)
-        if self.last and score(best) > self.rival - EARNED:
+        for state in self.leaders(_RIVALS, 4) if self.learn else []:
+            if state is not now:  # the leaders again, from the best: no evidence by its path
+                self.put(now.carried(state.terms), now.alpha, now.case)
+        told: set[tuple[tuple[str, tuple[int, ...]], ...]] = set()
+        while self.learn and (best := max(self.pool.values(), key=score)).key not in told and score(best) > self.rival - EARNED:
+            told.add(best.key)
             self._others(best)
         return Found(max(self.pool.values(), key=score), empty, self.pool)
 
     def _grow(self) -> None:
         """One effect more about each of the leaders."""
-        for rank, state in enumerate(sorted(self.pool.values(), key=lambda s: -s.log_evidence)[:_BEAM]):
-            if state.scanned or state.log_evidence < self.best().log_evidence - 30:
+        for rank, state in enumerate(self.leaders(30, _BEAM)):
+            if state.scanned:
                 continue
             state.scanned = True
             for x in promotions(state):
                 if self.once(x.terms):
-                    self.put(x, state.alpha)
+                    self.put(x, state.alpha, state.case)
             found, none = LinearScan(state).run()
             self.say(f"scan of {names(self.case, state.terms)}: {self._listed(found[:4], none)}")
             for row in found[: _FITTED if rank == 0 else 1]:
@@ -333,19 +363,22 @@ class _Search:
 
     def _put_candidate(self, terms: Sequence[Term], row: Candidate, state: State, promised: float = -np.inf) -> None:
         """The fit from where the scan puts it; from the idle model, robustly, where that ends far below what the scan promises."""
-        ended = self.put(state.carried([*terms, row.term], row.start), state.alpha)
+        ended = self.put(state.carried([*terms, row.term], row.start), state.alpha, state.case)
         if promised > self.best().log_evidence - _SHORT and (ended is None or ended.log_evidence < promised - _SHORT):
             start = state.carried([*terms, row.term], self.case.forward.start)
-            self.put(approach(self.case, replace(start, u=0 * start.u))[1], 0.03)
+            self.put(approach(state.case, replace(start, u=0 * start.u))[1], 0.03, state.case)
 
     def _robust_stage(self, state: State) -> None:
         """The neighbourhoods of the leaders of two scans about the idle model; the nearest are fitted.
 
         One frees nothing and is robust; the other frees all unknowns at first order, which places that the idle model hardly knows need.
         """
-        case = self.case
+        case = state.case
         about = state.x if state.terms else case.forward.start
-        rows = robust_scan(case, about)
+        known = None if state.terms else case.at_rest.get("robust")
+        rows = known or robust_scan(case, about)
+        if not state.terms:
+            case.at_rest["robust"] = rows
         self.say("robust scan: " + ", ".join(f"{names(case, [t])[0]}{' (cut)' if cut else ''} {v:.0f}" for v, t, cut in rows[:6]))
         free = LinearScan(state, about).exchanged()
         self.say(f"scan with all unknowns free: {self._listed(free[:6], free[0].evidence)}")
@@ -361,21 +394,22 @@ class _Search:
         near.sort(key=lambda row: row[0])
         for cost, x in near[:_FITTED]:
             if cost < 1.5 * near[0][0] + 20:
-                self.put(x, 0.03)
+                self.put(x, 0.03, case)
 
     def _others(self, best: State) -> None:
-        """What could stand in the place of each effect: scanned about the state that has it, fitted where the scan is close."""
+        """What could stand in the place of each effect: simpler kinds that it contains, and what changes the FRFs as it does."""
         for term in best.terms:
             rest = [t for t in best.terms if t is not term]
-            found = LinearScan(best, best.carried(rest)).exchanged()
-            self.say(f"in the place of {names(self.case, [term])[0]}: {self._listed(found[:6], 0.0)}")
             for simpler in contained(self.case, term):
                 if self.once([*rest, simpler]):
-                    self.put(best.carried([*rest, simpler]), best.alpha)
-            own = max((c.evidence for c in found if c.term.key == term.key), default=found[0].evidence)
+                    self.put(best.carried([*rest, simpler]), best.alpha, best.case)
+            if not term.values:
+                continue
+            found = LinearScan(best, held=term).in_place_of(term)
+            self.say(f"in the place of {names(self.case, [term])[0]}: {self._listed(found[:6], 0.0)}")
             for row in found[:_OTHERS]:
-                if row.evidence > own - _CLOSE and self.once([*rest, row.term]):
-                    self._put_candidate(rest, row, best)
+                if row.evidence > 0 and self.once([*rest, row.term]):
+                    self.put(best.carried([*rest, row.term], row.start), best.alpha, best.case)
 
     def _listed(self, rows: Sequence[Candidate], zero: float) -> str:
         return ", ".join(f"{names(self.case, [c.term])[0]} {c.evidence - zero:+.0f}" for c in rows)

@@ -19,12 +19,14 @@ from operando.diagnosis.criteria import (
     SET,
     SUPPORTED,
 )
-from operando.diagnosis.posterior import State, on_validation_lines
+from operando.diagnosis.posterior import State, left_on, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import Found, score, strained
+from operando.diagnosis.search import Found, score, unlike_days
 from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.dof import Dof
+
+_HALVINGS = 8  # of the range of a discrepancy
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,29 @@ def supported(state: State) -> bool:
     return True
 
 
+def judged(found: Found) -> Found:
+    """With the discrepancy of the best state as its validation lines ask for it, where the fitted ones are left with less.
+
+    A model that is not exact follows the lines it is fitted to, and its unknowns are told too well from them: the share of an FRF that no
+    parameter explains is the one on lines that were never fitted (contract, "Verdicts").
+    """
+    best = found.best
+    if best.alpha >= EXPLAINED or on_validation_lines(best)[0] < MOST_CHI_SQUARE:
+        return found
+
+    def left(alpha: float) -> float:
+        return left_on(best.case, best.x, alpha, best.case.lines.validation)[0]
+
+    low, high = np.log((best.alpha, EXPLAINED))
+    if left(EXPLAINED) > 1:
+        return found
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if left(float(np.exp(middle))) > 1 else (low, middle)
+    state = with_discrepancy(best, float(np.exp(high)))
+    return Found(state, state if found.empty is best else found.empty, found.pool | {best.key: state})
+
+
 def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
     """The verdict, by the rules of the specification.
 
@@ -152,7 +177,8 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
         terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
         return Verdict(name, why, terms, sets, probability, chi, db, tuple(blind), least)
 
-    far = strained(best) and "what differs between the measurements is more than between days in a laboratory: it stands for something else"
+    unlike = "what differs between the measurements is more than between days in a laboratory: it stands for something else"
+    far = unlike if unlike_days(best) else ""
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
     if lost or far or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]

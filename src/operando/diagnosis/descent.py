@@ -1,0 +1,78 @@
+"""Steps towards the most probable unknowns of a state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.problem import Problem, Step
+
+Array = NDArray[Any]
+
+_TRIES, _CHORDS = 12, 5  # steps tried in a turn, and further ones with the same factor
+_DAMPING, _PART = 3.0, 0.2  # by how much the damping grows and falls; the part of a step along which its bend is measured
+_ALIKE = 0.1  # share of the damping that all unknowns get, in units of their priors
+
+
+class Descent:
+    """Lowers what a state leaves of the lines, a turn at a time: Gauss–Newton steps, damped along what bends and bent to second order.
+
+    The damping is that of Levenberg and Marquardt in the metric of :meth:`Problem.bends`, the second-order step the geodesic acceleration
+    of Transtrum & Sethna (arXiv:1201.5885, 2012): what an effect does is a product of three unknowns, and the valley that a product
+    makes is followed by no straight step.
+    """
+
+    def __init__(self) -> None:
+        self.damping = 0.0
+
+    def turn(
+        self, problem: Problem, x: Step, rows: tuple[Array, Array, Array], alpha: float, factor: Factor
+    ) -> tuple[Step, Array, float, float]:
+        """From a point with its derivatives and residual: where it leads, the residual there, the objective there and the gain."""
+        shared, own, left = rows
+        variance = problem.variance(alpha)
+        weights = 2 / variance
+
+        def cost(h: Array, x: Step) -> float:
+            return problem.objective(h, x, variance)
+
+        begun = now = float(np.sum(left**2 / variance)) + problem.penalty(x)
+        gradient = problem.gradient(shared, own, left * weights, x)
+        metric, damped = None, factor
+        for _ in range(_TRIES):
+            if self.damping:
+                if metric is None:
+                    metric, information = problem.bends(x), problem.information(shared, own, weights)
+                there = Information(information.shared + self.damping * metric, information.across, information.own)
+                more = 1 + _ALIKE * self.damping
+                damped = Factor.of(there, more * problem.precision, more * problem.own_precision)
+            step = problem.limited(problem.solved(damped, gradient))
+            h, new = problem.tried(x + step, cost)
+            if self.damping or not new < now:
+                part = problem.residual(problem.tried(x + step * _PART, cost)[0])
+                bend = (part - left + problem.spread(shared, own, step) * _PART) / _PART**2
+                second = problem.solved(damped, problem.projected(shared, own, bend * weights))
+                bent, its = problem.tried(x + step + second, cost)
+                if its < new:
+                    h, new, step = bent, its, step + second
+            if new < now:
+                break
+            self.damping = max(self.damping, 1.0) * _DAMPING
+        else:
+            return x, left, now, 0.0
+        gain, now, x, left = now - new, new, x + step, problem.residual(h)
+        if self.damping:
+            self.damping = self.damping / _DAMPING if self.damping > 1 else 0.0
+            return x, left, now, begun - now
+        for _ in range(_CHORDS):  # the same factor again
+            if gain < 0.02 * max(1, 0.02 * now):
+                break
+            step = problem.limited(problem.solved(factor, problem.gradient(shared, own, left * weights, x)))
+            h, new = problem.tried(x + step, cost)
+            if not new < now:
+                break
+            gain, now, x, left = now - new, new, x + step, problem.residual(h)
+        return x, left, now, begun - now

@@ -1,0 +1,181 @@
+"""Lines of a case with some effects as one problem of least squares: unknowns in one order, residuals, derivatives, and where they bend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.case import Case
+from operando.diagnosis.forward import Point, Prediction
+from operando.diagnosis.terms import Term, moved, touched
+
+Array = NDArray[Any]
+
+_STEP = 0.7  # of a value on its search scale, at most
+_SMALL = 0.1  # least shape value of which a change counts as relative, over the rms of its mode
+
+
+@dataclass(frozen=True)
+class Step:
+    """A vector over all unknowns: those that reach all channels, (n,), and those of each DOF, (DOFs, k)."""
+
+    shared: Array
+    own: Array
+
+    def __add__(self, other: Step) -> Step:
+        return Step(self.shared + other.shared, self.own + other.own)
+
+    def __mul__(self, factor: float) -> Step:
+        return Step(factor * self.shared, factor * self.own)
+
+
+class Problem:
+    """Lines of a case with some effects: the unknowns in one order, residuals and derivatives as independent rows.
+
+    Shared unknowns are g, d, u, the values, and those of touched DOFs that reach all channels; the latter are zero among the own ones.
+    """
+
+    def __init__(self, case: Case, terms: Sequence[Term], at: Array) -> None:
+        self.case, self.at, self.forward = case, at, case.forward
+        self.terms = tuple(terms)
+        self.w = case.lines.w[at]
+        self.measured = case.lines.h[at]
+        forward = case.forward
+        self.n_u = len(forward.outside(terms))
+        self.n_values = sum(len(t.values) for t in terms)
+        self.values_at = forward.n_g + forward.n_d + self.n_u
+        self.reaching = [(int(dof), forward.reaching) for dof in forward.reaching_dofs(terms)]
+        self.n_shared = self.values_at + self.n_values + sum(at.size for _, at in self.reaching)
+        self.order = forward.order(terms)
+        means, stds = zip(*(case.prior(t) for t in terms), strict=True) if terms else ((), ())
+        self.mean = np.zeros(self.n_shared)
+        self.precision = np.ones(self.n_shared)
+        if self.n_values:
+            part = slice(self.values_at, self.values_at + self.n_values)
+            self.mean[part], self.precision[part] = np.concatenate(means), np.concatenate(stds) ** -2.0
+        self.own_precision = np.ones((self.order.size, forward.n_own))
+
+    def packed(self, x: Point) -> Step:
+        """Unknowns of a point; own ones by DOF."""
+        own = np.array(x.own)
+        far = []
+        for dof, at in self.reaching:
+            far.append(own[dof, at])
+            own[dof, at] = 0
+        values = [np.array(t.values) for t in x.terms]
+        return Step(np.concatenate([x.g, x.d, x.u, *values, *far]), own)
+
+    def point(self, step: Step) -> Point:
+        forward = self.forward
+        g, d, u, values, far = np.split(step.shared, np.cumsum([forward.n_g, forward.n_d, self.n_u, self.n_values]))
+        own, start = np.array(step.own), 0
+        for dof, at in self.reaching:
+            own[dof, at] = far[start : start + at.size]
+            start += at.size
+        return Point(g, d, own, u, tuple(moved(self.terms, values)))
+
+    def by_response(self, own: Array) -> Array:
+        """Own unknowns (DOFs, k) in the order of the responses."""
+        return own[self.order]
+
+    def by_dof(self, own: Array) -> Array:
+        out = np.zeros((self.forward.n_dofs, own.shape[1]))
+        out[self.order] = own
+        return out
+
+    def predict(self, x: Step, derivatives: bool = True) -> Prediction:
+        return self.forward.predict(self.point(x), self.w, derivatives=derivatives)
+
+    def rows(self, values: Array) -> Array:
+        """Values (lines, responses, references, k) as independent rows (responses, rows, k)."""
+        return self.case.lines.rows(values, self.at)
+
+    def residual(self, h: Array) -> Array:
+        return self.rows((self.measured - h)[..., None])[..., 0]
+
+    def variance(self, alpha: float) -> Array:
+        """Of the rows, times two."""
+        return self.case.lines.rows_variance(alpha, self.at)
+
+    def penalty(self, x: Step) -> float:
+        values = slice(self.values_at, self.values_at + self.n_values)
+        known = x.shared @ x.shared - x.shared[values] @ x.shared[values] + np.sum(x.own**2)
+        return float(0.5 * known - sum(self.case.log_prior(t) for t in self.point(x).terms))
+
+    def objective(self, h: Array, x: Step, variance: Array) -> float:
+        return float(np.sum(self.residual(h) ** 2 / variance)) + self.penalty(x)
+
+    def tried(self, x: Step, cost: Callable[[Array, Step], float]) -> tuple[Array, float]:
+        """FRFs and cost where a step leads; infinite where it leads to numbers that cannot be."""
+        try:
+            with np.errstate(all="ignore"):
+                h = self.predict(x, False).h
+                value = cost(h, x)
+        except np.linalg.LinAlgError:
+            return self.measured, np.inf
+        return h, value if np.isfinite(value) else np.inf
+
+    def gradient(self, shared: Array, own: Array, weighted: Array, x: Step) -> Step:
+        """Of −objective: Jᵀ of weighted residuals (responses, rows), and the prior."""
+        along = self.projected(shared, own, weighted)
+        return Step(along.shared - self.precision * (x.shared - self.mean), along.own - self.by_response(x.own))
+
+    def information(self, shared: Array, own: Array, weights: Array) -> Information:
+        """JᵀWJ."""
+        root = np.sqrt(weights)[..., None]
+        return Information.of(shared * root, own * root)
+
+    def projected(self, shared: Array, own: Array, weighted: Array) -> Step:
+        """Jᵀ of weighted rows."""
+        return Step(np.tensordot(shared, weighted, ((0, 1), (0, 1))), (np.swapaxes(own, 1, 2) @ weighted[..., None])[..., 0])
+
+    def solved(self, factor: Factor, gradient: Step) -> Step:
+        """Step by DOF from a gradient by response."""
+        shared, own = factor.solve(gradient.shared, gradient.own)
+        return Step(shared, self._without_reaching(self.by_dof(own)))
+
+    def _without_reaching(self, own: Array) -> Array:
+        for dof, at in self.reaching:
+            own[dof, at] = 0
+        return own
+
+    def limited(self, step: Step) -> Step:
+        values = np.abs(step.shared[self.values_at : self.values_at + self.n_values]).max(initial=0.0)
+        return step * min(1.0, _STEP / max(float(values), 1e-9))
+
+    def bends(self, x: Step) -> Array:
+        """Metric of the shared unknowns in which the FRFs bend: relative changes of shapes where a force acts, and of sizes.
+
+        What an effect does is a product of its size and of two shape values. Where few of these are known by themselves, straight steps
+        leave the valley that their product makes.
+        """
+        forward, point = self.forward, self.point(x)
+        made = forward.moved(point)
+        rms = np.sqrt(np.mean(made.phi**2, axis=0))
+        metric = np.zeros((self.n_shared, self.n_shared))
+        values = np.arange(self.values_at, self.values_at + self.n_values)
+        metric[values, values] = 1
+        far, start = {}, self.values_at + self.n_values
+        for dof, at in self.reaching:
+            far[dof] = start, at
+            start += at.size
+        for dof in {*touched(self.terms), *forward.references.tolist()}:
+            least = np.maximum(np.abs(made.phi[dof]), _SMALL * rms)
+            by = np.zeros((forward.n_terms, self.n_shared))
+            by[:, : forward.n_g] = made.shapes.shared[dof]
+            if dof in far:
+                begin, at = far[dof]
+                mine = at < forward.n_shape
+                by[:, begin + np.flatnonzero(mine)] = made.shapes.own[dof][:, at[mine]]
+            by = np.divide(by, least[:, None], out=np.zeros_like(by), where=least[:, None] > 0)
+            metric += by.T @ by
+        return metric
+
+    def spread(self, shared: Array, own: Array, step: Step) -> Array:
+        """J step, (responses, rows)."""
+        return np.asarray(shared @ step.shared + (own @ self.by_response(step.own)[..., None])[..., 0])

@@ -1,0 +1,132 @@
+"""Spreads of what differs between two days, learnt with each state; steps that follow a bend; what could stand in an effect's place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando.diagnosis.between import SPREAD_FACTOR, STATED
+from operando.diagnosis.criteria import UNUSUAL
+from operando.diagnosis.posterior import fit, linear_evidence, names
+from operando.diagnosis.problem import Problem
+from operando.diagnosis.scan import LinearScan
+from operando.diagnosis.search import search, unlike_days
+from operando.diagnosis.spreads import likely_spreads, log_prior, rescaled
+from operando.diagnosis.terms import Term
+from test_diagnosis import N, add_damper, add_mass, case
+
+
+def started(one, *terms):
+    """The model at rest with effects."""
+    return replace(one.forward.start, terms=terms, u=np.zeros(len(one.forward.outside(terms))))
+
+
+def at_first_order(problem, x, alpha):
+    made = problem.predict(x)
+    rows = problem.residual(made.h), problem.rows(made.shared), problem.rows(made.own)
+    return linear_evidence(problem, *rows, x, alpha)
+
+
+def test_the_step_of_the_spreads_is_along_the_slope_of_the_evidence():
+    one = case(add_mass, gains=1 + 0.02 * np.random.default_rng(3).standard_normal(N))
+    state = fit(one, started(one, Term("point_mass", (1,), (np.log(0.4),))), 0.01)
+    problem = state.problem
+    x = problem.packed(state.x)
+    _evidence, best, factor = at_first_order(problem, x, state.alpha)
+    step, promised = likely_spreads(problem, best, factor, most=10.0)
+    assert promised > 0
+    slope = 0.0
+    for number, *_ in one.between.learnt:
+        by = np.zeros(step.size)
+        by[number] = 1e-3
+        up, down = (at_first_order(*rescaled(problem, x, side * by), state.alpha)[0] for side in (1, -1))
+        slope += (up - down) / 2e-3 * step[number]
+    # the model that is linear has its prior of the factors at its top here: what is promised is half the slope along the step
+    assert 0.5 * slope == pytest.approx(promised, rel=2e-3)
+    assert not step[[i for i, (name, *_) in enumerate(one.between.groups) if name in STATED]].any()
+
+
+def test_a_point_stays_what_it_is_in_other_spreads():
+    one = case(add_mass)
+    rng = np.random.default_rng(0)
+    start = started(one, Term("point_mass", (1,), (np.log(0.3),)))
+    x = replace(start, d=rng.standard_normal(start.d.size), own=rng.standard_normal(start.own.shape))
+    problem = Problem(one, x.terms, one.lines.fit)
+    by = 0.3 * rng.standard_normal(one.between.log_factors.size)
+    other, there = rescaled(problem, problem.packed(x), by)
+    np.testing.assert_allclose(other.predict(there, False).h, problem.predict(problem.packed(x), False).h, rtol=1e-10)
+    np.testing.assert_allclose(other.case.between.log_factors, by)
+    assert not one.between.log_factors.any()
+
+
+@pytest.mark.parametrize("gain", [0.004, 0.01, 0.025])
+def test_the_spread_of_gains_is_learnt(gain):
+    """Eight tests of five sensors: the rms of what is learnt is that of the gains, less what the prior of a factor draws to 1 %."""
+    learnt, true = [], []
+    for seed in range(8):
+        gains = 1 + gain * np.random.default_rng(seed).standard_normal(N)
+        one = case(gains=gains, seed=seed)
+        state = fit(one, one.forward.start, 0.1)
+        state = fit(state.case, state.x, state.alpha, learn=True)
+        learnt.append(next(v for (name, *_), v in zip(one.between.groups, state.case.between.log_factors, strict=True) if name == "sensor"))
+        true.append(np.mean((gains - 1) ** 2))
+    wanted = 0.5 * np.log(np.mean(true) / 0.01**2)
+    # five numbers and a prior of SPREAD_FACTOR: information 2·5 against 1/SPREAD_FACTOR²
+    drawn = 10 / (10 + SPREAD_FACTOR**-2)
+    assert np.mean(learnt) == pytest.approx(drawn * wanted, abs=0.2)
+
+
+def test_a_spread_is_within_a_factor_of_two_in_most_laboratories():
+    between = case().between
+    covariance = np.linalg.inv(between.precision_of_factors())
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), SPREAD_FACTOR, rtol=1e-9)
+    assert np.exp(2 * SPREAD_FACTOR) == pytest.approx(2, rel=0.02)
+    seen = [i for i, (name, *_) in enumerate(between.groups) if name == "seen"]
+    assert covariance[seen[0], seen[1]] == pytest.approx(0.5 * SPREAD_FACTOR**2)
+
+
+def test_spreads_beyond_all_laboratories_stand_for_something_else():
+    one = case()
+    state = fit(one, one.forward.start, 0.1)
+    by = np.zeros(one.between.log_factors.size)
+    by[one.between.learnt[0][0]] = UNUSUAL * SPREAD_FACTOR
+    for more, beyond in ((0.99, False), (1.01, True)):
+        problem, x = rescaled(state.problem, state.problem.packed(state.x), more * by)
+        assert unlike_days(replace(state, problem=problem, x=problem.point(x))) is beyond
+        assert log_prior(problem) == pytest.approx(-0.5 * (more * UNUSUAL) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("size", [5.0, 40.0, 300.0])
+def test_the_evidence_of_a_state_does_not_depend_on_its_start(size):
+    """A damper from a fifth to five times its size: products of its size and of shapes bend the valley."""
+    one = case(add_damper, gains=1 + 0.01 * np.random.default_rng(3).standard_normal(N), warmer=0.002)
+    start = started(one, Term("ground_damper", (3,), (np.log(size),)))
+    ends = [fit(one, start, alpha, learn=True) for alpha in (0.3, 0.01)]
+    for end in ends:
+        assert end.log_evidence == pytest.approx(ends[0].log_evidence, abs=0.5)
+        assert np.exp(end.terms[0].values[0]) == pytest.approx(40.0, rel=0.02)
+
+
+def test_what_could_do_the_same_is_found_about_the_state_that_has_the_effect():
+    """Dampers elsewhere in the place of a weak one: the scan names the one first that is likeliest once it is fitted."""
+
+    def weak(m, c, k):
+        c[3, 3] += 0.4
+
+    one = case(weak, noise=5e-3, kinds=("ground_damper",))
+    state = fit(one, started(one, Term("ground_damper", (3,), (np.log(0.4),))), 0.1)
+    found = LinearScan(state, held=state.terms[0]).in_place_of(state.terms[0])
+    fitted = {i: fit(one, started(one, Term("ground_damper", (i,), (np.log(0.4),))), 0.1).log_evidence for i in range(N) if i != 3}
+    assert found[0].term.places == (max(fitted, key=lambda i: fitted[i]),)
+    assert all(row.term.key != state.terms[0].key for row in found)
+
+
+def test_an_effect_is_told_from_days_that_learn_to_differ():
+    """Learnt spreads of the state without effects do not stand for a mass."""
+    found = search(case(add_mass, gains=1 + 0.02 * np.random.default_rng(5).standard_normal(N), warmer=0.004))
+    best = found.best
+    assert [text.split("=")[0] for text in names(best.case, best.terms)] == ["point_mass@2+Z"]
+    assert np.exp(best.terms[0].values[0]) == pytest.approx(0.4, abs=3 * np.sqrt(best.covariance[0, 0]) * 0.4)
+    assert found.empty.log_evidence < best.log_evidence - 100
