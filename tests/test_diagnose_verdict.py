@@ -99,10 +99,11 @@ def test_a_weak_effect_beside_a_strong_one_is_not_swallowed(chain, idle, weak): 
 
 
 def test_effects_without_support_are_candidates_only(chain, idle):  # noqa: F811
-    """Every DOF's own random mass and damper: nothing in the catalogue explains more than a part."""
+    """Random mass, damping and stiffness between all DOFs, each with each: no effect of the catalogue is one of them."""
     rng = np.random.default_rng(3)
-    many = np.diag(rng.uniform(0.05, 0.4, N))
-    found = diagnose(idle, check=[running(chain, [0, 3], mass=many, damping=np.diag(rng.uniform(2, 30, N)))])
+    root, damp, stiff = rng.standard_normal((3, N, N))
+    change = {"mass": 0.04 * root @ root.T, "damping": 2 * damp @ damp.T, "stiffness": 2e4 * stiff @ stiff.T}
+    found = diagnose(idle, check=[running(chain, [0, 3], **change)])
     assert found.verdict in ("partial", "unexplained")
     if found.verdict == "unexplained":
         assert found.effects == ()

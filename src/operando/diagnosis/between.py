@@ -37,7 +37,7 @@ SPREADS = {
 }
 """Standard deviations before the data speak: what laboratories state for calibration, mounting and temperature (sources in
 ``benchmarks/hidden_effects/days.py``), and for what nobody states (between modes, outside the band) the median of what 30 tests on two
-days teach (``benchmarks/hidden_effects``, plan ``days``, nothing hidden). Those with enough numbers are learnt from the data."""
+days teach (``benchmarks/hidden_effects``, plan ``days``, nothing hidden). Those with enough numbers are estimated from the data."""
 
 SAME_SET_UP = dict.fromkeys(("sensor", "force", "sensor_late", "force_late"), 5e-4)
 """What differs where nothing was touched: gain and phase of converters and cables, as small as a discrepancy can be. Without them delays
@@ -109,6 +109,8 @@ class Between:
         rest = np.setdiff1d(np.arange(idle.f.size), modes)
         self.below = rest[idle.f[rest] < self.band[0]]
         self.above = rest[idle.f[rest] >= self.band[0]]
+        size = np.sqrt(np.sum(idle.phi[:, modes] ** 2, axis=1, keepdims=True))
+        self.direction = idle.phi[:, modes] / np.where(size > 0, size, 1.0)
         rms = np.sqrt(np.mean(idle.phi[:, modes] ** 2, axis=0))
         # a mode that the sensors hardly see moves as much across them
         rms = self.rms = np.maximum(rms, np.median(rms)) if m else rms
@@ -156,7 +158,7 @@ class Between:
         return out
 
     @property
-    def learnt(self) -> list[tuple[int, str, bool, tuple[Any, ...]]]:
+    def estimated(self) -> list[tuple[int, str, bool, tuple[Any, ...]]]:
         """Groups with enough unknowns to tell their own spread: number, name, whether shared, and where."""
         return [(i, *group) for i, group in enumerate(self.groups) if group[0] not in STATED]
 
@@ -186,6 +188,11 @@ class Between:
         sizes |= dict.fromkeys(("stiffness_between", "damping_between"), self.first.size)
         values = d * self.shared_spread
         return {name: values[part] if part.stop > part.start else np.zeros(sizes[name]) for name, part in self.shared.items()}
+
+    def across(self, rows: Array, dofs: Any = slice(None)) -> Array:
+        """What of a change of DOFs' shapes (DOFs, modes) is across their shape at rest: what is along it is a gain of the channel."""
+        along = self.direction[dofs]
+        return np.asarray(rows - np.sum(rows * along, axis=-1, keepdims=True) * along)
 
     def own_parts(self, own: Array) -> dict[str, Array]:
         """Values by name, (DOFs, k); zeros for a part without unknowns."""

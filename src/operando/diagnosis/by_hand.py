@@ -157,7 +157,7 @@ def apply_effects(
         states = max((w for w in ways if w is ways[0] or not strained(w[-1])), key=lambda steps: steps[-1].log_evidence)
         final = states[-1]
         if final.alpha < EXPLAINED:
-            final = fit(final.case, final.x, final.alpha, learn=True)
+            final = fit(final.case, final.x, final.alpha, own_spreads=True)
         rows = ladder(final)
         words = []
         for k, state in enumerate(states[1:], 1):

@@ -333,7 +333,8 @@ class Sides:
                 shown[..., :n_shape] += held
             if seen.stop > seen.start:
                 columns = slice(n_shape + seen.start, n_shape + seen.stop)
-                shown[:, i, columns] = self.q[:, forward.modes] * forward.between.own_spread[i, seen]
+                across = forward.between.across(self.q[:, forward.modes], i)
+                shown[:, i, columns] = across * forward.between.own_spread[i, seen]
             out.append((side, shown))
         return out
 

@@ -59,7 +59,7 @@ class System:
         lag = np.zeros_like(moved.phi)
         lag[:, m] = late
         seen = np.zeros_like(moved.phi)
-        seen[:, m] = own["seen"]
+        seen[:, m] = known.across(own["seen"])
         stiffness = part["stiffness_between"] * known.stiffness_scale
         damping = (idle.between + idle.between_root @ x.g + part["damping_between"]) * known.damping_scale * moved.more
         return cls(forward, x, moved, lag, late_moves, seen, stiffness, damping, touched(x.terms), forward.outside(x.terms))

@@ -239,7 +239,8 @@ class Forward:
             dynamic[:, known.first, known.second] = dynamic[:, known.second, known.first] = coupled
             k[:, m[:, None], m] = np.linalg.inv(dynamic[:, m[:, None], m])
         driven, seen = np.zeros((refs.size, self.n_terms)), np.zeros((nd, self.n_terms))
-        driven[:, m], seen[:, m] = part["driven"].reshape(-1, m.size), own["seen"]
+        driven[:, m] = known.across(part["driven"].reshape(-1, m.size), refs)
+        seen[:, m] = known.across(own["seen"])
         there = np.abs(phi).any(axis=tuple(range(phi.ndim - 1)))
         driven, seen = driven * there, seen * there
         phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
@@ -312,7 +313,7 @@ class Forward:
         unlike = np.zeros((n, nd, refs.size, refs.size * m.size), complex)
         column = np.zeros((refs.size, *structure.shape, 1), complex)
         for j in range(refs.size):
-            unlike[:, :, j, j * m.size : (j + 1) * m.size] = pk[:, :, m]
+            unlike[:, :, j, j * m.size : (j + 1) * m.size] = known.across(pk[:, :, m], refs[j])
             column[j, :, :, j, 0] = structure[:, :, j]
         of_force = np.concatenate(list(column), -1)
         by_name = {
@@ -371,7 +372,7 @@ class Forward:
             if name in OF_A_CHANNEL:
                 mine[..., at] = structure[..., None] * laws[name.removeprefix("sensor")][:, None, None, None]
             elif name == "seen":
-                mine[..., at] = kt[:, None, :, m]
+                mine[..., at] = known.across(kt[:, None, :, m], (slice(None), None))
             else:
                 slope = np.ones(n) if name == "rest_above" else -1 / w**2
                 for j in range(refs.size):

@@ -31,7 +31,7 @@ from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, search_both, search_elsewhere, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import SEARCHED
-from operando.diagnosis.verdict import judged, no_other_answer, others, verdict
+from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
@@ -124,7 +124,7 @@ def diagnose_frf(
             found = search(both[0], say)
         else:
             found, odds = search_both(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha)
-        found = judged(found)
+        found = with_validation(found)
         name = verdict(found.best.case, found, None if rest is None else rest.state).name
         asked_for_all = kinds is None and places is None
         # several effects may stand for one where no sensor is, and an absorber for a mode that is lacking
@@ -135,7 +135,7 @@ def diagnose_frf(
             and (left or any(t.kind == "tuned_absorber" for t in found.best.terms))
         ):
             found, odds, geometry = search_elsewhere(found, odds, cases, geometry, left, say)
-            found = judged(found)
+            found = with_validation(found)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 

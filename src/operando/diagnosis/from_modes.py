@@ -18,7 +18,7 @@ from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.posterior import AtRest, State, at_rest
 from operando.diagnosis.result import Diagnosis
 from operando.diagnosis.search import Found, search, search_both
-from operando.diagnosis.verdict import judged, no_other_answer, others, verdict
+from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
 from operando.dof import Dof, parse_dofs
 from operando.effects import Effect
 from operando.errors import ConfigError, DataError
@@ -98,7 +98,7 @@ def diagnose_modes(
         else:
             one = ModesCase(model, lines, band, SAME_SET_UP, asked, where, like=days)
             found, odds = search_both(days, one, say, 0.0 if rest is None else rest.state.alpha)
-        return _diagnosis(idle, judged(found), rest, geometry, odds)
+        return _diagnosis(idle, with_validation(found), rest, geometry, odds)
 
 
 def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:

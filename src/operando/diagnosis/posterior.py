@@ -22,10 +22,10 @@ from operando.diagnosis.terms import Term
 
 Array = NDArray[Any]
 
-_TURNS = 18  # of a fit; twice as many where spreads are learnt
+_TURNS = 18  # of a fit; twice as many where spreads are estimated
 _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
 _SETTLED = 1.0  # nats that a turn takes off the objective, below which its unknowns tell how wide their spreads are
-_LEARNT = 0.2  # nats that a further turn promises, below which spreads are learnt
+_SPREADS_AT = 0.2  # nats that a further turn promises, below which spreads are estimated
 _FAR = 60.0  # nats below the best state at which a fit is left where a turn does not take a quarter of them
 
 
@@ -112,7 +112,7 @@ def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, f
     return new * min(1, new / now) if new < now else new
 
 
-def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, learn: bool = False) -> State:
+def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, own_spreads: bool = False) -> State:
     """The most probable unknowns near a start; discrepancy and spreads between the turns, by the evidence.
 
     Parameters
@@ -123,15 +123,15 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, le
         Discrepancy to start from; it changes fivefold a turn at most.
     floor : float
         Log evidence of a state that this one has to come near to; left off where it plainly does not.
-    learn : bool
-        Whether the spreads of what differs between the days are learnt with it.
+    own_spreads : bool
+        Whether the spreads of what differs between the days are estimated with it.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If a start leads to numbers that cannot be.
     """
-    turns = 2 * _TURNS if learn else _TURNS
+    turns = 2 * _TURNS if own_spreads else _TURNS
     problem, descent = Problem(case, start.terms, case.lines.fit), Descent()
     x, done, reached = problem.packed(start), False, -np.inf
     last, most = np.zeros(case.between.log_factors.size), WIDER  # of the spreads: the step before, and how far the next may go
@@ -152,9 +152,9 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, le
         change = abs(np.log(alpha / before))
         done = turn == turns - 2 or (gain < 0.3 and change < 0.1)
         done = done or (gain < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
-        if learn and gain < _SETTLED and turn < turns - 2:
+        if own_spreads and gain < _SETTLED and turn < turns - 2:
             by, promised = likely_spreads(problem, x, factor, most)
-            if promised > _LEARNT:
+            if promised > _SPREADS_AT:
                 most = min(most * (0.5 if last @ by < 0 else 1.5), WIDER)  # too far, or on its way
                 last = by
                 (problem, x), done = rescaled(problem, x, by), False

@@ -68,7 +68,7 @@ def score(state: State) -> float:
 
 
 def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf, start: Found | None = None) -> Found:
-    """To the first state that explains the lines; then with spreads learnt in each state.
+    """To the first state that explains the lines; then with spreads estimated in each state.
 
     Parameters
     ----------
@@ -83,12 +83,12 @@ def search(case: Case, say: Say = lambda text: None, rival: float = -np.inf, sta
     found = _Search(case, say, start, rival=rival).run()
     if score(found.best) < rival - EARNED or found.best.alpha >= EXPLAINED:
         return found
-    say("with the spreads of what differs learnt:")
-    return _Search(case, say, found, learn=True).run()
+    say("with the spreads of what differs estimated:")
+    return _Search(case, say, found, own_spreads=True).run()
 
 
 def unlike_days(state: State) -> bool:
-    """Whether a learnt spread of what differs is beyond what laboratories have: it stands for something else."""
+    """Whether an estimated spread of what differs is beyond what laboratories have: it stands for something else."""
     return bool((state.case.between.log_factors > UNUSUAL * SPREAD_FACTOR).any())
 
 
@@ -267,8 +267,8 @@ def contained(case: Case, term: Term) -> list[Term]:
 class _Search:
     """A beam of states and the moves between them: one more, one less, one promoted, one in the place of another."""
 
-    def __init__(self, case: Case, say: Say, start: Found | None = None, rival: float = -np.inf, learn: bool = False) -> None:
-        self.case, self.say, self.start, self.rival, self.learn = case, say, start, rival, learn
+    def __init__(self, case: Case, say: Say, start: Found | None = None, rival: float = -np.inf, own_spreads: bool = False) -> None:
+        self.case, self.say, self.start, self.rival, self.own_spreads = case, say, start, rival, own_spreads
         self.pool: dict[tuple[tuple[str, tuple[int, ...]], ...], State] = {}
         self.tried: set[tuple[tuple[str, tuple[int, ...]], ...]] = set()
 
@@ -283,7 +283,7 @@ class _Search:
     def put(self, x: Point, alpha: float, case: Case) -> State | None:
         """Fits; ``case`` has the spreads in which the unknowns are given."""
         try:
-            state = fit(case, x, alpha, floor=self.best().log_evidence if self.pool else -np.inf, learn=self.learn)
+            state = fit(case, x, alpha, floor=self.best().log_evidence if self.pool else -np.inf, own_spreads=self.own_spreads)
         except np.linalg.LinAlgError:
             return None
         known = self.pool.get(state.key)
@@ -306,7 +306,7 @@ class _Search:
             near = [s for s in first.pool.values() if s.log_evidence > first.best.log_evidence - _RIVALS]
             for state in {s.key: s for s in (first.best, *sorted(near, key=lambda s: -s.log_evidence)[:_BEAM], first.empty)}.values():
                 self.once(state.terms)
-                if self.learn:
+                if self.own_spreads:
                     self.put(state.x, state.alpha, state.case)
                 else:
                     self.pool[state.key] = state
@@ -334,14 +334,14 @@ class _Search:
             grown = len(best.terms) > len(was.terms)
             if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
                 break
-            if not self.learn and best.alpha < EXPLAINED and not strained(best):
+            if not self.own_spreads and best.alpha < EXPLAINED and not strained(best):
                 break
         now = self.best()
-        for state in self.leaders(_RIVALS, 4) if self.learn else []:
+        for state in self.leaders(_RIVALS, 4) if self.own_spreads else []:
             if state is not now:  # the leaders again, from the best: no evidence by its path
                 self.put(now.carried(state.terms), now.alpha, now.case)
         told: set[tuple[tuple[str, tuple[int, ...]], ...]] = set()
-        while self.learn and (best := max(self.pool.values(), key=score)).key not in told and score(best) > self.rival - EARNED:
+        while self.own_spreads and (best := max(self.pool.values(), key=score)).key not in told and score(best) > self.rival - EARNED:
             told.add(best.key)
             self._others(best)
         return Found(max(self.pool.values(), key=score), empty, self.pool)

@@ -1,4 +1,4 @@
-"""How far two days differ here: spreads of what differs, learnt with each state by its evidence."""
+"""How far two days differ here: spreads of what differs, estimated with each state by its evidence."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def likely_spreads(problem: Problem, x: Step, factor: Factor, most: float) -> tu
     full, at_d, at_own = covariance(problem, factor)
     values = np.zeros(len(full))
     values[at_own], values[at_d] = point.own, point.d
-    on = [number for number, *_ in between.learnt]
+    on = [number for number, *_ in between.estimated]
     member = np.zeros((len(on), len(full)))
-    for row, (_, _, shared, where) in enumerate(between.learnt):
+    for row, (_, _, shared, where) in enumerate(between.estimated):
         at = (at_d[where] if shared else at_own[:, n_shape:][where]).ravel()
         member[row, at[at < len(full) - 1]] = 1
     if not on:

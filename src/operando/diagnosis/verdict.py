@@ -133,11 +133,11 @@ def supported(state: State) -> bool:
     return True
 
 
-def judged(found: Found) -> Found:
+def with_validation(found: Found) -> Found:
     """With the discrepancy of the best state as its validation lines ask for it, where the fitted ones are left with less.
 
-    A model that is not exact follows the lines it is fitted to, and its unknowns are told too well from them: the share of an FRF that no
-    parameter explains is the one on lines that were never fitted (contract, "Verdicts").
+    A model that is not exact follows the lines it is fitted to, and its intervals are too narrow: the share of an FRF that no
+    parameter explains is the one on lines that were never fitted.
     """
     best = found.best
     if best.alpha >= EXPLAINED or on_validation_lines(best)[0] < MOST_CHI_SQUARE:
