@@ -94,9 +94,9 @@ def test_frfs_come_back_with_their_error_and_date(folder):
     assert back.provenance.measured == WHEN.measured
     wanted = results.hybrid.modal.frf(results.idle_frf.frequencies_hz)
     (back,) = read(path / "ofrf.uff").frfs
-    np.testing.assert_array_equal(back.data, wanted.data)
-    np.testing.assert_allclose(back.variance, wanted.variance, rtol=1e-14)
     assert wanted.variance is not None
+    np.testing.assert_array_equal(back.data, wanted.data.astype(np.complex64))  # a model's lines: seven digits, all of them in model.h5
+    np.testing.assert_allclose(back.variance, np.sqrt(wanted.variance).astype(np.float32).astype(float) ** 2, rtol=1e-14)
 
 
 def test_modes_make_the_frfs_of_the_model(folder):
@@ -159,11 +159,11 @@ def wanted_functions(results):
 
 
 def assert_same(name, found, wanted):
-    """Measured FRFs to the bit; those of the model, made again here, to the rounding of sums in another order."""
+    """Measured FRFs to the bit; those of the model, made again here, to the rounding of single precision."""
     if name == "idle_frf.uff":
         np.testing.assert_array_equal(found, wanted)
     else:
-        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14 * np.abs(wanted).max())
+        np.testing.assert_allclose(found, wanted, rtol=2**-24 + 1e-12, atol=1e-14 * np.abs(wanted).max())
 
 
 def read_by_pyuff(path, names):

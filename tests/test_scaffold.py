@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import measurements
-from operando import load_test
+import operando
+from operando import load_test, run
 from operando.cli import main
 from operando.errors import ConfigError, MissingError
 from operando.scaffold import scaffold, write_test
@@ -195,3 +197,35 @@ def test_names_cannot_write_into_the_test_file(tmp_path):
     table = tomllib.loads(made.text)
     assert "x" not in table
     assert "band" not in table["analysis"]
+
+
+def test_arrays_without_frequencies_are_taken_and_the_step_is_asked_for(tmp_path):
+    lines = np.arange(401) * 0.25
+    h = np.stack([(lines / 30) ** 2 / (1 - (lines / f) ** 2 + 0.02j * lines / f) for f in (21.0, 50.0)], axis=1)
+    np.savez(tmp_path / "frf.npz", data=h)
+    (tmp_path / "LICENSE").write_text("Copyright")
+    made = scaffold(tmp_path)
+    assert {t.file.name: t.role for t in made.taken} == {"frf.npz": "idle frfs", "LICENSE": "ignored"}
+    assert "2 FRFs of 401 lines without frequencies" in made.taken[0].reason
+    assert any("give [units] frequency_step_hz" in note for note in made.notes)
+    write_test(made, tmp_path / "test.toml")
+    results = run(tmp_path, tmp_path / "results", until="frf", report=False)
+    assert "line 12, [idle] frfs" in results.findings[0].file
+    assert results.findings[0].action.startswith("give [units] frequency_step_hz")
+
+    asked = {"# frequency_step_hz": "frequency_step_hz", "# acceleration": "acceleration", "# force": "force", '# "': '"'}
+    text = (tmp_path / "test.toml").read_text()
+    for commented, taken in asked.items():
+        text = text.replace(commented, taken)
+    (tmp_path / "test.toml").write_text(text)
+    frf = run(tmp_path, tmp_path / "results", until="frf", report=False).idle_frf
+    np.testing.assert_array_equal(frf.frequencies_hz, lines)
+    assert ([str(d) for d in frf.responses], [str(d) for d in frf.references], frf.si) == (["1+Z", "2+Z"], ["1+Z"], True)
+    with pytest.raises(ConfigError, match="frequency_step_hz"):
+        load_test(tmp_path, changes=["units.frequency_step_hz=-1"])
+
+
+def test_files_of_the_same_frfs_are_said_to_be_several_states(tmp_path):
+    for name in ("ref", "cut"):
+        operando.write_uff(tmp_path / f"{name}.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "1+Z"))
+    assert any(note.startswith("cut.uff, ref.uff hold the same FRFs") for note in scaffold(tmp_path).notes)

@@ -119,6 +119,7 @@ WORDS: dict[str, dict[str, str]] = {
     "units": {
         "length": "Unit of coordinates in the measurement files.",
         "sampling_hz": "Sampling rate of tables that have no time column [Hz].",
+        "frequency_step_hz": "Step of the lines of FRF arrays that have no frequency vector beside them [Hz]; the first line is 0 Hz.",
         "columns": 'What the columns of a table without a header line are: `["Hz", "dB", "deg"]`, `["Hz", "real", "imag"]` or, '
         'for records, `["s", "g", "N"]`.',
     },

@@ -86,11 +86,11 @@ def unit(text: Any, quantity: str | None, where: Entry) -> str:
 
 def units(table: Mapping[str, Any], where: Entry) -> dict[str, Any]:
     """The section [units]."""
-    check_keys(table, (*SI_UNIT, "length", "sampling_hz", "columns"), where)
+    check_keys(table, (*SI_UNIT, "length", "sampling_hz", "frequency_step_hz", "columns"), where)
     out: dict[str, Any] = {}
     for quantity, text in table.items():
         here = where.at(quantity)
-        if quantity == "sampling_hz":
+        if quantity in ("sampling_hz", "frequency_step_hz"):
             out[quantity] = _positive(text, here)
         elif quantity == "columns":
             out[quantity] = list(check_columns(text, str(here)))

@@ -1,6 +1,6 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
-from operando.io.columns import NoHeader
+from operando.io.columns import NoHeader, NoLines
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
@@ -19,6 +19,7 @@ __all__ = [
     "Content",
     "FileHeader",
     "NoHeader",
+    "NoLines",
     "SetInfo",
     "check_fields",
     "check_objects",

@@ -28,6 +28,25 @@ class NoHeader(FormatError):
         self.guess = tuple(guess)
 
 
+class NoLines(FormatError):
+    """FRFs whose frequencies nobody states.
+
+    Parameters
+    ----------
+    lines : int
+        Number of lines.
+    where : str
+        The file.
+    """
+
+    def __init__(self, lines: int, where: str = "") -> None:
+        super().__init__(
+            f"FRFs of {lines} lines, and no frequencies: no frequency vector (f) and no sampling rate (fs) beside them", where=where,
+            hint="give [units] frequency_step_hz in the test file, or save f beside the data",
+        )  # fmt: skip
+        self.lines = lines
+
+
 def check_columns(columns: Any, where: str) -> tuple[str, ...]:
     """``[units] columns`` of a test file, checked.
 

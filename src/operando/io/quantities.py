@@ -229,6 +229,28 @@ def spec_dof(spec: Mapping[str, Any], dof: Dof | None) -> Dof | None:
         raise ConfigError(error.message, where="[channels]", hint=error.hint) from error
 
 
+def stated_hz(units: Units | None, *keys: str) -> float | None:
+    """Number of Hz under the first of some keys of [units] that is there, None where none is.
+
+    Raises
+    ------
+    DataError
+        If it is no positive number.
+    """
+    given = next((units[key] for key in keys if units and units.get(key)), None)
+    if given is None:
+        return None
+    what = keys[0].removesuffix("_hz").replace("_", " ").replace("sampling", "sampling rate")
+    words = str(given).split()
+    try:
+        value = float(words[0]) * (parse_unit(words[1], "frequency")[1] if len(words) > 1 else 1.0)
+    except (ValueError, IndexError, UnitError) as error:
+        raise DataError(f"{what} {given!r} is no number of Hz", where=f"[units] {keys[0]}") from error
+    if not (isfinite(value) and value > 0):
+        raise DataError(f"{what} {given!r} is not positive", where=f"[units] {keys[0]}")
+    return value
+
+
 def stated_rate(units: Units | None, comments: Sequence[str]) -> float | None:
     """Sampling rate [Hz] of ``units["sampling_hz"]`` or of a comment line, None if neither states one.
 
@@ -237,17 +259,8 @@ def stated_rate(units: Units | None, comments: Sequence[str]) -> float | None:
     DataError
         If it is no positive number.
     """
-    given: Any = None
-    for key in ("sampling_hz", "sampling"):
-        given = given or (units or {}).get(key)
-    if given is not None:
-        words = str(given).split()
-        try:
-            value = float(words[0]) * (parse_unit(words[1], "frequency")[1] if len(words) > 1 else 1.0)
-        except (ValueError, IndexError, UnitError) as error:
-            raise DataError(f"sampling rate {given!r} is no number of Hz", where="[units] sampling_hz") from error
-        if not (isfinite(value) and value > 0):
-            raise DataError(f"sampling rate {given!r} is not positive", where="[units] sampling_hz")
+    value = stated_hz(units, "sampling_hz", "sampling")
+    if value is not None:
         return value
     for comment in comments:
         match = re.search(r"(?:fs|sampling\w*|sample[ _]?rate)\s*(?:\[Hz\])?\s*[:=]\s*([0-9.eE+]+)", comment, re.IGNORECASE)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from operando.data import QUANTITIES, Finding, FrequencyAxis, Frf, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError, FormatError, UnitError
+from operando.io.columns import NoLines
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof, stated_rate
+from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof, stated_hz, stated_rate
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
 from operando.io.uff.reader import quick_hash
@@ -71,6 +72,7 @@ class Source:
         self.names = texts_named(self.variables, _NAMES)
         self.unit_texts = texts_named(self.variables, _UNITS)
         self.rate = stated_rate(self.units, [])
+        self.step = stated_hz(self.units, "frequency_step_hz")
 
 
 def content_of(variables: list[Variable], path: Path, kind: str, units: Units | None, channels: ChannelSpecs | None) -> Content:
@@ -90,6 +92,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     frfs: list[Frf] = []
     findings: list[Finding] = []
     notes: dict[str, str] = {}
+    lacking: NoLines | None = None
     groups = Groups(source)
     for variable in source.arrays:
         value = np.squeeze(variable.value)
@@ -110,6 +113,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
             notes[variable.path] = ""
         except (FormatError, DataError) as error:
             notes[variable.path] = error.message
+            lacking = error if isinstance(error, NoLines) else lacking
     for group, found in groups.frfs():
         frfs.append(group)
         findings += found
@@ -119,6 +123,8 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
         SetInfo(i, 0, f"{v.path} ({'×'.join(str(n) for n in v.value.shape)})", "ignored" if notes[v.path] else "used", notes[v.path])
         for i, v in enumerate(source.arrays)
     )
+    if not records and not frfs and lacking is not None:
+        raise NoLines(lacking.lines, str(path))
     if not records and not frfs:
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:6]) or "no arrays"
         raise FormatError(
@@ -279,7 +285,7 @@ def _table_record(value: NDArray[Any], variable: Variable, source: Source) -> Ti
 
 def _frf(value: NDArray[Any], variable: Variable, source: Source) -> tuple[Frf, list[Finding]]:
     side = int(np.argmax(value.shape))
-    frequencies = _frequencies(variable, source.arrays, value.shape[side], source.rate)
+    frequencies = _frequencies(variable, source, value.shape[side])
     table = np.moveaxis(value, side, -1)
     table = table[:, None] if table.ndim == 2 else table.reshape((1,) * (3 - table.ndim) + table.shape)
     responses = _stated_dofs(variable, source.variables, "responses", table.shape[0])
@@ -383,14 +389,17 @@ def _missing_unit(path: str, quantity: str, where: str) -> Finding:
     )  # fmt: skip
 
 
-def _frequencies(variable: Variable, arrays: list[Variable], lines: int, rate: float | None) -> NDArray[np.float64]:
-    vector = _beside(variable, arrays, _FREQUENCY, lambda v: v.size == lines)
+def _frequencies(variable: Variable, source: Source, lines: int) -> NDArray[np.float64]:
+    """Frequency lines [Hz]: the vector beside the data, else from 0 in the step or up to half the rate that file or user states."""
+    vector = _beside(variable, source.arrays, _FREQUENCY, lambda v: v.size == lines)
     if vector is not None:
         return np.ravel(vector.value).astype(float)
+    if source.step is not None:
+        return source.step * np.arange(lines)
     try:
-        sampling = _sampling(variable, arrays, lines, rate)
+        sampling = _sampling(variable, source.arrays, lines, source.rate)
     except (FormatError, UnitError):
         sampling = None
     if sampling is None:
-        raise FormatError("no frequency vector and no sampling rate beside it")
+        raise NoLines(lines)
     return np.asarray(sampling[0] / (2 * (lines - 1)) * np.arange(lines), np.float64)

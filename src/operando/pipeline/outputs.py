@@ -71,13 +71,13 @@ def _operating_modes(path: Path, results: Results) -> list[Finding]:
 
 def _ofrf(path: Path, results: Results) -> list[Finding]:
     findings: list[Finding] = []
-    return _uff(path, results, ofrf(results, findings)) + findings
+    return _uff(path, results, ofrf(results, findings), single=True) + findings
 
 
 def _ofrf_effect(path: Path, results: Results) -> list[Finding]:
     dofs = None if results.idle is None else results.idle.dofs
     frf = effect_model(results).frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)
-    return _uff(path, results, frf)
+    return _uff(path, results, frf, single=True)
 
 
 def _comparison(path: Path, results: Results) -> list[Finding]:
@@ -141,14 +141,17 @@ STEP_OUTPUTS = tuple(o for o in OUTPUTS if o.stage == "diagnose" or o.name in ("
 """What ``add`` and ``remove`` change."""
 
 
-def _uff(path: Path, results: Results, content: Any, node_set: int = 2411) -> list[Finding]:
-    """One UFF file: what it holds in words (set 151), the geometry, the content."""
+def _uff(path: Path, results: Results, content: Any, node_set: int = 2411, single: bool | None = None) -> list[Finding]:
+    """One UFF file: what it holds in words (set 151), the geometry, the content.
+
+    What was measured keeps all its digits. What a model says line by line has seven (``single``), which is far below its own deviation.
+    """
     from operando.io import FileHeader, write_uff
 
     # When the data were measured, no time of writing: equal results make equal files.
     date = "" if content is None else content.provenance.measured
     header = FileHeader(results.name, DESCRIPTIONS[path.name], "operando", date, date, "operando", date)
-    write_uff(path, *(o for o in (results.geometry, content) if o is not None), header=header, node_set=node_set)
+    write_uff(path, *(o for o in (results.geometry, content) if o is not None), header=header, node_set=node_set, single=single)
     return []
 
 

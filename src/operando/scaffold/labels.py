@@ -22,7 +22,8 @@ class Seen:
     """What the files lack and hold, gathered while reading.
 
     ``labels`` are guesses, channel name → what [channels] would say of it; ``columns`` of tables without a header line → their files;
-    ``loudest`` rms of each force channel; ``bands`` in which each measurement with force has power [Hz].
+    ``loudest`` rms of each force channel; ``bands`` in which each measurement with force has power [Hz]; ``lineless`` files of FRFs without
+    frequencies → lines; ``unlabelled_force``: FRFs of one reference name no DOFs; ``pairs`` of FRFs and their state → files.
     """
 
     unitless: dict[str, set[str]] = field(default_factory=dict)
@@ -33,6 +34,9 @@ class Seen:
     columns: dict[tuple[str, ...], list[Path]] = field(default_factory=dict)
     loudest: dict[str, float] = field(default_factory=dict)
     bands: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lineless: dict[str, int] = field(default_factory=dict)
+    unlabelled_force: bool = False
+    pairs: dict[frozenset[tuple[str, str]], list[Path]] = field(default_factory=dict)
 
 
 def labelled(record: Any, seen: Seen) -> Any:

@@ -143,6 +143,8 @@ def _passed_over(file: Path) -> str:
         return "a hidden file"
     if suffix == ".toml":
         return "a test file or settings, no measurement"
+    if not suffix and file.name.lower() in ("license", "licence", "copying", "readme", "notice", "changelog"):
+        return "not read: a text about the files"
     if not can_be_named(file):
         return "its name is no Unicode and cannot stand in a test file: rename it"
     return f"not read: {suffix} files hold no measurement" if suffix in SKIPPED_SUFFIXES else ""
@@ -150,7 +152,7 @@ def _passed_over(file: Path) -> str:
 
 def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
     """What a file holds; what it is taken for is decided when all are known."""
-    from operando.io import NoHeader, read
+    from operando.io import NoHeader, NoLines, read
 
     if reason:
         return Taken(file, "ignored", reason)
@@ -162,6 +164,9 @@ def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
                 raise
             content = read(file, units={"columns": error.guess})
             seen.columns.setdefault(error.guess, []).append(file)
+        except NoLines as error:
+            content = read(file, units={"frequency_step_hz": 1.0})
+            seen.lineless[file.name] = error.lines
     except OperandoError as error:
         return Taken(file, "ignored", f"cannot be read: {error.message}", sure=False)
     if not (content.records or content.frfs):
@@ -171,16 +176,28 @@ def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
             return Taken(file, "ignored", "holds modes, not a measurement")
         return Taken(file, "ignored", "holds nothing a test can use", sure=False)
     if content.frfs and not content.records:
-        state, words, sure = _state(file, folder, "idle")
-        state = "check" if state == "operating" else state
-        pairs = sum(len(h.responses) * len(h.references) for h in content.frfs)
-        if not all(h.si for h in content.frfs):
-            seen.unitless.setdefault("acceleration", set()).add(file.name)
-            seen.unitless.setdefault("force", set()).add(file.name)
-        lines = [h.frequencies_hz for h in content.frfs]
-        seen.bands[str(file)] = (min(float(f[0]) for f in lines), max(float(f[-1]) for f in lines))
-        return Taken(file, f"{state} frfs", f"{pairs} FRFs; {words}", sure)
+        return _look_at_frfs(file, folder, content, seen)
     return _look_at_record(file, content, seen)
+
+
+def _look_at_frfs(file: Path, folder: Path, content: Any, seen: Seen) -> Taken:
+    state, words, sure = _state(file, folder, "idle")
+    state = "check" if state == "operating" else state
+    if not all(h.si for h in content.frfs):
+        seen.unitless.setdefault("acceleration", set()).add(file.name)
+        seen.unitless.setdefault("force", set()).add(file.name)
+    if any(finding.kind == "missing_dof" for finding in content.findings):
+        seen.unlabelled |= {f"ch{i + 1}": file.name for h in content.frfs for i in range(len(h.responses))}
+        seen.unlabelled_force |= any(len(h.references) == 1 for h in content.frfs)
+    pairs = frozenset((str(d), str(r)) for h in content.frfs for d in h.responses for r in h.references)
+    seen.pairs.setdefault(frozenset({*pairs, ("", state)}), []).append(file)
+    if file.name in seen.lineless:
+        return Taken(
+            file, f"{state} frfs", f"{len(pairs)} FRFs of {seen.lineless[file.name]} lines without frequencies; {words}", sure=False
+        )
+    lines = [h.frequencies_hz for h in content.frfs]
+    seen.bands[str(file)] = (min(float(f[0]) for f in lines), max(float(f[-1]) for f in lines))
+    return Taken(file, f"{state} frfs", f"{len(pairs)} FRFs; {words}", sure)
 
 
 @dataclass(frozen=True)
@@ -257,6 +274,15 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
         notes.append(
             f"no unit of {quantity} in {len(files)} files: give it in [units]; without it there is no mass scaling and no FRF in SI"
         )
+    if seen.lineless:
+        notes.append(f"{', '.join(seen.lineless)}: the file states no frequencies: give [units] frequency_step_hz, nothing runs without")
+    for files in seen.pairs.values():
+        if len(files) > 1:
+            names = [file.name for file in files]
+            notes.append(
+                f"{', '.join(names[:4])}{' …' if len(names) > 4 else ''} hold the same FRFs: keep one, "
+                "or move them into folders idle and check"
+            )
     if seen.unlabelled:
         names = list(seen.unlabelled)
         shown = ", ".join(names[:6]) + (" …" if len(names) > 6 else "")

@@ -72,19 +72,23 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     if geometry:
         lines += ["", "[geometry]", f"file = {quoted(_relative(geometry[0], base))}"]
         lines.append('# units = "m"  # of coordinates, where the file does not say')
+    if seen.columns or seen.lineless or seen.unitless:
+        lines += ["", "[units]  # where the files do not say: take off the # and write what was used"]
     if seen.columns:
         columns = max(seen.columns, key=lambda c: len(seen.columns[c]))
-        lines += ["", "[units]", f"columns = {_list(columns)}  # of tables without a header line: a guess from the numbers, look at it"]
-    if seen.unitless:
-        lines += [] if seen.columns else ["", "[units]  # where the files do not say: take off the # and write what was used"]
-        lines += [
-            f'# {quantity} = "{"g" if quantity == "acceleration" else "N" if quantity == "force" else "?"}"'
-            for quantity in sorted(seen.unitless)
-        ]
+        lines.append(f"columns = {_list(columns)}  # of tables without a header line: a guess from the numbers, look at it")
+    if seen.lineless:
+        lines.append(f"# frequency_step_hz = 0.25  # Hz: needed, {printable(', '.join(seen.lineless))} does not say")
+    units = {"acceleration": "g", "force": "N"}
+    lines += [f'# {quantity} = "{units.get(quantity, "?")}"' for quantity in sorted(seen.unitless)]
     if seen.labels or seen.unlabelled:
         lines += ["", "[channels]  # what the files do not say"]
         lines += [f"{quoted(name)} = {_inline(label)}" for name, label in seen.labels.items()]
-        lines += [f'# {quoted(name)} = {{dof = "1+Z", quantity = "acceleration", unit = "g"}}' for name in list(seen.unlabelled)[:64]]
+        lines += [
+            f'# {quoted(name)} = {{dof = "{i}+Z", quantity = "acceleration", unit = "g"}}'
+            for i, name in enumerate(list(seen.unlabelled)[:64], 1)
+        ]
+        lines += ['# "force" = {dof = "1+Z"}  # where the force acts'] if seen.unlabelled_force else []
     lines += ["", "[analysis]"]
     if band is None:
         top = f"; sampled at {max(seen.rates):.6g} Hz" if seen.rates else ""
