@@ -32,6 +32,8 @@ class Results(Short):
     findings : list of Finding
     inventory : list of dict
         One row a file: path, sets, channels, DOFs, sampling, duration, what was used and ignored.
+    raw : list of operando.quality.Overview
+        What the raw records look like: outlines, spectra, hits.
     geometry : Geometry or None
     idle_frf : Frf or None
     idle : ModalModel or None
@@ -84,6 +86,7 @@ class Results(Short):
     automatic: ModalModel | None = None
     idle_libraries: list[dict[str, Any]] = field(default_factory=list)
     operating_libraries: list[dict[str, Any]] = field(default_factory=list)
+    raw: list[Any] = field(default_factory=list)
 
     @property
     def libraries(self) -> list[dict[str, Any]]:

@@ -36,7 +36,7 @@ TREE = "__tree__"
 HASH = "blake2b"
 """Key of a hash of 64 bits: as attribute of a group that of its tree, in the tree that of an array."""
 PACKED_FROM = 4096
-"""Bytes from which an array is compressed, up to the size of records that stay in their file: what HDF5 notes of a chunk takes as much below.
+"""Bytes from which an array is compressed, up to the size of records that stay in their file: below, HDF5's notes take as much.
 """
 _SCHEMAS = ("operando/hdf5/1", SCHEMA)
 _CHANGED = "the file is damaged, or was changed after operando wrote it"

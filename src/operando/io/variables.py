@@ -395,7 +395,7 @@ def _frequencies(variable: Variable, source: Source, lines: int) -> NDArray[np.f
     if vector is not None:
         return np.ravel(vector.value).astype(float)
     if source.step is not None:
-        return source.step * np.arange(lines)
+        return np.asarray(source.step * np.arange(lines), np.float64)
     try:
         sampling = _sampling(variable, source.arrays, lines, source.rate)
     except (FormatError, UnitError):

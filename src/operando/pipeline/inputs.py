@@ -16,6 +16,9 @@ from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, ch
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
 
+SHOWN_RECORDS = 6
+"""Records of a state whose look is kept for the report: as many rows as a screen shows."""
+
 
 class _Asked(dict[str, dict[str, Any]]):
     """[channels], which remembers the entries that a file had a channel for."""
@@ -42,6 +45,7 @@ class Inputs:
         self._hashes: dict[Path, str] = {}
         self._channels = _Asked(test.channels)
         self._names: dict[Path, Names] = {}
+        self.raw: list[Any] = []
 
     def hashes(self, files: Sequence[Path]) -> list[tuple[str, str]]:
         """Name and content hash of files."""
@@ -228,6 +232,7 @@ class Inputs:
         """One row a file (or part of it): what it is used for, format, sets, channels, sampling, duration, findings."""
         test = self.test
         rows = []
+        self.raw = []
         uses = {name: (*state.runs, *((file, None) for file in state.frfs)) for name, state in test.states.items()}
         for file, span in test.parts:
             content = self.content(file, span)
@@ -237,10 +242,19 @@ class Inputs:
                 row |= {"format": None, "error": self.findings[file][0].message}
             else:
                 row |= inventory_row(content)
+                self.raw += self._overviews(content, used_for[0])
             if span is not None:
                 row |= {"start_s": span.start_s, "stop_s": span.stop_s}
             rows.append(row | {"n_findings": len(self.findings.get(file, ()))})
         return rows
+
+    def _overviews(self, content: Any, state: str) -> list[Any]:
+        """What the records of a file look like, of the first files of a state."""
+        from operando.quality import overview
+
+        seen = sum(raw.state == state for raw in self.raw)
+        records = [r for r in content.records if r.force_indices or r.response_indices]
+        return [overview(record, state) for record in records[: max(0, SHOWN_RECORDS - seen)]]
 
     def check_names(self) -> None:
         """Whether every name and frequency in the test file is in the files (see :func:`operando.pipeline.names.check_names`).

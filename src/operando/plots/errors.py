@@ -145,7 +145,11 @@ def plot_errors(
         axes = new_axes(7.6, 0.8 + 0.34 * values.size) if axes is None else axes
         axes.barh(np.arange(values.size), values, color=[MODEL_COLORS.get(k, PURPLE) for k in keys], height=0.66)
         for i, v in enumerate(values):
-            axes.text(v, i, f" {v:.2f} dB", va="center", fontsize=8.5, fontweight="bold" if keys[i] == "ofrf" else "normal")
+            white = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}  # over the line of the noise floor
+            axes.annotate(
+                f"{v:.2f} dB", (v, i), (4, 0), textcoords="offset points", va="center", fontsize=8.5,
+                fontweight="bold" if keys[i] == "ofrf" else "normal", bbox=white, zorder=5,
+            )  # fmt: skip
         if noise_floor_db is not None:
             axes.axvline(noise_floor_db, color=INK, lw=1.0, ls=(0, (3, 2)))
             words, where = f"noise floor {noise_floor_db:.2f} dB", (noise_floor_db, 1.0)

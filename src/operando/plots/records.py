@@ -16,19 +16,7 @@ from operando.printable import printable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from operando.frf import Hits
-
-MOST_CHANNELS = 8
-"""Channels drawn where none are named; the title says how many there are."""
-
-LINES_A_BAND = 2000
-"""Lines of a spectrum where no block length is given: as many as a figure can show."""
-
-LEAST_AVERAGES = 15
-"""Blocks that a spectrum should have at least, where no block length is given."""
-
-BEFORE, AFTER = 0.6, 1.4
-"""Part of a hit that is drawn: so many durations of the pulse before and after its peak (its foot is at 1 % of the peak)."""
+    from operando.quality import Pulse
 
 SYMBOLS = {"m/s2": "m/s²", "rad/s2": "rad/s²", "N m": "N·m"}
 
@@ -86,7 +74,7 @@ def plot_record(record: TimeRecord, axes: Axes | None = None, *, channels: objec
             place.margins(x=0)
             if axes is None:
                 place.set_ylabel(f"{printable(channel.label)}\n[{unit_words(channel.unit)}]", fontsize=8)
-                _marked(place, record, channel)
+                mark_findings(place, record, channel)
         top = places[0]
         places[-1].set_xlabel("Time [s]")
         if axes is not None:
@@ -145,14 +133,12 @@ def plot_psd(
     kinds = list(dict.fromkeys((c.quantity, c.unit) for c in part.channels))
     if axes is not None:
         _one_unit(part)
+    from operando.quality import densities
+
     f, psd = densities(part, block_seconds)
     with style():
         places = new_stack([1.0] * len(kinds), [q for q, _ in kinds], 9.0, 1.0 + 2.6 * len(kinds)) if axes is None else [axes]
-        for kind, place in zip(kinds, places, strict=True):
-            rows = [k for k, c in enumerate(part.channels) if (c.quantity, c.unit) == kind]
-            _spectra(place, f, psd[rows], [part.channels[k].label for k in rows], band, last=place is places[-1])
-            place.set_ylabel(_quantity(part.channels[rows[0]], density=True))
-            place.legend(loc="best", ncols=2)
+        draw_densities(places, part.channels, f, psd, band)
         if axes is None:
             words = [short_name(record.name), f"{part.data.shape[0]} of {total} channels" if part.data.shape[0] < total else ""]
             places[0].set_title("; ".join(w for w in words if w))
@@ -200,29 +186,14 @@ def plot_force_spectra(
         raise DataError(
             "the record has no force", where=record.name or None, hint="a channel is a force by its quantity: [channels] names it"
         )
-    hits = _hits(record)
-    if hits is None or not hits.indices.size:
+    from operando.quality import pulses
+
+    hits = pulses(record)
+    if not hits:
         return plot_psd(record.select(rows), axes, band=band, block_seconds=block_seconds)
-    force = np.asarray(record.data[rows[0]], float) - hits.offset
-    length = max(int(record.sampling_hz / 2), 64)  # a line every 2 Hz; the pulse itself is much shorter
     with style():
         axes = new_axes(9.0, 4.0) if axes is None else axes
-        f = np.fft.rfftfreq(length, 1 / record.sampling_hz)
-        for k, used in enumerate(hits.used):
-            a, b = _pulse(hits, k, force.size)
-            size = np.abs(np.fft.rfft(force[a:b], length)) / record.sampling_hz
-            look: dict[str, Any] = _look(k, bool(used))
-            axes.plot(f, size, label=f"{k}" if used else f"{k}: {_reason(hits, k)}", **look)
-        low, high = band or (0.0, record.sampling_hz / 2)
-        axes.set_yscale("log")
-        shown = (f >= low) & (f <= high)
-        values = np.concatenate([np.asarray(line.get_ydata(), float)[shown] for line in axes.lines])
-        axes.set_ylim(max(values[values > 0].min(), values.max() * 1e-4) * 0.8, values.max() * 1.5)
-        log_axis(axes.yaxis)
-        frequency_axis(axes, low, high)
-        axes.set_ylabel("Force spectrum of each hit [N·s]" if record.channels[rows[0]].unit == "N" else "Force spectrum of each hit")
-        axes.set_title(f"{record.channels[rows[0]].label}: {hits.indices.size} hits")
-        axes.legend(loc="best", ncols=4, title="Hit")
+        draw_force_spectra(axes, hits, record.channels[rows[0]], record.sampling_hz, band)
     return axes
 
 
@@ -254,55 +225,75 @@ def plot_hits(record: TimeRecord, axes: Axes | None = None) -> Axes:
     '3+Z: 2 hits, 2 used'
     """
     _check(record)
-    hits = _hits(record)
-    if hits is None or not hits.indices.size:
+    from operando.quality import pulses
+
+    hits = pulses(record)
+    if not hits:
         raise DataError("the record holds no hits of one hammer", where=record.name or None, hint="plot_record draws its forces")
-    channel = record.channels[record.force_indices[0]]
-    force = np.asarray(record.data[record.force_indices[0]], float) - hits.offset
     with style():
         axes = new_axes(9.0, 4.2) if axes is None else axes
-        for k, peak in enumerate(hits.indices):
-            a, b = _pulse(hits, k, force.size)
-            t = 1e3 * (np.arange(a, b) - peak) / record.sampling_hz
-            sign = np.sign(force[peak]) or 1.0
-            look = _look(k, bool(hits.used[k]))
-            words = f"{k}  at {record.start_s + hits.times_s[k]:.2f} s" + ("" if hits.used[k] else f", not used: {_reason(hits, k)}")
-            axes.plot(t, sign * force[a:b], marker="o", ms=2.2, label=words, **look)
-            side = 1 if k % 2 == 0 else -1
-            axes.annotate(
-                str(k), (0.0, sign * force[peak]), (side * 9, 2), textcoords="offset points", fontsize=8, color=look["color"], ha="center"
-            )
-        axes.axhline(0, color=INK, lw=0.5)
-        axes.grid(True)
-        axes.margins(x=0.02)
-        axes.set_xlabel("Time from the peak [ms]")
-        axes.set_ylabel(
-            f"Force [{unit_words(channel.unit)}], polarity reversed to positive" if np.any(force[hits.indices] < 0) else _quantity(channel)
-        )
-        axes.set_title(f"{channel.label}: {hits.indices.size} hits, {int(hits.used.sum())} used")
-        axes.legend(loc="upper right", title="Hit", fontsize=7.5, ncols=1 if hits.indices.size <= 12 else 2)
+        draw_hits(axes, hits, record.channels[record.force_indices[0]], record.sampling_hz)
     return axes
 
 
-def densities(record: TimeRecord, block_seconds: float | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Frequencies [Hz] (k,) and power spectral densities (n_channels, k) of a record, in unit²/Hz."""
-    from operando.frf import cross_spectra
+def draw_densities(
+    places: Sequence[Axes],
+    channels: Sequence[Channel],
+    f: NDArray[Any],
+    psd: NDArray[Any],
+    band: tuple[float, float] | None = None,
+    count: int = 900,
+) -> None:
+    """Power spectral densities of some channels, those of each unit in axes of their own; ``count`` intervals keep the look."""
+    kinds = list(dict.fromkeys((c.quantity, c.unit) for c in channels))
+    for kind, place in zip(kinds, places, strict=True):
+        rows = [k for k, c in enumerate(channels) if (c.quantity, c.unit) == kind]
+        _spectra(place, f, psd[rows], [channels[k].label for k in rows], band, last=place is places[-1], count=count)
+        place.set_ylabel(_quantity(channels[rows[0]], density=True))
+        place.legend(loc="best", ncols=2)
 
-    n = record.n_samples
-    block = (
-        int(block_seconds * record.sampling_hz)
-        if block_seconds is not None
-        else max(64, min(2 * LINES_A_BAND, 2 * n // (LEAST_AVERAGES + 1)))
-    )
-    block = min(block, n) if block_seconds is None else block
-    spectra = cross_spectra(record.data, [], list(range(record.data.shape[0])), record.sampling_hz, block)
-    return spectra.frequencies_hz, spectra.response
+
+def draw_force_spectra(
+    axes: Axes, hits: Sequence[Pulse], channel: Channel, sampling_hz: float, band: tuple[float, float] | None = None
+) -> None:
+    """The spectrum of each hit."""
+    length = max(int(sampling_hz / 2), 64)  # a line every 2 Hz; the pulse itself is much shorter
+    f = np.fft.rfftfreq(length, 1 / sampling_hz)
+    low, high = band or (0.0, sampling_hz / 2)
+    for hit in hits:
+        size = np.abs(np.fft.rfft(hit.force, length)) / sampling_hz
+        keep = thin(f, size)
+        keep = keep[(f[keep] >= low) & (f[keep] <= high)]
+        axes.plot(f[keep], size[keep], label=f"{hit.number}: {hit.reason}" if hit.reason else f"{hit.number}", **_look(hit))
+    axes.set_yscale("log")
+    values = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
+    axes.set_ylim(max(values[values > 0].min(), values.max() * 1e-4) * 0.8, values.max() * 1.5)
+    log_axis(axes.yaxis)
+    frequency_axis(axes, low, high)
+    axes.set_ylabel("Force spectrum of each hit [N·s]" if channel.unit == "N" else "Force spectrum of each hit")
+    axes.set_title(f"{channel.label}: {len(hits)} hits")
+    axes.legend(loc="best", ncols=4, title="Hit")
 
 
-def _hits(record: TimeRecord) -> Hits | None:
-    from operando.frf import hits_of  # loads what a figure of an FRF does not need
-
-    return hits_of(record)
+def draw_hits(axes: Axes, hits: Sequence[Pulse], channel: Channel, sampling_hz: float) -> None:
+    """The pulses of the hits over one another, each with its number."""
+    for hit in hits:
+        t = 1e3 * (np.arange(hit.force.size) - hit.peak) / sampling_hz
+        top = abs(hit.force[hit.peak])
+        force = (np.sign(hit.force[hit.peak]) or 1.0) * hit.force
+        look = _look(hit)
+        words = f"{hit.number}  at {hit.time_s:.2f} s" + (f", not used: {hit.reason}" if hit.reason else "")
+        axes.plot(t, force, marker="o", ms=2.2, label=words, **look)
+        side = 1 if hit.number % 2 == 0 else -1
+        axes.annotate(str(hit.number), (0.0, top), (side * 9, 2), textcoords="offset points", fontsize=8, color=look["color"], ha="center")
+    axes.axhline(0, color=INK, lw=0.5)
+    axes.grid(True)
+    axes.margins(x=0.02)
+    axes.set_xlabel("Time from the peak [ms]")
+    reversed_ = any(hit.force[hit.peak] < 0 for hit in hits)
+    axes.set_ylabel(f"Force [{unit_words(channel.unit)}], polarity reversed to positive" if reversed_ else _quantity(channel))
+    axes.set_title(f"{channel.label}: {len(hits)} hits, {sum(not hit.reason for hit in hits)} used")
+    axes.legend(loc="upper right", title="Hit", fontsize=7.5, ncols=1 if len(hits) <= 12 else 2)
 
 
 def _check(record: object) -> None:
@@ -312,11 +303,13 @@ def _check(record: object) -> None:
 
 def _part(record: TimeRecord, channels: object) -> tuple[TimeRecord, int]:
     """The channels drawn, and how many there are."""
+    from operando.quality import SHOWN_CHANNELS
+
     _check(record)
     total = len(record.channels)
     if channels is not None:
         return record[channels], total
-    return record.select(list(range(min(total, MOST_CHANNELS)))), total
+    return record.select(list(range(min(total, SHOWN_CHANNELS)))), total
 
 
 def _one_unit(record: TimeRecord) -> None:
@@ -344,7 +337,7 @@ def _outline(record: TimeRecord, row: int, count: int = 2000) -> tuple[NDArray[n
     return t[keep], y[keep]
 
 
-def _marked(place: Axes, record: TimeRecord, channel: Channel) -> None:
+def mark_findings(place: Axes, record: TimeRecord, channel: Channel) -> None:
     """Spans that findings mark at this channel."""
     kinds: dict[str, None] = {}
     for f in record.findings:
@@ -358,7 +351,9 @@ def _marked(place: Axes, record: TimeRecord, channel: Channel) -> None:
         )
 
 
-def _spectra(place: Axes, f: NDArray[Any], psd: NDArray[Any], labels: Sequence[str], band: tuple[float, float] | None, last: bool) -> None:
+def _spectra(
+    place: Axes, f: NDArray[Any], psd: NDArray[Any], labels: Sequence[str], band: tuple[float, float] | None, last: bool, count: int
+) -> None:
     low, high = band or (float(f[1]), float(f[-1]))
     shown = (f >= low) & (f <= high) & (f > 0)
     place.set_yscale("log")
@@ -367,7 +362,7 @@ def _spectra(place: Axes, f: NDArray[Any], psd: NDArray[Any], labels: Sequence[s
         y = row[shown]
         if not np.any(y > 0):
             continue
-        keep = thin(f[shown], np.log(np.maximum(y, 1e-300)), 900)
+        keep = thin(f[shown], np.log(np.maximum(y, 1e-300)), count)
         place.plot(f[shown][keep], np.where(y[keep] > 0, y[keep], np.nan), color=CYCLE[k % len(CYCLE)], lw=1.0, label=label)
         tops.append(y[y > 0])
     if tops:
@@ -377,21 +372,7 @@ def _spectra(place: Axes, f: NDArray[Any], psd: NDArray[Any], labels: Sequence[s
     frequency_axis(place, low, high, label=last)
 
 
-def _pulse(hits: Hits, k: int, n: int) -> tuple[int, int]:
-    """Samples of one pulse: from before it rises to after it has fallen, a second pulse of a double hit included."""
-    peak = int(hits.indices[k])
-    wide = max(int(hits.lead[k]) if hits.lead.size > k else 0, 3)
-    following = hits.pulses[hits.pulses > peak]
-    stop = peak + max(4 * wide, int(AFTER * wide) + 4)
-    if hits.reasons[k] == "double_hit" and following.size:
-        stop = max(stop, int(following[0]) + 4 * wide)
-    return max(0, peak - wide - max(2, int(BEFORE * wide))), min(n, stop)
-
-
-def _reason(hits: Hits, k: int) -> str:
-    return hits.reasons[k].replace("_", " ")
-
-
-def _look(k: int, used: bool) -> dict[str, Any]:
-    color = CYCLE[k % len(CYCLE)]
-    return {"color": color, "lw": 1.1, "ls": "-"} if used else {"color": PURPLE, "lw": 0.9, "ls": (0, (4, 2))}
+def _look(hit: Pulse) -> dict[str, Any]:
+    if hit.reason:
+        return {"color": PURPLE, "lw": 0.9, "ls": (0, (4, 2))}
+    return {"color": CYCLE[hit.number % len(CYCLE)], "lw": 1.1, "ls": "-"}

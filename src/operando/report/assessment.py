@@ -150,7 +150,7 @@ def route_words(results: Results) -> str:
     route = route_of(results)
     if route is None:
         return ""
-    text = f"Recommended operating FRFs: {MODEL_NAMES[route.model]} (`operando ofrf --route {route.name}`)"
+    text = f"Recommended operating FRFs: {MODEL_NAMES[route.model]} (operando ofrf --route {route.name})"
     on = (results.comparison or {}).get("judged_on") or {}
     if route.error_db is not None:
         level = f", level {on['level']}" if on.get("level") else ""

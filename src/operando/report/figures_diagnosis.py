@@ -155,7 +155,7 @@ def location_figure(found: Mapping[str, Any], geometry: Geometry) -> tuple[Figur
     """
     figure = new_figure(7.0, 4.0)
     axes = figure.add_axes((0.0, -0.1, 1.0, 1.14), projection="3d")
-    plot_location(found, geometry, axes)
+    plot_location(found, geometry, axes).legend(loc="upper left", bbox_to_anchor=(0.01, 0.955), fontsize=9)  # inside the page
     return figure, "The machine with the location of " + "; ".join(m.name for m in marks(found.get("effects") or (), geometry))
 
 

@@ -24,7 +24,31 @@ _KNOWN = (
 
 def measured(results: Results, page: Numbering) -> dict[str, Any]:
     """Inventory of files and findings about the data."""
-    return {"unit_of": unit_of} | inventory(results.inventory) | findings(derive.all_findings(results))
+    return {"unit_of": unit_of, "raw": raw_data(results)} | inventory(results.inventory) | findings(derive.all_findings(results))
+
+
+def raw_data(results: Results) -> list[dict[str, Any]]:
+    """Figures of the raw records of each state."""
+    from operando.report.figures_raw import raw_densities, raw_hits, raw_records
+
+    model = results.idle if results.idle is not None else results.operating
+    band = None if model is None or model.band_hz is None else (model.band_hz[0], model.band_hz[1])
+    states = []
+    for state, name in (("idle", "Idle state"), ("operating", "Operating state"), ("check", "Validation measurement")):
+        seen = [raw for raw in results.raw if raw.state == state]
+        if not seen:
+            continue
+        hammered = [raw for raw in seen if raw.pulses]
+        first = next((raw for raw in seen if not raw.pulses and raw.densities.size), None)
+        total = sum("duration_s" in row and row.get("used_for", "").startswith(state) for row in results.inventory)
+        shown, of = (0, 0) if first is None else (len(first.outline.channels), first.n_channels)
+        states.append({
+            "name": name, "count": len(seen), "total": max(total, len(seen)), "time": raw_records(seen),
+            "force": any(raw.outline.force_indices for raw in seen), "hits": raw_hits(hammered, band) if hammered else None,
+            "spectra": None if first is None else raw_densities(first, band),
+            "shown": f"{shown} of {of} channels" if shown < of else "all channels",
+        })  # fmt: skip
+    return states
 
 
 def inventory(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -276,9 +276,9 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
         )
     if seen.lineless:
         notes.append(f"{', '.join(seen.lineless)}: the file states no frequencies: give [units] frequency_step_hz, nothing runs without")
-    for files in seen.pairs.values():
-        if len(files) > 1:
-            names = [file.name for file in files]
+    for alike in seen.pairs.values():
+        if len(alike) > 1:
+            names = [file.name for file in alike]
             notes.append(
                 f"{', '.join(names[:4])}{' …' if len(names) > 4 else ''} hold the same FRFs: keep one, "
                 "or move them into folders idle and check"

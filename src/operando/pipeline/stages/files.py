@@ -30,4 +30,4 @@ def inspect_files(work: Work) -> dict[str, Any]:
                 "no_geometry", message, "info", consequence="mode shapes are drawn as bars", action="give [geometry] file in the test file"
             )
         )
-    return {"inventory": inventory, "geometry": geometry, "findings": findings}
+    return {"inventory": inventory, "raw": work.inputs.raw, "geometry": geometry, "findings": findings}
