@@ -17,7 +17,7 @@ DOCS = ROOT / "docs"
 LANGUAGES = ("sh", "toml", "python")
 QUIET = ("text", "{include}", "{toctree}", "{note}", "{warning}")
 """Blocks that are no programs."""
-SHELL = {"cp", "rm", "mkdir"}
+SHELL = {"cp", "rm", "mkdir", "mv"}
 
 
 @dataclass(frozen=True)

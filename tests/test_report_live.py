@@ -7,6 +7,8 @@ import gzip
 import io
 import json
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -144,6 +146,32 @@ def test_nothing_is_wider_than_the_screen(file, width):
         browser.open(file)
         assert browser.run("document.documentElement.scrollWidth") <= width
         assert browser.errors == []
+
+
+@pytest.fixture(scope="session")
+def axe(tmp_path_factory):
+    """The script of axe-core, from the npm registry."""
+    if shutil.which("npm") is None:
+        pytest.skip("no npm to fetch axe-core with")
+    folder = tmp_path_factory.mktemp("axe")
+    order = ["npm", "install", "--prefix", str(folder), "--no-audit", "--no-fund", "--ignore-scripts", "axe-core@4"]
+    try:
+        subprocess.run(order, check=True, timeout=120, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    except (subprocess.SubprocessError, OSError):
+        pytest.skip("the npm registry does not give axe-core")
+    return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [400, 1280])
+def test_nothing_serious_bars_anyone_from_the_report(file, axe, width):
+    with Browser(width, 900) as browser:
+        browser.open(file)
+        browser.run(f"{axe}; 0")
+        found = browser.run(
+            "axe.run(document, {resultTypes: ['violations']}).then(r => r.violations.map(v => [v.impact, v.id, v.nodes[0].html]))"
+        )
+        assert [v for v in found if v[0] in ("serious", "critical")] == []
 
 
 @needs_browser

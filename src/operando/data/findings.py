@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from operando.errors import DataError
 
@@ -69,7 +69,7 @@ class Finding:
         return out
 
     @classmethod
-    def from_dict(cls, d: dict) -> Finding:
+    def from_dict(cls, d: dict[str, Any]) -> Finding:
         """Inverse of :meth:`to_dict`."""
         kw = dict(d)
         for key in ("time_s", "band_hz"):

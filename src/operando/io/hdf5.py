@@ -303,7 +303,7 @@ def _encode_array(value: np.ndarray, group: h5py.Group, path: str) -> Any:
     return {"__array__": name, HASH: _hash(value)}
 
 
-def _encode_sequence(value: tuple | list, group: h5py.Group, path: str) -> Any:
+def _encode_sequence(value: tuple[Any, ...] | list[Any], group: h5py.Group, path: str) -> Any:
     if len(value) > 0 and all(isinstance(v, Dof) for v in value):
         name = path or "value"
         labels = np.array([str(v) for v in value], dtype=object)

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import IO
 
-from operando.data import Provenance, file_hash
+from operando.data import Finding, Provenance, file_hash
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, FileHeader
 from operando.io.quantities import ChannelSpecs, Units
@@ -311,11 +311,11 @@ def _name_unknown(inventory: Inventory) -> None:
         )  # fmt: skip
 
 
-def _condensed(inventory: Inventory) -> list:
+def _condensed(inventory: Inventory) -> list[Finding]:
     """Findings, with the same message about many sets said once."""
     from dataclasses import replace
 
-    groups: dict[tuple[str, str, str, str], list] = {}
+    groups: dict[tuple[str, str, str, str], list[Finding]] = {}
     for finding in inventory.findings:
         key = (finding.kind, finding.severity, finding.consequence, finding.action)
         groups.setdefault(key, []).append(finding)
