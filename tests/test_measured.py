@@ -74,6 +74,10 @@ def test_bookcase_mass(bookcase_model):
 REF_DAMPING = np.array([0.0042, 0.0014, 0.0031, 0.0016, 0.0009, 0.0016, 0.0006])
 
 
+BETWEEN = ("ref_2", "s1")
+"""States between others: measured twice, and stiffened by less than s5."""
+
+
 def plate(state):
     from operando import read
     from operando.frf.given import merge_frfs
@@ -90,7 +94,7 @@ def assert_plate(model, wanted, tolerance=0.003):
     return modes
 
 
-@pytest.mark.parametrize("state", PLATE_HZ)
+@pytest.mark.parametrize("state", [pytest.param(s, marks=pytest.mark.slow) if s in BETWEEN else s for s in PLATE_HZ])
 def test_plate_below_500_hz(state):
     """81 roved hits, one accelerometer, no coherence: the five modes of each state, and nothing else without a doubt."""
     wanted = [hz for hz in PLATE_HZ[state] if hz < 500]

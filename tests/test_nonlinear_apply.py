@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import pytest
 from click.testing import CliRunner
@@ -22,6 +23,7 @@ from test_diagnose_records import BAND, frfs
 from test_nonlinear_records import STRIP, records
 
 
+@cache
 def applied(name, *texts, **how):
     return apply_to_records(STRIP.idle(), [parse_effect(t, BAND) for t in texts], records()[name], **how)
 

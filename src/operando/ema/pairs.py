@@ -63,18 +63,6 @@ class Pairs:
         """The same pairs on some of their lines."""
         return replace(self, frequencies_hz=self.frequencies_hz[keep], accelerance=self.accelerance[:, keep], noise=self.noise[:, keep])
 
-    def subset(self, keep: NDArray[Any]) -> Pairs:
-        """Some of the pairs."""
-        return replace(
-            self,
-            accelerance=self.accelerance[keep],
-            noise=self.noise[keep],
-            rows=self.rows[keep],
-            columns=self.columns[keep],
-            grid=self.grid[keep],
-            places=self.places[keep],
-        )
-
     @property
     def roving_side(self) -> int:
         """0 where the responses rove, 1 where the references do: the side with more places."""

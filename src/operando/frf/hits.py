@@ -385,12 +385,6 @@ def rejected_numbers(names: Sequence[str], counts: Sequence[int], hits_reject: I
     return out
 
 
-def count_hits(record: TimeRecord) -> int:
-    """Hits of a record with one force, 0 where it is no hammer record."""
-    hits = hits_of(record)
-    return 0 if hits is None else int(hits.indices.size)
-
-
 def hits_of(record: TimeRecord) -> Hits | None:
     """Hits of a hammer record: one force channel of short impacts; None for any other record.
 
