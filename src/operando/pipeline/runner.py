@@ -18,7 +18,8 @@ from operando.own_effects import effects_hash
 from operando.pipeline.cache import load_stage, save_stage, stage_file
 from operando.pipeline.code import code_hash
 from operando.pipeline.folder import ResultsFolder, key_of, results_folder
-from operando.pipeline.inputs import Inputs, UnfitTest
+from operando.pipeline.inputs import Inputs
+from operando.pipeline.names import UnfitTest
 from operando.pipeline.outputs import OUTPUTS, Output
 from operando.pipeline.stages import STEPS, Lacking, Stage, Work
 from operando.results import Results
