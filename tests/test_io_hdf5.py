@@ -11,6 +11,7 @@ from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenanc
 from operando.dof import Dof
 from operando.errors import DataError, FormatError
 from operando.io import read_hdf5, read_object, write_hdf5, write_object
+from operando.io.hdf5 import PACKED_FROM
 from operando.stabilization import PoleTable, RejectedPole, Stabilization
 
 h5py = pytest.importorskip("h5py")
@@ -104,3 +105,15 @@ def test_foreign_objects_are_refused(tmp_path):
     path.write_bytes(b"\x89HDF\r\n\x1a\nrubbish")
     with pytest.raises(FormatError):
         read_hdf5(path)
+
+
+def test_large_arrays_are_compressed_and_small_ones_are_not(tmp_path):
+    smooth = np.linspace(0, 1, 4096)
+    few = np.ones(PACKED_FROM // 8 - 1)
+    write_hdf5(tmp_path / "a.h5", {"arrays": {"smooth": smooth, "few": few}})
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert (file["arrays/smooth"].compression, file["arrays/few"].compression) == ("gzip", None)
+        assert file["arrays/smooth"].id.get_storage_size() < 0.6 * smooth.nbytes
+    back = read_hdf5(tmp_path / "a.h5")["arrays"]
+    assert back["smooth"].tobytes() == smooth.tobytes()
+    assert equal(back["few"], few)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 import measurements
 import operando
 from operando import Channel, Results, TimeRecord
+from operando.pipeline import inputs
 from operando.quality import SHOWN_CHANNELS, overview
+from operando.quality.overview import PLACES
 from operando.report import render_report
 from operando.report.figures_raw import raw_hits, raw_records
+from operando.report.svg import LONG_PATH
 
 RATE = 1000.0
 
@@ -70,4 +75,20 @@ def test_a_run_keeps_the_look_of_its_records(tmp_path):
     operando.run(test, tmp_path / "results", until="inspect", report=False)
     raw = operando.load(tmp_path / "results", Results).raw
     assert [seen.state for seen in raw] == ["idle", "idle", "operating", "check", "check"]
-    assert all(seen.outline.n_samples <= 440 for seen in raw)
+    assert all(seen.outline.n_samples <= 2 * PLACES for seen in raw)
+
+
+def test_of_many_records_the_first_are_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr(inputs, "SHOWN_RECORDS", 1)
+    test = measurements.write_test(tmp_path / "pump", check=True)
+    assert [seen.state for seen in operando.run(test, tmp_path / "results", until="inspect", report=False).raw] == [
+        "idle",
+        "operating",
+        "check",
+    ]
+
+
+def test_curves_have_tenths_of_a_point_and_marks_hundredths():
+    paths = re.findall(r' d="([^"]*)"', raw_records([overview(noise(), "operating")]))
+    digits = {len(d) > LONG_PATH * 0.8: max(map(len, re.findall(r"\.(\d+)", d)), default=0) for d in sorted(paths, key=len)}
+    assert digits[True] == 1
