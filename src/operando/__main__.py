@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -21,6 +20,8 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
+    import gc
+
     gc.set_threshold(10_000, 20, 50)  # figures are some hundred thousand small objects that live on: looked through less often
     from operando.cli import main as command
 
