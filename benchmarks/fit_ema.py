@@ -29,6 +29,7 @@ CASES = {
     "roving hammer, 3 x 100, 2000 lines, 40 modes": (3, 100, 40, 2000, 60.0),
     "12 x 3, 2000 lines, 15 modes": (12, 3, 15, 2000, None),
 }
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 EXAMPLE = Path(__file__).resolve().parents[1] / "data" / "example" / "test.toml"
 
 
@@ -78,7 +79,7 @@ def one(n_resp, n_ref, n_modes, n_lines):
 
 def child(arguments):
     """Output of a call of this script or of operando, its processor seconds and peak memory [MB]."""
-    done = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    done = subprocess.Popen([sys.executable, *arguments], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     text = done.stdout.read()
     _, status, used = os.wait4(done.pid, 0)
     done.returncode = os.waitstatus_to_exitcode(status)
@@ -103,6 +104,8 @@ def main():
         found = json.loads(text)
         peer = None if limit is None else "limit"
         rows.append(row("EMA, FRFs to modes with σ", size, found["seconds"], peer, limit, None, found["accuracy"], memory))
+    # As pip does when it installs: an editable installation may lack it, or be told not to keep it.
+    subprocess.run([sys.executable, "-m", "compileall", "-q", str(EXAMPLE.parents[2] / "src")], check=True, env=ENVIRONMENT)
     tests = [(EXAMPLE, 15.0), *((Path(p), 12.0) for p in options.case)]
     for path, limit in tests:
         with tempfile.TemporaryDirectory() as folder:
