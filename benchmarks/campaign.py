@@ -283,6 +283,8 @@ def compare(folder: Path, given: argparse.Namespace) -> None:
     clock |= {"ours_mb": None, "peer_mb": None, "accuracy": f"less waiting for a processor; {told}{reckoned}; processes, clock: {walls}"}
     if given.json:
         given.json.write_text(json.dumps([row, clock], indent=1))
+    if not same or any(report.get("kills", {}).get(what) for what in ("lost", "done_twice")):
+        raise SystemExit("tests lost, done twice, or with other answers")
 
 
 if __name__ == "__main__":
