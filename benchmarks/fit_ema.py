@@ -29,9 +29,9 @@ CASES = {
     "roving hammer, 3 x 100, 2000 lines, 40 modes": (3, 100, 40, 2000, 60.0),
     "12 x 3, 2000 lines, 15 modes": (12, 3, 15, 2000, None),
 }
+EXAMPLE = Path(__file__).resolve().parents[1] / "data" / "example" / "test.toml"
 CASE = EXAMPLE.parents[3] / "shared" / "cases" / "p1" / "test.toml"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-EXAMPLE = Path(__file__).resolve().parents[1] / "data" / "example" / "test.toml"
 
 
 def simulated(n_resp, n_ref, n_modes, n_lines, noise=0.01, seed=0):
@@ -96,7 +96,7 @@ def main():
     parser.add_argument("--one", help=argparse.SUPPRESS)
     known = [str(CASE)] if CASE.exists() else []
     parser.add_argument(
-        "--case", nargs="*", default=known, metavar="FILE", help="further test files, with a limit of 12 s (p1, where it is)"
+        "--case", nargs="*", default=known, metavar="FILE", help="test files with a limit of 12 s (p1, where it is)"
     )
     options = parser.parse_args()
     if options.one:
