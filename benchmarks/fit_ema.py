@@ -95,9 +95,7 @@ def main():
     parser.add_argument("--quick", action="store_true", help="the small case only")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     known = [str(CASE)] if CASE.exists() else []
-    parser.add_argument(
-        "--case", nargs="*", default=known, metavar="FILE", help="test files with a limit of 12 s (p1, where it is)"
-    )
+    parser.add_argument("--case", nargs="*", default=known, metavar="FILE", help="test files with a limit of 12 s (p1, where it is)")
     options = parser.parse_args()
     if options.one:
         print(json.dumps(one(*(int(v) for v in options.one.split(",")))))
