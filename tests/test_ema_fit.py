@@ -10,7 +10,7 @@ from operando.data import Frf, TimeRecord
 from operando.data.time import Channel
 from operando.dof import Dof
 from operando.ema import fit_ema
-from operando.ema.polish import normal_equations, residual, start_parameters
+from operando.ema.polish import normal_equations, polish, residual, start_parameters
 from operando.ema.polish_model import run_model, transfer
 from operando.ema.spectra import excited_limits, noise_from_spectra, record_spectra
 from operando.errors import DataError, IdentificationError
@@ -264,3 +264,17 @@ def test_second_opinion_beside_it(fitted):
     model = fit_ema(frf.band(5, 150), band=(10, 140), second_opinion=True)
     assert len(model.details.second_opinion) >= 2 * 6
     assert any(o["agrees"] for o in model.details.second_opinion)
+
+
+def test_a_fit_that_cannot_reach_what_is_needed_is_given_up():
+    """``needed_cost``: the steps that are left must reach it at the pace of the last one; what can reach it is the same fit."""
+    chain, rng = plate_like(), np.random.default_rng(5)
+    runs = [record_spectra(steady_record(chain, 0, rng), DOFS, (15, 130))]
+    start = start_parameters(runs, HZ * 1.002, np.full(HZ.size, 0.02), 0.3 * chain.phi, np.array([150.0]))
+    whole = polish(runs, start, tolerance=1e-3)
+    assert whole.converged
+    reached = polish(runs, start, tolerance=1e-3, needed_cost=1.01 * whole.cost)
+    assert (reached.cost, reached.iterations) == (whole.cost, whole.iterations)
+    lost = polish(runs, start, tolerance=1e-3, needed_cost=0.5 * whole.cost)
+    assert not lost.converged
+    assert lost.iterations < whole.iterations

@@ -135,7 +135,8 @@ WORDS: dict[str, dict[str, str]] = {
 
 CAMPAIGN: dict[str, str] = {
     "name": "Name of the campaign. Default: the name of the folder.",
-    "tests": 'Test files, as in `["runs/{speed}/test.toml"]`. `{speed}` matches like `*` and is the parameter.',
+    "tests": 'Test files, as in `["runs/{speed}/test.toml"]`. `{speed}` matches like `*` and is the parameter. In an object store: '
+    '`["s3://bucket/{speed}/test.toml"]`, with the records beside or below the test file.',
     "template": "A test file in which `{speed}` stands for the value of each row.",
     "table": "CSV file with one row a test and a header line such as `speed [rpm],load [N]`.",
     "rows": "The rows themselves: `[{speed = 600}, {speed = 900}]`.",

@@ -20,6 +20,9 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
+    import gc
+
+    gc.set_threshold(10_000, 20, 50)  # figures are some hundred thousand small objects that live on: looked through less often
     from operando.cli import main as command
 
     command(prog_name="operando")

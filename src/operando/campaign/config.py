@@ -6,10 +6,11 @@ import glob
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from operando.campaign.parameters import Row, Value, axis_of, read_table, row_of, shown, value_of
+from operando.campaign.store import in_store, matches
 from operando.config import Test, load_test, parse_text, text_of, toml_table
 from operando.entries import Entry, lines_of
 from operando.errors import ConfigError
@@ -58,8 +59,8 @@ class Member:
         Its place in the campaign file, from 1.
     name : str
         Unique, and the name of its results folder.
-    path : Path
-        Test file, or the template.
+    path : Path or str
+        Test file, its URL in an object store, or the template.
     template : str or None
         Text of the template; None: the file as it is.
     row : Row
@@ -67,7 +68,7 @@ class Member:
 
     number: int
     name: str
-    path: Path
+    path: Path | str
     template: str | None
     row: Row
 
@@ -79,8 +80,9 @@ class Member:
         return _HOLE.sub(lambda m: self.row.texts.get(m[1], m[0]), self.template)
 
 
-def load_member(path: Path, text: str | None, title: str, changes: Sequence[str]) -> Test:
+def load_member(path: str | Path, text: str | None, title: str, changes: Sequence[str]) -> Test:
     """The test of a file, or of a template's text filled in; the tests of one template are told apart by their titles."""
+    path = Path(path)
     if text is None:
         return load_test(path, changes)
     test = parse_text(text, path, changes)
@@ -199,15 +201,18 @@ def _members(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[tupl
         rows = [*rows, *(row_of(entry, f"{where.at('rows')}, row {i}") for i, entry in enumerate(given, 1))]
     template = text = None
     if "template" in table:
-        template = _test_file(folder / _text(table["template"], where.at("template")))
+        if in_store(_text(table["template"], where.at("template"))):
+            hint = 'name test files there: tests = ["s3://bucket/{speed}/test.toml"]'
+            raise ConfigError("a template cannot be in an object store", where=str(where.at("template")), hint=hint)
+        template = _test_file(folder / table["template"].strip())
         text = text_of(template)
         if not rows:
             hint = 'give table = "runs.csv", or rows = [{speed = 600}, {speed = 900}]'
             raise ConfigError("a template needs rows to fill it in", where=str(where.at("template")), hint=hint)
-    found: list[tuple[Path, str | None, Row]] = []
+    found: list[tuple[Path | str, str | None, Row]] = []
     for row in rows:
         if row.test is not None:
-            found.append((_test_file(folder / row.test), None, row))
+            found.append((row.test if in_store(row.test) else _test_file(folder / row.test), None, row))
         elif template is None or text is None:
             hint = 'give template = "test.toml", or a column test with the test file of each row'
             raise ConfigError("the rows name no test", where=str(where.at("table" if "table" in table else "rows")), hint=hint)
@@ -239,22 +244,26 @@ def _check_filled(template: Path, text: str, row: Row, rows: int) -> None:
         raise ConfigError("uses no column of the table: every row would be the same test", where=str(template), hint=hint)
 
 
-def _matches(pattern: str, folder: Path, where: Entry) -> list[tuple[Path, Row]]:
+def _matches(pattern: str, folder: Path, where: Entry) -> list[tuple[Path | str, Row]]:
     """Test files of a glob; ``{speed}`` in it matches like ``*`` and names what it matched."""
-    names = _HOLE.findall(pattern)
     wild = _HOLE.sub("*", pattern)
-    files = sorted(Path(f) for f in glob.glob(str(folder / wild), recursive=True))
-    files = [_test_file(f) for f in files if f.is_file() or (f / "test.toml").is_file()]
+    files: dict[str, Path | str]  # as the pattern is written
+    if in_store(pattern):
+        ending = "" if pattern.endswith(".toml") else "/test.toml"
+        pattern = matches(pattern.rstrip("/") + ending)[0]
+        files = dict(matches(wild.rstrip("/") + ending)[1])
+    else:
+        there = sorted(Path(f) for f in glob.glob(str(folder / wild), recursive=True))
+        tests = [_test_file(f) for f in there if f.is_file() or (f / "test.toml").is_file()]
+        files = {(f.relative_to(folder) if f.is_relative_to(folder) else f).as_posix(): f for f in tests}
     if not files:
-        raise ConfigError(f"no test file matches {pattern!r:.200}", where=str(where), hint=f"looked in {folder.absolute()}")
+        hint = "looked in the store" if in_store(wild) else f"looked in {folder.absolute()}"
+        raise ConfigError(f"no test file matches {pattern!r:.200}", where=str(where), hint=hint)
     reading = re.compile(_regex(pattern))
     out = []
-    for file in files:
-        texts: dict[str, str] = {}
-        if names:
-            relative = file.relative_to(folder).as_posix() if file.is_relative_to(folder) else file.as_posix()
-            match = reading.fullmatch(relative) or reading.fullmatch(relative.removesuffix("/test.toml"))
-            texts = dict(match.groupdict()) if match else {}
+    for relative, file in files.items():
+        match = reading.fullmatch(relative) or reading.fullmatch(relative.removesuffix("/test.toml"))
+        texts = dict(match.groupdict()) if match else {}
         out.append((file, Row(str(file), None, {k: value_of(v) for k, v in texts.items()}, texts)))
     return sorted(out, key=lambda item: [(isinstance(v, str), v) for v in item[1].parameters.values()])
 
@@ -272,12 +281,13 @@ def _regex(pattern: str) -> str:
     return "".join(out)
 
 
-def _named(found: Sequence[tuple[Path, str | None, Row]]) -> tuple[Member, ...]:
+def _named(found: Sequence[tuple[Path | str, str | None, Row]]) -> tuple[Member, ...]:
     """Members with unique names that can be folders: the row's name, else its parameters, else the folder or file of the test."""
     used: dict[str, int] = {}
     out = []
     for number, (path, template, row) in enumerate(found, 1):
-        own = path.stem if path.stem != "test" else path.absolute().parent.name
+        file = path.absolute() if isinstance(path, Path) else PurePosixPath(path)
+        own = file.stem if file.stem != "test" else file.parent.name
         words = row.name or "_".join(f"{k}-{row.texts.get(k, v)}" for k, v in row.parameters.items()) or own
         name = re.sub(r"[^\w.+-]+", "-", words).strip(".-")[:80] or f"test-{number}"
         used[name.lower()] = again = used.get(name.lower(), 0) + 1

@@ -16,7 +16,7 @@ from operando.campaign.config import Campaign, Member, Workers, load_campaign, l
 from operando.campaign.document import document_of
 from operando.campaign.local import local_pool
 from operando.campaign.outputs import write_outputs
-from operando.campaign.task import Task, fingerprint, read_record, settled
+from operando.campaign.task import Task, fingerprint, fingerprint_in_store, read_record, settled
 from operando.config import Test
 from operando.errors import ConfigError, OperandoError
 from operando.io.atomic import write_json, writing
@@ -157,9 +157,8 @@ class _Run:
         for member in self.campaign.members:
             record = self._record_file(member)
             try:
-                changes = (*member.row.changes, *self.changes)
-                test = load_member(member.path, member.text, self.campaign.title(member), changes)
-                self.fingerprints[member.name] = mark = fingerprint(test, self.campaign.until)
+                test, mark = self._loaded(member)
+                self.fingerprints[member.name] = mark
             except (OperandoError, OSError) as error:
                 self._not_begun(member, record, error)
                 continue
@@ -179,9 +178,17 @@ class _Run:
                 group.first = group.first or member.name
                 yield self._task(member, mark, group.folder)
 
+    def _loaded(self, member: Member) -> tuple[Test | None, str]:
+        """A test and its fingerprint; one in an object store is read by its worker alone."""
+        changes = (*member.row.changes, *self.changes)
+        if isinstance(member.path, str):
+            return None, fingerprint_in_store(member.path, changes, self.campaign.until)
+        test = load_member(member.path, member.text, self.campaign.title(member), changes)
+        return test, fingerprint(test, self.campaign.until)
+
     def _task(self, member: Member, mark: str, idle_from: str | None) -> Task:
         changes = (*member.row.changes, *self.changes)
-        path, record = str(member.path.absolute()), str(self._record_file(member))
+        path, record = member.path if isinstance(member.path, str) else str(member.path.absolute()), str(self._record_file(member))
         return Task(
             member.name, path, member.text, self.campaign.title(member), changes, self._folder(member), record, self.campaign.until, mark,
             idle_from,
@@ -246,9 +253,9 @@ class _Run:
             yield found or {"state": "failed", "reason": "its record cannot be read", "name": member.name}
 
 
-def _at_rest(test: Test) -> str | None:
+def _at_rest(test: Test | None) -> str | None:
     """What tests that share their files at rest have in common; whether settings agree as well is for the run to see."""
-    if not test.idle:
+    if test is None or not test.idle:
         return None
     files = [(str(file), repr(span)) for file, span in (*test.idle.runs, *((f, None) for f in test.idle.frfs))]
     return hashlib.sha256(repr((files, jsonable(test.units))).encode()).hexdigest()

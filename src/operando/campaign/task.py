@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from operando.campaign.config import load_member
 from operando.campaign.record import record_of
+from operando.campaign.store import copied, in_store, listing
 from operando.config import Test
 from operando.errors import BusyError, OperandoError
 from operando.io.atomic import write_json, writing
@@ -34,7 +36,7 @@ class Task:
     ----------
     name : str
     path : str
-        Test file, or template.
+        Test file, its URL in an object store, or template.
     text : str or None
         The template filled in.
     title : str
@@ -84,6 +86,11 @@ def fingerprint(test: Test, until: str | None) -> str:
         files.append((str(file), repr(span), state.st_size, state.st_mtime_ns))
     runs = [(name, [str(f) for f in state.files]) for name, state in test.states.items()]
     return key_of(test.name, test.settings(), test.geometry_units, files, runs, until, code_hash("operando.pipeline.runner"))
+
+
+def fingerprint_in_store(url: str, changes: Sequence[str], until: str | None) -> str:
+    """The same of a test in an object store, by what the store says of its files."""
+    return key_of(url, listing(url), list(changes), until, code_hash("operando.pipeline.runner"))
 
 
 def read_record(path: str | Path, wanted: str) -> dict[str, Any] | None:
@@ -141,7 +148,10 @@ def _told(document: dict[str, Any]) -> dict[str, Any]:
 def _run(task: Task) -> dict[str, Any]:
     from operando.pipeline import run
 
-    test = load_member(Path(task.path), task.text, task.title, task.changes)
+    if in_store(task.path):
+        with copied(task.path) as here:
+            return _run(replace(task, path=str(here)))
+    test = load_member(task.path, task.text, task.title, task.changes)
     if task.idle_from is not None:
         adopt(task.idle_from, task.folder, ("frf", "automatic", "ema"))
     until = time.monotonic() + PATIENCE_S

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from operando.ema.discrepancy import line_correlation
 from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear, keep_modes
@@ -297,6 +296,8 @@ def _merged(fit: LinearFit, k: int) -> tuple[LinearFit, float, float]:
 
 def visible_peaks(pairs: Pairs) -> Real:
     """Frequencies [Hz] of the peaks of the summed power of all pairs, each at its own size."""
+    from scipy.ndimage import uniform_filter1d
+
     h = pairs.accelerance
     power = uniform_filter1d(np.sum(np.abs(h) ** 2 / np.mean(np.abs(h) ** 2, axis=1, keepdims=True), axis=0), 3)
     tops = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1

@@ -71,6 +71,7 @@ def refine(
     log: OrderLog | None = None,
     progress: Callable[[str], None] | None = None,
     hold_poles: bool = False,
+    needed_cost: float = np.inf,
 ) -> Polished:
     """Linear start (unless ``start`` is given) and maximum-likelihood fit of the given modes."""
     if start is None:
@@ -92,6 +93,7 @@ def refine(
         tolerance=tolerance,
         want_covariance=want_covariance,
         progress=progress,
+        needed_cost=needed_cost,
     )
 
 
@@ -202,10 +204,12 @@ def search_order(
         grown_hz = np.concatenate([fit.parameters.hz, [h for h, _ in new]])
         grown_zeta = np.concatenate([fit.parameters.zeta, [z for _, z in new]])
         rank = np.argsort(grown_hz)
-        trial = refine(thinned, n_dofs, grown_hz[rank], grown_zeta[rank], lower=lower)
+        bound = fit.cost - _price(thinned) * len(new)
+        trial = refine(thinned, n_dofs, grown_hz[rank], grown_zeta[rank], lower=lower, needed_cost=bound)
         if trial.cost > fit.cost:
             # More modes cannot fit worse: the linear start led astray.
-            trial = refine(thinned, n_dofs, grown_hz, grown_zeta, lower=lower, start=_grown(thinned, n_dofs, fit.parameters, new))
+            start = _grown(thinned, n_dofs, fit.parameters, new)
+            trial = refine(thinned, n_dofs, grown_hz, grown_zeta, lower=lower, start=start, needed_cost=bound)
         fall = fit.cost - trial.cost
         needed = _price(thinned) * len(new) * max(1.0, trial.cost / trial.n_data)
         tried += [h for h, _ in new]

@@ -74,18 +74,10 @@ def make_up(runs: Sequence[RunSpectra], fit: Polished) -> NDArray[np.int_]:
 
 def without_modes(fit: Polished, gone: NDArray[np.int_]) -> Polished:
     """The fit without some of its modes; the others as they were found beside them."""
-    theta = fit.parameters
-    m, n = theta.shapes.shape
+    m, n = fit.parameters.shapes.shape
     keep = np.setdiff1d(np.arange(n), gone)
     rows = np.concatenate([keep, n + keep, (2 * n + keep[:, None] * m + np.arange(m)).ravel()])
-    fewer = replace(
-        theta,
-        hz=theta.hz[keep],
-        zeta=theta.zeta[keep],
-        shapes=theta.shapes[:, keep],
-        transients=tuple(t[:, keep] if t.shape[1] == n else t for t in theta.transients),
-    )
-    return replace(fit, parameters=fewer, covariance=fit.covariance[np.ix_(rows, rows)])
+    return replace(fit, parameters=fit.parameters.modes(keep), covariance=fit.covariance[np.ix_(rows, rows)])
 
 
 def outside_modes(

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import percentile_filter, uniform_filter1d
 
 from operando.data import Frf
 from operando.dof import Dof, match_dofs
@@ -124,6 +123,8 @@ def noise_shape(h: Complex) -> Real:
     The fourth difference over the lines takes away what is smooth; a running low quantile of its power, divided by that quantile of
     an exponential distribution, is the level between the resonances, which peaks cannot raise. A constant factor is left to the fit.
     """
+    from scipy.ndimage import percentile_filter, uniform_filter1d
+
     n_lines = h.shape[1]
     if n_lines < 9:
         return np.broadcast_to(1e-4 * np.mean(np.abs(h) ** 2, axis=1, keepdims=True), h.shape).copy()

@@ -301,6 +301,7 @@ def polish(
     tolerance: float = 0.05,
     progress: Callable[[str], None] | None = None,
     want_covariance: bool = True,
+    needed_cost: float = np.inf,
 ) -> Polished:
     """Minimise the errors-in-variables cost over poles, shapes, transients and local terms.
 
@@ -321,6 +322,8 @@ def polish(
     progress : callable, optional
         Told one line an iteration.
     want_covariance : bool
+    needed_cost : float
+        The fit is of no use above this cost: it ends where the steps that are left do not reach it at the pace of the last one.
 
     Raises
     ------
@@ -363,6 +366,8 @@ def polish(
             progress(f"maximum-likelihood fit, step {iteration}: cost lower by {100 * fall / max(cost, 1e-300):.2g} %")
         if fall < tolerance:
             converged = True
+            break
+        if fall * (max_iterations - iteration) < cost - needed_cost:
             break
         equations = _assembled(runs, theta, states, precision)
     covariance = _covariance(equations.normal) if want_covariance else np.zeros((0, 0))

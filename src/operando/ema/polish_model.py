@@ -9,7 +9,7 @@ functions for their transients. Because it is linear and free in each response, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,17 @@ class Parameters:
     transients: tuple[Real, ...]
     local: tuple[Real, ...]
     _known: dict[tuple[Any, ...], LineFunctions] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def modes(self, which: NDArray[np.int_]) -> Parameters:
+        """The parameters with some of the modes, in the order given; transients and local terms stay as they are."""
+        n = self.hz.size
+        return replace(
+            self,
+            hz=self.hz[which],
+            zeta=self.zeta[which],
+            shapes=self.shapes[:, which],
+            transients=tuple(t[:, which] if t.shape[1] == n else t for t in self.transients),
+        )
 
     def functions(self, run: RunSpectra) -> LineFunctions:
         """What the poles make of the lines of a run; kept for the next one, because runs mostly share their lines."""

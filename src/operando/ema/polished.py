@@ -14,7 +14,7 @@ from operando.ema.hold_out import heldout_misfit
 from operando.ema.model_error import relative_model_error, with_model_error
 from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
 from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes
-from operando.ema.polish import Polished, signed, start_parameters
+from operando.ema.polish import Polished, signed
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
@@ -165,17 +165,15 @@ def _final(
     progress: Callable[[str], None] | None,
 ) -> Polished:
     """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out."""
-    theta = fit.parameters
+    theta = fit.parameters.modes(np.argsort(fit.parameters.hz))
     for _ in range(4):
-        rank = np.argsort(theta.hz)
-        start = start_parameters(runs, theta.hz[rank], theta.zeta[rank], theta.shapes[:, rank], theta.outside_hz)
         final = refine(
             runs,
             n_dofs,
-            theta.hz[rank],
-            theta.zeta[rank],
+            theta.hz,
+            theta.zeta,
             lower=lower,
-            start=start,
+            start=theta,
             max_iterations=25,
             tolerance=0.05,
             want_covariance=True,
@@ -185,10 +183,7 @@ def _final(
         if not out.size or out.size == final.parameters.hz.size:
             break
         log.rounds.append(f"final fit: {out.size} modes taken out")
-        keep = np.setdiff1d(np.arange(final.parameters.hz.size), out)
-        theta = replace(
-            final.parameters, hz=final.parameters.hz[keep], zeta=final.parameters.zeta[keep], shapes=final.parameters.shapes[:, keep]
-        )
+        theta = final.parameters.modes(np.setdiff1d(np.arange(final.parameters.hz.size), out))
     return final
 
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as sfft
-from scipy import ndimage
 
 from operando.data import row_statistics
 from operando.data.mapped import PIECE
@@ -178,6 +177,8 @@ def excited_lines(amplitude: Array) -> NDArray[np.bool_]:
     amplitude : (L,) array
         Force amplitude of each line, 0 Hz first.
     """
+    from scipy import ndimage
+
     strong = amplitude > 0.3 * amplitude[1:].max(initial=0.0)
     strong[0] = False
     if not strong.any():

