@@ -30,7 +30,7 @@ LEVELS = {
     "ema": 8, "oma": 8,
     "scaling": 9,
     "compare": 10,
-    "effects": 11, "structure": 12, "nonlinear": 13, "diagnosis": 14,
+    "structure": 11, "diagnosis": 12,
     "store": 15, "entries": 15, "plots": 15, "own_effects": 15, "contrib": 15,
     "report": 16, "values": 16,
     "states": 17,
@@ -54,8 +54,6 @@ NUMERIC = (
     "oma",
     "scaling",
     "compare",
-    "effects",
-    "nonlinear",
     "structure",
     "diagnosis",
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from operando.data import Frf, ModalModel, one_level
 from operando.dof import parse_dofs
-from operando.effects import Effect
 from operando.errors import MissingError
-from operando.nonlinear.levels import at_level
 from operando.results import CheckRun, Results
-from operando.structure import Model
+from operando.structure import Model, at_level
+from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
 
 TWICE = 2.0
@@ -39,7 +38,7 @@ def level_frf(
     """What an FRF measurement would find under a random force of this size: the best linear model of the running structure there.
 
     Each reference is driven by itself; level-dependent effects stand in its column as the spring and damper that they are equivalent to
-    then (:func:`operando.nonlinear.at_level`).
+    then (:func:`operando.structure.at_level`).
 
     Parameters
     ----------
@@ -172,11 +171,6 @@ def level_picture(
             step = max(1, int(np.sum(inside)) // DRAWN)
             size = np.abs(run.frf.data[own[0], driven[0]][inside])[::step]
             good = np.isfinite(size)
-            row = {"name": run.name, "level": run.level, "frequencies_hz": run.frf.frequencies_hz[inside][::step][good].tolist()}
+            row = {"name": run.name, **run.stated_level(), "frequencies_hz": run.frf.frequencies_hz[inside][::step][good].tolist()}
             runs.append(row | {"magnitude": size[good].tolist()})
     return {"response": str(response), "reference": str(reference), "frequencies_hz": hz.tolist(), "curves": curves, "runs": runs}
-
-
-def levels_of(picture: Mapping[str, Any]) -> list[float]:
-    """Forces [N rms] of the records behind a picture of restoring forces."""
-    return sorted({float(row["force_n"]) for p in picture.get("restoring_force") or [] for row in p.get("equivalent") or []})

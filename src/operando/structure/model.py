@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof, match_dofs, parse_dofs
-from operando.effects import Effect, parse_effect, place_weights, running_modes
-from operando.effects.running import with_spread
-from operando.effects.update import update_variance, woodbury_core
 from operando.errors import ConfigError, DataError
+from operando.structure.effects import Effect, parse_effect, place_weights
+from operando.structure.eigenproblem import running_modes, with_spread
+from operando.structure.low_rank import update_variance, woodbury_core
 from operando.synthesis import modal_kernel
 from operando.threads import one_blas_thread
 
@@ -194,7 +194,7 @@ class Model:
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, provenance=self.idle.provenance.then("Model.frf"))
 
     def modes(self, variance: bool = False) -> ModalModel:
-        """Poles and complex shapes of the running structure: see :func:`operando.effects.running_modes`.
+        """Poles and complex shapes of the running structure: by :mod:`operando.structure.eigenproblem`.
 
         Shapes are as the channels show them: scaled, turned, late or swapped where an effect says so.
 
