@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import inspect
 import json
 import re
@@ -152,6 +153,21 @@ def test_public_names_exist_and_document_every_parameter(name):
 def test_files_keep_to_one_topic():
     long = {str(p.relative_to(SOURCE)): n for p in SOURCE.rglob("*.py") if (n := len(p.read_text(encoding="utf-8").splitlines())) > 500}
     assert not long
+
+
+def test_no_circle_between_files():
+    """What runs later, inside a function, counts too; the rooms that were put in order keep to it."""
+    files = {
+        ".".join(("operando", *path.relative_to(SOURCE).with_suffix("").parts)).removesuffix(".__init__"): path
+        for room in ("structure", "diagnosis", "contrib")
+        for path in (SOURCE / room).rglob("*.py")
+    }
+    needs = {}
+    for name, path in files.items():
+        froms = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom) and n.module]
+        asked = {named if (named := f"{n.module}.{alias.name}") in files else n.module for n in froms for alias in n.names}
+        needs[name] = (asked & set(files)) - {name}
+    graphlib.TopologicalSorter(needs).prepare()
 
 
 def test_every_module_says_what_it_is():

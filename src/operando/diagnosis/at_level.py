@@ -38,34 +38,7 @@ def level_frf(
     """What an FRF measurement would find under a random force of this size: the best linear model of the running structure there.
 
     Each reference is driven by itself; level-dependent effects stand in its column as the spring and damper that they are equivalent to
-    then (:func:`operando.structure.at_level`).
-
-    Parameters
-    ----------
-    idle : ModalModel
-        Of unit modal mass.
-    effects : sequence of Effect
-        Level-dependent effects, springs and dampers.
-    level : float
-        rms of the force [N], even over the band.
-    frequencies : array
-        Lines [Hz].
-    responses, references : DOF labels, optional
-        Default: all DOFs of the idle model.
-    quantity : {"accelerance", "mobility", "receptance"}
-    band : (float, float), optional
-        Of the force [Hz]; default the idle model's.
-
-    Returns
-    -------
-    Frf
-
-    Raises
-    ------
-    DataError
-        If no steady motion is found at this level.
-    ConfigError
-        If an effect has no restoring force of displacement and velocity.
+    then: idle model, effects, level and band as for :func:`operando.structure.at_level`, which raises; the rest as for ``Model.frf``.
     """
     driven = idle.dofs if references is None else tuple(parse_dofs(references))
     columns: list[Frf] = []
@@ -78,23 +51,12 @@ def level_frf(
 
 @dataclass(frozen=True)
 class LevelModel:
-    """The idle model with effects under a random force of given size; predicts FRFs like any model.
-
-    Parameters
-    ----------
-    idle : ModalModel
-    effects : tuple of Effect
-        Effects on the structure, level-dependent ones among them.
-    level : float
-        rms of the force [N].
-    band : (float, float) or None
-        Of the force [Hz].
-    """
+    """The idle model with effects on the structure under a random force of given size; predicts FRFs like any model."""
 
     idle: ModalModel
     effects: tuple[Effect, ...]
-    level: float
-    band: tuple[float, float] | None = None
+    level: float  # rms of the force [N]
+    band: tuple[float, float] | None = None  # of the force [Hz]
 
     @classmethod
     def of(cls, results: Results, level: float) -> LevelModel:
@@ -120,23 +82,13 @@ class LevelModel:
 def level_picture(
     idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], levels: Sequence[float], band: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """FRFs of the model at the levels measured and at twice the highest, and what was measured, for one pair of DOFs.
-
-    Parameters
-    ----------
-    idle : ModalModel
-    effects : sequence of Effect
-    check : sequence of CheckRun
-        Measured FRFs, by level.
-    levels : sequence of float
-        Forces of the records [N rms].
-    band : (float, float) or None
+    """FRFs of the model at the levels measured [N rms] and at twice the highest, and what was measured, for one pair of DOFs.
 
     Returns
     -------
     dict
         ``response``, ``reference``, ``frequencies_hz``, ``curves`` [{force_n, measured (bool), magnitude}], ``runs`` [{name, level,
-        frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
+        unit, level_name, frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
 
     Raises
     ------

@@ -95,22 +95,9 @@ def diagnose_levels(
     progress: Callable[[str], None] | None = None,
     compared: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
-    """The diagnosis from the records where something depends on the level, else the linear one.
+    """The diagnosis from the records where something depends on the level, else the linear one; options as in :func:`operando.diagnose`.
 
-    Parameters
-    ----------
-    linear : callable or None
-        Makes the diagnosis from the check FRFs; None where there are none, and the records alone decide.
-    idle : ModalModel
-    check : sequence of CheckRun
-    records : sequence of TimeRecord
-        The check's records with measured force.
-    idle_frf : Frf, optional
-        For how much noise there is at rest.
-    exclude_bands : sequence of (float, float)
-        Lines left out [Hz].
-    geometry, kinds, places, band, progress, compared
-        As in :func:`operando.diagnose`.
+    ``linear`` makes the diagnosis from the check FRFs; None where there are none, and the records alone decide.
     """
 
     def look() -> RecordsDiagnosis:

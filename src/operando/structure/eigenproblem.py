@@ -25,19 +25,13 @@ _SETTLED = 1e-6
 
 @dataclass(frozen=True)
 class RunningDetails:
-    """What a modal model of the running structure says besides poles and shapes.
-
-    Parameters
-    ----------
-    left : (n_dofs, n_terms) complex array or None
-        Left shapes l of such a scale that the receptance is Σ ψ lᵀ/(iω − λ) and its conjugate part, where no pole is real; equal to
-        the shapes up to a factor unless an effect is skew. None where an effect has no finite number of poles (hysteretic, rubber).
-    real_poles : array
-        Poles without oscillation [rad/s], which have no frequency.
-    """
+    """What a modal model of the running structure says besides poles and shapes."""
 
     left: Array | None
+    """Left shapes l (n_dofs, n_terms) of such a scale that the receptance is Σ ψ lᵀ/(iω − λ) and its conjugate part, where no pole is
+    real; equal to the shapes up to a factor unless an effect is skew. None where an effect has no finite number of poles."""
     real_poles: NDArray[np.float64]
+    """Poles without oscillation [rad/s], which have no frequency."""
 
 
 def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tuple[Effect, Array]]]:
@@ -80,13 +74,6 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
 
     The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, all zeros of
     det D(λ) at once by Ehrlich's and Aberth's iteration. Poles without oscillation are told in the details.
-
-    Parameters
-    ----------
-    base : ModalModel
-        Unit modal mass.
-    placed : sequence of (Effect, (k, n_dofs) weights)
-        As from :func:`operando.structure.effects.place_weights`.
 
     Returns
     -------

@@ -45,29 +45,20 @@ def update_variance(
     right: Complex,
     shared: tuple[NDArray[np.float64], Complex] | None = None,
 ) -> NDArray[np.float64]:
-    """Variance E|ΔH|² [m²/N²] of updated receptances, to first order in the modal parameters.
+    """Variance E|ΔH|² [m²/N²] of updated receptances (o, j, lines), to first order in the modal parameters, from their covariance.
 
     With A = I − H0_·B T Bᵀ, T = (I + δZ H_BB)⁻¹ δZ, and A' its mirror image on the right, dH = A dH0 A' exactly.
 
     Parameters
     ----------
-    base : ModalModel
-        With a covariance.
-    frequencies_hz : (n_lines,) array
     responses, references : (rows, signs) of the DOFs
     weights : (k, n_dofs) array
         The places' coordinates.
-    left : (n_responses, k, n_lines) array
-        H0_oB T.
-    right : (k, n_references, n_lines) array
-        T H0_Bj.
-    shared : (n_parameters, p) array and (p, n_responses, n_references, n_lines) array, optional
+    left, right : (o, k, lines) and (k, j, lines) arrays
+        H0_oB T and T H0_Bj.
+    shared : (n_parameters, p) array and (p, o, j, lines) array, optional
         Covariance of the modal parameters with p other numbers, and the derivative of the receptances by these; adds the part that
         both have in common (which can be negative: the result is then no variance yet).
-
-    Returns
-    -------
-    (n_responses, n_references, n_lines) array
     """
     assert base.covariance is not None
     n, m, phi = base.terms.n, len(base.dofs), np.asarray(base.terms.shapes)

@@ -84,19 +84,8 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
 def track(run: Run, modes: Modes, loop: Loop, base: Complex, force: Complex, memory: Real, amplitudes: Real) -> Track:
     """A run ready to be followed.
 
-    Parameters
-    ----------
-    run : Run
-    modes : Modes
-    loop : Loop
-    base : (p, N//2+1) complex array
-        Displacement across the places under the measured force.
-    force : (p, N//2+1) complex array
-        Restoring forces.
-    memory : (p, N) array
-        Internal states of their laws.
-    amplitudes : (J,) array
-        Of the free decays.
+    From spectra (p, N//2+1) of the displacement across the places under the measured force (``base``) and of the restoring forces,
+    internal states (p, N) of their laws, and amplitudes (J,) of the free decays.
     """
     fine = round(1 / (run.sampling_hz * loop.step))
     n, hz = run.n_samples, run.all_hz
@@ -129,15 +118,8 @@ def closed_loop_force(case: Case, tried: Tried, fitted: bool = True) -> Tried:
     The speed over which friction is smoothed stays: where it sticks the loop hardly depends on it, and errors of the model would move it.
 
     Below the last line of the band the place moves as model and force have it, above as measured. The loop's own response differs from
-    that, so the difference times the force found so far goes with the free motion; turns bring the two forces together.
-
-    Parameters
-    ----------
-    case : Case
-    tried : Tried
-        Accepted, its values near.
-    fitted : bool
-        False leaves its values as they are.
+    that, so the difference times the force found so far goes with the free motion; turns bring the two forces together. Not ``fitted``,
+    the values stay as they are.
     """
     law, spot = tried.law, tried.spot
     names = free_names(law)
@@ -166,20 +148,9 @@ def closed_loop_force(case: Case, tried: Tried, fitted: bool = True) -> Tried:
 
 
 def followed(case: Case, spot: Spot, law: ForceLaw, names: Sequence[str], forces: Sequence[Complex], loop: Loop, most: int = MOST) -> Spot:
-    """The spot with the force that the law, and the law with each of its values a little larger, make in the loop.
+    """The spot with the force that the law, and the law with each of the named values a little larger, make in the loop.
 
-    Parameters
-    ----------
-    case : Case
-    spot : Spot
-    law : ForceLaw
-    names : sequence of str
-        Values moved.
-    forces : sequence of (N//2+1,) arrays
-        Restoring force found so far on all lines of each run.
-    loop : Loop
-    most : int
-        Steps of all windows followed at once.
+    ``forces`` (N//2+1,) were found so far on all lines of each run; ``most`` steps are followed at once.
     """
     tracks = []
     for m, force in zip(spot.whole, forces, strict=True):

@@ -157,15 +157,7 @@ def wrong_law(best: Tried) -> str | None:
 def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, left: float) -> list[str]:
     """What says that places move faster than the records show, so that no law can be taken of that motion.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-    accepted : sequence of Tried
-        The same with their motions.
-    fitted : int
-        Runs that were fitted; those behind them are the hold-out set (all where there are none).
-    left : float
-        Chi-square of the validation records with all effects.
+    ``fitted`` runs stand before the hold-out set (all where there are no others); ``left`` is its chi-square with all effects.
     """
     if left < TWICE:
         return []

@@ -119,20 +119,9 @@ def look(
     turns: int = 3,
     laws: Sequence[Complex] | None = None,
 ) -> Seen:
-    """Restoring force at a place without a law, in turn with what modes outside the band add there.
+    """Restoring force at a place b (m,) without a law, in turn with what modes outside the band add there, from all runs.
 
-    Parameters
-    ----------
-    weighted : sequence of Weighted
-        All runs, with the errors of the idle model.
-    modes : Modes
-    b : (m,) array
-    doubt : Doubt
-        How far each kernel may go.
-    start : OutOfBand
-    turns : int
-    laws : sequence of (L,) arrays, optional
-        Restoring forces that are already known; then only the corrections are sought.
+    Where the restoring forces ``laws`` (L,) of the runs are already known only the corrections are sought.
     """
     outside = start
     fixed = [None] * len(weighted) if laws is None else list(laws)

@@ -36,11 +36,6 @@ def spline_weights(points: ArrayLike, targets: ArrayLike) -> Array:
     The spline is that of the dimension the points span (cubic on a line, thin-plate on a plane, biharmonic in space); what
     lies off that line or plane is dropped.
 
-    Parameters
-    ----------
-    points : (n, 3) array
-    targets : (k, 3) array
-
     Raises
     ------
     DataError
@@ -63,17 +58,7 @@ def spline_weights(points: ArrayLike, targets: ArrayLike) -> Array:
 
 
 def position_weights(idle: ModalModel, geometry: Geometry, position: ArrayLike, direction: str) -> Array:
-    """Weights (n_dofs,) of the sensors of one axis that give the motion at a place without a sensor.
-
-    Parameters
-    ----------
-    idle : ModalModel
-    geometry : Geometry
-        Positions of the sensors.
-    position : (3,) array
-        Place [m].
-    direction : str
-        Sense and axis, such as "+Z".
+    """Weights (n_dofs,) of the sensors of one axis that give the motion at a position [m] in a direction such as "+Z".
 
     Raises
     ------
