@@ -222,8 +222,12 @@ def _fit_slip(strokes: Sequence[Stroke], with_play: bool) -> Real:
     # The way to the plateau and the play are short or long: the misfit has a valley for each.
     ways = (0.01, 0.04, 0.15)
     starts = [[*levels, size / (reach * longest), 0.5 * play * longest] for reach in ways for play in (ways if with_play else (1.0,))]
-    options = {"maxfev": 300, "xatol": 1e-3, "fatol": 1e-6 * size}
-    found = [minimize(cost, np.log(start[: 4 if with_play else 3]), method="Nelder-Mead", options=options) for start in starts]
+    found = [
+        minimize(
+            cost, np.log(start[: 4 if with_play else 3]), method="Nelder-Mead", options={"maxfev": 300, "xatol": 1e-3, "fatol": 1e-6 * size}
+        )
+        for start in starts
+    ]
     return np.exp(np.append(min(found, key=lambda f: f.fun).x, [] if with_play else [-700.0]))
 
 
