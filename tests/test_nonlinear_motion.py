@@ -12,7 +12,7 @@ from nonlinear_truth import Strip, measure_many, place
 from operando.compare.verdict import GOOD
 from operando.data import ModalModel
 from operando.diagnosis import diagnose_records
-from operando.diagnosis.records import DISCREPANCY, Sets, Step, Tried, conclude, examine, make_case, rank_places, too_fast, weighed
+from operando.diagnosis.records import DISCREPANCY, SearchStep, Sets, Tried, conclude, examine, make_case, rank_places, too_fast, weighed
 from operando.structure import ForceLaw
 from operando.structure.effects import Effect
 
@@ -135,7 +135,7 @@ def test_a_law_may_leave_so_much_of_the_responses_beyond_the_noise(stiffer, verd
     law = ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})
     moved = spot().settled(law).settled(law)
     tried = Tried(moved, law.moved(stiffness=stiffer * STIFFNESS), 1.2, 1.2)
-    found = conclude(case(), [Step(case(), 50.0, 50.0, [tried])], [tried], None, {}, None)
+    found = conclude(case(), [SearchStep(case(), 50.0, 50.0, [tried])], [tried], None, {}, None)
     assert found.verdict == verdict
     assert found.ladder[-1]["heldout_misfit"] > 10 * GOOD
     assert (found.discrepancy["value"] <= DISCREPANCY) == (verdict == "explained")

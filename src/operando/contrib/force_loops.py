@@ -84,6 +84,7 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
     displacement, force : (N,) arrays
         Any units; the values found have them.
     sampling_hz : float
+        Samples a second.
 
     Returns
     -------
@@ -93,6 +94,14 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
     ------
     DataError
         If the signals differ in length or hold fewer than six strokes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(2000) / 500
+    >>> way = 0.02 * np.sin(np.pi * time / 4) * np.sin(4 * np.pi * time)
+    >>> fit_loop(way, 800 * np.sign(np.gradient(way)), 500.0).kinds
+    ('coulomb_friction',)
     """
     x, f = np.asarray(displacement, float), np.asarray(force, float)
     if x.ndim != 1 or x.shape != f.shape:

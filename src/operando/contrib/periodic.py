@@ -100,8 +100,11 @@ def best_linear_approximation(force: ArrayLike, responses: ArrayLike, sampling_h
     Parameters
     ----------
     force : (N,) array
+        Periodic, some periods long.
     responses : (q, N) or (N,) array
+        Sampled with it.
     sampling_hz : float
+        Samples a second.
     period : int, optional
         Samples of a period; found from the force where not given.
 
@@ -113,6 +116,14 @@ def best_linear_approximation(force: ArrayLike, responses: ArrayLike, sampling_h
     ------
     DataError
         If the signals differ in length, the force is not periodic, or fewer than two steady periods are left.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> force = np.tile(rng.standard_normal(1024), 8)
+    >>> best_linear_approximation(force, 3 * force + 0.01 * rng.standard_normal(force.size), 1024.0).period
+    1024
     """
     f, x = np.asarray(force, float), np.atleast_2d(np.asarray(responses, float))
     if f.ndim != 1 or x.shape[1] != f.size:

@@ -128,7 +128,9 @@ def fit_single(
     Parameters
     ----------
     force, displacement : (N,) arrays
+        Any units; the values found have them.
     sampling_hz : float
+        Samples a second.
     band : (float, float)
         Lines used [Hz].
     kinds : sequence of str
@@ -136,10 +138,24 @@ def fit_single(
     most : int
         Laws accepted at most.
 
+    Returns
+    -------
+    SingleFit
+
     Raises
     ------
     DataError
         If the record is too short, or the signals differ in length.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(0).standard_normal(4096)
+    >>> hz = np.fft.rfftfreq(4096, 1 / 200)
+    >>> spectrum = np.fft.rfft(x) * (hz < 40)
+    >>> x, force = (np.fft.irfft(s, 4096) for s in (spectrum, spectrum * (2e3 + 4j * hz - 2 * (2 * np.pi * hz) ** 2)))
+    >>> fit_single(force, x, 200.0, (1.0, 30.0), kinds=["cubic_stiffness"]).kinds
+    ()
     """
     blocks = _Blocks.of(np.asarray(force, float), np.asarray(displacement, float), sampling_hz, band)
     base = [blocks.cut(s) for s in (blocks.a, blocks.v, blocks.x)]

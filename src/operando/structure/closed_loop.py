@@ -154,7 +154,7 @@ def run_loop(loop: Loop, x_free: Real, v_free: Real, laws: Sequence[StepLaw]) ->
 
 
 @dataclass(frozen=True)
-class Track:
+class LoopRecord:
     """What a record of N samples needs to be followed from any of them."""
 
     n_samples: int
@@ -181,12 +181,12 @@ class Track:
         return self.x[:, index] + decays, self.v[:, index] + moving, self.memory[:, starts]
 
 
-def follow(tracks: Sequence[Track], variants: Sequence[Sequence[ForceLaw]], seconds: float) -> list[list[Real]]:
+def follow(tracks: Sequence[LoopRecord], variants: Sequence[Sequence[ForceLaw]], seconds: float) -> list[list[Real]]:
     """Restoring forces (p, N·fine) that the closed loop makes over windows, put together; one a variant and track.
 
     Parameters
     ----------
-    tracks : sequence of Track
+    tracks : sequence of LoopRecord
         Records of one sampling rate.
     variants : sequence of sequences of ForceLaw
         Each holds one law a place.

@@ -11,7 +11,7 @@ from scipy import fft as sfft
 from operando.data import Channel, ModalModel, TimeRecord
 from operando.dof import match_dofs, parse_dofs
 from operando.errors import DataError
-from operando.structure.closed_loop import Loop, Track, follow, max_slope, substeps
+from operando.structure.closed_loop import Loop, LoopRecord, follow, max_slope, substeps
 from operando.structure.effects import Effect
 from operando.structure.force_law import law_of
 from operando.structure.modal_space import Modes
@@ -68,7 +68,7 @@ def simulate(idle: ModalModel, effects: Sequence[Effect], force: TimeRecord, res
     if laws:
         x, v = (shapes @ part for part in modes.from_rest(drive, total, step)[:2])
         rest = np.zeros((modes.hz.size, n))
-        moving = Track(n, rate, Loop(modes.poles, shapes, step), fine, x, v, rest, rest, np.zeros((len(laws), n)))
+        moving = LoopRecord(n, rate, Loop(modes.poles, shapes, step), fine, x, v, rest, rest, np.zeros((len(laws), n)))
         drive = drive - shapes.T @ sfft.rfft(follow([moving], [laws], np.inf)[0][0], total, axis=-1)
     a = modes.from_rest(drive, total, step)[2][:, ::fine]
     data = np.asarray(senses, float)[:, None] * (modes.phi[np.asarray(rows)] @ a)

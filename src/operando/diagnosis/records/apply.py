@@ -10,7 +10,7 @@ import numpy as np
 
 from operando.data import Geometry, ModalModel, TimeRecord
 from operando.diagnosis.applied import words_of
-from operando.diagnosis.records.case import Case, Sets, make_case
+from operando.diagnosis.records.case import RecordsCase, Sets, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
 from operando.diagnosis.records.conclude import effect_of, equivalents_of, pictures_of, simulated
 from operando.diagnosis.records.diagnose import wanted_kinds
@@ -123,20 +123,20 @@ def _held(effect: Effect) -> bool:
     return bool(fixed)
 
 
-def _with_laws(case: Case, known: Sequence[Tried]) -> Case:
+def _with_laws(case: RecordsCase, known: Sequence[Tried]) -> RecordsCase:
     for t in known:
         case = with_law(case, t)
     return case
 
 
-def _spot(case: Case, effect: Effect) -> Spot:
+def _spot(case: RecordsCase, effect: Effect) -> Spot:
     """The place of an effect as it is written: the senses of its DOFs count."""
     _, b = law_of(effect, case.idle)
     rows, _ = match_dofs(effect.location, case.idle.dofs)
     return examine(Sets.of(case), tuple(int(i) for i in rows), b=b)
 
 
-def _fitted(case: Case, effect: Effect, law: ForceLaw, held: bool) -> Tried:
+def _fitted(case: RecordsCase, effect: Effect, law: ForceLaw, held: bool) -> Tried:
     """An effect in a case whose other effects are known; as it stands where it is held or no size of it lowers the chi-square."""
     spot = _spot(case, effect)
     found = None if held or effect.removed else fit_law(spot.fit, law.kind)
@@ -145,12 +145,12 @@ def _fitted(case: Case, effect: Effect, law: ForceLaw, held: bool) -> Tried:
     return _standing(case, spot, law)
 
 
-def _standing(case: Case, spot: Spot, law: ForceLaw) -> Tried:
+def _standing(case: RecordsCase, spot: Spot, law: ForceLaw) -> Tried:
     """A law whose values stay."""
     return closed_loop_force(case, Tried(spot.settled(law), law, np.nan, np.nan), fitted=False)
 
 
-def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> list[Tried]:
+def _steps(case: RecordsCase, effects: Sequence[Effect], tried: Sequence[Tried]) -> list[Tried]:
     """Each effect, with the values found, in records from which the earlier ones alone are taken."""
     if len(tried) < 2:
         return list(tried)
@@ -162,7 +162,7 @@ def _steps(case: Case, effects: Sequence[Effect], tried: Sequence[Tried]) -> lis
 
 
 def _better(
-    case: Case, rows: Sequence[dict[str, Any]], steps: Sequence[Tried], say: Callable[[str], None]
+    case: RecordsCase, rows: Sequence[dict[str, Any]], steps: Sequence[Tried], say: Callable[[str], None]
 ) -> tuple[tuple[int, Effect, float], ...]:
     """Steps that leave much where another effect would leave less than half of it."""
     out = []

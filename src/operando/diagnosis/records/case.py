@@ -23,7 +23,7 @@ BLOCKS = 18
 
 
 @dataclass(frozen=True)
-class Case:
+class RecordsCase:
     """Records against the idle model."""
 
     idle: ModalModel
@@ -39,7 +39,7 @@ class Case:
         """All runs, the fitted ones first."""
         return (*self.fitted, *self.validation)
 
-    def with_runs(self, runs: Sequence[Run]) -> Case:
+    def with_runs(self, runs: Sequence[Run]) -> RecordsCase:
         """The case with other errors or variances of all its runs."""
         n = len(self.fitted)
         return replace(self, fitted=tuple(runs[:n]), validation=tuple(runs[n:]))
@@ -72,7 +72,7 @@ def make_case(
     band: tuple[float, float] | None = None,
     places: Sequence[Sequence[int]] | None = None,
     exclude_bands: Sequence[tuple[float, float]] = (),
-) -> Case:
+) -> RecordsCase:
     """Runs, levels and places; lines inside ``exclude_bands`` [Hz] are not used.
 
     Raises
@@ -98,7 +98,7 @@ def make_case(
     measured = sorted({int(i) for r in runs for i in r.rows})
     everywhere = [(i,) for i in measured] + list(combinations(measured, 2))
     wanted = everywhere if places is None else [tuple(int(i) for i in p) for p in places]
-    return Case(idle, modes, tuple(fitted), tuple(validation), band, Doubt.of(idle, modes, band), tuple(wanted))
+    return RecordsCase(idle, modes, tuple(fitted), tuple(validation), band, Doubt.of(idle, modes, band), tuple(wanted))
 
 
 def strided(run: Run, lines: int) -> slice:
@@ -110,14 +110,14 @@ def strided(run: Run, lines: int) -> slice:
 class Sets:
     """Weighted runs of a case on all lines and on the sets; what does not depend on the place."""
 
-    case: Case
+    case: RecordsCase
     whole: list[Weighted]
     lines: dict[str, list[np.ndarray]]
     """Lines of each fitted run in the sets ``fit`` and ``select``, and in ``validation`` where there is one level alone."""
     parts: dict[str, list[Weighted]]
 
     @classmethod
-    def of(cls, case: Case) -> Sets:
+    def of(cls, case: RecordsCase) -> Sets:
         """Weights and sets of a case."""
         names = ("fit", "select") if case.validation else ("fit", "select", "validation")
         lines: dict[str, list[np.ndarray]] = {name: [] for name in names}

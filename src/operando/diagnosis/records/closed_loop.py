@@ -16,7 +16,7 @@ from scipy import fft as sfft
 from scipy.optimize import nnls
 
 from operando.compare.verdict import GOOD
-from operando.diagnosis.records.case import Case
+from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.fit_laws import misfit
 from operando.diagnosis.records.motion import Motion
 from operando.diagnosis.records.out_of_band import DAMPING, FACTORS
@@ -24,7 +24,7 @@ from operando.diagnosis.records.refine import eased, free_names, linearised, ste
 from operando.diagnosis.records.run import Run
 from operando.diagnosis.records.spot import Spot
 from operando.diagnosis.records.steps import Tried
-from operando.structure.closed_loop import Loop, Track, follow, max_slope, substeps
+from operando.structure.closed_loop import Loop, LoopRecord, follow, max_slope, substeps
 from operando.structure.force_law import ForceLaw
 from operando.structure.modal_space import Complex, Modes, Real, decay_in_time
 from operando.threads import each
@@ -48,13 +48,13 @@ DRAWN = 400
 """Samples of the figure."""
 
 
-def spurious(case: Case, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
+def spurious(case: RecordsCase, accepted: Sequence[Tried]) -> NDArray[np.bool_]:
     """Modes (n,) that say nothing below the band at any of the places."""
     first = float(case.fitted[0].hz[0])
     return np.all([case.modes.spurious(t.spot.b, first) for t in accepted], axis=0)
 
 
-def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
+def loop_for(case: RecordsCase, accepted: Sequence[Tried]) -> Loop:
     """Response across the places of accepted laws; for one place with what lies outside the band made passive.
 
     Spurious modes say nothing below the band; for one place what they add in the band counts among what lies outside.
@@ -81,7 +81,7 @@ def loop_for(case: Case, accepted: Sequence[Tried]) -> Loop:
     return Loop(poles, np.concatenate([shapes[:, keep & ~above], np.sqrt(weights)[None]], axis=1), step)
 
 
-def track(run: Run, modes: Modes, loop: Loop, base: Complex, force: Complex, memory: Real, amplitudes: Real) -> Track:
+def track(run: Run, modes: Modes, loop: Loop, base: Complex, force: Complex, memory: Real, amplitudes: Real) -> LoopRecord:
     """A run ready to be followed.
 
     From spectra (p, N//2+1) of the displacement across the places under the measured force (``base``) and of the restoring forces,
@@ -109,10 +109,10 @@ def track(run: Run, modes: Modes, loop: Loop, base: Complex, force: Complex, mem
         if same.size:
             q[same[0]] += decays[0, k]
             dq[same[0]] += decays[1, k]
-    return Track(n, run.sampling_hz, loop, fine, x, v, q, dq, memory)
+    return LoopRecord(n, run.sampling_hz, loop, fine, x, v, q, dq, memory)
 
 
-def closed_loop_force(case: Case, tried: Tried, fitted: bool = True) -> Tried:
+def closed_loop_force(case: RecordsCase, tried: Tried, fitted: bool = True) -> Tried:
     """A law with the force that it makes in the closed loop, its size fitted with it; as it was where that is worse than noise.
 
     The speed over which friction is smoothed stays: where it sticks the loop hardly depends on it, and errors of the model would move it.
@@ -147,7 +147,9 @@ def closed_loop_force(case: Case, tried: Tried, fitted: bool = True) -> Tried:
     return best if best.selection < max(misfit(tried.law, tried.spot.select), GOOD) else tried
 
 
-def followed(case: Case, spot: Spot, law: ForceLaw, names: Sequence[str], forces: Sequence[Complex], loop: Loop, most: int = MOST) -> Spot:
+def followed(
+    case: RecordsCase, spot: Spot, law: ForceLaw, names: Sequence[str], forces: Sequence[Complex], loop: Loop, most: int = MOST
+) -> Spot:
     """The spot with the force that the law, and the law with each of the named values a little larger, make in the loop.
 
     ``forces`` (N//2+1,) were found so far on all lines of each run; ``most`` steps are followed at once.
@@ -192,12 +194,12 @@ def recorded(loop: Loop, sampling_hz: float) -> Loop:
     return Loop(loop.poles[keep], loop.shapes[:, keep], loop.step)
 
 
-def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
+def against_records(case: RecordsCase, accepted: Sequence[Tried]) -> dict[str, Any]:
     """The model with its laws in the closed loop against the validation records (the fitted ones where there is one level).
 
     Parameters
     ----------
-    case : Case
+    case : RecordsCase
         As it was before anything was accepted, with the noise found.
     accepted : sequence of Tried
 
@@ -230,7 +232,7 @@ def against_records(case: Case, accepted: Sequence[Tried]) -> dict[str, Any]:
     return {"gain_db": float(10 * np.log10(total[0] / total[1])), "horizon_s": PERIODS / lowest, "records": rows, "figure": figure}
 
 
-def _track_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) -> Track:
+def _track_of(case: RecordsCase, accepted: Sequence[Tried], number: int, loop: Loop) -> LoopRecord:
     """One run of a case with its accepted laws, ready to be followed."""
     run, motions = case.runs[number], [t.spot.whole[number] for t in accepted]
     memory = np.zeros((len(accepted), run.n_samples))
@@ -248,7 +250,7 @@ def _track_of(case: Case, accepted: Sequence[Tried], number: int, loop: Loop) ->
     return track(run, case.modes, loop, base, forces, memory, amplitudes)
 
 
-def _figure(case: Case, spot: Spot, number: int, errors: Sequence[Complex], lowest: float) -> dict[str, Any]:
+def _figure(case: RecordsCase, spot: Spot, number: int, errors: Sequence[Complex], lowest: float) -> dict[str, Any]:
     """Measured and simulated response where the effect acts, or where the idle model is worst, around the largest one."""
     run, weighted = case.runs[number], spot.whole[number].along.weighted
     own = [k for k, row in enumerate(run.rows) if spot.b[row] != 0]

@@ -9,14 +9,14 @@ import numpy as np
 
 from operando.compare.verdict import floor_reason, verdict_of
 from operando.data import Geometry
-from operando.diagnosis.records.case import Case
+from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.closed_loop import against_records
 from operando.diagnosis.records.fit_laws import free_law
 from operando.diagnosis.records.hold_out import discrepancy, judged_on, step_row, where_it_fails
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import std_of
 from operando.diagnosis.records.result import Equivalents, RecordsDiagnosis, linear_model
-from operando.diagnosis.records.steps import Step, Tried, alike, nested
+from operando.diagnosis.records.steps import SearchStep, Tried, alike, nested
 from operando.diagnosis.records.surface import equivalents, surface
 from operando.diagnosis.result import spacing
 from operando.errors import DataError
@@ -46,7 +46,7 @@ NEIGHBOURS = 1.05
 """Places within so many sensor spacings are neighbours."""
 
 
-def effect_of(case: Case, tried: Tried) -> Effect:
+def effect_of(case: RecordsCase, tried: Tried) -> Effect:
     """The law as an effect; a one-sided law towards the other side turns its place round."""
     law, place = tried.law, tried.spot.place
     dofs = [case.idle.dofs[i] for i in place]
@@ -58,7 +58,7 @@ def effect_of(case: Case, tried: Tried) -> Effect:
     return Effect(name, tuple(dofs), dict(law.values), std_of(tried))
 
 
-def candidate_row(case: Case, tried: Tried, base: float) -> dict[str, Any]:
+def candidate_row(case: RecordsCase, tried: Tried, base: float) -> dict[str, Any]:
     """One entry of ``candidates``."""
     fall = 100 * (1 - tried.selection / base)
     return effect_of(case, tried).to_dict() | {
@@ -74,8 +74,8 @@ def unsupported_row(effect: Effect, rows: Sequence[dict[str, Any]]) -> dict[str,
 
 
 def conclude(
-    first: Case,
-    steps: list[Step],
+    first: RecordsCase,
+    steps: list[SearchStep],
     accepted: list[Tried],
     more: str | None,
     detection: dict[str, Any],
@@ -178,7 +178,7 @@ def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, 
     return out
 
 
-def pictures_of(case: Case, effects: Sequence[Effect], accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
+def pictures_of(case: RecordsCase, effects: Sequence[Effect], accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
     """Restoring force and law over it of each level-dependent effect; notes say how much of the force each explains."""
     pictures = []
     for effect, best in zip(effects, accepted, strict=True):
@@ -195,7 +195,7 @@ def equivalents_of(effects: Sequence[Effect], accepted: Sequence[Tried]) -> Equi
     return tuple(equivalents(t.law, t.spot.whole) if e.definition.level_dependent else () for e, t in pairs)
 
 
-def simulated(case: Case, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
+def simulated(case: RecordsCase, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
     """The closed loop against the validation records, where a level-dependent law was accepted."""
     if not any(t.law.definition.level_dependent for t in accepted):
         return {}
@@ -206,7 +206,7 @@ def simulated(case: Case, accepted: Sequence[Tried], notes: list[str]) -> dict[s
         return {}
 
 
-def neighbours(case: Case, a: Tried, b: Tried, geometry: Geometry | None) -> bool:
+def neighbours(case: RecordsCase, a: Tried, b: Tried, geometry: Geometry | None) -> bool:
     """Whether two places lie within one sensor spacing of each other."""
     if len(a.spot.place) != len(b.spot.place):
         return False

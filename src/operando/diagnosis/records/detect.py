@@ -8,7 +8,7 @@ import numpy as np
 from scipy import fft as sfft
 
 from operando.data import one_level
-from operando.diagnosis.records.case import Case
+from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.run import Run
 from operando.structure.modal_space import Complex, Modes, Real
@@ -42,7 +42,7 @@ def best_linear(run: Run) -> tuple[Complex, Real, Real]:
     return h, rest / sff / count, 1 - rest / np.maximum(np.mean(np.abs(x) ** 2, axis=0), 1e-300)
 
 
-def detect(case: Case) -> dict[str, Any]:
+def detect(case: RecordsCase) -> dict[str, Any]:
     """What the records say before anything is named.
 
     Returns
@@ -71,7 +71,7 @@ def detect(case: Case) -> dict[str, Any]:
     }
 
 
-def distortion(case: Case) -> float | None:
+def distortion(case: RecordsCase) -> float | None:
     """How much more is not proportional to the force at the highest level than at the lowest, over the power of the force.
 
     Both levels of one linear structure leave the same share, or less at the higher one, where noise does not grow with the level. A law of

@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from operando.data import Geometry, ModalModel, TimeRecord
-from operando.diagnosis.records.case import Case, make_case
+from operando.diagnosis.records.case import RecordsCase, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
 from operando.diagnosis.records.conclude import conclude
 from operando.diagnosis.records.detect import detect, distortion
 from operando.diagnosis.records.refine import refined
 from operando.diagnosis.records.result import RecordsDiagnosis
-from operando.diagnosis.records.steps import Step, Tried, choose, improves, search_step, with_law
+from operando.diagnosis.records.steps import SearchStep, Tried, choose, improves, search_step, with_law
 from operando.dof import Dof, parse_dofs
 from operando.errors import DataError
 from operando.structure.effects import catalogue, kind_of
@@ -115,10 +115,10 @@ def wanted_kinds(kinds: Sequence[str] | None) -> list[str]:
     return [k for k in (kind_of(k).kind for k in kinds) if k in (*nonlinear, "ground_spring", "ground_damper")] or nonlinear
 
 
-def _diagnose(case: Case, kinds: list[str], geometry: Geometry | None, say: Callable[[str], None] | None) -> RecordsDiagnosis:
+def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, say: Callable[[str], None] | None) -> RecordsDiagnosis:
     first = case
     detection = detect(case)
-    steps: list[Step] = []
+    steps: list[SearchStep] = []
     accepted: list[Tried] = []
     more: str | None = None
     while True:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from operando.compare.verdict import GOOD
-from operando.diagnosis.records.case import Case
+from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.run import running_mean
 from operando.structure.effects import Effect
@@ -59,7 +59,7 @@ def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> floa
     return high
 
 
-def step_row(step: int, added: Effect | None, case: Case, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
+def step_row(step: int, added: Effect | None, case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """One row of the error table: all runs of a case, and its hold-out set."""
     everything, held = (figures(weighted[part], errors[part]) for part in (slice(None), case.held_out()))
     number = lambda v: float(v) if np.isfinite(v) else None  # noqa: E731
@@ -74,7 +74,7 @@ def step_row(step: int, added: Effect | None, case: Case, weighted: Sequence[Wei
     }
 
 
-def judged_on(case: Case) -> dict[str, Any]:
+def judged_on(case: RecordsCase) -> dict[str, Any]:
     """State, level and lines of the figures of the steps on the hold-out set."""
     runs = case.runs[case.held_out()]
     levels = sorted({float(run.force_level) for run in runs})
@@ -91,7 +91,7 @@ def judged_on(case: Case) -> dict[str, Any]:
     }
 
 
-def where_it_fails(case: Case, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
+def where_it_fails(case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """``by_dof`` and ``by_band`` of the idle model on the validation runs."""
     part = case.held_out()
     by_row: dict[int, list[float]] = {}

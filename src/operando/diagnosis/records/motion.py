@@ -30,7 +30,7 @@ MADE = 8
 
 
 @dataclass(frozen=True)
-class Crossing:
+class PlaceDrive:
     """What moves a place in one run: x = base − H_bb·S on all lines, with the free decays in time.
 
     In the band and below it the model under the measured force: displacement noise of an accelerometer grows with 1/ω², that of the
@@ -46,7 +46,7 @@ class Crossing:
     edge: int = 1  # steps at each end where the motion is doubtful
 
     @classmethod
-    def of(cls, along: Along, modes: Modes, amplitudes: Real, extra: Complex | None = None) -> Crossing:
+    def of(cls, along: Along, modes: Modes, amplitudes: Real, extra: Complex | None = None) -> PlaceDrive:
         """From the free decays' amplitudes (J,); ``extra`` is receptance across the place that the modes lack, on all lines."""
         run = along.run
         hz = run.all_hz
@@ -115,7 +115,7 @@ class Motion:
     v: Real
     step: float
     along: Along
-    crossing: Crossing
+    crossing: PlaceDrive
     force: Complex  # restoring force without a law, on all lines of the run (L,)
     taken: Real  # how far the data decide about it (L,)
     made: dict[Any, Complex] = field(default_factory=dict, compare=False, repr=False)

@@ -99,17 +99,6 @@ class Doubt:
         return np.asarray(np.sqrt(self.pairs**2 @ b**2))
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A place with its corrections, and the misfit: mean squared weighted error that no force there explains; 1 is noise.
-
-    With one response and a free force nothing is left (0): any place explains it.
-    """
-
-    outside: OutOfBand
-    misfit: float
-
-
 def look(
     weighted: Sequence[Weighted],
     modes: Modes,
@@ -118,10 +107,12 @@ def look(
     start: OutOfBand,
     turns: int = 3,
     laws: Sequence[Complex] | None = None,
-) -> Seen:
+) -> tuple[OutOfBand, float]:
     """Restoring force at a place b (m,) without a law, in turn with what modes outside the band add there, from all runs.
 
-    Where the restoring forces ``laws`` (L,) of the runs are already known only the corrections are sought.
+    Where the restoring forces ``laws`` (L,) of the runs are already known only the corrections are sought. With them goes the misfit: mean
+    squared weighted error that no force there explains; 1 is noise. With one response and a free force nothing is left (0): any place
+    explains it.
     """
     outside = start
     fixed = [None] * len(weighted) if laws is None else list(laws)
@@ -143,7 +134,7 @@ def look(
         if turn < turns:
             # A response whose path is doubtful hides what is wrong with it at first: the force of the others stands then.
             outside = _corrected(weighted, found, [turn > 0 and f is None for f in fixed], b, doubt, outside)
-    return Seen(outside, remaining / max(count, 1))
+    return outside, remaining / max(count, 1)
 
 
 def doubted(along: Along, std: Real, size: float, top_hz: float) -> Along:

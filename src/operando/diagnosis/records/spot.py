@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operando.diagnosis.records.case import Case, Sets, strided
-from operando.diagnosis.records.motion import Crossing, Motion
+from operando.diagnosis.records.case import RecordsCase, Sets, strided
+from operando.diagnosis.records.motion import Motion, PlaceDrive
 from operando.diagnosis.records.out_of_band import OutOfBand, force_columns, look
 from operando.diagnosis.records.place import Along, Weighted
 from operando.diagnosis.records.run import smoothed_variance
@@ -59,14 +59,14 @@ class Spot:
 
 
 def rank_places(
-    case: Case, places: Sequence[tuple[int, ...]], say: Callable[[str], None] | None = None
+    case: RecordsCase, places: Sequence[tuple[int, ...]], say: Callable[[str], None] | None = None
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Places by what no force there explains, the best first: all of them without, the best with what lies outside the band."""
     none = OutOfBand.none(case.fitted, len(case.idle.dofs), case.band[1])
 
     def compared(some: Sequence[tuple[int, ...]], lines: int, turns: int) -> list[tuple[float, tuple[int, ...]]]:
         few = [Weighted.of(r.on(strided(r, lines))) for r in case.fitted]
-        return sorted(each(lambda p: (look(few, case.modes, case.b(p), case.doubt, none, turns).misfit, p), some))
+        return sorted(each(lambda p: (look(few, case.modes, case.b(p), case.doubt, none, turns)[1], p), some))
 
     if say:
         say(f"{min(LOOKED, len(places))} of {len(places)} locations")
@@ -79,7 +79,7 @@ def examine(sets: Sets, place: tuple[int, ...], b: Real | None = None) -> Spot:
     case, fit = sets.case, sets.parts["fit"]
     b = case.b(place) if b is None else b
     none = OutOfBand.none([w.run for w in fit], len(case.idle.dofs), case.band[1])
-    outside = look(fit, case.modes, b, case.doubt, none, 4).outside
+    outside, _ = look(fit, case.modes, b, case.doubt, none, 4)
     n = len(case.fitted)
     feed = {(r.forces_at, tuple(r.rows.tolist())): outside.forces[i] for i, r in enumerate(case.fitted)}
     whole = []
@@ -96,7 +96,7 @@ def examine(sets: Sets, place: tuple[int, ...], b: Real | None = None) -> Spot:
         if i < n:
             rest += remaining
             count += (run.rows.size - 1) * run.hz.size
-        crossing = Crossing.of(along, case.modes, amplitudes, outside.compliance(run.all_hz, b))
+        crossing = PlaceDrive.of(along, case.modes, amplitudes, outside.compliance(run.all_hz, b))
         everywhere = np.zeros(run.forces.shape[1], complex)
         everywhere[run.lines] = force
         x, v = crossing.move(everywhere)
@@ -108,7 +108,7 @@ def examine(sets: Sets, place: tuple[int, ...], b: Real | None = None) -> Spot:
     return Spot(place, b, outside, rest / max(count, 1), whole, part("fit"), part("select"), whole[n:] or part("validation"))
 
 
-def weighed(case: Case, place: tuple[int, ...]) -> Case:
+def weighed(case: RecordsCase, place: tuple[int, ...]) -> RecordsCase:
     """The case with the noise of each line from what no force at the place explains, and the idle model's own variance."""
     runs = []
     for run, m in zip(case.runs, examine(Sets.of(case), place).whole, strict=True):

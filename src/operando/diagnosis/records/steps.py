@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operando.diagnosis.records.case import Case, Sets
+from operando.diagnosis.records.case import RecordsCase, Sets
 from operando.diagnosis.records.fit_laws import fit_law, law_cost, linear_law, misfit
 from operando.diagnosis.records.out_of_band import OutOfBand, force_columns, look
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
@@ -74,16 +74,16 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Step:
+class SearchStep:
     """One step of the search: what was tried, and the errors of the runs before it."""
 
-    case: Case
+    case: RecordsCase
     base_select: float
     base_validation: float
     tried: list[Tried]
 
 
-def search_step(case: Case, kinds: Sequence[str], say: Callable[[str], None] | None, at_first: float | None) -> Step:
+def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], None] | None, at_first: float | None) -> SearchStep:
     """Rank the places, weigh the lines by what the best one leaves (at first), fit all laws at the best places."""
     ranked = rank_places(case, case.places, say)
     if at_first is None:
@@ -112,7 +112,7 @@ def search_step(case: Case, kinds: Sequence[str], say: Callable[[str], None] | N
     floor = min((s.free for s in spots), default=1.0)
     simple = max(FLOOR * max(floor, 1.0), NEARLY * (at_first or base_select))
     if at_first is not None and len(case.places) == 1 and rough and base_select <= simple and rough[0][0] > UNPROMISING * base_select:
-        return Step(case, base_select, base_validation, [])
+        return SearchStep(case, base_select, base_validation, [])
     finalists = [(spot, law) for _, spot, law in rough[:FINALISTS]]
     have = {(spot.place, law.kind, law.side) for _, spot, law in rough}
     # Without the mean deflection an even law may seem to act towards the other side.
@@ -138,7 +138,7 @@ def search_step(case: Case, kinds: Sequence[str], say: Callable[[str], None] | N
     close = STILL_OPEN * least() if least() < HOPE * base_select else 0.0
     tried = each(lambda t: settle_law(t.spot, t.law, turns=TURNS - FIRST_TURNS) if t.selection <= close else t, tried)
     remember()
-    return Step(case, base_select, base_validation, sorted(tried + walked, key=lambda t: t.selection))
+    return SearchStep(case, base_select, base_validation, sorted(tried + walked, key=lambda t: t.selection))
 
 
 def roughly(spot: Spot, kind: str, side: float) -> tuple[float, Spot, ForceLaw] | None:
@@ -226,7 +226,7 @@ def baseline(sets: Sets) -> tuple[float, float]:
     case, fit = sets.case, sets.parts["fit"]
     m = len(case.idle.dofs)
     none = OutOfBand.none([w.run for w in fit], m, case.band[1])
-    outside = look(fit, case.modes, np.zeros(m), case.doubt, none, 2, [np.zeros(w.run.hz.size, complex) for w in fit]).outside
+    outside, _ = look(fit, case.modes, np.zeros(m), case.doubt, none, 2, [np.zeros(w.run.hz.size, complex) for w in fit])
     out = []
     for name in ("select", "validation"):
         cost, count = 0.0, 0
@@ -245,7 +245,7 @@ def choose(tried: Sequence[Tried]) -> Tried:
     return min(near, key=lambda t: (len(t.law.values), len(t.spot.place), t.selection))
 
 
-def improves(step: Step, best: Tried, before: Sequence[Tried] = ()) -> bool:
+def improves(step: SearchStep, best: Tried, before: Sequence[Tried] = ()) -> bool:
     """Whether the law lowers the chi-square, and a level-dependent one more than any linear law at the same place could."""
     again = any(set(b.spot.place) == set(best.spot.place) for b in before)
     if not best.selection < (SAME_PLACE if again else 1 - IMPROVES) * step.base_select:
@@ -258,7 +258,7 @@ def improves(step: Step, best: Tried, before: Sequence[Tried] = ()) -> bool:
     return best.selection < (1 - IMPROVES) * linear_law(best.spot.fit, best.spot.select) / count
 
 
-def with_law(case: Case, best: Tried) -> Case:
+def with_law(case: RecordsCase, best: Tried) -> RecordsCase:
     """The case with the restoring force of an accepted law as one more known force."""
     spot = best.spot
     return case.with_runs([r.with_force(spot.b, m.along.h, -m.spectrum(best.law)) for r, m in zip(case.runs, spot.whole, strict=True)])
