@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from operando.data import ModalModel
-from operando.dof import match_dofs
 from operando.errors import ConfigError
-from operando.structure.effects import Effect, EffectKind, kind_of
+from operando.structure.effects import Effect, EffectKind, kind_of, place_weights
 from operando.structure.modal_space import Real
 
 LINEAR = ("ground_spring", "ground_damper", "coupling_spring", "coupling_damper")
@@ -80,13 +79,8 @@ def law_of(effect: Effect, idle: ModalModel) -> tuple[ForceLaw, Real]:
         raise ConfigError(f"{effect.kind} has no restoring force of displacement and velocity, so it cannot be simulated in time")
     if not effect.location:
         raise ConfigError(f"{effect.kind} stands at a position without a sensor: not simulated yet")
-    rows, signs = match_dofs(effect.location, idle.dofs)
-    b = np.zeros(len(idle.dofs))
-    b[rows[0]] = signs[0]
-    if len(rows) == 2:
-        b[rows[1]] -= signs[1]
     values = {k: float(v) for k, v in effect.values.items()}
     if effect.removed:
         first = effect.definition.parameters[0].name
         values[first] = -values[first]
-    return ForceLaw(effect.kind, values), b
+    return ForceLaw(effect.kind, values), place_weights(effect, idle)[0]
