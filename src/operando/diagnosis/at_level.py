@@ -102,7 +102,7 @@ def level_picture(
     hz = np.linspace(low, high, DRAWN)
     first = check[0].frf
     reference, response = first.references[0], varying[0].location[0]
-    if all((d.node, d.axis) != (response.node, response.axis) for d in first.responses):
+    if not any(d.same_axis(response) for d in first.responses):
         response = reference
     top, least = max(levels), min(levels)
     shown = [least, top, TWICE * top] if not one_level(least, top) else [top, TWICE * top]
@@ -116,8 +116,8 @@ def level_picture(
     ]
     runs = []
     for run in check:
-        own = [i for i, d in enumerate(run.frf.responses) if (d.node, d.axis) == (response.node, response.axis)]
-        driven = [j for j, d in enumerate(run.frf.references) if (d.node, d.axis) == (reference.node, reference.axis)]
+        own = [i for i, d in enumerate(run.frf.responses) if d.same_axis(response)]
+        driven = [j for j, d in enumerate(run.frf.references) if d.same_axis(reference)]
         if own and driven:
             inside = (run.frf.frequencies_hz >= low) & (run.frf.frequencies_hz <= high)
             step = max(1, int(np.sum(inside)) // DRAWN)

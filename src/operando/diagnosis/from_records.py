@@ -76,7 +76,7 @@ def unexplained(frf: Frf) -> dict[tuple[Node, str], float]:
     for dof, variance, power in zip(frf.responses, frf.variance, size, strict=True):
         good = np.isfinite(variance) & np.isfinite(power) & (power > 0)
         if good.any():
-            out[dof.node, dof.axis] = float(np.median(variance[good] / power[good]) * (frf.averages or 1.0))
+            out[dof.key] = float(np.median(variance[good] / power[good]) * (frf.averages or 1.0))
     return out
 
 

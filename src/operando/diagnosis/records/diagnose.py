@@ -99,11 +99,11 @@ def measured_distortion(
 
 def place_rows(idle: ModalModel, places: Sequence[Any]) -> list[tuple[int, ...]]:
     """Rows of the idle model of DOFs or pairs of DOFs."""
-    index = {(d.node, d.axis): i for i, d in enumerate(idle.dofs)}
+    index = {d.key: i for i, d in enumerate(idle.dofs)}
     out = []
     for place in places:
         dofs = parse_dofs(place if not isinstance(place, (str, Dof)) else (place,))
-        out.append(tuple(index[d.node, d.axis] for d in dofs if (d.node, d.axis) in index))
+        out.append(tuple(index[d.key] for d in dofs if d.key in index))
     return [p for p in out if p]
 
 

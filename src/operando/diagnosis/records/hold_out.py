@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
+from operando.compare.measures import Lines, band_edges, error_db, misfit, noise_floor_db
 from operando.compare.verdict import GOOD
 from operando.diagnosis.records.case import RecordsCase
 from operando.diagnosis.records.place import Weighted
@@ -14,29 +17,15 @@ from operando.diagnosis.records.run import running_mean
 from operando.structure.effects import Effect
 from operando.structure.modal_space import Complex
 
-SNR = 100.0
-"""Lines whose power is above so many times the variance count for errors in dB."""
 
-
-def figures(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, float]:
-    """Chi-square, error in dB and noise floor of runs with given errors (q, L)."""
-    power, count, squares, floor, n = 0.0, 0, 0.0, 0.0, 0
-    for w, error in zip(weighted, errors, strict=True):
-        run, rest = w.run, w.with_error(error).decayed()
-        power += float(np.sum(np.abs(rest) ** 2))
-        count += rest.size
-        measured = run.responses[:, run.lines]
-        model = measured - rest * np.sqrt(run.variance)
-        good = np.abs(measured) ** 2 > SNR * run.variance
-        ratio = np.abs(model[good]) / np.abs(measured[good])
-        squares += float(np.sum((20 * np.log10(np.maximum(ratio, 1e-6))) ** 2))
-        floor += float(np.sum((8.686 * np.sqrt(run.variance[good] / 2) / np.abs(measured[good])) ** 2))
-        n += int(np.sum(good))
-    return {
-        "misfit": power / max(count, 1),
-        "error_db": float(np.sqrt(squares / n)) if n else float("nan"),
-        "floor_db": float(np.sqrt(floor / n)) if n else float("nan"),
-    }
+def lines_of(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> Lines:
+    """All responses of runs with given errors (q, L), as lines that are compared."""
+    rest = [w.with_error(error).decayed() / w.root for w, error in zip(weighted, errors, strict=True)]
+    measured = np.concatenate([w.run.responses[:, w.run.lines].ravel() for w in weighted])
+    variance = np.concatenate([w.run.variance.ravel() for w in weighted])
+    rows = np.concatenate([np.repeat(w.run.rows, w.run.hz.size) for w in weighted])
+    hz = np.concatenate([np.tile(w.run.hz, w.run.rows.size) for w in weighted])
+    return Lines(measured - np.concatenate([r.ravel() for r in rest]), measured, variance, np.zeros_like(variance), rows, hz)
 
 
 def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> float:
@@ -49,28 +38,23 @@ def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> floa
         rest = np.abs(w.with_error(error).decayed()) ** 2
         parts.append((rest, running_mean(np.abs(w.run.responses[:, w.run.lines]) ** 2) / w.run.variance))
     count = sum(rest.size for rest, _ in parts)
-    misfit = lambda part: sum(float(np.sum(rest / (1 + part**2 * power))) for rest, power in parts) / max(count, 1)  # noqa: E731
-    low, high = 0.0, 1.0
-    if misfit(low) < GOOD:
+    left = lambda part: sum(float(np.sum(rest / (1 + part**2 * power))) for rest, power in parts) / max(count, 1) - GOOD  # noqa: E731
+    if left(0.0) < 0:
         return 0.0
-    for _ in range(30):
-        middle = (low + high) / 2
-        low, high = (low, middle) if misfit(middle) < GOOD else (middle, high)
-    return high
+    return 1.0 if left(1.0) >= 0 else float(brentq(left, 0.0, 1.0))
 
 
 def step_row(step: int, added: Effect | None, case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """One row of the error table: all runs of a case, and its hold-out set."""
-    everything, held = (figures(weighted[part], errors[part]) for part in (slice(None), case.held_out()))
-    number = lambda v: float(v) if np.isfinite(v) else None  # noqa: E731
+    everything, held = (lines_of(weighted[part], errors[part]) for part in (slice(None), case.held_out()))
     return {
         "step": step,
         "added": None if added is None else added.to_dict(),
-        "error_db": number(everything["error_db"]),
-        "heldout_error_db": number(held["error_db"]),
-        "misfit": number(everything["misfit"]),
-        "heldout_misfit": number(held["misfit"]),
-        "noise_floor_db": number(held["floor_db"]),
+        "error_db": error_db(everything),
+        "heldout_error_db": error_db(held),
+        "misfit": misfit(everything),
+        "heldout_misfit": misfit(held),
+        "noise_floor_db": noise_floor_db(held),
     }
 
 
@@ -94,21 +78,17 @@ def judged_on(case: RecordsCase) -> dict[str, Any]:
 def where_it_fails(case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """``by_dof`` and ``by_band`` of the idle model on the validation runs."""
     part = case.held_out()
-    by_row: dict[int, list[float]] = {}
-    edges = np.geomspace(max(case.band[0], 1e-3), case.band[1], 9)
-    bands: list[list[float]] = [[] for _ in range(8)]
-    for w, error in zip(weighted[part], errors[part], strict=True):
-        run, rest = w.run, np.abs(w.with_error(error).decayed()) ** 2
-        for row, power in zip(run.rows, rest, strict=True):
-            by_row.setdefault(int(row), []).append(float(np.mean(power)))
-        which = np.clip(np.digitize(run.hz, edges) - 1, 0, 7)
-        for k in np.unique(which):
-            bands[k].append(float(np.mean(rest[:, which == k])))
+    lines = lines_of(weighted[part], errors[part])
+    edges = band_edges(max(case.band[0], 1e-3), case.band[1])
+    bands = np.clip(np.digitize(lines.frequency_hz, edges) - 1, 0, edges.size - 2)
     return {
-        "by_dof": [{"dof": str(case.idle.dofs[i]), "error_db": None, "misfit": float(np.mean(v))} for i, v in sorted(by_row.items())],
+        "by_dof": [
+            {"dof": str(case.idle.dofs[i]), "error_db": None, "misfit": misfit(lines.where(lines.response == i))}
+            for i in np.unique(lines.response)
+        ],
         "by_band": [
-            {"band_hz": [float(edges[k]), float(edges[k + 1])], "error_db": None, "misfit": float(np.mean(v)) if v else None}
-            for k, v in enumerate(bands)
+            {"band_hz": [float(low), float(high)], "error_db": None, "misfit": misfit(lines.where(bands == k))}
+            for k, (low, high) in enumerate(pairwise(edges))
         ],
         "by_mode": [],
     }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft as sfft
 
 from operando.data import ModalModel, TimeRecord
-from operando.dof import match_dofs
+from operando.dof import Dof, match_dofs
 from operando.errors import DataError
 from operando.structure.modal_space import Complex, Modes, Real
 
@@ -111,11 +111,11 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     DataError
         If there is no force or response that the idle model knows.
     """
-    known = {(d.node, d.axis) for d in idle.dofs}
+    known = {d.key for d in idle.dofs}
     where = record.name or None
 
-    def usable(rows: list[int]) -> list[int]:
-        return [i for i in rows if (d := record.channels[i].dof) is not None and (d.node, d.axis) in known]
+    def usable(channels: Sequence[int]) -> dict[int, Dof]:
+        return {i: d for i in channels if (d := record.channels[i].dof) is not None and d.key in known}
 
     driven, measured = usable(record.force_indices), usable(record.response_indices)
     if not driven or len(driven) < len(record.force_indices):
@@ -130,10 +130,10 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
     while sfft.next_fast_len(n, real=True) != n:
         n -= 1
     data = np.asarray(record.data[:, :n], float)
-    rows, signs = match_dofs(tuple(d for i in measured if (d := record.channels[i].dof) is not None), idle.dofs)
-    at, force_signs = match_dofs(tuple(d for i in driven if (d := record.channels[i].dof) is not None), idle.dofs)
-    forces = sfft.rfft(data[driven] * np.asarray(force_signs, float)[:, None], axis=1)
-    responses = sfft.rfft(data[measured] * np.asarray(signs, float)[:, None], axis=1)
+    rows, signs = match_dofs(tuple(measured.values()), idle.dofs)
+    at, force_signs = match_dofs(tuple(driven.values()), idle.dofs)
+    forces = sfft.rfft(data[list(driven)] * np.asarray(force_signs, float)[:, None], axis=1)
+    responses = sfft.rfft(data[list(measured)] * np.asarray(signs, float)[:, None], axis=1)
     hz = sfft.rfftfreq(n, 1 / record.sampling_hz)
     power = {"acceleration": 0, "velocity": 1, "displacement": 2}
     for k, i in enumerate(measured):
@@ -169,7 +169,7 @@ def make_run(record: TimeRecord, idle: ModalModel, modes: Modes, band: tuple[flo
         decays,
         np.concatenate([shapes, shapes], axis=1),
         decay_sizes(modes, ringing, directions, forces, hz, float(f[0])),
-        float(np.sqrt(np.mean(data[driven] ** 2))),
+        float(np.sqrt(np.mean(data[list(driven)] ** 2))),
     )
 
 
