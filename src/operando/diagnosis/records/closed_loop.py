@@ -168,7 +168,7 @@ def followed(
 
     def moved(number: int) -> Motion:
         m = spot.whole[number]
-        spectra = [np.asarray(sfft.rfft(rows[number][0])[: m.crossing.base.size] / tracks[number].fine) for rows in made]
+        spectra = [m.crossing.lines(rows[number][0], tracks[number].fine) for rows in made]
         x, v = m.crossing.move(spectra[0])
         return replace(m, x=x, v=v, made={}, closed={one.key: s for one, s in zip(variants, spectra, strict=True)})
 

@@ -74,9 +74,9 @@ class PlaceDrive:
         edge = max(1, int(EDGE * run.sampling_hz * fine / run.hz[-1]))
         return cls(base, compliance, fall[0], fall[1], w, fine, edge)
 
-    def lines(self, signal: Real) -> Complex:
-        """Transform of a signal on the fine grid, on all lines of the record."""
-        return np.asarray(sfft.rfft(signal)[..., : self.omega.size] / self.fine)
+    def lines(self, signal: Real, fine: int | None = None) -> Complex:
+        """Transform of a signal on the fine grid, or one of so many steps a sample, on all lines of the record."""
+        return np.asarray(sfft.rfft(signal)[..., : self.omega.size] / (fine or self.fine))
 
     def in_time(self, spectrum: Complex) -> Real:
         """A spectrum on the record's lines in time, on the fine grid."""
