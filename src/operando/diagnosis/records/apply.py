@@ -28,7 +28,7 @@ from operando.structure.force_law import ForceLaw, law_of
 from operando.threads import one_blas_thread
 
 ENOUGH = 1.5
-"""A judge misfit above this after an effect was added is held against the best effect that the search finds."""
+"""A reduced chi-square of the hold-out set above this after an effect was added is held against the best effect that the search finds."""
 
 SWEEPS = 2
 """Times that several effects are fitted in turn, the others as they stand."""

@@ -26,7 +26,7 @@ GOOD_LAW = 0.5
 """A law without a formula that leaves less than this part of the named law's misfit says that the name is wrong."""
 
 TWICE = 2.0
-"""Judge misfit, 3 dB above the floor, from which it is asked where the rest comes from."""
+"""Reduced chi-square of the hold-out set, 3 dB above the floor, from which it is asked where the rest comes from."""
 
 DISCREPANCY = 0.03
 """Part of the responses by which a law may be off (contract, ``explained``): forces follow from a motion whose errors no covariance

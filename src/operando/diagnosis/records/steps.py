@@ -134,7 +134,7 @@ def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], No
 
     if least() > FAR * simple:
         remember()
-    # Where two turns earn nothing more of them do not.
+    # Where two turns improve nothing more of them do not.
     close = STILL_OPEN * least() if least() < HOPE * base_select else 0.0
     tried = each(lambda t: settle_law(t.spot, t.law, turns=TURNS - FIRST_TURNS) if t.selection <= close else t, tried)
     remember()
@@ -287,7 +287,7 @@ def alike(best: Tried, other: Tried) -> bool:
 
 
 def nested(a: Tried, b: Tried) -> bool:
-    """Whether one kind contains the other at the same place, or one is the other turned round."""
+    """Whether one kind contains the other at the same place, or one is the other mirrored."""
     if set(a.spot.place) != set(b.spot.place):
         return False
     one, two = a.law.definition, b.law.definition
