@@ -44,7 +44,7 @@ class RecordsCase:
         n = len(self.fitted)
         return replace(self, fitted=tuple(runs[:n]), validation=tuple(runs[n:]))
 
-    def held_out(self) -> slice:
+    def hold_out(self) -> slice:
         """Of all runs those that nothing is fitted to; all where there is one level alone."""
         return slice(len(self.fitted) if self.validation else 0, None)
 

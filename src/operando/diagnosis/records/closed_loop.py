@@ -209,7 +209,7 @@ def against_records(case: RecordsCase, accepted: Sequence[Tried]) -> dict[str, A
         ``gain_db`` (fall of the error against the idle model), ``horizon_s``, ``records`` [{name, force_n, gain_db, ``idle_misfit``,
         ``misfit``}], ``figure`` {record, dof, time_s, measured, idle, simulated [m/s²]}; empty where the sampling rates differ.
     """
-    picked = list(range(len(case.runs)))[case.held_out()]
+    picked = list(range(len(case.runs)))[case.hold_out()]
     if len({case.runs[i].sampling_hz for i in (0, *picked)}) > 1:
         return {}
     loop = loop_for(case, accepted)

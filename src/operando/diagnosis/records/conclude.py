@@ -101,7 +101,7 @@ def conclude(
     other = any(t.law.kind != best.law.kind or not neighbours(first, best, t, geometry) for best, t in rivals)
     validation = [r["heldout_misfit"] for r in rows]
     unseen = floor_reason(rows[0].get("noise_floor_db"))
-    part = last.held_out()
+    part = last.hold_out()
     off = discrepancy(weighted[part], errors[part]) if accepted else 0.0
     within = bool(accepted) and off <= DISCREPANCY
     verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)

@@ -46,7 +46,7 @@ def discrepancy(weighted: Sequence[Weighted], errors: Sequence[Complex]) -> floa
 
 def step_row(step: int, added: Effect | None, case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """One row of the error table: all runs of a case, and its hold-out set."""
-    everything, held = (lines_of(weighted[part], errors[part]) for part in (slice(None), case.held_out()))
+    everything, held = (lines_of(weighted[part], errors[part]) for part in (slice(None), case.hold_out()))
     return {
         "step": step,
         "added": None if added is None else added.to_dict(),
@@ -60,7 +60,7 @@ def step_row(step: int, added: Effect | None, case: RecordsCase, weighted: Seque
 
 def judged_on(case: RecordsCase) -> dict[str, Any]:
     """State, level and lines of the figures of the steps on the hold-out set."""
-    runs = case.runs[case.held_out()]
+    runs = case.runs[case.hold_out()]
     levels = sorted({float(run.force_level) for run in runs})
     return {
         "state": "operating",
@@ -77,7 +77,7 @@ def judged_on(case: RecordsCase) -> dict[str, Any]:
 
 def where_it_fails(case: RecordsCase, weighted: Sequence[Weighted], errors: Sequence[Complex]) -> dict[str, Any]:
     """``by_dof`` and ``by_band`` of the idle model on the validation runs."""
-    part = case.held_out()
+    part = case.hold_out()
     lines = lines_of(weighted[part], errors[part])
     edges = band_edges(max(case.band[0], 1e-3), case.band[1])
     bands = np.clip(np.digitize(lines.frequency_hz, edges) - 1, 0, edges.size - 2)

@@ -110,7 +110,7 @@ def look(
 ) -> tuple[OutOfBand, float]:
     """Restoring force at a place b (m,) without a law, in turn with what modes outside the band add there, from all runs.
 
-    Where the restoring forces ``laws`` (L,) of the runs are already known only the corrections are sought. With them goes the misfit: mean
+    Where the restoring forces ``laws`` (L,) of the runs are already known only the corrections are sought. With them goes the mean
     squared weighted error that no force there explains; 1 is noise. With one response and a free force nothing is left (0): any place
     explains it.
     """

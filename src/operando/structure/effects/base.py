@@ -163,7 +163,7 @@ class EffectKind:
     removable : bool
         Whether the opposite (a mass taken away, a spring that is missing) makes sense.
     says, says_removed, confirms : str
-        Sentences with ``{place}`` and ``{size}`` (``confirms``: ``{place}`` and ``{values[name]}``); where left out, plain ones are made.
+        Sentences with ``{location}`` and ``{size}`` (``confirms``: ``{location}`` and ``{values[name]}``); plain ones where left out.
 
     Examples
     --------
@@ -238,12 +238,12 @@ class EffectKind:
         """One sentence with place and size."""
         sentence = self.says_removed if removed and self.says_removed else self.says
         if sentence:
-            return sentence.format(place=place, size=size)
+            return sentence.format(location=place, size=size)
         return f"{self.plain}{f' at {place}' if place else ''}{f': {size}' if size else ''}{' taken away' if removed else ''}"
 
     def confirm(self, place: str, values: Values) -> str:
         """The test that would confirm it."""
-        return self.confirms.format(place=place, values=values)
+        return self.confirms.format(location=place, values=values)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -22,8 +22,8 @@ class SensorGain(_Channel):
 
     kind = "sensor_gain"
     plain = "a wrong sensitivity"
-    says = "the channel at {place} has a wrong sensitivity ({size} times the true value): measurement, not structure"
-    confirms = "calibrate the sensor at {place} on a shaker, or mount another sensor instead"
+    says = "the channel at {location} has a wrong sensitivity ({size} times the true value): measurement, not structure"
+    confirms = "calibrate the sensor at {location} on a shaker, or mount another sensor instead"
     parameters = (GAIN,)
 
     def sensor_map(self, frequencies_hz: Array, values: Values) -> Array:
@@ -35,8 +35,8 @@ class SensorPolarity(_Channel):
 
     kind = "sensor_polarity"
     plain = "a reversed sensor"
-    says = "the sensor at {place} points the other way: measurement, not structure"
-    confirms = "look which way the sensor at {place} points, or turn it round and measure again"
+    says = "the sensor at {location} points the other way: measurement, not structure"
+    confirms = "look which way the sensor at {location} points, or turn it round and measure again"
 
     def sensor_map(self, frequencies_hz: Array, values: Values) -> Array:
         return np.full(np.shape(frequencies_hz), -1.0, complex)
@@ -47,8 +47,8 @@ class SensorDelay(_Channel):
 
     kind = "sensor_delay"
     plain = "a channel that is late"
-    says = "the channel at {place} comes late by {size}: measurement, not structure"
-    confirms = "record one sensor on the channel of {place} and on another channel at the same time: the phase between them must be zero"
+    says = "the channel at {location} comes late by {size}: measurement, not structure"
+    confirms = "record one sensor on the channel of {location} and on another channel at the same time: the phase between them must be zero"
     parameters = (DELAY,)
 
     def sensor_map(self, frequencies_hz: Array, values: Values) -> Array:
@@ -60,8 +60,8 @@ class ChannelSwap(_Channel):
 
     kind = "channel_swap"
     plain = "two swapped channels"
-    says = "the channels of {place} are exchanged: measurement, not structure"
-    confirms = "swap the two cables of {place} and measure again, or tap at each sensor in turn"
+    says = "the channels of {location} are exchanged: measurement, not structure"
+    confirms = "swap the two cables of {location} and measure again, or tap at each sensor in turn"
     places = 2
     coordinates = "separate"
 
@@ -74,7 +74,7 @@ class SensorMass(PointMass):
 
     kind = "sensor_mass"
     plain = "the mass of a sensor"
-    says = "a sensor of {size} sat on {place} in this run only: measurement, not structure"
+    says = "a sensor of {size} sat on {location} in this run only: measurement, not structure"
     group = "sensor"
     removable = False
 
@@ -87,8 +87,8 @@ class ForceGain(SensorGain):
 
     kind = "force_gain"
     plain = "a wrong sensitivity of the force channel"
-    says = "the force channel at {place} has a wrong sensitivity ({size} times the true value): measurement, not structure"
-    confirms = "calibrate the force cell at {place} against a known mass: force over acceleration must be that mass"
+    says = "the force channel at {location} has a wrong sensitivity ({size} times the true value): measurement, not structure"
+    confirms = "calibrate the force cell at {location} against a known mass: force over acceleration must be that mass"
     group = "force"
 
 
@@ -97,8 +97,8 @@ class ForceDelay(SensorDelay):
 
     kind = "force_delay"
     plain = "a force channel that is late"
-    says = "the force channel at {place} comes late by {size}: measurement, not structure"
-    confirms = "record the force of {place} on two channels at the same time: the phase between them must be zero"
+    says = "the force channel at {location} comes late by {size}: measurement, not structure"
+    confirms = "record the force of {location} on two channels at the same time: the phase between them must be zero"
     group = "force"
 
 

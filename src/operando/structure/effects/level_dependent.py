@@ -52,7 +52,7 @@ class CubicStiffness(NonlinearKind):
 
     kind = "cubic_stiffness"
     plain = "a spring that stiffens with the cube of its deflection"
-    confirms = "measure at half the level: the frequencies that move {place} must shift by a quarter as much"
+    confirms = "measure at half the level: the frequencies that move {location} must shift by a quarter as much"
     parameters = (CUBIC,)
     moves = "frequencies"
 
@@ -65,7 +65,7 @@ class QuadraticStiffness(NonlinearKind):
 
     kind = "quadratic_stiffness"
     plain = "a spring that is stiffer on one side, with the square of its deflection"
-    confirms = "shake {place} with one sine: the second harmonic must grow with the square of the level, and the mean position must move"
+    confirms = "shake {location} with one sine: the second harmonic must grow with the square of the level, and the mean position must move"
     parameters = (QUADRATIC,)
     odd = False
     moves = "frequencies"
@@ -80,7 +80,7 @@ class Clearance(NonlinearKind):
     kind = "clearance"
     plain = "a stop with play on both sides"
     confirms = (
-        "measure with deflections at {place} below {values[gap]:.2g} m: the effect must vanish; then shim the play and measure "
+        "measure with deflections at {location} below {values[gap]:.2g} m: the effect must vanish; then shim the play and measure "
         "again: a plain spring must be left"
     )
     parameters = (STIFFNESS, GAP)
@@ -96,7 +96,7 @@ class OneSidedContact(NonlinearKind):
 
     kind = "one_sided_contact"
     plain = "a stop on one side"
-    confirms = "move the stop at {place} away by {values[gap]:.2g} m and measure again: the contact must come later or vanish"
+    confirms = "move the stop at {location} away by {values[gap]:.2g} m and measure again: the contact must come later or vanish"
     parameters = (STIFFNESS, GAP)
     shape_names = ("gap",)
     odd = False
@@ -112,7 +112,7 @@ class BilinearStiffness(NonlinearKind):
     kind = "bilinear_stiffness"
     plain = "a spring that acts on one side only"
     confirms = (
-        "no other level can show it (it scales with the level); shake {place} with one sine and look for even harmonics, "
+        "no other level can show it (it scales with the level); shake {location} with one sine and look for even harmonics, "
         "or preload the joint and measure again"
     )
     parameters = (STIFFNESS,)
@@ -128,7 +128,7 @@ class SaturatingSpring(NonlinearKind):
 
     kind = "saturating_spring"
     plain = "a spring that yields to large deflections"
-    confirms = "measure with deflections at {place} well below {values[knee]:.2g} m: a plain spring must be left"
+    confirms = "measure with deflections at {location} well below {values[knee]:.2g} m: a plain spring must be left"
     parameters = (STIFFNESS, KNEE)
     shape_names = ("knee",)
     contains = ("ground_spring", "coupling_spring")
@@ -143,7 +143,7 @@ class QuadraticDamping(NonlinearKind):
 
     kind = "quadratic_damping"
     plain = "damping that grows with the square of velocity"
-    confirms = "measure at half the level: the damping added to the modes that move {place} must halve"
+    confirms = "measure at half the level: the damping added to the modes that move {location} must halve"
     parameters = (SQUARE,)
     uses_velocity = True
     moves = "damping"
@@ -157,7 +157,7 @@ class CoulombFriction(NonlinearKind):
 
     kind = "coulomb_friction"
     plain = "dry friction"
-    confirms = "measure at twice the level: the damping added to the modes that move {place} must halve"
+    confirms = "measure at twice the level: the damping added to the modes that move {location} must halve"
     parameters = (FRICTION,)
     constants = (SLIP_SPEED,)
     uses_velocity = True

@@ -43,8 +43,8 @@ class PointMass(Element):
 
     kind = "point_mass"
     plain = "a mass"
-    says = "a mass of {size} sits on {place}"
-    says_removed = "a mass of {size} is missing at {place}"
+    says = "a mass of {size} sits on {location}"
+    says_removed = "a mass of {size} is missing at {location}"
     order = 2
     coordinates = "node"
     parameters = (MASS,)
@@ -63,9 +63,9 @@ class GroundSpring(Element):
 
     kind = "ground_spring"
     plain = "a spring to ground"
-    says = "a spring to ground of {size} acts at {place}"
-    says_removed = "a spring to ground of {size} is missing at {place}"
-    confirms = "loosen what holds {place} against its surroundings and measure again: the spring must vanish"
+    says = "a spring to ground of {size} acts at {location}"
+    says_removed = "a spring to ground of {size} is missing at {location}"
+    confirms = "loosen what holds {location} against its surroundings and measure again: the spring must vanish"
     parameters = (STIFFNESS,)
     moves = "frequencies"
 
@@ -75,9 +75,9 @@ class GroundDamper(Element):
 
     kind = "ground_damper"
     plain = "a damper to ground"
-    says = "a viscous damper to ground of {size} acts at {place}"
-    says_removed = "a viscous damper to ground of {size} is missing at {place}"
-    confirms = "measure at half the level: a viscous damper at {place} keeps its size, dry friction would seem twice as strong"
+    says = "a viscous damper to ground of {size} acts at {location}"
+    says_removed = "a viscous damper to ground of {size} is missing at {location}"
+    confirms = "measure at half the level: a viscous damper at {location} keeps its size, dry friction would seem twice as strong"
     order = 1
     parameters = (DAMPING,)
     moves = "damping"
@@ -88,10 +88,10 @@ class GroundHystereticSpring(EffectKind):
 
     kind = "ground_hysteretic_spring"
     plain = "a spring to ground with hysteretic damping"
-    says = "a spring to ground that dissipates the same at every frequency ({size}) acts at {place}"
-    says_removed = "a spring to ground that dissipates the same at every frequency ({size}) is missing at {place}"
+    says = "a spring to ground that dissipates the same at every frequency ({size}) acts at {location}"
+    says_removed = "a spring to ground that dissipates the same at every frequency ({size}) is missing at {location}"
     confirms = (
-        "measure {place} over a wider band: the loss of a hysteretic spring stays the same from the lowest to the highest mode, "
+        "measure {location} over a wider band: the loss of a hysteretic spring stays the same from the lowest to the highest mode, "
         "that of a viscous damper grows with frequency"
     )
     parameters = (STIFFNESS, LOSS_FACTOR)
@@ -108,10 +108,10 @@ class GroundRubber(EffectKind):
 
     kind = "ground_rubber"
     plain = "a rubber mount to ground"
-    says = "a rubber-like spring to ground ({size}) acts at {place}"
-    says_removed = "a rubber-like spring to ground ({size}) is missing at {place}"
+    says = "a rubber-like spring to ground ({size}) acts at {location}"
+    says_removed = "a rubber-like spring to ground ({size}) is missing at {location}"
     confirms = (
-        "measure {place} again warmer or colder: the stiffness of rubber changes with temperature; "
+        "measure {location} again warmer or colder: the stiffness of rubber changes with temperature; "
         "or load the mount alone at two frequencies an octave apart"
     )
     parameters = (STIFFNESS, EXPONENT)
@@ -128,9 +128,9 @@ class CouplingSpring(GroundSpring):
 
     kind = "coupling_spring"
     plain = "a spring between two points"
-    says = "a spring of {size} acts between {place}"
-    says_removed = "a spring of {size} is missing between {place}"
-    confirms = "part what joins {place}, or clamp a known spring in parallel, and measure again: the stiffness must change by just that"
+    says = "a spring of {size} acts between {location}"
+    says_removed = "a spring of {size} is missing between {location}"
+    confirms = "part what joins {location}, or clamp a known spring in parallel, and measure again: the stiffness must change by just that"
     places = 2
 
 
@@ -139,9 +139,9 @@ class CouplingDamper(GroundDamper):
 
     kind = "coupling_damper"
     plain = "a damper between two points"
-    says = "a viscous damper of {size} acts between {place}"
-    says_removed = "a viscous damper of {size} is missing between {place}"
-    confirms = "measure at half the level: a viscous damper between {place} keeps its size, dry friction would seem twice as strong"
+    says = "a viscous damper of {size} acts between {location}"
+    says_removed = "a viscous damper of {size} is missing between {location}"
+    confirms = "measure at half the level: a viscous damper between {location} keeps its size, dry friction would seem twice as strong"
     places = 2
 
 
@@ -150,9 +150,9 @@ class TunedAbsorber(EffectKind):
 
     kind = "tuned_absorber"
     plain = "a mass on a spring and damper of its own"
-    says = "a part that resonates on its own ({size}) hangs on {place}"
+    says = "a part that resonates on its own ({size}) hangs on {location}"
     confirms = (
-        "hold fast or take off what can swing near {values[frequency]:.4g} Hz at {place} and measure again: "
+        "hold fast or take off what can swing near {values[frequency]:.4g} Hz at {location} and measure again: "
         "the split pair of peaks must become one"
     )
     parameters = (
@@ -189,9 +189,9 @@ class Gyroscopic(SkewElement):
 
     kind = "gyroscopic"
     plain = "gyroscopic coupling"
-    says = "a spinning part couples {place} gyroscopically ({size})"
+    says = "a spinning part couples {location} gyroscopically ({size})"
     confirms = (
-        "measure at another speed: the coefficient between {place} grows in proportion to it, and turning the machine backwards "
+        "measure at another speed: the coefficient between {location} grows in proportion to it, and turning the machine backwards "
         "turns its sign"
     )
     order = 1
@@ -204,9 +204,9 @@ class Circulatory(SkewElement):
 
     kind = "circulatory"
     plain = "circulatory (follower) coupling"
-    says = "a follower force (seal, journal bearing, internal friction of a rotor) couples {place} ({size})"
+    says = "a follower force (seal, journal bearing, internal friction of a rotor) couples {location} ({size})"
     confirms = (
-        "change the oil, seal or load that could push across between {place} and measure again; it moves damping up in one mode and "
+        "change the oil, seal or load that could push across between {location} and measure again; it moves damping up in one mode and "
         "down in another, which no damper does"
     )
     parameters = (Parameter("coefficient", "N/m", -1e10, 1e10, "signed_log", 1e3, "circulatory coefficient"),)

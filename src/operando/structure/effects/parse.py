@@ -27,12 +27,21 @@ def parse_effect(text: str, band_hz: tuple[float, float] | None = None, fixed: b
     fixed : bool
         Hold the given values in a fit.
 
+    Returns
+    -------
+    Effect
+
     Raises
     ------
     ConfigError
         If the text cannot be read, or the kind, place or a name is unknown.
     DofError
         If a DOF label cannot be read.
+
+    Examples
+    --------
+    >>> parse_effect("ground_spring@3+Z=stiffness:1e6").size
+    '1 MN/m'
     """
     try:
         return _parsed(text, band_hz, fixed)

@@ -22,26 +22,33 @@ _ACTS = {
 def register(kind: type[EffectKind]) -> type[EffectKind]:
     """Add a kind to the catalogue (also as a class decorator); a kind of the same name is replaced.
 
-    A kind needs a name, plain words and the one method its ``acts`` names::
-
-        @register
-        class Inerter(EffectKind):
-            kind = "inerter"
-            plain = "an inerter between two points"
-            places = 2
-            parameters = (Parameter("inertance", "kg", 1e-3, 1e4, "log", 1.0),)
-
-            def dynamic_stiffness(self, s, values):
-                return values["inertance"] * s**2
+    A kind needs a name, plain words and the one method its ``acts`` names.
 
     Parameters
     ----------
     kind : subclass of EffectKind
+        Not an object of it.
+
+    Returns
+    -------
+    subclass of EffectKind
 
     Raises
     ------
     ConfigError
         If the class lacks its name, words or way of acting, or declares places and parameters that cannot be.
+
+    Examples
+    --------
+    >>> from operando import EffectKind, Parameter
+    >>> @register
+    ... class Inerter(EffectKind):
+    ...     kind, plain, places = "inerter_here", "an inerter between two points", 2
+    ...     parameters = (Parameter("inertance", "kg", 1e-3, 1e4, "log", 1.0),)
+    ...
+    ...     def dynamic_stiffness(self, s, values):
+    ...         return values["inertance"] * s**2
+    >>> unregister("inerter_here")
     """
     if not (isinstance(kind, type) and issubclass(kind, EffectKind)):
         raise ConfigError(f"{kind!r} is no subclass of EffectKind")
@@ -77,6 +84,11 @@ def catalogue() -> dict[str, EffectKind]:
     -------
     dict
         Name → kind (plain words, places, parameters, how it acts).
+
+    Examples
+    --------
+    >>> catalogue()["clearance"].plain
+    'a stop with play on both sides'
     """
     return dict(_KINDS)
 
