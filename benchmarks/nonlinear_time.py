@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from threadpoolctl import threadpool_limits
 
 from nonlinear_truth import Strip, measure_many, place
-from operando.nonlinear import diagnose_records
+from operando.diagnosis import diagnose_records
 
 SECONDS = 96.0
 

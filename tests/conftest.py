@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from operando.effects import EffectKind, Parameter, catalogue, register, unregister
+from operando.structure.effects import EffectKind, Parameter, catalogue, register, unregister
 
 
 @pytest.fixture

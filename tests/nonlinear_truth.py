@@ -1,4 +1,4 @@
-"""Structures with a level-dependent effect, integrated by a Runge-Kutta method of their own. Shares no code with operando.nonlinear."""
+"""Structures with a level-dependent effect, integrated by a Runge-Kutta method of their own. Shares no code with operando."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_ofrf_refusals(folder, args, code, message, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def with_effect(tmp_path_factory):
     """Results whose diagnosis accepted a faulty sensor and a spring of 2e4 ± 300 N/m."""
-    from operando.effects import Effect
+    from operando.structure.effects import Effect
 
     spring = Effect("ground_spring", ("3+Z",), {"stiffness": 2e4}).with_std({"stiffness": 300.0})
     found = [Effect("sensor_gain", ("2+Z",), {"gain": 1.1}).to_dict(), spring.to_dict()]

@@ -63,9 +63,9 @@ def test_senses_and_missing_dofs():
 
 def test_lowest_level_judges():
     chain, f = Chain(3), np.linspace(5, 150, 50)
-    runs = [CheckRun("a", "10 N", chain_frf(chain, f, 2.0)), CheckRun("b", "2.5 N", chain_frf(chain, f))]
+    runs = [CheckRun("a", "10 N", chain_frf(chain, f, 2.0), 10.0), CheckRun("b", "2.5 N", chain_frf(chain, f), 2.5)]
     out = compare_all({"idle": chain_model(chain)}, runs)
-    assert out["judge_level"] == "2.5 N"
+    assert (out["judged_on"]["level"], out["judged_on"]["unit"]) == (2.5, "N")
     assert out["models"]["idle"]["error_db"] == pytest.approx(0, abs=1e-9)
     assert out["by_run"][0]["models"]["idle"]["error_db"] == pytest.approx(20 * np.log10(2))
     json.dumps(out, allow_nan=False)

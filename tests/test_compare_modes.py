@@ -118,29 +118,29 @@ def test_model_variance_counts_and_is_each_models_own():
     assert 0.05 < np.median(shares) < 0.95
     exact = model(chain.hz, chain.zeta, chain.phi)
     own = model(chain.hz, chain.zeta, chain.phi, np.diag(sd**2))
-    run = CheckRun("a", "1 N rms", truth(chain, 0.01))
+    run = CheckRun("a", "1 N rms", truth(chain, 0.01), 1.0)
     out = compare_all({"idle": own, "ofrf": exact}, [run])
     # One comparison has one number: as by itself, whatever else is compared beside it.
     for name, one in (("idle", own), ("ofrf", exact)):
         assert out["models"][name] == compare(one, run.frf).to_dict() == compare_all({"model": one}, [run])["models"]["model"]
     assert out["models"]["ofrf"]["model_share"] == 0
     assert out["models"]["ofrf"]["misfit"] == out["models"]["ofrf"]["misfit_meas"] > out["models"]["idle"]["misfit"]
-    assert out["judged_on"] == {"runs": ["a"], "level": "1 N rms", "band_hz": None}
+    assert out["judged_on"] == {"runs": ["a"], "level": 1.0, "unit": "N", "level_name": "1 N rms", "band_hz": None}
 
 
 def test_several_runs_of_the_lowest_level_are_pooled():
     chain = Chain(5)
     full = truth(chain)
     runs = [
-        CheckRun("1a", "10 N rms", full),
-        CheckRun("1b", "2.5 N rms", full.select(None, "1+Z")),
-        CheckRun("2b", "2.5 N rms", full.select(None, "3+Z")),
+        CheckRun("1a", "10 N rms", full, 10.0),
+        CheckRun("1b", "2.5 N rms", full.select(None, "1+Z"), 2.5),
+        CheckRun("2b", "2.5 N rms", full.select(None, "3+Z"), 2.5),
     ]
     wrong = modified(chain, mass=(2, 0.1))
     m = model(wrong.hz, wrong.zeta, wrong.phi)
     out = compare_all({"idle": m}, runs)
     together = compare(m, full.select(None, "1+Z,3+Z"))
-    assert out["judge_level"] == "2.5 N rms"
+    assert out["judged_on"]["level"] == 2.5
     assert out["models"]["idle"]["error_db"] == pytest.approx(together.error_db)
     assert out["models"]["idle"]["relative_error"] == pytest.approx(together.relative_error)
     assert [r["frequency_hz"] for r in out["models"]["idle"]["by_mode"]] == pytest.approx([r["frequency_hz"] for r in together.by_mode])
@@ -149,11 +149,11 @@ def test_several_runs_of_the_lowest_level_are_pooled():
 
 @pytest.mark.parametrize(
     ("levels", "lowest"),
-    [(["10 N rms", "2.5 N rms"], "2.5 N rms"), (["full", "low"], "low"), (["a", "b"], "b"), (["1e-1 N", "3 N, all agree"], "1e-1 N")],
+    [({"a": 10.0, "b": 2.5}, "b"), ({"1 N": 10.0, "9 N": 2.5}, "9 N"), ({"full": None, "low": None}, "low"), ({"a": None, "b": None}, "b")],
 )
-def test_level_texts(levels, lowest):
+def test_the_lowest_level_is_that_of_the_least_force_and_no_text_is_read(levels, lowest):
     frf = truth(Chain(5))
-    assert lowest_level([CheckRun(str(i), level, frf) for i, level in enumerate(levels)]) == lowest
+    assert lowest_level([CheckRun(name, name, frf, force) for name, force in levels.items()]) == lowest
 
 
 def test_frf_against_frf_on_common_lines():

@@ -12,8 +12,8 @@ import measurements
 from nonlinear_truth import Strip, measure, place
 from operando.config import load_test
 from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, one_level
+from operando.diagnosis import diagnose_records
 from operando.dof import MAX_NUMBER_DIGITS, Dof
-from operando.effects import Effect
 from operando.ema import fit_ema
 from operando.ema.limits import LEAST_LINES
 from operando.ema.polished import polish_runs
@@ -21,13 +21,13 @@ from operando.ema.spectra import record_spectra
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.frf import estimate_frf
 from operando.io import from_sep005
-from operando.nonlinear import diagnose_records
 from operando.pipeline import run
 from operando.pipeline.levels import level_groups
 from operando.scaling import scale_operational
 from operando.scaling.missing import missing_modes
 from operando.scaling.no_scale import no_scale
 from operando.structure import Model
+from operando.structure.effects import Effect
 
 DOFS = tuple(Dof(i + 1, "Z") for i in range(4))
 
@@ -179,7 +179,7 @@ def test_force_levels_are_split_by_one_ratio_everywhere():
     assert not one_level(1.0, np.sqrt(2))
     assert one_level(0.0, 0.0)
     assert not one_level(0.0, 1.0)
-    from operando.nonlinear.search import make_case
+    from operando.diagnosis.records import make_case
 
     strip = Strip()
     base = measure(strip, [(place(strip, 2), "ground_spring", {"stiffness": 1e3})], seconds=2.0, run_in=1.0)[0]

@@ -121,7 +121,7 @@ def test_two_effects(chain, idle):
 def test_runs_that_depend_on_level_are_not_explained(chain, idle):
     low = running(chain, [0, 3])
     high = running(chain, [0, 3], stiffness=2e4 * at(2), seed=1)
-    found = diagnose(idle, check=[CheckRun("low", "1 N rms", low.frf), CheckRun("high", "4 N rms", high.frf)])
+    found = diagnose(idle, check=[CheckRun("low", "1 N rms", low.frf, 1.0), CheckRun("high", "4 N rms", high.frf, 4.0)])
     assert found.verdict in ("partial", "unexplained")
 
 

@@ -10,9 +10,9 @@ import pytest
 from effect_truth import at, chain_and_idle, pole_list, receptance, skew
 from operando.data import Geometry, ModalModel, ResidualTerms
 from operando.diagnosis.by_hand import words_of
-from operando.effects import Effect, catalogue, parse_effect
 from operando.errors import ConfigError, DataError, DofError
 from operando.structure import Model
+from operando.structure.effects import Effect, catalogue, parse_effect
 
 N = 6
 HZ = np.linspace(3, 140, 83)
@@ -275,7 +275,7 @@ def test_variance_matches_the_scatter_of_random_models(texts):
     _, exact = chain_and_idle()
     idle, half = _spread_idle(exact)
     effects = [parse_effect(t) for t in texts]
-    effects[0] = effects[0].with_std({n: 0.01 * abs(effects[0].values[n]) for n in effects[0].names})
+    effects[0] = effects[0].with_std({n: 0.01 * abs(effects[0].values[n]) for n in effects[0].definition.names})
     model = Model(idle, tuple(effects))
     hz = np.array([11.0, 25.0, 47.0, 90.0, 118.0])
     stated = model.frf(hz, "3-Z,4+Z", "1+Z,3-Z", "receptance").variance
@@ -312,7 +312,7 @@ def test_variance_counts_what_idle_parameters_and_values_share(texts):
     at_place = 2 * N + np.arange(N) * N + 2
     lean = np.tile(-np.sign(exact.shapes[2]) @ half[at_place], (q, 1))
     lean /= np.linalg.norm(lean, axis=1)[:, None]
-    size = np.array([0.03 * abs(e.values[e.names[0]]) for e in effects])
+    size = np.array([0.03 * abs(e.values[e.definition.names[0]]) for e in effects])
     below = np.c_[size[:, None] * lean, 0.2 * np.diag(size)]
     whole = np.r_[np.c_[half, np.zeros((p, q))], below]
     model = Model(idle, effects, covariance=whole @ whole.T)
@@ -325,7 +325,9 @@ def test_variance_counts_what_idle_parameters_and_values_share(texts):
         t = whole @ rng.normal(size=p + q)
         u = theta + t[:p]
         drawn = ModalModel(u[:n], u[n : 2 * n], u[2 * n :].reshape(n, -1).T, exact.dofs, "unit_modal_mass")
-        moved = tuple(e.with_values(**{e.names[0]: e.values[e.names[0]] + v}) for e, v in zip(effects, t[p:], strict=True))
+        moved = tuple(
+            e.with_values(**{e.definition.names[0]: e.values[e.definition.names[0]] + v}) for e, v in zip(effects, t[p:], strict=True)
+        )
         draws.append(Model(drawn, moved).frf(hz, *ask).data)
     scatter = np.mean(np.abs(np.array(draws) - model.frf(hz, *ask).data) ** 2, axis=0)
     assert np.all((stated / scatter > 0.8) & (stated / scatter < 1.25))

@@ -21,9 +21,9 @@ from operando.diagnosis.posterior import fit, left_on
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.terms import Term
-from operando.effects import Effect
 from operando.errors import ConfigError, DataError
 from operando.structure import Model
+from operando.structure.effects import Effect
 from structures import Chain
 
 DOFS = tuple(f"{i + 1}+Z" for i in range(7))

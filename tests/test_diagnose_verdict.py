@@ -10,9 +10,9 @@ from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
 from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose
-from operando.effects import parse_effect
 from operando.results import CheckRun
 from operando.scaling.no_scale import no_scale
+from operando.structure.effects import parse_effect
 from test_diagnose_check import DOFS, HZ, N, at, chain, idle, running  # noqa: F401  (fixtures and the hand-written chain)
 
 
@@ -124,7 +124,7 @@ def test_one_comparison_has_one_number(chain, idle):  # noqa: F811
         assert by_hand.ladder[0][key] == pytest.approx(found.ladder[0][key], rel=1e-4)  # two ways to one fit
     assert by_hand.judged_on == found.judged_on
     assert found.judged_on["state"] == "operating"
-    assert found.judged_on["level"] == "1 N rms"
+    assert found.judged_on["level_name"] == "1 N rms"
     assert 0 < found.judged_on["n_lines"] < 2 * N * HZ.size
 
 

@@ -216,7 +216,7 @@ def test_runs_of_two_levels_are_one_system_within_twice_their_noise(apart, one):
     noise = np.sqrt(low.variance)
     # two runs without noise of their own, apart by the root of a share of ONE_SYSTEM times the variance of their difference
     high = replace(low, data=low.data + np.sqrt(2 * apart * ONE_SYSTEM) * noise)
-    runs = [CheckRun("low", "1 N", low), CheckRun("high", "4 N", high)]
+    runs = [CheckRun("low", "1 N", low, 1.0), CheckRun("high", "4 N", high, 4.0)]
     assert levels_disagree(runs, BAND) is not one
     assert not levels_disagree([runs[0], replace(runs[1], level="1 N")], BAND)
 

@@ -1,4 +1,4 @@
-"""The internal state of hysteresis: one displacement in plain numbers is the same as arrays, and it follows its differential equation."""
+"""The internal state of hysteresis follows its differential equation."""
 
 from __future__ import annotations
 
@@ -6,20 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from operando.effects import kind_of
-
-
-def test_one_displacement_walks_as_many_do():
-    kind = kind_of("hysteresis")
-    x = np.cumsum(np.random.default_rng(0).standard_normal(2000)) * 1e-4
-    values = {"stiffness": 1e4, "yield_force": 3.0, "exponent": 1.7, "ratio": 0.2}
-    one = kind.memory(x, values, 0.3)
-    # The walk of arrays goes by small steps; that of one from reversal to reversal, straight between samples.
-    parts = 64
-    finer = np.interp(np.arange((x.size - 1) * parts + 1) / parts, np.arange(x.size), x)
-    many = kind.memory(np.stack([finer, -finer]), values, np.array([0.3, -0.3]))[:, ::parts]
-    np.testing.assert_allclose(one, many[0], atol=1e-4)
-    np.testing.assert_allclose(-one, many[1], atol=1e-4)
+from operando.structure.effects import kind_of
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0, 3.0, 10.0])

@@ -331,7 +331,7 @@ def test_spread_of_the_poles_is_the_scatter_of_random_models(texts):
     effects = []
     for text in texts:
         e = parse_effect(text, BAND)
-        effects.append(e.with_std({name: 0.01 * abs(e.values[name]) for name in e.names}))
+        effects.append(e.with_std({name: 0.01 * abs(e.values[name]) for name in e.definition.names}))
     stated = Model(TRUTH.idle(half @ half.T), tuple(effects)).modes(variance=True)
     theta = np.r_[idle.frequencies_hz, idle.damping_ratios, idle.shapes.T.ravel()]
     hz, zeta = [], []

@@ -8,11 +8,11 @@ import pytest
 
 from effect_truth import chain_and_idle, receptance
 from operando.data import Frf, ModalModel, ResidualTerms
-from operando.effects import Effect
 from operando.ema import fit_ema
 from operando.errors import DataError
 from operando.io import read_object, write_object
 from operando.structure import Model
+from operando.structure.effects import Effect
 from operando.synthesis import synthesis_variance, synthesise
 from structures import Chain
 

@@ -11,14 +11,13 @@ from click.testing import CliRunner
 
 from operando.cli import main
 from operando.cli.by_hand import check_records
-from operando.diagnosis.from_records import apply_levels
-from operando.effects import parse_effect
+from operando.diagnosis import apply_to_records
 from operando.errors import ConfigError, MissingError
 from operando.frf import estimate_frf
 from operando.io import read, write_uff
-from operando.nonlinear import apply_to_records
 from operando.results import CheckRun, Results
 from operando.store import load_results, save_results
+from operando.structure.effects import parse_effect
 from test_diagnose_records import BAND, frfs
 from test_nonlinear_records import STRIP, records
 
@@ -40,9 +39,9 @@ def test_the_right_effect_is_sized_and_the_error_falls():
 
 
 def test_the_wrong_effect_is_told_from_a_better_one():
-    made = apply_levels(STRIP.idle(), [parse_effect("clearance@6+Z", BAND)], records()["cubic"])
+    made = apply_to_records(STRIP.idle(), [parse_effect("clearance@6+Z", BAND)], records()["cubic"])
     assert made.ladder[1]["heldout_misfit"] > 0.2 * made.ladder[0]["heldout_misfit"]
-    ((step, better, _),) = made.records.better
+    ((step, better, _),) = made.better
     assert (step, better.kind, [str(d) for d in better.location]) == (1, "cubic_stiffness", ["3+Z"])
     assert any("the data speak for another one: cubic_stiffness" in w for w in made.words)
 

@@ -8,15 +8,24 @@ import pytest
 from scipy.optimize import brentq
 
 from nonlinear_truth import Strip, measure, measure_many, place
-from operando.effects import Effect
-from operando.nonlinear import apply_to_records, diagnose_records, forward
-from operando.nonlinear.forward import by_loop, followed, groups, recorded
-from operando.nonlinear.laws import fit_law
-from operando.nonlinear.loop import SlipLaw
-from operando.nonlinear.polish import polished, std_of
-from operando.nonlinear.search import Field, examine, make_case
-from operando.nonlinear.simulate import loop_for
-from operando.nonlinear.steps import settle_law, weighed
+from operando.diagnosis import apply_to_records, diagnose_records
+from operando.diagnosis.records import (
+    Sets,
+    closed_loop_force,
+    examine,
+    fit_law,
+    followed,
+    groups,
+    loop_for,
+    make_case,
+    recorded,
+    refined,
+    settle_law,
+    std_of,
+    weighed,
+)
+from operando.structure.effects import Effect
+from operando.structure.step_laws import SlipLaw
 
 STRIP = Strip()
 FORCE = 1.0
@@ -31,22 +40,19 @@ def records():
 def before_and_after():
     """The case, and friction at its place with the force of the motion seen and with that of the loop."""
     case = weighed(make_case(STRIP.idle(), records()), (3, 6))
-    stage = Field.of(case)
-    spot = examine(stage, (3, 6))
-    tried = polished(case, settle_law(stage, spot, fit_law(spot.fit, "coulomb_friction")))
-    return case, tried, by_loop(case, tried)
+    spot = examine(Sets.of(case), (3, 6))
+    tried = refined(settle_law(spot, fit_law(spot.fit, "coulomb_friction")))
+    return case, tried, closed_loop_force(case, tried)
 
 
 def test_the_slip_law_holds_at_the_end_of_each_step():
     rng = np.random.default_rng(0)
     level, speed, v = rng.uniform(0.1, 5, 60), 10 ** rng.uniform(-5, -1, 60), rng.normal(0, 0.1, 60)
     near = 3e-3
-    s, x, moved = SlipLaw(level, speed).solve(np.zeros(60), v, 1e-6, near)
+    s = SlipLaw(level, speed).solve(np.zeros(60), v, 1e-6, near)
     for k in range(60):
         wanted = brentq(lambda f, k=k: f - level[k] * np.tanh((v[k] - near * f) / speed[k]), -level[k], level[k], xtol=1e-14)
         assert s[k] == pytest.approx(wanted, rel=1e-5)
-    assert moved == pytest.approx(v - near * s)
-    assert x == pytest.approx(-1e-6 * s)
 
 
 def test_the_loop_finds_friction_that_sticks_where_the_motion_seen_does_not():
@@ -63,21 +69,21 @@ def test_the_force_of_the_loop_stands_for_its_law_alone():
     motion = made.spot.whole[0]
     own = motion.spectrum(made.law)
     assert own is motion.closed[made.law.key]
-    other = replace(made.law, values=made.law.values | {"force": 2 * made.law.values["force"]})
+    other = made.law.moved(force=2 * made.law.values["force"])
     assert np.allclose(motion.spectrum(other), motion.crossing.lines(other.force(motion.x, motion.v, motion.step)))
     assert not seen.spot.whole[0].closed
-    settled = motion.settled(lambda x, v: made.law.force(x, v, motion.step))
+    settled = motion.settled(made.law)
     assert not settled.closed
 
 
 def test_values_held_stay_and_laws_that_follow_the_motion_are_left():
     case, seen, _ = before_and_after()
-    held = by_loop(case, seen, fitted=False)
+    held = closed_loop_force(case, seen, fitted=False)
     assert held.law.values == seen.law.values
     assert held.validation < seen.validation
     spring = fit_law(seen.spot.fit, "ground_damper")
     tried = replace(seen, law=spring)
-    assert by_loop(case, tried) is tried
+    assert closed_loop_force(case, tried) is tried
 
 
 def test_diagnosis_and_add_give_the_same_friction():
@@ -89,16 +95,15 @@ def test_diagnosis_and_add_give_the_same_friction():
     assert effect.values["force"] == pytest.approx(FORCE, rel=0.01)
 
 
-def test_long_records_are_followed_one_after_the_other(monkeypatch):
-    assert groups([5, 5, 5]) == [[0, 1, 2]]
+def test_long_records_are_followed_one_after_the_other():
+    assert groups([5, 5, 5], 15) == [[0, 1, 2]]
+    assert groups([5, 5, 5], 1) == [[0], [1], [2]]
     case, seen, _ = before_and_after()
     loop = recorded(loop_for(case, [seen]), 512.0)
     assert np.all(np.abs(loop.poles) < 2 * np.pi * 256)
     forces = [m.spectrum(seen.law) for m in seen.spot.whole]
     at_once = followed(case, seen.spot, seen.law, ["force"], forces, loop)
-    monkeypatch.setattr(forward, "MOST", 1)
-    assert groups([5, 5, 5]) == [[0], [1], [2]]
-    in_turn = followed(case, seen.spot, seen.law, ["force"], forces, loop)
+    in_turn = followed(case, seen.spot, seen.law, ["force"], forces, loop, most=1)
     for a, b in zip(at_once.whole, in_turn.whole, strict=True):
         assert a.spectrum(seen.law) == pytest.approx(b.spectrum(seen.law), rel=1e-6, abs=1e-6)
 

@@ -9,11 +9,10 @@ import pytest
 
 from nonlinear_truth import Strip, measure_many, place
 from operando.diagnosis.at_level import level_frf
-from operando.effects import Effect, EffectKind, Parameter, register
-from operando.effects.registry import unregister
 from operando.errors import DataError
 from operando.frf import estimate_frf
-from operando.nonlinear import at_level
+from operando.structure import at_level
+from operando.structure.effects import Effect, EffectKind, Parameter, register, unregister
 
 STRIP = Strip(sensors=6, count=8)
 BAND = (3.0, 180.0)

@@ -11,12 +11,10 @@ import pytest
 from nonlinear_truth import Strip, measure_many, place
 from operando.compare.verdict import GOOD
 from operando.data import ModalModel
-from operando.effects import Effect
-from operando.nonlinear import diagnose_records
-from operando.nonlinear.conclude import DISCREPANCY, conclude, too_fast
-from operando.nonlinear.laws import LawFit
-from operando.nonlinear.search import Field, examine, make_case, rank_places, settled
-from operando.nonlinear.steps import Step, Tried, weighed
+from operando.diagnosis import diagnose_records
+from operando.diagnosis.records import DISCREPANCY, SearchStep, Sets, Tried, conclude, examine, make_case, rank_places, too_fast, weighed
+from operando.structure import ForceLaw
+from operando.structure.effects import Effect
 
 STRIP = Strip(seed=3)
 STIFFNESS, GAP = 8e3, 6e-4
@@ -36,7 +34,7 @@ def case():
 
 @cache
 def spot():
-    return examine(Field.of(case()), (4,))
+    return examine(Sets.of(case()), (4,))
 
 
 def with_low_residuals(idle: ModalModel, size: float) -> ModalModel:
@@ -53,8 +51,8 @@ def with_low_residuals(idle: ModalModel, size: float) -> ModalModel:
 
 @pytest.mark.parametrize("coefficient", [1e13, 1e40, 1e200])
 def test_a_law_that_runs_away_leaves_the_last_motion_that_can_be(coefficient):
-    law = LawFit("cubic_stiffness", 1.0, {"coefficient": coefficient}, 0.0, 1)
-    moved = settled(spot(), case(), law)
+    law = ForceLaw("cubic_stiffness", {"coefficient": coefficient})
+    moved = spot().settled(law)
     for before, after in zip(spot().whole, moved.whole, strict=True):
         assert np.all(np.isfinite(after.x))
         assert np.all(np.isfinite(after.v))
@@ -62,9 +60,9 @@ def test_a_law_that_runs_away_leaves_the_last_motion_that_can_be(coefficient):
 
 
 def test_the_motion_settles_under_the_law_that_acts():
-    law = LawFit("one_sided_contact", 1.0, {"stiffness": STIFFNESS, "gap": GAP}, 0.0, 2)
-    once = settled(spot(), case(), law)
-    again = settled(once, case(), law)
+    law = ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})
+    once = spot().settled(law)
+    again = once.settled(law)
     for one, two in zip(once.whole, again.whole, strict=True):
         assert np.std(one.x - two.x) < 0.01 * np.std(one.x)
         assert one.x.mean() < 0, "a stop on one side pushes the mean to the other"
@@ -112,8 +110,8 @@ def faster(motion, part, hz=235.0):
 
 
 def test_motion_at_the_end_of_the_recorded_band_counts_where_a_law_has_a_knee():
-    contact = LawFit("one_sided_contact", 1.0, {"stiffness": STIFFNESS, "gap": GAP}, 0.0, 2)
-    spring = LawFit("ground_spring", 1.0, {"stiffness": STIFFNESS}, 0.0, 1)
+    contact = ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})
+    spring = ForceLaw("ground_spring", {"stiffness": STIFFNESS})
     motion = spot().whole[0]
     change = [faster(motion, part).without_fastest(contact, 0.8) for part in (0.0, 0.3, 1.0)]
     assert 2 * change[0] < change[1] < change[2]
@@ -122,7 +120,7 @@ def test_motion_at_the_end_of_the_recorded_band_counts_where_a_law_has_a_knee():
 
 def test_records_too_slow_for_the_motion_are_said_to_be():
     effect = Effect("one_sided_contact", ("5+Z",), {"stiffness": STIFFNESS, "gap": GAP})
-    law = LawFit("one_sided_contact", 1.0, dict(effect.values), 0.0, 2)
+    law = ForceLaw("one_sided_contact", dict(effect.values))
     quick = replace(spot(), whole=tuple(faster(m, 1.0) for m in spot().whole))
     (note,) = too_fast([effect], [Tried(quick, law, 5.0, 5.0)], 2, 5.0)
     assert "7.0 dB above the floor" in note
@@ -134,11 +132,11 @@ def test_records_too_slow_for_the_motion_are_said_to_be():
 @pytest.mark.parametrize(("stiffer", "verdict"), [(1.03, "explained"), (1.06, "partial")])
 def test_a_law_may_leave_so_much_of_the_responses_beyond_the_noise(stiffer, verdict):
     """DISCREPANCY: a contact taken for too stiff leaves 2.1 and 3.2 %, with 26 and 72 times the chi-square that noise allows."""
-    law = LawFit("one_sided_contact", 1.0, {"stiffness": STIFFNESS, "gap": GAP}, 0.0, 2)
-    moved = settled(settled(spot(), case(), law), case(), law)
-    tried = Tried(moved, replace(law, values=law.values | {"stiffness": stiffer * STIFFNESS}), 1.2, 1.2)
-    found = conclude(case(), [Step(case(), 50.0, 50.0, [tried], 1.0)], [tried], None, {}, None)
+    law = ForceLaw("one_sided_contact", {"stiffness": STIFFNESS, "gap": GAP})
+    moved = spot().settled(law).settled(law)
+    tried = Tried(moved, law.moved(stiffness=stiffer * STIFFNESS), 1.2, 1.2)
+    found = conclude(case(), [SearchStep(case(), 50.0, 50.0, [tried])], [tried], None, {}, None)
     assert found.verdict == verdict
     assert found.ladder[-1]["heldout_misfit"] > 10 * GOOD
-    assert (found.discrepancy <= DISCREPANCY) == (verdict == "explained")
-    assert DISCREPANCY / 2 < found.discrepancy < 1.5 * DISCREPANCY
+    assert (found.discrepancy["value"] <= DISCREPANCY) == (verdict == "explained")
+    assert DISCREPANCY / 2 < found.discrepancy["value"] < 1.5 * DISCREPANCY

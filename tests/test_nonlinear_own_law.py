@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from nonlinear_truth import Strip, measure, place
-from operando.nonlinear import diagnose_records
+from operando.diagnosis import diagnose_records
 
 STRIP = Strip()
 COEFFICIENT = 3e13

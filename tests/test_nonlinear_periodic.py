@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from operando.contrib import best_linear_approximation
 from operando.errors import DataError
-from operando.nonlinear import best_linear_approximation
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 RATE, PERIOD = 128.0, 1024

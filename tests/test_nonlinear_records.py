@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from nonlinear_truth import Strip, measure_many, place
+from operando.diagnosis import diagnose_records, measured_distortion
 from operando.diagnosis.from_records import FAINT, diagnose_levels
 from operando.diagnosis.result import Diagnosis
 from operando.dof import Dof
 from operando.errors import DataError, MissingError
-from operando.nonlinear import diagnose_records, linear_effects, measured_distortion
+from operando.structure import linear_effects
 
 STRIP = Strip()
 CASES = {
@@ -124,13 +125,12 @@ def test_the_document_is_plain_json():
 
 
 def test_a_clearance_is_stiffer_at_higher_levels_and_friction_damps_less():
-    (picture,) = found("clearance").picture["restoring_force"]
-    stiffness = [row["stiffness"] for row in picture["equivalent"]]
+    (rows,) = found("clearance").equivalents
+    stiffness = [row.stiffness for row in rows]
     assert stiffness[0] < stiffness[-1] < 6e3
-    (picture,) = found("coulomb").picture["restoring_force"]
-    damping = [row["damping"] for row in picture["equivalent"]]
+    damping = [row.damping for row in found("coulomb").equivalents[0]]
     assert damping[0] > 2 * damping[-1] > 0
-    springs = linear_effects(found("clearance").effects[0], picture["equivalent"])
+    springs = linear_effects(found("clearance").effects[0], rows)
     assert {e.kind for e in springs} == {"ground_spring", "ground_damper"}
 
 

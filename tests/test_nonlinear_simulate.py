@@ -10,9 +10,9 @@ import pytest
 from nonlinear_truth import RATE, Strip, band_force, place, respond
 from operando.data import Channel, TimeRecord
 from operando.dof import Dof
-from operando.effects import Effect
 from operando.errors import ConfigError, DataError
-from operando.nonlinear import simulate
+from operando.structure import simulate
+from operando.structure.effects import Effect
 
 STRIP = Strip()
 HYSTERESIS = {"stiffness": 4e3, "yield_force": 3.0, "exponent": 1.5, "ratio": 0.3}

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from operando.contrib import fit_single
 from operando.errors import DataError
-from operando.nonlinear import fit_single
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 RATE = 200.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operando.nonlinear.surface import parity
+from operando.diagnosis.records import parity
 
 X = np.random.default_rng(0).standard_normal(40_000)
 

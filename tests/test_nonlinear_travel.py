@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from operando.contrib import fit_loop
 from operando.errors import DataError
-from operando.nonlinear import fit_loop
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 RATE = 500.0

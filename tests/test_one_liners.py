@@ -119,7 +119,7 @@ def test_10_add_an_effect(idle):
 
 
 def test_11_write_an_own_effect(idle):
-    from operando.effects import unregister
+    from operando.structure.effects import unregister
 
     @operando.register
     class Inerter(operando.EffectKind):

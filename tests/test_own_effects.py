@@ -142,7 +142,7 @@ def test_the_list_has_all_kinds_with_parameters_units_and_locations():
 
 @pytest.mark.parametrize("kind", catalogue())
 def test_one_kind_has_a_law_and_an_example_that_add_takes(kind):
-    from operando.effects import parse_effect
+    from operando.structure.effects import parse_effect
 
     done = call("effects", kind)
     assert done.exit_code == 0, done.stderr

@@ -281,7 +281,7 @@ def test_a_stage_reaches_its_own_rooms_and_no_later_ones():
     assert not rooms["oma"] & {"scaling", "effects"}
     assert "oma" in rooms["oma"] - rooms["ema"]
     assert "compare" in rooms["compare"] - rooms["ofrf"]
-    assert {"diagnosis", "nonlinear"} <= rooms["diagnose"]
+    assert {"diagnosis", "structure"} <= rooms["diagnose"]
     assert "operando.report.page" in reached("operando.pipeline.outputs")
 
 
@@ -294,7 +294,7 @@ LIBRARIES = ("idle_libraries", "operating_libraries")
     [
         ("oma/fit.py", {"oma", *LIBRARIES}),
         ("ema/fit.py", {"automatic", "ema", *LIBRARIES}),
-        ("effects/friction.py", {"diagnose"}),
+        ("structure/effects/hysteresis.py", {"diagnose"}),
         ("values.py", set()),
         ("io/detect.py", {step.name for step in STEPS}),
     ],

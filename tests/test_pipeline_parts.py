@@ -44,17 +44,16 @@ def test_one_check_where_levels_agree_else_one_a_level_lowest_first():
         return replace(linear(part), findings=(finding,) if len(part) == 4 else ())
 
     together = check_frfs(records, linear)
-    assert [(run.frf.name, "all levels agree" in run.level) for run in together] == [("4", True)]
+    assert [(run.frf.name, run.levels_agree) for run in together] == [("4", True)]
     apart = check_frfs(records, nonlinear)
     assert [run.frf.name for run in apart] == ["2", "2"]
     assert [run.name for run in apart] == ["run1, run3", "run0, run2"]
-    levels = [float(run.level.split()[0]) for run in apart]
-    assert levels[0] < levels[1]
+    assert [run.force_n for run in apart] == [min(force_rms(records[i]) for i in pair) for pair in ((1, 3), (0, 2))]
     assert apart[0].frf.findings == (finding,)
     # the lowest level judges
     from operando.compare import compare_all
 
-    assert compare_all({"idle": models.idle_model()}, apart)["judge_level"] == apart[0].level
+    assert compare_all({"idle": models.idle_model()}, apart)["judged_on"]["level"] == apart[0].force_n
 
 
 def test_frfs_of_several_files_become_one_matrix():

@@ -473,7 +473,7 @@ def test_level_dependence_is_told_and_excuses_reciprocity(whole):
     told = Finding("not_reciprocal", "H and its reverse differ by 30 %", "warning")
     check[0] = CheckRun(check[0].name, "b", replace(check[0].frf, findings=(told,)))
     rows = [
-        {"name": "x", "level": lv, "models": {"ofrf": {"error_db": a}, "idle": {"error_db": b}}}
+        {"name": "x", "level_name": lv, "models": {"ofrf": {"error_db": a}, "idle": {"error_db": b}}}
         for lv, a, b in (("b", 5.4, 0.9), ("a", 1.5, 4.3))
     ]
     results = replace_results(whole, findings=[finding], check=check, comparison=whole.comparison | {"by_run": rows})

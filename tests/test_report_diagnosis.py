@@ -13,7 +13,6 @@ import pytest
 from operando.compare import compare_all
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
-from operando.effects import Effect
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
 from operando.report.assessment import RECIPROCITY
 from operando.report.figures_compare import error_maps
@@ -23,7 +22,8 @@ from operando.report.parts import Numbering, render
 from operando.report.sections import build
 from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, error_by_step, found_intro
 from operando.results import CheckRun, Results
-from operando.structure import Model
+from operando.structure import LinearEquivalent, Model
+from operando.structure.effects import Effect
 from structures import Chain
 
 N = 8
@@ -469,19 +469,16 @@ def test_effect_that_depends_on_the_level_draws_no_frf(whole):
 def restoring(kind="cubic_stiffness"):
     x = np.linspace(-1e-3, 1e-3, 30)
     rows = {"force": (1e9 * x**3).tolist(), "force_std": [0.01] * 30, "law": (1e9 * x**3).tolist()}
-    levels = [
-        {"force_n": f, "displacement_m": 1e-4 * f, "velocity_m_s": 0.1, "stiffness": 100 * f * f, "damping": 0.0, "explains": 0.9}
-        for f in (1.0, 4.0)
-    ]
     cloud = {"displacement": x.tolist(), "velocity": (100 * x[::-1]).tolist(), "force": (1e9 * x**3).tolist(), "goodness": 0.987}
     return cloud | {
         "kind": kind, "location": ["103+Z"], "binned": rows | {"displacement": x.tolist()},
-        "binned_velocity": rows | {"velocity": (100 * x).tolist()}, "equivalent": levels,
+        "binned_velocity": rows | {"velocity": (100 * x).tolist()},
     }  # fmt: skip
 
 
 def test_restoring_force_is_drawn_with_its_law_and_levels(whole):
-    cubic = Effect("cubic_stiffness", ("103+Z",)).to_dict()
+    levels = [LinearEquivalent(f, 1e-4 * f, 0.1, 100 * f * f, 0.0, 0.9).to_dict() for f in (1.0, 4.0)]
+    cubic = Effect("cubic_stiffness", ("103+Z",)).to_dict() | {"equivalents": levels}
     found = document("explained", (cubic,)) | {"detection": {"levels_n": [1.0, 4.0], "coherence": [0.9, 0.5], "inhomogeneity": 12.0}}
     found["picture"] = found["picture"] | {"restoring_force": [restoring()]}
     time = np.linspace(0, 1, 50)
@@ -500,7 +497,7 @@ def test_restoring_force_is_drawn_with_its_law_and_levels(whole):
     assert made["diagnosis"].count("Restoring force that the records ask for") == 1
     assert "falls by 12.3 dB" in made["diagnosis"]
     assert "Acceleration at 103+Z" in text_of(simulation_figure(figure))
-    text = text_of(level_figure(restoring()["equivalent"], "103+Z: cubic stiffness"))
+    text = text_of(level_figure(levels, "103+Z: cubic stiffness"))
     assert "1.00 N" in text
     assert force_figure(restoring() | {"binned_velocity": {}}, "103+Z").startswith("<svg")
 

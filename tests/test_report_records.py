@@ -15,7 +15,16 @@ def test_frfs_at_several_levels_are_drawn_with_what_was_measured():
         "reference": "2+Z",
         "frequencies_hz": hz.tolist(),
         "curves": [curve(2.5, True), curve(10.0, True), curve(20.0, False)],
-        "runs": [{"name": "low", "level": "2.50 N rms", "frequencies_hz": hz.tolist(), "magnitude": (1 + 2 / hz).tolist()}],
+        "runs": [
+            {
+                "name": "low",
+                "level": 2.5,
+                "unit": "N",
+                "level_name": "2.50 N rms",
+                "frequencies_hz": hz.tolist(),
+                "magnitude": (1 + 2 / hz).tolist(),
+            }
+        ],
     }
     drawn = frf_figure(levels)
     assert drawn.startswith("<svg")

@@ -30,12 +30,6 @@ if TYPE_CHECKING:
     from operando.diagnosis import apply_effects as apply_effects
     from operando.diagnosis import diagnose as diagnose
     from operando.dof import Dof as Dof
-    from operando.effects import Effect as Effect
-    from operando.effects import EffectKind as EffectKind
-    from operando.effects import Parameter as Parameter
-    from operando.effects import catalogue as catalogue
-    from operando.effects import parse_effect as parse_effect
-    from operando.effects import register as register
     from operando.ema import fit_ema as fit_ema
     from operando.errors import OperandoError as OperandoError
     from operando.frf import estimate_frf as estimate_frf
@@ -52,6 +46,12 @@ if TYPE_CHECKING:
     from operando.stabilization import Stabilization as Stabilization
     from operando.store import load as load
     from operando.structure import Model as Model
+    from operando.structure.effects import Effect as Effect
+    from operando.structure.effects import EffectKind as EffectKind
+    from operando.structure.effects import Parameter as Parameter
+    from operando.structure.effects import catalogue as catalogue
+    from operando.structure.effects import parse_effect as parse_effect
+    from operando.structure.effects import register as register
 else:
     ModuleType = type(sys)
 
@@ -85,12 +85,12 @@ _WHERE = {
     "compare": "operando.compare",
     "Comparison": "operando.compare",
     "ModelComparison": "operando.compare",
-    "Effect": "operando.effects",
-    "EffectKind": "operando.effects",
-    "Parameter": "operando.effects",
-    "catalogue": "operando.effects",
-    "parse_effect": "operando.effects",
-    "register": "operando.effects",
+    "Effect": "operando.structure.effects",
+    "EffectKind": "operando.structure.effects",
+    "Parameter": "operando.structure.effects",
+    "catalogue": "operando.structure.effects",
+    "parse_effect": "operando.structure.effects",
+    "register": "operando.structure.effects",
     "Model": "operando.structure",
     "Diagnosis": "operando.diagnosis",
     "diagnose": "operando.diagnosis",

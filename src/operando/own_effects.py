@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from operando.errors import ConfigError, OperandoError
 
 if TYPE_CHECKING:
-    from operando.effects import EffectKind
+    from operando.structure.effects import EffectKind
 
 _HOW = "a kind is a subclass of operando.EffectKind under @operando.register: see the documentation of `register`"
 
@@ -48,7 +48,7 @@ def load_effects(files: Sequence[str | Path], where: str | None = None) -> tuple
 
 
 def _load(path: Path, where: str | None) -> list[str]:
-    from operando.effects import catalogue, unregister
+    from operando.structure.effects import catalogue, unregister
 
     name = f"operando_own_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
     try:
@@ -103,7 +103,7 @@ class _AsItStands(importlib.abc.SourceLoader):
 
 def _restore(before: Mapping[str, EffectKind]) -> None:
     """The catalogue as it was."""
-    from operando.effects import catalogue, register, unregister
+    from operando.structure.effects import catalogue, register, unregister
 
     for kind in catalogue():
         if kind not in before:

@@ -12,11 +12,29 @@ from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted
 
 @dataclass
 class CheckRun:
-    """One measured operating FRF set the model is compared with."""
+    """One measured operating FRF set the model is compared with.
+
+    Attributes
+    ----------
+    name : str
+    level : str
+        Level in words; runs of one level have the same.
+    frf : Frf
+    force_n : float or None
+        Least rms of the forces [N]; None where it is not known.
+    levels_agree : bool
+        Whether several levels stand together here because they differ by no more than noise.
+    """
 
     name: str
     level: str
     frf: Frf
+    force_n: float | None = None
+    levels_agree: bool = False
+
+    def stated_level(self) -> dict[str, Any]:
+        """The level as documents hold it: a number with its unit, and its name."""
+        return {"level": self.force_n, "unit": "N", "level_name": self.level}
 
 
 @dataclass(repr=False)

@@ -239,7 +239,7 @@ def _dofs(value: Any, where: Entry) -> tuple[str, ...]:
 
 
 def _kinds(value: Any, where: Entry) -> tuple[str, ...]:
-    from operando.effects import catalogue
+    from operando.structure.effects import catalogue
 
     known = catalogue()
     for name in (texts := _texts(value, where)):

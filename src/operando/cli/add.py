@@ -27,7 +27,7 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
     from operando.cli.by_hand import accepted, change, present, suggestion
     from operando.cli.ofrf import check_dofs
     from operando.cli.sources import changing
-    from operando.effects import parse_effect
+    from operando.structure.effects import parse_effect
 
     with changing(folder, "add") as out:
         state = present(folder)

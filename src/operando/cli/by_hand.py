@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 from operando.cli.answer import Answer
 from operando.cli.diagnose import steps_table
 from operando.cli.progress import following
-from operando.effects import Effect
 from operando.errors import MissingError
 from operando.results import CheckRun, Results
+from operando.structure.effects import Effect
 
 if TYPE_CHECKING:
     from operando.data import TimeRecord
-    from operando.diagnosis.by_hand import Applied
+    from operando.diagnosis import Applied
     from operando.pipeline.folder import ResultsFolder
 
 
@@ -118,8 +118,8 @@ def suggestion(folder: str, results: Results) -> list[Effect]:
 def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> Answer:
     """Refit with these effects, rewrite the folder's errors by step and model, and tell what it did."""
     from operando.compare import with_effect
-    from operando.diagnosis import apply_effects
-    from operando.diagnosis.from_records import apply_levels, need_records, with_levels
+    from operando.diagnosis import RecordsApplied, apply_effects, apply_to_records
+    from operando.diagnosis.from_records import need_records, with_levels
     from operando.pipeline.outputs import STEP_OUTPUTS
 
     idle = results.idle
@@ -132,7 +132,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
         options: dict[str, Any] = {"geometry": results.geometry, "progress": lambda message: say("refit", f"  {message}")}
         if need_records(effects, before.get("data") or ()):
             records = check_records(str(folder.path), results)
-            applied = apply_levels(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
+            applied = apply_to_records(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
         else:
             at_rest = None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results))
             between = results.settings.get("between") or None
@@ -141,8 +141,8 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
     more = {key: done[key] for key in ("picture", "simulation") if key in done}
-    if "picture" in more:
-        more["picture"], notes = with_levels(more["picture"], idle, applied.effects, runs, band or idle.band_hz)
+    if isinstance(applied, RecordsApplied):
+        more["picture"], notes = with_levels(applied, idle, runs, band or idle.band_hz)
         by_hand["words"] = [*done["words"], *notes]
     results.diagnosis = (
         before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | more

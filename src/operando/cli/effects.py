@@ -12,7 +12,7 @@ from operando.units import written_unit
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from operando.effects import EffectKind
+    from operando.structure.effects import EffectKind
 
 _BAND = (5.0, 145.0)
 """Band [Hz] of pictures and examples, whose values may start at its centre."""
@@ -23,7 +23,7 @@ def kinds_like(ctx: click.Context, param: click.Parameter, incomplete: str) -> l
     """Kinds for the completion of the shell."""
     from click.shell_completion import CompletionItem
 
-    from operando.effects import catalogue
+    from operando.structure.effects import catalogue
 
     return [CompletionItem(name, help=kind.plain) for name, kind in catalogue().items() if name.startswith(incomplete)]
 
@@ -37,8 +37,7 @@ def effects(kind: str | None) -> Answer:
 
     With KIND also the force law, a small picture of it, and the test that confirms it.
     """
-    from operando.effects import catalogue
-    from operando.effects.registry import kind_of
+    from operando.structure.effects import catalogue, kind_of
 
     if kind is not None:
         definition = kind_of(kind)

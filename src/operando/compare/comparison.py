@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, overload
@@ -328,7 +327,7 @@ def compare_all(
     >>> f = np.arange(8.0, 12.0, 0.1)
     >>> model = operando.ModalModel([10.0], [0.01], np.array([[1.0]]), "1+Z", scaling="unit_modal_mass")
     >>> running = operando.ModalModel([10.1], [0.01], np.array([[1.0]]), "1+Z", scaling="unit_modal_mass")
-    >>> document = compare_all({"idle": model}, [CheckRun("run 1", "10 N", running.frf(f))])
+    >>> document = compare_all({"idle": model}, [CheckRun("run 1", "10 N", running.frf(f), 10.0)])
     >>> document["models"]["idle"]["error_db"] > 1
     True
     """
@@ -341,9 +340,9 @@ def compare_all(
     for r in runs:
         alone = len(chosen) == 1 and r.level == lowest  # this run is all that judged: its errors are known
         errors = overall if alone else {name: compare(m, r.frf, band_hz).to_dict() for name, m in models.items()}
-        by_run.append({"name": r.name, "level": r.level, "models": errors})
-    on = {"runs": [r.name for r in chosen], "level": lowest, "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
-    return {"schema": "operando/comparison/1", "judge_level": lowest, "judged_on": on, "models": overall, "by_run": by_run}
+        by_run.append({"name": r.name, **r.stated_level(), "models": errors})
+    on = {"runs": [r.name for r in chosen], **chosen[0].stated_level(), "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
+    return {"schema": "operando/comparison/1", "judged_on": on, "models": overall, "by_run": by_run}
 
 
 def with_effect(
@@ -389,12 +388,9 @@ def with_effect(
 
 
 def lowest_level(runs: Sequence[CheckRun]) -> str:
-    """The level a linear model is validated at: the smallest number in the level texts; the words low, lowest; else the last by name."""
-    levels = list(dict.fromkeys(r.level for r in runs))
-    numbers = [re.search(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", level) for level in levels]
-    if all(n is not None for n in numbers):
-        return min(zip(levels, numbers, strict=True), key=lambda p: float(p[1].group()))[0]  # type: ignore[union-attr]
-    for level in levels:
-        if level.lower() in ("low", "lowest"):
-            return level
-    return sorted(levels)[-1]
+    """The level a linear model is validated at: of the least force; where forces are not known low or lowest, else the last by name."""
+    known = [(r.force_n, r.level) for r in runs if r.force_n is not None]
+    if len(known) == len(runs):
+        return min(known)[1]
+    levels = sorted({r.level for r in runs})
+    return next((level for level in levels if level.lower() in ("low", "lowest")), levels[-1])

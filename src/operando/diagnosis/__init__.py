@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
-from operando.diagnosis.by_hand import Applied, apply_effects
+from operando.diagnosis.applied import Applied
+from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.from_frf import diagnose, diagnose_frf
 from operando.diagnosis.from_modes import diagnose_modes
+from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, apply_to_records, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis
 
-__all__ = ["Applied", "Diagnosis", "apply_effects", "diagnose", "diagnose_frf", "diagnose_modes"]
+__all__ = [
+    "Applied",
+    "Diagnosis",
+    "RecordsApplied",
+    "RecordsDiagnosis",
+    "apply_effects",
+    "apply_to_records",
+    "diagnose",
+    "diagnose_frf",
+    "diagnose_modes",
+    "diagnose_records",
+    "measured_distortion",
+]

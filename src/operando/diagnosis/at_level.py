@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from operando.data import Frf, ModalModel, one_level
 from operando.dof import parse_dofs
-from operando.effects import Effect
 from operando.errors import MissingError
-from operando.nonlinear.levels import at_level
 from operando.results import CheckRun, Results
-from operando.structure import Model
+from operando.structure import Model, at_level
+from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
 
 TWICE = 2.0
@@ -39,34 +38,7 @@ def level_frf(
     """What an FRF measurement would find under a random force of this size: the best linear model of the running structure there.
 
     Each reference is driven by itself; level-dependent effects stand in its column as the spring and damper that they are equivalent to
-    then (:func:`operando.nonlinear.at_level`).
-
-    Parameters
-    ----------
-    idle : ModalModel
-        Of unit modal mass.
-    effects : sequence of Effect
-        Level-dependent effects, springs and dampers.
-    level : float
-        rms of the force [N], even over the band.
-    frequencies : array
-        Lines [Hz].
-    responses, references : DOF labels, optional
-        Default: all DOFs of the idle model.
-    quantity : {"accelerance", "mobility", "receptance"}
-    band : (float, float), optional
-        Of the force [Hz]; default the idle model's.
-
-    Returns
-    -------
-    Frf
-
-    Raises
-    ------
-    DataError
-        If no steady motion is found at this level.
-    ConfigError
-        If an effect has no restoring force of displacement and velocity.
+    then: idle model, effects, level and band as for :func:`operando.structure.at_level`, which raises; the rest as for ``Model.frf``.
     """
     driven = idle.dofs if references is None else tuple(parse_dofs(references))
     columns: list[Frf] = []
@@ -79,23 +51,12 @@ def level_frf(
 
 @dataclass(frozen=True)
 class LevelModel:
-    """The idle model with effects under a random force of given size; predicts FRFs like any model.
-
-    Parameters
-    ----------
-    idle : ModalModel
-    effects : tuple of Effect
-        Effects on the structure, level-dependent ones among them.
-    level : float
-        rms of the force [N].
-    band : (float, float) or None
-        Of the force [Hz].
-    """
+    """The idle model with effects on the structure under a random force of given size; predicts FRFs like any model."""
 
     idle: ModalModel
     effects: tuple[Effect, ...]
-    level: float
-    band: tuple[float, float] | None = None
+    level: float  # rms of the force [N]
+    band: tuple[float, float] | None = None  # of the force [Hz]
 
     @classmethod
     def of(cls, results: Results, level: float) -> LevelModel:
@@ -121,23 +82,13 @@ class LevelModel:
 def level_picture(
     idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], levels: Sequence[float], band: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """FRFs of the model at the levels measured and at twice the highest, and what was measured, for one pair of DOFs.
-
-    Parameters
-    ----------
-    idle : ModalModel
-    effects : sequence of Effect
-    check : sequence of CheckRun
-        Measured FRFs, by level.
-    levels : sequence of float
-        Forces of the records [N rms].
-    band : (float, float) or None
+    """FRFs of the model at the levels measured [N rms] and at twice the highest, and what was measured, for one pair of DOFs.
 
     Returns
     -------
     dict
         ``response``, ``reference``, ``frequencies_hz``, ``curves`` [{force_n, measured (bool), magnitude}], ``runs`` [{name, level,
-        frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
+        unit, level_name, frequencies_hz, magnitude}]; accelerances [(m/s²)/N]. Empty without a level-dependent effect or an FRF.
 
     Raises
     ------
@@ -151,7 +102,7 @@ def level_picture(
     hz = np.linspace(low, high, DRAWN)
     first = check[0].frf
     reference, response = first.references[0], varying[0].location[0]
-    if all((d.node, d.axis) != (response.node, response.axis) for d in first.responses):
+    if not any(d.same_axis(response) for d in first.responses):
         response = reference
     top, least = max(levels), min(levels)
     shown = [least, top, TWICE * top] if not one_level(least, top) else [top, TWICE * top]
@@ -165,18 +116,13 @@ def level_picture(
     ]
     runs = []
     for run in check:
-        own = [i for i, d in enumerate(run.frf.responses) if (d.node, d.axis) == (response.node, response.axis)]
-        driven = [j for j, d in enumerate(run.frf.references) if (d.node, d.axis) == (reference.node, reference.axis)]
+        own = [i for i, d in enumerate(run.frf.responses) if d.same_axis(response)]
+        driven = [j for j, d in enumerate(run.frf.references) if d.same_axis(reference)]
         if own and driven:
             inside = (run.frf.frequencies_hz >= low) & (run.frf.frequencies_hz <= high)
             step = max(1, int(np.sum(inside)) // DRAWN)
             size = np.abs(run.frf.data[own[0], driven[0]][inside])[::step]
             good = np.isfinite(size)
-            row = {"name": run.name, "level": run.level, "frequencies_hz": run.frf.frequencies_hz[inside][::step][good].tolist()}
+            row = {"name": run.name, **run.stated_level(), "frequencies_hz": run.frf.frequencies_hz[inside][::step][good].tolist()}
             runs.append(row | {"magnitude": size[good].tolist()})
     return {"response": str(response), "reference": str(reference), "frequencies_hz": hz.tolist(), "curves": curves, "runs": runs}
-
-
-def levels_of(picture: Mapping[str, Any]) -> list[float]:
-    """Forces [N rms] of the records behind a picture of restoring forces."""
-    return sorted({float(row["force_n"]) for p in picture.get("restoring_force") or [] for row in p.get("equivalent") or []})

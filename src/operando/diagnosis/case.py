@@ -17,8 +17,8 @@ from operando.diagnosis.forward import Forward, Scannable
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.terms import SEARCHED, Term, added, candidates
-from operando.effects import kind_of
 from operando.errors import DofError
+from operando.structure.effects import kind_of
 
 Array = NDArray[Any]
 _DECADES = np.linspace(-5, 3, 25)  # of sizes about that which stops a place

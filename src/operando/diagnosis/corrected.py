@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from operando.data import Geometry, ModalModel
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
-from operando.effects import Effect
 from operando.structure import Model
+from operando.structure.effects import Effect
 
 Array = NDArray[np.float64]
 

@@ -112,7 +112,7 @@ def judged_on(state: State, run: CheckRun) -> dict[str, Any]:
         "state": "operating",
         "measured": "FRF lines",
         "runs": [run.name],
-        "level": run.level,
+        **run.stated_level(),
         "band_hz": list(case.band),
         "n_lines": int(case.lines.validation.size * case.lines.there.sum()),
         "whole_run": False,

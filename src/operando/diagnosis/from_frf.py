@@ -248,7 +248,7 @@ def searched(kinds: Sequence[str] | None) -> tuple[str, ...]:
     ConfigError
         If none of those named can be found from FRFs.
     """
-    from operando.effects import kind_of
+    from operando.structure.effects import kind_of
 
     if kinds is None:
         return SEARCHED

@@ -20,8 +20,8 @@ from operando.diagnosis.result import Diagnosis
 from operando.diagnosis.search import Found, search, search_both
 from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
 from operando.dof import Dof, parse_dofs
-from operando.effects import Effect
 from operando.errors import ConfigError, DataError
+from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
 
 _FEW = 4  # modes from which some values can be set apart

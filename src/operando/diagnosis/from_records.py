@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
-from operando.diagnosis.at_level import level_picture, levels_of
-from operando.diagnosis.by_hand import Applied, words_of
+from operando.diagnosis.at_level import level_picture
+from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.dof import Node
-from operando.effects import Effect
 from operando.errors import MissingError, OperandoError
-from operando.nonlinear import (
-    AppliedToRecords,
-    NonlinearDiagnosis,
-    apply_to_records,
-    diagnose_records,
-    has_restoring_force,
-    linear_effects,
-    measured_distortion,
-)
 from operando.results import CheckRun
-from operando.structure import Model
+from operando.structure import LinearEquivalent, has_restoring_force, linear_effects
+from operando.structure.effects import Effect
 
 DISTORTION, LOUDEST = 3.0, 0.75
 """What FRFs leave unexplained in the check may be this many times what they leave at rest, at the quantile of the responses that follows;
@@ -38,95 +29,11 @@ FAINT = 3.0
 SURE = ("explained", "no_misfit", "ambiguous")
 
 
-@dataclass(frozen=True)
-class RecordsDiagnosis(Diagnosis):
-    """A diagnosis with level-dependent effects.
-
-    Parameters
-    ----------
-    records : NonlinearDiagnosis or None
-        What the records say by themselves.
-    """
-
-    records: NonlinearDiagnosis | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """``diagnosis.json``, with ``detection`` and ``simulation`` beside."""
-        out = super().to_dict()
-        if self.records is None:
-            return out
-        said = self.records.to_dict()
-        return out | {key: said[key] for key in ("detection", "simulation", "discrepancy")}
-
-
-@dataclass(frozen=True)
-class RecordsApplied(Applied):
-    """Effects chosen by hand, level-dependent ones among them, fitted to records.
-
-    Parameters
-    ----------
-    records : AppliedToRecords or None
-        What the records say.
-    """
-
-    records: AppliedToRecords | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON object: effects, errors by step, words; ``picture`` and ``simulation`` as in ``diagnosis.json``."""
-        out = super().to_dict()
-        return out if self.records is None else out | {"picture": self.records.picture, "simulation": self.records.simulation}
-
-
 def need_records(effects: Sequence[Effect], data: Sequence[str] = ()) -> bool:
     """Whether effects depend on the level, so that FRFs cannot size them; or records made the diagnosis and can size these, too."""
     if any(e.definition.acts == "pseudo_force" for e in effects):
         return True
     return "check_records" in data and all(has_restoring_force(e) for e in effects)
-
-
-def apply_levels(
-    idle: ModalModel,
-    effects: Sequence[Effect],
-    records: Sequence[TimeRecord],
-    *,
-    geometry: Geometry | None = None,
-    band: tuple[float, float] | None = None,
-    exclude_bands: Sequence[tuple[float, float]] = (),
-    refit: bool = True,
-    progress: Callable[[str], None] | None = None,
-) -> RecordsApplied:
-    """Effects chosen by hand, level-dependent ones among them: fitted together to records, with a sentence about each.
-
-    Parameters
-    ----------
-    idle : ModalModel
-        Of unit modal mass.
-    effects : sequence of Effect
-        Level-dependent ones, springs and dampers, in order.
-    records : sequence of TimeRecord
-        Of the running state with measured force.
-    geometry : Geometry, optional
-    band, exclude_bands, refit, progress
-        As in :func:`operando.nonlinear.apply_to_records`.
-
-    Raises
-    ------
-    DataError
-        If the idle model has no scale.
-    ConfigError
-        If an effect has no restoring force of displacement and velocity, so that records cannot be fitted with it.
-    """
-    seen = apply_to_records(idle, effects, records, band=band, exclude_bands=exclude_bands, refit=refit, progress=progress)
-    words = []
-    for k, effect in enumerate(seen.effects, 1):
-        words.append(words_of(effect, seen.ladder[k - 1]["heldout_misfit"], seen.ladder[k]["heldout_misfit"]))
-        words += [
-            f"the data speak for another one: {other} would lower it to {left:.4g}; `operando remove` takes step {k} back"
-            for step, other, left in seen.better
-            if step == k
-        ]
-    linear = standing({"effects": [e.to_dict() for e in seen.effects], "picture": seen.picture})
-    return RecordsApplied(Model(idle, tuple(linear), geometry), seen.effects, seen.ladder, (*words, *seen.notes), seen.judged_on, seen)
 
 
 def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | None:
@@ -169,7 +76,7 @@ def unexplained(frf: Frf) -> dict[tuple[Node, str], float]:
     for dof, variance, power in zip(frf.responses, frf.variance, size, strict=True):
         good = np.isfinite(variance) & np.isfinite(power) & (power > 0)
         if good.any():
-            out[dof.node, dof.axis] = float(np.median(variance[good] / power[good]) * (frf.averages or 1.0))
+            out[dof.key] = float(np.median(variance[good] / power[good]) * (frf.averages or 1.0))
     return out
 
 
@@ -188,34 +95,21 @@ def diagnose_levels(
     progress: Callable[[str], None] | None = None,
     compared: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
-    """The diagnosis from the records where something depends on the level, else the linear one.
+    """The diagnosis from the records where something depends on the level, else the linear one; options as in :func:`operando.diagnose`.
 
-    Parameters
-    ----------
-    linear : callable or None
-        Makes the diagnosis from the check FRFs; None where there are none, and the records alone decide.
-    idle : ModalModel
-    check : sequence of CheckRun
-    records : sequence of TimeRecord
-        The check's records with measured force.
-    idle_frf : Frf, optional
-        For how much noise there is at rest.
-    exclude_bands : sequence of (float, float)
-        Lines left out [Hz].
-    geometry, kinds, places, band, progress, compared
-        As in :func:`operando.diagnose`.
+    ``linear`` makes the diagnosis from the check FRFs; None where there are none, and the records alone decide.
     """
 
-    def look() -> NonlinearDiagnosis:
+    def look() -> RecordsDiagnosis:
         return diagnose_records(
             idle, records, geometry=geometry, kinds=kinds, places=places, band=band, exclude_bands=exclude_bands, progress=progress
         )
 
     if linear is None:
-        return merged(look(), idle, check, geometry, band, compared)
+        return merged(look(), idle, check, band, compared)
     reason, notes = suspicion(check, idle_frf), []
     levels = levels_disagree(check)
-    seen: NonlinearDiagnosis | None = None
+    seen: RecordsDiagnosis | None = None
     if reason is not None:
         if progress:
             progress(f"look at the records: {reason}")
@@ -225,7 +119,7 @@ def diagnose_levels(
             notes.append(f"{reason}; the records cannot tell why: {error.message}")
         else:
             if seen.nonlinear:
-                return merged(seen, idle, check, geometry, band, compared, (reason,))
+                return merged(seen, idle, check, band, compared, (reason,))
             notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
     found = linear()
     if reason is not None:
@@ -249,51 +143,36 @@ def diagnose_levels(
         return replace(found, notes=(*found.notes, f"the records were not used: {error.message}"))
     left = [row["heldout_misfit"] for row in seen.ladder]
     if seen.nonlinear and (seen.verdict in SURE or (found.verdict == "no_misfit" and left[-1] < 0.5 * left[0])):
-        return merged(seen, idle, check, geometry, band, compared, (reason,) if found.verdict == "no_misfit" else ())
+        return merged(seen, idle, check, band, compared, (reason,) if found.verdict == "no_misfit" else ())
     return found
 
 
 def merged(
-    seen: NonlinearDiagnosis,
+    seen: RecordsDiagnosis,
     idle: ModalModel,
     check: Sequence[CheckRun],
-    geometry: Geometry | None,
     band: tuple[float, float] | None,
     compared: Mapping[str, Any] | None = None,
     words: Sequence[str] = (),
 ) -> RecordsDiagnosis:
     """The diagnosis from the records, with where the idle model fails by the check FRFs."""
-    linear = standing({"effects": [e.to_dict() for e in seen.effects], "picture": seen.picture})
-    picture, notes = with_levels(seen.picture, idle, seen.effects, check, band)
-    return RecordsDiagnosis(
-        seen.verdict,
-        seen.effects,
-        seen.ambiguous_with,
-        seen.proposed_measurement,
-        seen.ladder,
-        seen.candidates,
-        where_it_fails(idle, check, band or idle.band_hz, compared) if check else seen.where,
-        seen.noise_floor_db,
-        ("check_frf", "check_records") if check else ("check_records",),
-        picture,
-        (*words, *seen.notes, *notes),
-        idle,
-        Model(idle, tuple(linear), geometry),
-        seen.judged_on,
-        reason=seen.reason,
-        records=seen,
-    )
+    picture, notes = with_levels(seen, idle, check, band)
+    seen = replace(seen, picture=picture, notes=(*words, *seen.notes, *notes))
+    if not check:
+        return seen
+    return replace(seen, where=where_it_fails(idle, check, band or idle.band_hz, compared), data=("check_frf", *seen.data))
 
 
 def with_levels(
-    picture: dict[str, Any], idle: ModalModel, effects: Sequence[Effect], check: Sequence[CheckRun], band: tuple[float, float] | None
+    seen: RecordsDiagnosis | RecordsApplied, idle: ModalModel, check: Sequence[CheckRun], band: tuple[float, float] | None
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The picture with FRFs at the levels measured and at twice the highest; and why there are none."""
+    levels = sorted({row.level for rows in seen.equivalents for row in rows})
     try:
-        made = level_picture(idle, effects, check, levels_of(picture), band)
+        made = level_picture(idle, seen.effects, check, levels, band)
     except OperandoError as error:
-        return picture, (f"no FRFs at other levels: {error.message}",)
-    return (picture | {"levels": made} if made else picture), ()
+        return seen.picture, (f"no FRFs at other levels: {error.message}",)
+    return (seen.picture | {"levels": made} if made else seen.picture), ()
 
 
 def standing(document: Mapping[str, Any]) -> list[Effect]:
@@ -304,19 +183,16 @@ def standing(document: Mapping[str, Any]) -> list[Effect]:
     MissingError
         If the document holds no equivalent of a level-dependent effect, as of one added by hand.
     """
-    rows = (document.get("picture") or {}).get("restoring_force") or []
     out: list[Effect] = []
     for stated in document.get("effects") or []:
         effect = Effect.from_dict(stated)
         if effect.definition.acts != "pseudo_force":
             out.append(effect)
             continue
-        here = [str(d) for d in effect.location]
-        found = [r["equivalent"] for r in rows if r.get("kind") == effect.kind and list(r.get("location") or ()) == here]
-        if not found or not found[0]:
+        if not stated.get("equivalents"):
             raise MissingError(
                 f"{effect.kind} at {effect.place} depends on the level: without records it has no FRF",
                 hint="run the diagnosis with the records of the validation measurement",
             )
-        out += linear_effects(effect, found[0])
+        out += linear_effects(effect, [LinearEquivalent.from_dict(row) for row in stated["equivalents"]])
     return out

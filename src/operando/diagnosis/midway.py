@@ -14,8 +14,8 @@ from operando.data import Geometry
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS
 from operando.diagnosis.idle import Idle, Moves
 from operando.dof import Dof, split_node
-from operando.effects import spline_weights
 from operando.errors import DataError, DofError
+from operando.structure.effects import spline_weights
 
 Array = NDArray[Any]
 
@@ -72,7 +72,7 @@ def midway(dofs: tuple[Dof, ...], geometry: Geometry) -> list[Midway]:
             weights = linear.copy()
             if len(along) >= 4:
                 weights[:] = 0
-                weights[[rows[c] for c in along]] = spline_weights(points[along], middle[None])[0][0] * signs[along]
+                weights[[rows[c] for c in along]] = spline_weights(points[along], middle[None])[0] * signs[along]
             place = (float(middle[0]), float(middle[1]), float(middle[2]))
             out.append((float(ways[a, b]), Midway(place, axis, (rows[a], rows[b]), weights, linear)))
     out.sort(key=lambda item: item[0])
@@ -107,7 +107,7 @@ def at_position(dofs: tuple[Dof, ...], geometry: Geometry, position: tuple[float
     share = ways[b] / max(ways[a] + ways[b], 1e-300)
     linear[[rows[a], rows[b]]] = np.array([share, 1 - share]) * signs[[a, b]]
     try:
-        weights[rows] = spline_weights(points, np.array(position)[None])[0][0] * signs
+        weights[rows] = spline_weights(points, np.array(position)[None])[0] * signs
     except DataError:  # too few sensors for a spline
         weights = linear.copy()
     return Midway(position, wanted.axis, (rows[a], rows[b]), weights, linear)

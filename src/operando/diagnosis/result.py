@@ -10,9 +10,9 @@ import numpy as np
 
 from operando.data import Geometry, ModalModel
 from operando.diagnosis.drawn import Drawn
-from operando.effects import Effect
 from operando.results import CheckRun
 from operando.structure import Model
+from operando.structure.effects import Effect
 
 
 @dataclass(frozen=True)

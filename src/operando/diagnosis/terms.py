@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.dof import Dof
-from operando.effects import Effect, EffectKind, kind_of
+from operando.structure.effects import Effect, EffectKind, kind_of
 
 Array = NDArray[Any]
 

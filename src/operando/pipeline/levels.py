@@ -54,19 +54,15 @@ def check_frfs(records: Sequence[TimeRecord], estimate: Callable[[list[TimeRecor
     everything = estimate(list(records))
     linear = not any(f.kind == "nonlinear" for f in everything.findings)
     if len(groups) == 1 or linear:
-        return [CheckRun(_names(records), _level(records, "" if len(groups) == 1 else "all levels agree"), everything)]
-    runs = [CheckRun(_names(group), _level(group), estimate(group)) for group in groups]
+        return [_run(records, everything, several=len(groups) > 1)]
+    runs = [_run(group, estimate(group)) for group in groups]
     told = tuple(f for f in everything.findings if f.kind == "nonlinear")
     return [replace(runs[0], frf=runs[0].frf.with_findings([f for f in told if f not in runs[0].frf.findings])), *runs[1:]]
 
 
-def _names(records: Sequence[TimeRecord]) -> str:
-    return ", ".join(r.name for r in records)
-
-
-def _level(records: Sequence[TimeRecord], note: str = "") -> str:
-    """Level in words; its first number is the lowest force."""
+def _run(records: Sequence[TimeRecord], frf: Frf, several: bool = False) -> CheckRun:
+    """The FRFs of records with their level."""
     forces = [force_rms(r) for r in records]
     low, high = min(forces), max(forces)
     text = f"{low:.4g} N rms" if high < 1.05 * low else f"{low:.4g} … {high:.4g} N rms"
-    return f"{text}, {note}" if note else text
+    return CheckRun(", ".join(r.name for r in records), f"{text}, all levels agree" if several else text, frf, low, several)

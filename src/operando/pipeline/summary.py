@@ -25,7 +25,7 @@ def summary(results: Results) -> dict[str, Any]:
         "inventory": results.inventory,
         "geometry": None if results.geometry is None else {"nodes": len(results.geometry.nodes), "unit_known": results.geometry.unit_known},
         "check": [
-            {"name": r.name, "level": r.level, "references": _texts(r.frf.references), "averages": r.frf.averages} for r in results.check
+            {"name": r.name, **r.stated_level(), "references": _texts(r.frf.references), "averages": r.frf.averages} for r in results.check
         ],
     }
     plain: dict[str, Any] = jsonable(document)

@@ -153,7 +153,7 @@ def route_words(results: Results) -> str:
     text = f"Recommended operating FRFs: {MODEL_NAMES[route.model]} (operando ofrf --route {route.name})"
     on = (results.comparison or {}).get("judged_on") or {}
     if route.error_db is not None:
-        level = f", level {on['level']}" if on.get("level") else ""
+        level = f", level {on['level_name']}" if on.get("level_name") else ""
         text += f", off by {decibel(route.error_db)} from the validation measurement in operation{level}"
         if route.idle_error_db is not None and route.model != "idle":
             text += f" (idle model: {decibel(route.idle_error_db)})"
@@ -216,7 +216,7 @@ def _levels_text(results: Results) -> str:
     for run in (results.comparison or {}).get("by_run") or []:
         errors = [((run.get("models") or {}).get(k) or {}).get("error_db") for k in ("ofrf", "idle")]
         if all(finite(e) for e in errors):
-            rows.append((str(run.get("level") or run.get("name")), float(errors[0] or 0), float(errors[1] or 0)))
+            rows.append((str(run.get("level_name") or run.get("name")), float(errors[0] or 0), float(errors[1] or 0)))
     if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
         return ""
     parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
@@ -446,7 +446,7 @@ def _linear(results: Results, found: list[Finding]) -> Assumption:
         return Assumption(name, "fails", f"{where}: {named[0].message.rstrip('.')}. The FRFs stand for the level they were measured at.")
     levels = level_difference(results.check, analysis_band(results))
     if levels is None:
-        agree = [run for run in results.check if "agree" in run.level]
+        agree = [run for run in results.check if run.levels_agree]
         if agree:
             return Assumption(
                 name, "holds", f"Validation measurements at several levels ({agree[0].level}) differ by no more than their noise."

@@ -104,16 +104,12 @@ def comparison_models(results: Results) -> dict[str, dict[str, Any]]:
 
 
 def validation_run(results: Results) -> CheckRun | None:
-    """What the dB errors are drawn for: validation measurements of the level compared, their references side by side where they fit.
-
-    The level is the one named in ``comparison.json``, else the last by name.
-    """
+    """What the dB errors are drawn for: validation measurements of the level compared, their references side by side where they fit."""
     if not results.check:
         return None
-    level = (results.comparison or {}).get("judge_level")
-    if level is None or level not in {run.level for run in results.check}:
-        level = lowest_level(results.check)
-    runs = [run for run in results.check if run.level == level]
+    compared = ((results.comparison or {}).get("judged_on") or {}).get("runs") or ()
+    level = lowest_level(results.check)
+    runs = [run for run in results.check if run.name in compared] or [run for run in results.check if run.level == level]
     return beside(runs) or runs[0]
 
 
@@ -123,7 +119,7 @@ def beside(runs: Sequence[CheckRun]) -> CheckRun | None:
         frf = runs[0].frf.beside(*(run.frf for run in runs[1:]))
     except DataError:
         return None
-    return CheckRun(", ".join(run.name for run in runs), runs[0].level, frf)
+    return replace(runs[0], name=", ".join(run.name for run in runs), frf=frf)
 
 
 def range_text(frequencies_hz: NDArray[np.float64]) -> str:

@@ -56,24 +56,23 @@ def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure,
     Parameters
     ----------
     rows : sequence of dict
-        ``equivalent`` of a picture in ``diagnosis.json``.
+        ``equivalents`` of an effect in ``diagnosis.json``.
     title : str
     """
     figure = new_figure(10.2, 2.5)
-    order = sorted(rows, key=lambda r: r["displacement_m"])
-    x = np.array([r["displacement_m"] for r in order])
+    order = sorted(rows, key=lambda r: r["displacement"])
+    x = np.array([r["displacement"] for r in order])
     factor, length = engineering_unit(float(x.max()), "m")
     for k, (name, unit, color) in enumerate((("stiffness", "N/m", GREEN), ("damping", "N s/m", IDLE))):
         axes: Axes = figure.add_axes((0.085 + 0.495 * k, 0.2, 0.4, 0.64))
         axes.plot(x / factor, [r[name] for r in order], color=color, marker="o", ms=4, lw=1.2)
         for r in order:
-            axes.annotate(
-                f"{number(r['force_n'], 3)} N", (r["displacement_m"] / factor, r[name]), (4, 5), textcoords="offset points", fontsize=8
-            )
+            at = (r["displacement"] / factor, r[name])
+            axes.annotate(f"{number(r['level'], 3)} {r['unit']}", at, (4, 5), textcoords="offset points", fontsize=8)
         axes.axhline(0, color=GREY, lw=0.8)
         axes.margins(0.12, 0.2)
         if name == "damping":  # an elastic law damps nothing: its figures are rounding beside what its stiffness would make of velocity
-            least = 0.1 * max(abs(r["stiffness"]) * r["displacement_m"] / max(r["velocity_m_s"], 1e-300) for r in order)
+            least = 0.1 * max(abs(r["stiffness"]) * r["displacement"] / max(r["velocity"], 1e-300) for r in order)
             low, high = axes.get_ylim()
             axes.set_ylim(min(low, -least), max(high, least))
         axes.set_xlabel(f"Displacement across the location, rms [{length}]")
@@ -96,7 +95,9 @@ def frf_figure(levels: Mapping[str, Any]) -> tuple[Figure, str]:
     axes = figure.add_axes((0.075, 0.15, 0.91, 0.74))
     db = lambda values: 20 * np.log10(np.maximum(np.asarray(values, float), 1e-12))  # noqa: E731
     for run in levels.get("runs") or []:
-        dots(axes, np.asarray(run["frequencies_hz"], float), db(run["magnitude"]), SKY, 2.0, f"measured, {run['level'] or run['name']}")
+        dots(
+            axes, np.asarray(run["frequencies_hz"], float), db(run["magnitude"]), SKY, 2.0, f"measured, {run['level_name'] or run['name']}"
+        )
     hz = np.asarray(levels["frequencies_hz"], float)
     colors = (GREEN, MEASURED, IDLE)
     for curve, color in zip(levels["curves"], colors[-len(levels["curves"]) :], strict=False):

@@ -133,7 +133,7 @@ def _by_run(results: Results) -> tuple[list[str], list[tuple[str, Any, list[Any]
     keys = [k for k in MODEL_NAMES if any(k in models for models in found)]
     errors = [[(models.get(k) or {}).get("error_db") for k in keys] for models in found]
     names = [str(row.get("run") or row.get("name") or n) for n, row in enumerate(rows)]
-    return [MODEL_NAMES[k] for k in keys], [(n, row.get("level"), e) for n, row, e in zip(names, rows, errors, strict=True)]
+    return [MODEL_NAMES[k] for k in keys], [(n, row.get("level_name"), e) for n, row, e in zip(names, rows, errors, strict=True)]
 
 
 def _by_mode(models: Any, chosen: list[str]) -> list[tuple[float, list[dict[str, Any]]]]:

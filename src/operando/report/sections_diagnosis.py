@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -161,10 +161,11 @@ def _records(found: Mapping[str, Any]) -> dict[str, Any]:
     picture, simulation, detection = found.get("picture") or {}, found.get("simulation") or {}, found.get("detection") or {}
     forces = []
     for p in picture.get("restoring_force") or []:
-        effect = _named(p, found)
+        named = _same(p, found_by_itself(found))
+        effect = None if named is None else effect_words(named)
         title = " and ".join(map(str, p.get("location") or [])) + ("" if effect is None else f": {effect.name} {effect.size}")
-        several = len(p.get("equivalent") or []) > 1
-        levels = figures_records.level_figure(p["equivalent"], title) if several else None
+        equivalents = (_same(p, found.get("effects") or []) or {}).get("equivalents") or []
+        levels = figures_records.level_figure(equivalents, title) if len(equivalents) > 1 else None
         forces.append((p, figures_records.force_figure(p, title), levels))
     simulated = (simulation.get("figure") or {}).get("time_s") and finite(simulation.get("gain_db"))
     frfs = picture.get("levels") or {}
@@ -177,10 +178,11 @@ def _records(found: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _named(picture: Mapping[str, Any], found: Mapping[str, Any]) -> EffectWords | None:
+def _same(picture: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """The effect that a picture of a restoring force belongs to."""
     here = list(map(str, picture.get("location") or ()))
-    same = [e for e in found_by_itself(found) if e.get("kind") == picture.get("kind") and list(map(str, e.get("location") or ())) == here]
-    return effect_words(same[0]) if same else None
+    same = (e for e in effects if e.get("kind") == picture.get("kind") and list(map(str, e.get("location") or ())) == here)
+    return next(same, None)
 
 
 def _title(picture: Mapping[str, Any], effect: EffectWords | None) -> str:

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from operando.effects import Effect
 from operando.errors import OperandoError
 from operando.indicators import INTERVAL
 from operando.report.text import decibel, finite, listing, number, plus_minus
+from operando.structure.effects import Effect
 from operando.units import engineering_unit
 
 VERDICTS: dict[str, tuple[str, str]] = {
@@ -406,7 +406,7 @@ def lines_words(judged_on: Mapping[str, Any]) -> str:
     runs = listing([str(r) for r in judged_on.get("runs") or []], MOST_NAMED)
     text = f"{judged_on['state']} state, {judged_on['measured']}"
     text += f", {part} of {runs}" if runs else ""
-    text += f", level {judged_on['level']}" if judged_on.get("level") else ""
+    text += f", level {judged_on['level_name']}" if judged_on.get("level_name") else ""
     band, count = judged_on.get("band_hz"), judged_on.get("n_lines")
     text += f", {number(band[0], 4)} … {number(band[1], 4)} Hz" if band else ""
     return text + (f", {count} complex values" if count else "")

@@ -1,7 +1,10 @@
-"""The structure as it runs: the idle model with effects added."""
+"""The structure as it runs: the idle model with effects added, its FRFs, modes, and motion in time."""
 
 from __future__ import annotations
 
+from operando.structure.force_law import ForceLaw, has_restoring_force
+from operando.structure.linearization import LinearEquivalent, at_level, linear_effects
 from operando.structure.model import Model
+from operando.structure.time_domain import simulate
 
-__all__ = ["Model"]
+__all__ = ["ForceLaw", "LinearEquivalent", "Model", "at_level", "has_restoring_force", "linear_effects", "simulate"]

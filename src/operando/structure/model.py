@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,17 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof, match_dofs, parse_dofs
-from operando.effects import Effect, parse_effect, place_weights, running_modes
-from operando.effects.running import with_spread
-from operando.effects.update import update_variance, woodbury_core
 from operando.errors import ConfigError, DataError
+from operando.structure.effects import Effect, parse_effect, place_weights
+from operando.structure.eigenproblem import running_modes, with_spread
+from operando.structure.low_rank import update_variance, woodbury_core
 from operando.synthesis import modal_kernel
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
-_KEEP = 4
-"""Sets of lines whose idle receptances are kept."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,6 @@ class Model:
     covariance : (p, p) array, optional
         Of all values of the effects, one after the other; or joint with the idle parameters θ = [f (Hz), ζ, shapes mode by mode],
         which then come first. Default: the squares of the values' standard deviations.
-    cache : dict, optional
-        Idle receptances on the last sets of lines; models made from one another share it.
 
     Raises
     ------
@@ -62,7 +58,6 @@ class Model:
     effects: tuple[Effect, ...] = ()
     geometry: Geometry | None = None
     covariance: NDArray[np.float64] | None = None
-    cache: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(self.effects))
@@ -194,7 +189,7 @@ class Model:
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, provenance=self.idle.provenance.then("Model.frf"))
 
     def modes(self, variance: bool = False) -> ModalModel:
-        """Poles and complex shapes of the running structure: see :func:`operando.effects.running_modes`.
+        """Poles and complex shapes of the running structure: by :mod:`operando.structure.eigenproblem`.
 
         Shapes are as the channels show them: scaled, turned, late or swapped where an effect says so.
 
@@ -251,18 +246,6 @@ class Model:
     def _acting(self) -> list[Effect]:
         return [e for e in self.effects if e.definition.acts == "dynamic_stiffness"]
 
-    def _lines(self, base: ModalModel, hz: Array) -> _Lines:
-        """Idle receptances on these lines, kept between calls and between models of the same idle one."""
-        if base is not self.idle:
-            return _Lines(base, hz)
-        key = (id(base), hz.tobytes())
-        found: _Lines | None = self.cache.get(key)
-        if found is None:
-            while len(self.cache) >= _KEEP:
-                self.cache.pop(next(iter(self.cache)))
-            found = self.cache[key] = _Lines(base, hz)
-        return found
-
     def _channels(self, resp: tuple[Dof, ...], refs: tuple[Dof, ...], hz: Array) -> tuple[tuple[Dof, ...], Array | None]:
         """DOF that each response channel truly carries, and the factor of measured over true (o, j, lines)."""
         maps = [e for e in self.effects if e.definition.acts == "sensor_map"]
@@ -290,18 +273,17 @@ class Model:
 
     def _receptance(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array:
         base = self._base()
-        lines = self._lines(base, hz)
+        lines = _Lines(base, hz)
         carried, factor = self._channels(resp, refs, hz)
-        h = lines.idle(carried, refs)
+        h = lines.between(base.terms.rows(carried), base.terms.rows(refs))
         acting = self._acting()
         if acting:
             weights, z = self._added(base, acting, hz)
             core, from_o, to_j = self._update(lines, base, weights, z, carried, refs)
-            h = h.copy()
             for a in range(core.shape[0]):
                 seen = np.einsum("bl,bjl->jl", core[a], to_j)
                 h -= from_o[:, a, None] * seen[None]
-        return np.array(h) if factor is None else h * factor
+        return h if factor is None else np.asarray(h * factor)
 
     def _added(self, base: ModalModel, acting: list[Effect], hz: Array) -> tuple[Array, Array]:
         """Places (k, n_dofs) and δZ (lines, k, k) of all acting effects."""
@@ -340,7 +322,7 @@ class Model:
             weights, left, right = np.zeros((0, len(base.dofs))), np.zeros(shape, complex), np.zeros((0, len(refs), hz.size), complex)
             if acting:
                 weights, z = self._added(base, acting, hz)
-                core, from_o, to_j = self._update(self._lines(base, hz), base, weights, z, carried, refs)
+                core, from_o, to_j = self._update(_Lines(base, hz), base, weights, z, carried, refs)
                 left, right = np.einsum("oal,abl->obl", from_o, core), np.einsum("abl,bjl->ajl", core, to_j)
             shared: tuple[Array, Array] | None = None
             if cross is not None and gradient is not None:
@@ -367,7 +349,7 @@ class Model:
         if self.covariance is None or len(self.covariance) < n or not self.effects or base.n_parameters != n:
             return None  # with a mode added the idle parameters no longer stand one to one: counted as independent
         # A kind that changes the whole model scales each idle parameter; so does it with an identity in place of its covariance.
-        plain = replace(self, idle=replace(self.idle, covariance=np.eye(n), std=None), covariance=None, cache={})
+        plain = replace(self, idle=replace(self.idle, covariance=np.eye(n), std=None), covariance=None)
         factors = np.sqrt(np.diag(np.asarray(plain._base().covariance)))
         return np.asarray(factors[:, None] * np.asarray(self.covariance)[:n, n:])
 
@@ -399,10 +381,8 @@ class _Lines:
     """Receptances of a modal model on some lines."""
 
     def __init__(self, model: ModalModel, hz: Array) -> None:
-        self.model = model
         kernel = modal_kernel(hz, model.terms.frequencies_hz, model.terms.damping_ratios, "receptance")
         self.stacked = np.concatenate([kernel.real, kernel.imag], axis=1)
-        self.kept: tuple[Any, Array] | None = None
 
     def between(self, left: Array, right: Array) -> Array:
         """Σ_r left_r right_r/(ω_r² − ω² + 2iζω_rω): (a, b, lines) of rows (a, n) and (b, n)."""
@@ -412,9 +392,3 @@ class _Lines:
         out = np.empty((both.shape[0], half), complex)
         out.real, out.imag = both[:, :half], both[:, half:]
         return out.reshape(left.shape[0], right.shape[0], half)
-
-    def idle(self, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array:
-        """H0 of these pairs; the last ones asked for are kept."""
-        if self.kept is None or self.kept[0] != (resp, refs):
-            self.kept = ((resp, refs), self.between(self.model.terms.rows(resp), self.model.terms.rows(refs)))
-        return self.kept[1]

@@ -1,0 +1,63 @@
+"""Effects chosen by hand: what they did to the error, and what stands behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from operando.structure import Model
+from operando.structure.effects import Effect
+
+_LITTLE = 0.1  # an effect that lowers the misfit by less than this part has no support in the data
+
+
+@dataclass(frozen=True)
+class Applied:
+    """A model with effects chosen by hand.
+
+    Parameters
+    ----------
+    model : Model
+        Idle model as the check leaves it, and all effects.
+    effects : tuple of Effect
+        In the order they were added, refitted together.
+    ladder : tuple of dict
+        One row a step, as in ``diagnosis.json``.
+    words : tuple of str
+        What each effect did to the error, and where the data do not support it.
+    judged_on : mapping
+        State, level and lines of the figures on lines that were never fitted.
+    """
+
+    model: Model
+    effects: tuple[Effect, ...]
+    ladder: tuple[dict[str, Any], ...]
+    words: tuple[str, ...]
+    judged_on: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: effects, errors by step, words, and what the figures on lines never fitted stand on."""
+        return {
+            "effects": [e.to_dict() for e in self.effects],
+            "ladder": [dict(r) for r in self.ladder],
+            "words": list(self.words),
+            "judged_on": dict(self.judged_on),
+        }
+
+
+def words_of(effect: Effect, before: float, after: float) -> str:
+    """What an effect did to the reduced chi-square on validation lines, and where the data do not support it."""
+    fall = 1 - after / before
+    start = (
+        f"{effect.kind}{f' at {effect.place}' if effect.place else ''}: reduced chi-square on validation lines {before:.4g} → {after:.4g}"
+    )
+    if fall < 0:
+        return f"{start}: it makes the prediction worse; nothing in the data speaks for it"
+    if fall < _LITTLE:
+        return f"{start}: lower by only {100 * fall:.1f} %; the data do not support it"
+    if before < 1:
+        return f"{start}: lower by {100 * fall:.0f} %, but it was no more than the data allow: nothing was left to explain"
+    if fall < 0.5 and after > 1.5:
+        return f"{start}: lower by {100 * fall:.0f} %; most of the error remains, so something else is missing"
+    return f"{start}: lower by {100 * fall:.{1 if fall < 0.99 else 3}f} %"

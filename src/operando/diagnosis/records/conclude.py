@@ -1,0 +1,230 @@
+"""The result in words and figures: effects with sizes, errors by step, verdict, alternatives, the measurement that would decide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from operando.compare.verdict import floor_reason, verdict_of
+from operando.data import Geometry
+from operando.diagnosis.records.case import RecordsCase
+from operando.diagnosis.records.closed_loop import against_records
+from operando.diagnosis.records.fit_laws import free_law
+from operando.diagnosis.records.hold_out import discrepancy, judged_on, step_row, where_it_fails
+from operando.diagnosis.records.place import Weighted
+from operando.diagnosis.records.refine import std_of
+from operando.diagnosis.records.result import Equivalents, RecordsDiagnosis, linear_model
+from operando.diagnosis.records.steps import SearchStep, Tried, alike, nested
+from operando.diagnosis.records.surface import equivalents, surface
+from operando.diagnosis.result import spacing
+from operando.errors import DataError
+from operando.structure.effects import Effect
+
+GOOD_LAW = 0.5
+"""A law without a formula that leaves less than this part of the named law's misfit says that the name is wrong."""
+
+TWICE = 2.0
+"""Reduced chi-square of the hold-out set, 3 dB above the floor, from which it is asked where the rest comes from."""
+
+DISCREPANCY = 0.03
+"""Part of the responses by which a law may be off (contract, ``explained``): forces follow from a motion whose errors no covariance
+carries, those of contacts above all."""
+
+SEEN_PART, SHARE = 0.8, 0.25
+"""Motion above this part of the recorded band is left out; the records are too slow if that changes the misfit by this share of what
+remains. Records four times as fast of a dry friction changed by 0.001, at 512 samples a second by 2, 2.5 remaining."""
+
+FAST_SEEN = 4.0
+"""Power of the measured acceleration over noise from which motion above that part is seen at all."""
+
+FASTER = 4
+"""Times the sampling rate that is proposed."""
+
+NEIGHBOURS = 1.05
+"""Places within so many sensor spacings are neighbours."""
+
+
+def effect_of(case: RecordsCase, tried: Tried) -> Effect:
+    """The law as an effect; a one-sided law towards the other side turns its place round."""
+    law, place = tried.law, tried.spot.place
+    dofs = [case.idle.dofs[i] for i in place]
+    name = law.kind
+    if len(dofs) == 2 and name.startswith("ground_"):
+        name = name.replace("ground_", "coupling_")
+    if law.side < 0:
+        dofs = [d.opposite for d in dofs] if len(dofs) == 1 else dofs[::-1]
+    return Effect(name, tuple(dofs), dict(law.values), std_of(tried))
+
+
+def candidate_row(case: RecordsCase, tried: Tried, base: float) -> dict[str, Any]:
+    """One entry of ``candidates``."""
+    fall = 100 * (1 - tried.selection / base)
+    return effect_of(case, tried).to_dict() | {
+        "selection_misfit": tried.selection,
+        "evidence": f"reduced chi-square on validation lines {base:.4g} → {tried.selection:.4g} ({fall:.1f} % lower)",
+    }
+
+
+def unsupported_row(effect: Effect, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """An entry of ``candidates`` for what was found and is not supported."""
+    evidence = f"found, but not supported by the validation records (reduced chi-square of the idle model {rows[0]['heldout_misfit']:.4g})"
+    return effect.to_dict() | {"selection_misfit": None, "evidence": evidence}
+
+
+def conclude(
+    first: RecordsCase,
+    steps: list[SearchStep],
+    accepted: list[Tried],
+    more: str | None,
+    detection: dict[str, Any],
+    geometry: Geometry | None,
+) -> RecordsDiagnosis:
+    """Verdict, errors by step and words; ``more``: why something may be missing still."""
+    last = steps[-1].case
+    notes: list[str] = []
+    found = [effect_of(first, t) for t in accepted]
+    weak = next((k for k, e in enumerate(found) if not e.supported), len(found))
+    effects, dropped, accepted = found[:weak], found[weak:], accepted[:weak]
+    if dropped:
+        more = f"{dropped[0].kind} at {dropped[0].place} is a candidate only: its 95 % interval holds zero"
+    weighted = [Weighted.of(r) for r in last.runs]
+    idle_errors = errors = [r.error for r in first.runs]
+    rows = [step_row(0, None, last, weighted, idle_errors)]
+    rivals: list[tuple[Tried, Tried]] = []
+    for k, (best, effect) in enumerate(zip(accepted, effects, strict=True)):
+        errors = best.spot.errors(best.law)
+        rows.append(step_row(k + 1, effect, last, weighted, errors))
+        rivals += [(best, t) for t in steps[k].tried if t.key != best.key and not nested(best, t) and alike(best, t)]
+    alternatives = [effect_of(first, t) for _, t in rivals]
+    other = any(t.law.kind != best.law.kind or not neighbours(first, best, t, geometry) for best, t in rivals)
+    validation = [r["heldout_misfit"] for r in rows]
+    unseen = floor_reason(rows[0].get("noise_floor_db"))
+    part = last.hold_out()
+    off = discrepancy(weighted[part], errors[part]) if accepted else 0.0
+    within = bool(accepted) and off <= DISCREPANCY
+    verdict, reason = verdict_of(validation, unseen=unseen, more=more, ambiguous=other, within=within)
+    picture = pictures_of(first, effects, accepted, notes)
+    if verdict in ("explained", "ambiguous") and off > 0:
+        notes.append(f"what is left beyond the noise is {100 * off:.2g} % of the responses; {100 * DISCREPANCY:g} % are allowed")
+    if len(accepted) == 1 and verdict in ("explained", "ambiguous") and (wrong := wrong_law(accepted[0])):
+        verdict, reason = verdict_of(validation, unseen=unseen, more=wrong, within=within)
+    if verdict not in ("explained", "ambiguous", "partial") and effects:
+        dropped, effects, alternatives, rows, picture = [*effects, *dropped], [], [], rows[:1], {}
+    accepted = accepted[: len(effects)]
+    notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
+    if not first.validation:
+        notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
+    same = equivalents_of(effects, accepted)
+    candidates = [candidate_row(first, t, steps[0].base_select) for t in steps[0].tried]
+    return RecordsDiagnosis(
+        verdict,
+        tuple(effects),
+        tuple(alternatives),
+        proposal(effects, alternatives),
+        tuple(rows),
+        (*(unsupported_row(e, rows) for e in dropped), *candidates),
+        where_it_fails(last, weighted, idle_errors),
+        rows[0].get("noise_floor_db"),
+        ("check_records",),
+        picture,
+        idle=first.idle,
+        model=linear_model(first.idle, effects, same, geometry),
+        judged_on=judged_on(last),
+        reason=reason,
+        discrepancy={"value": off, "std": None} if effects else None,
+        detection=detection,
+        simulation=simulated(steps[0].case, accepted, notes),
+        equivalents=same,
+        notes=tuple(notes),
+    )
+
+
+def wrong_law(best: Tried) -> str | None:
+    """Why the law is none of the catalogue, where one without a formula leaves much less."""
+    if best.selection <= TWICE:
+        return None
+    unnamed = free_law(best.spot.fit, best.spot.select) / sum(m.along.weighted.error.size for m in best.spot.select)
+    if unnamed >= GOOD_LAW * best.selection:
+        return None
+    return (
+        f"a force law without a formula leaves {unnamed:.3g} where {best.law.kind} leaves {best.selection:.3g}: "
+        "the location is right, the force law is none of the catalogue"
+    )
+
+
+def too_fast(effects: Sequence[Effect], accepted: Sequence[Tried], fitted: int, left: float) -> list[str]:
+    """What says that places move faster than the records show, so that no law can be taken of that motion.
+
+    ``fitted`` runs stand before the hold-out set (all where there are no others); ``left`` is its chi-square with all effects.
+    """
+    if left < TWICE:
+        return []
+    out = []
+    for effect, tried in zip(effects, accepted, strict=True):
+        if effect.definition.acts != "pseudo_force":
+            continue
+        motions = tried.spot.whole[fitted:] or tried.spot.whole
+        change = float(np.mean([m.without_fastest(tried.law, SEEN_PART) for m in motions]))
+        # What is but noise up there says nothing of what lies above.
+        if change > SHARE * (left - 1) and max(m.above_noise(SEEN_PART) for m in motions) > FAST_SEEN:
+            top = motions[0].along.run.sampling_hz / 2
+            out.append(
+                f"the validation records stay {10 * np.log10(left):.1f} dB above the floor, and {effect.place} moves faster than "
+                f"they show: what lies between {SEEN_PART * top:.0f} and {top:.0f} Hz changes the force in the band by {change:.2g} times "
+                f"the floor, so what lies above counts, too; record at {FASTER * 2 * top:.0f} samples a second or more"
+            )
+    return out
+
+
+def pictures_of(case: RecordsCase, effects: Sequence[Effect], accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
+    """Restoring force and law over it of each level-dependent effect; notes say how much of the force each explains."""
+    pictures = []
+    for effect, best in zip(effects, accepted, strict=True):
+        if effect.definition.level_dependent:
+            drawn = surface(best.spot.whole[: len(case.fitted)], best.law)
+            pictures.append(drawn | {"kind": effect.kind, "location": [str(d) for d in effect.location]})
+            notes.append(f"{effect.kind} explains {100 * drawn['goodness']:.1f} % of the restoring force seen at {effect.place}")
+    return {"restoring_force": pictures} if pictures else {}
+
+
+def equivalents_of(effects: Sequence[Effect], accepted: Sequence[Tried]) -> Equivalents:
+    """Spring and damper at each level of each level-dependent effect."""
+    pairs = zip(effects, accepted, strict=True)
+    return tuple(equivalents(t.law, t.spot.whole) if e.definition.level_dependent else () for e, t in pairs)
+
+
+def simulated(case: RecordsCase, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:
+    """The closed loop against the validation records, where a level-dependent law was accepted."""
+    if not any(t.law.definition.level_dependent for t in accepted):
+        return {}
+    try:
+        return against_records(case, accepted)
+    except DataError as error:
+        notes.append(f"not simulated: {error.message}")
+        return {}
+
+
+def neighbours(case: RecordsCase, a: Tried, b: Tried, geometry: Geometry | None) -> bool:
+    """Whether two places lie within one sensor spacing of each other."""
+    if len(a.spot.place) != len(b.spot.place):
+        return False
+    if set(a.spot.place) == set(b.spot.place):
+        return True
+    if geometry is None:
+        return False
+    ends = [[geometry.position(case.idle.dofs[i].node) for i in t.spot.place] for t in (a, b)]
+    if any(p is None for end in ends for p in end):
+        return False
+    one, two = np.array(ends, float)
+    ways = [float(np.max(np.linalg.norm(one - order, axis=1))) for order in (two, two[::-1])]
+    return min(ways) <= NEIGHBOURS * spacing(geometry)
+
+
+def proposal(effects: Sequence[Effect], alternatives: Sequence[Effect]) -> str | None:
+    """The measurement that would decide."""
+    if alternatives and effects:
+        rival = alternatives[0]
+        return f"to tell {effects[0].kind} at {effects[0].place} from {rival.kind} at {rival.place}: {rival.confirm}"
+    return effects[0].confirm if effects else None

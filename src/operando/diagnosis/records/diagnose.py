@@ -1,0 +1,143 @@
+"""Diagnosis from records with measured force: which level-dependent effect is missing in the idle model, where and how large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from operando.data import Geometry, ModalModel, TimeRecord
+from operando.diagnosis.records.case import RecordsCase, make_case
+from operando.diagnosis.records.closed_loop import closed_loop_force
+from operando.diagnosis.records.conclude import conclude
+from operando.diagnosis.records.detect import detect, distortion
+from operando.diagnosis.records.refine import refined
+from operando.diagnosis.records.result import RecordsDiagnosis
+from operando.diagnosis.records.steps import SearchStep, Tried, choose, improves, search_step, with_law
+from operando.dof import Dof, parse_dofs
+from operando.errors import DataError
+from operando.structure.effects import catalogue, kind_of
+from operando.threads import one_blas_thread
+
+MAX_EFFECTS = 3
+ONE_PLACE = 1.5
+"""Where one force at the place found leaves no more than this misfit nothing acts elsewhere."""
+
+
+def diagnose_records(
+    idle: ModalModel,
+    records: Sequence[TimeRecord],
+    *,
+    geometry: Geometry | None = None,
+    kinds: Sequence[str] | None = None,
+    places: Sequence[Any] | None = None,
+    band: tuple[float, float] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
+    progress: Callable[[str], None] | None = None,
+) -> RecordsDiagnosis:
+    """Name the level-dependent effect that is missing in the idle model in records of the running state with measured force.
+
+    Reverse path with a known linear part (Bendat & Piersol, Random Data): the idle model is the underlying linear system, so the only
+    unknowns are the place, the law and its few values. Searched in response space, weighted by the model and the noise.
+
+    Parameters
+    ----------
+    idle : ModalModel
+        Of unit modal mass, residual modes included.
+    records : sequence of TimeRecord
+        Force and responses of the running state, best at two levels: the lower one is the hold-out set.
+    geometry : Geometry, optional
+        Sensor positions, for what counts as a neighbour.
+    kinds, places : sequences, optional
+        Look only for these; a place is a DOF or a pair of DOFs.
+    band : (float, float), optional
+        Lines used [Hz]; default the idle model's band, and up to its last mode.
+    exclude_bands : sequence of (float, float)
+        Lines left out [Hz], as those of a rotor's orders.
+    progress : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    RecordsDiagnosis
+
+    Raises
+    ------
+    DataError
+        If the idle model is not scaled to unit modal mass, or a force is not at one of its DOFs.
+    MissingError
+        If there is no record.
+    """
+    if idle.scaling != "unit_modal_mass" or not idle.si:
+        raise DataError("the idle model has no scale, so it predicts no response to fail", hint="give the units of force and acceleration")
+    with one_blas_thread():
+        case = make_case(idle, records, band, None if places is None else place_rows(idle, places), exclude_bands)
+        wanted = wanted_kinds(kinds)
+        return _diagnose(case, wanted, geometry, progress)
+
+
+def measured_distortion(
+    idle: ModalModel,
+    records: Sequence[TimeRecord],
+    band: tuple[float, float] | None = None,
+    exclude_bands: Sequence[tuple[float, float]] = (),
+) -> float | None:
+    """How much more than at the lowest level is not proportional to the force at the highest.
+
+    Cheap: nothing is searched. None where there is one level.
+
+    Raises
+    ------
+    DataError
+        If a force is not at a DOF of the idle model.
+    MissingError
+        If there is no record.
+    """
+    with one_blas_thread():
+        return distortion(make_case(idle, records, band, (), exclude_bands))
+
+
+def place_rows(idle: ModalModel, places: Sequence[Any]) -> list[tuple[int, ...]]:
+    """Rows of the idle model of DOFs or pairs of DOFs."""
+    index = {d.key: i for i, d in enumerate(idle.dofs)}
+    out = []
+    for place in places:
+        dofs = parse_dofs(place if not isinstance(place, (str, Dof)) else (place,))
+        out.append(tuple(index[d.key] for d in dofs if d.key in index))
+    return [p for p in out if p]
+
+
+def wanted_kinds(kinds: Sequence[str] | None) -> list[str]:
+    """Level-dependent kinds, and spring and damper, which a linear effect is told from them by."""
+    nonlinear = [name for name, kind in catalogue().items() if kind.acts == "pseudo_force"]
+    if kinds is None:
+        return ["ground_spring", "ground_damper", *nonlinear]
+    return [k for k in (kind_of(k).kind for k in kinds) if k in (*nonlinear, "ground_spring", "ground_damper")] or nonlinear
+
+
+def _diagnose(case: RecordsCase, kinds: list[str], geometry: Geometry | None, say: Callable[[str], None] | None) -> RecordsDiagnosis:
+    first = case
+    detection = detect(case)
+    steps: list[SearchStep] = []
+    accepted: list[Tried] = []
+    more: str | None = None
+    while True:
+        step = search_step(case, kinds, say, steps[0].base_select if steps else None)
+        steps.append(step)
+        case = step.case
+        if not step.tried:
+            break
+        best = choose(step.tried)
+        if not improves(step, best, accepted):
+            break
+        best = closed_loop_force(case, refined(best))
+        accepted.append(best)
+        if len(accepted) == MAX_EFFECTS:
+            more = f"no search for more than {MAX_EFFECTS} effects is made"
+            break
+        case = with_law(case, best)
+        if best.spot.free < ONE_PLACE:
+            case = replace(case, places=(best.spot.place,))
+        if say:
+            say(f"{best.law.kind} accepted, look for more")
+    return conclude(first, steps, accepted, more, detection, geometry)

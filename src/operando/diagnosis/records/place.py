@@ -1,0 +1,184 @@
+"""One place and one record: the restoring force without a law, and regressions on restoring forces.
+
+On each line the weighted error is split into its part along h_b = H0·b, a scalar that a force at the place can make, and the rest, which no
+force there can. The free decays are eliminated through their normal equations, which do not depend on the place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from operando.diagnosis.records.run import Run
+from operando.structure.modal_space import Complex, Real
+
+Normal = tuple[Real, Real, float]
+"""Normal equations: gram (c, c), right (c,), and Σ|weighted error|² that there is to explain."""
+
+
+def summed(parts: Sequence[Normal]) -> Normal:
+    """Normal equations of several runs in one."""
+    return np.sum([p[0] for p in parts], axis=0), np.sum([p[1] for p in parts], axis=0), float(sum(p[2] for p in parts))
+
+
+def left_by(normal: Normal, values: Real) -> float:
+    """Σ|weighted error|² that columns with these factors leave."""
+    gram, right, total = normal
+    return total - 2 * float(values @ right) + float(values @ gram @ values)
+
+
+def solved(normal: Normal, rcond: float | None = None, ridge: float = 0.0) -> Real:
+    """Factors of the columns, each scaled to unit size first; combinations below ``rcond`` stay zero, ``ridge`` draws all towards it."""
+    gram, right, _ = normal
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    system = gram / np.outer(scale, scale) + ridge * np.eye(scale.size)
+    return np.asarray(np.linalg.lstsq(system, right / scale, rcond=rcond)[0] / scale)
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """A run with its weights, and the normal equations of its J free decays."""
+
+    run: Run
+    root: Real  # 1/σ of each line (q, L)
+    error: Complex  # error over σ (q, L)
+    gram: Real  # normal matrix of the decays (J, J)
+    right: Real  # its right side
+    total: float  # Σ|error/σ|²
+
+    @classmethod
+    def of(cls, run: Run, error: Complex | None = None, gram: Real | None = None) -> Weighted:
+        """Weights from the run's variance; another error of the same run where given, with the Gram matrix known."""
+        root = 1 / np.sqrt(run.variance)
+        weighted = (run.error if error is None else error) * root
+        # Decay j at response i is decay_shapes[i, j]·decays[j].
+        pulled = run.decay_shapes.T @ (weighted * root)
+        right = np.sum(run.decays.real * pulled.real + run.decays.imag * pulled.imag, axis=1)
+        if gram is None:
+            gram = decay_gram(run.decays, run.decay_shapes, root)
+            gram[np.diag_indices_from(gram)] *= 1 + 1e-10
+            gram[np.diag_indices_from(gram)] += 1 / np.maximum(run.decay_size, 1e-150) ** 2
+        return cls(run, root, weighted, gram, right, float(np.sum(np.abs(weighted) ** 2)))
+
+    @property
+    def raw(self) -> Complex:
+        """The error itself."""
+        return self.error / self.root
+
+    def with_error(self, error: Complex) -> Weighted:
+        """The same run and weights with another (unweighted) error."""
+        return Weighted.of(self.run, error, self.gram)
+
+    def ringing(self) -> tuple[Real, float]:
+        """Amplitudes of the free decays alone, and Σ|error/σ|² with them."""
+        amplitudes = cho_solve(cho_factor(self.gram), self.right)
+        return amplitudes, self.total - float(self.right @ amplitudes)
+
+    def decayed(self) -> Complex:
+        """Weighted error without the free decays."""
+        return np.asarray(self.error - self.run.fallen(self.ringing()[0]) * self.root)
+
+
+def decay_gram(decays: Complex, shapes: Real, root: Real) -> Real:
+    """Normal matrix Σ Re(d_j·d_k*)·Σ_i φ_ij·φ_ik/σ_i² of free decays (J, L) with shapes (q, J) and weights 1/σ (q, L)."""
+    j, count = decays.shape
+    # Where the noise is even over some lines they share the sum over responses.
+    edges = np.concatenate([[0], 1 + np.flatnonzero(np.any(np.diff(root, axis=1) != 0, axis=0)), [count]])
+    gram = np.zeros((j, j))
+    if edges.size - 1 < count / 4:
+        for a, b in pairwise(edges):
+            d = apart(decays[:, a:b])
+            weighted = shapes * root[:, a, None]
+            gram += (d @ d.T) * (weighted.T @ weighted)
+        return gram
+    for shape, r in zip(shapes, root, strict=True):
+        both = apart(decays * r)
+        gram += (both @ both.T) * np.outer(shape, shape)
+    return gram
+
+
+def apart(a: Complex) -> Real:
+    """Real parts, then imaginary parts, along the lines."""
+    return np.concatenate([a.real, a.imag], axis=-1)
+
+
+@dataclass(frozen=True)
+class Along:
+    """A weighted run seen along one place, x = b·displacements."""
+
+    weighted: Weighted
+    b: Real  # (m,)
+    h: Complex  # accelerations per unit force along b (q, L)
+    gain: Real  # |h/σ| over all responses: how strongly a force at the place shows on a line (L,)
+    error: Complex  # part of the weighted error along h (L,)
+    decays: Complex  # parts of the decays along h (J, L)
+
+    @classmethod
+    def of(cls, weighted: Weighted, b: Real, h: Complex) -> Along:
+        """Split the run along b."""
+        run = weighted.run
+        seen = h * weighted.root
+        gain = np.maximum(np.sqrt(np.sum(np.abs(seen) ** 2, axis=0)), 1e-300)
+        u = seen / gain
+        error = np.sum(u.conj() * weighted.error, axis=0)
+        decays = run.decays * ((u.conj() * weighted.root).T @ run.decay_shapes).T
+        return cls(weighted, b, h, gain, error, decays)
+
+    @property
+    def run(self) -> Run:
+        """The run."""
+        return self.weighted.run
+
+    def taken(self, spread: Real | float) -> Real:
+        """How far the data decide about the force on each line, 0 … 1, if its spectrum is expected to be of size ``spread``."""
+        strength = np.minimum((self.gain * np.minimum(spread, 1e150)) ** 2, 1e30)
+        return np.asarray(strength / (1 + strength))
+
+    def free_force(self, spread: Real | float = np.inf, mean: Complex | None = None) -> tuple[Complex, Real, float]:
+        """Restoring force (L,) without a law, amplitudes (J,) of the free decays, Σ|weighted error|² that no force at the place explains.
+
+        ``spread`` is the standard deviation of the force's spectrum about ``mean`` (0), infinite where nothing is known.
+        """
+        weight = self.weighted
+        expected = 0.0 if mean is None else mean
+        error = self.error + self.gain * expected
+        # Along h the error has variance 1 + strength, across it 1.
+        taken = self.taken(spread)
+        both = apart(self.decays)
+        gram = weight.gram - (both * np.tile(taken, 2)) @ both.T
+        gram[np.diag_indices_from(gram)] += 1e-9 * np.diag(weight.gram)
+        right = weight.right + both @ apart(error * (1 - taken) - self.error)
+        amplitudes = cho_solve(cho_factor(gram), right)
+        rest = error - amplitudes @ self.decays
+        force = expected - rest * taken / self.gain
+        total = weight.total + float(np.sum(np.abs(error) ** 2 * (1 - taken) - np.abs(self.error) ** 2))
+        return force, amplitudes, total - float(amplitudes @ right)
+
+    def normal(self, forces: Complex) -> Normal:
+        """Normal equations of a regression of the error on restoring forces (c, L), free decays eliminated."""
+        both = apart(-forces * self.gain)
+        cross = both @ apart(self.decays).T
+        inner = cho_solve(cho_factor(self.weighted.gram), np.column_stack([cross.T, self.weighted.right]))
+        gram = both @ both.T - cross @ inner[:, :-1]
+        right = both @ apart(self.error) - cross @ inner[:, -1]
+        return gram, right, self.weighted.total - float(self.weighted.right @ inner[:, -1])
+
+    def under(self, force: Complex) -> Weighted:
+        """The weighted run with a restoring force (L,) at the place."""
+        return self.weighted.with_error(self.weighted.raw + self.h * force)
+
+    def on(self, part: Weighted, keep: Any) -> Along:
+        """The same on some of the lines; ``part`` is the run on them, with its Gram matrix."""
+        return replace(
+            self,
+            weighted=part.with_error(self.weighted.raw[:, keep]),
+            h=self.h[:, keep],
+            gain=self.gain[keep],
+            error=self.error[keep],
+            decays=self.decays[:, keep],
+        )

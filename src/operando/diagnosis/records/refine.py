@@ -1,0 +1,115 @@
+"""The last word on an accepted law: all of its values moved together, and how far they can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from operando.diagnosis.records.fit_laws import law_cost
+from operando.diagnosis.records.motion import Motion
+from operando.diagnosis.records.place import Normal, solved, summed
+from operando.diagnosis.records.steps import Tried
+from operando.structure.force_law import ForceLaw
+from operando.structure.modal_space import Real
+from operando.threads import each
+
+EASY = 0.01
+"""Relative change of a value for a difference quotient."""
+
+TURNS, ENOUGH = 4, 1e-3
+"""Gauss–Newton steps at most; relative change that ends them."""
+
+FARTHEST = 0.3
+"""Relative change of a value in one step, at most."""
+
+TOGETHER, LEAST = 8.0, 0.0015
+"""Errors stay together over so many lines; a value is known to this part at best, as the scale of the idle model is."""
+
+SYSTEMATIC, SHARE = 3.0, 0.5
+"""Misfit beyond which what is left is the motion's error and not noise; part of what is then left that may lie along the law."""
+
+
+def free_names(law: ForceLaw) -> list[str]:
+    """Values that a fit may move: those above zero."""
+    return [n for n in law.values if law.values[n] > 0]
+
+
+def eased(law: ForceLaw, names: Sequence[str]) -> list[ForceLaw]:
+    """The law with each of the values a little larger."""
+    return [law.moved(**{n: law.values[n] * (1 + EASY)}) for n in names]
+
+
+def linearised(law: ForceLaw, motions: Sequence[Motion], names: Sequence[str]) -> Normal:
+    """Normal equations of relative changes of the values about the law as it stands, and the cost with it."""
+
+    def part(m: Motion) -> Normal:
+        base = m.under(law)
+        gram, right, total = m.along.normal(np.stack([base, *((m.under(moved) - base) / EASY for moved in eased(law, names))]))
+        # The error is total − base's own part: what a small change of each value would still take away.
+        return gram[1:, 1:], right[1:] - gram[1:, 0], total - 2 * float(right[0]) + float(gram[0, 0])
+
+    return summed(each(part, motions))
+
+
+def refined(tried: Tried) -> Tried:
+    """The law with all its values moved together by Gauss–Newton steps on the lines fitted, each with the motion it makes.
+
+    Grids and alternating regressions stop where one value could make up for another. A step counts if it lowers the cost.
+    """
+    names = free_names(tried.law)
+    if len(names) < 2:
+        return tried
+    law, spot = tried.law, tried.spot
+    for _ in range(TURNS):
+        normal = linearised(law, spot.fit, names)
+        step = solved(normal, 1e-9)
+        largest = float(np.max(np.abs(step)))
+        step *= min(1.0, FARTHEST / max(largest, 1e-300))
+        ends = (stepped(law, names, share * step) for share in (1.0, 0.3))
+        better = next((one for one in ends if law_cost(one, spot.fit)[0] < normal[2]), None)
+        if better is None:
+            break
+        law, spot = better, spot.settled(better)
+        if largest < ENOUGH:
+            break
+    found = Tried.of(spot, law)
+    return found if found.selection < tried.selection else tried
+
+
+def stepped(law: ForceLaw, names: Sequence[str], step: Real) -> ForceLaw:
+    """The law with values changed by a step of their logarithms, inside the bounds of its kind."""
+    limits = {p.name: (p.low, p.high) for p in law.definition.parameters}
+    values = law.values | {n: law.values[n] * float(np.exp(s)) for n, s in zip(names, step, strict=True)}
+    return law.moved(**{n: float(np.clip(v, *limits[n])) if n in limits else v for n, v in values.items()})
+
+
+def std_of(tried: Tried) -> dict[str, float]:
+    """Standard deviations, from three sources that add up.
+
+    The curvature of the chi-square, for errors that stay together over some lines. What is wrong with the motion of the idle model is
+    common to all lines of a run, so the curvature does not show it. It differs between runs, for another drive point and level moves the
+    location otherwise: the scatter of the values of each run by itself, validation runs included. And where much more is left than
+    noise, some of it may lie along the law in all runs alike: a part of what is left over what the law explains.
+    """
+    law = tried.law
+    names = free_names(law)
+    gram, _, cost = linearised(law, tried.spot.fit, names)
+    without, count = law_cost(None, tried.spot.fit)
+    spread = TOGETHER * np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram)) * cost / count, 0))
+    scatter = own_values(law, tried.spot.whole, names)
+    systematic = SHARE * max(cost - SYSTEMATIC * count, 0.0) / max(without - cost, 1e-300)
+    relative = np.sqrt(spread**2 + scatter**2 + LEAST**2 + systematic)
+    return {n: float(law.values[n] * r) for n, r in zip(names, relative, strict=True)}
+
+
+def own_values(law: ForceLaw, motions: Sequence[Motion], names: Sequence[str]) -> Real:
+    """Scatter of the values that each run by itself would have, relative, weighted by how well each run knows them."""
+    weights, moves = [], []
+    for gram, right, _ in each(lambda m: linearised(law, [m], names), motions):
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-9) / np.outer(scale, scale)
+        weights.append(1 / np.maximum(np.diag(inverse), 1e-300))
+        moves.append(np.clip(inverse @ right, -1, 1))
+    w, d = np.array(weights), np.array(moves)
+    return np.asarray(np.sqrt(np.sum(w * d**2, axis=0) / np.maximum(np.sum(w, axis=0), 1e-300)))

@@ -1,0 +1,83 @@
+"""What a diagnosis from records says beside one from FRFs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from operando.data import Geometry, ModalModel
+from operando.diagnosis.applied import Applied
+from operando.diagnosis.result import Diagnosis
+from operando.structure import Model
+from operando.structure.effects import Effect
+from operando.structure.linearization import LinearEquivalent, linear_effects
+
+Equivalents = tuple[tuple[LinearEquivalent, ...], ...]
+"""Spring and damper at each level for each effect; none for a linear one."""
+
+
+@dataclass(frozen=True)
+class RecordsDiagnosis(Diagnosis):
+    """A diagnosis from records with measured force, level-dependent effects among its effects.
+
+    Parameters
+    ----------
+    detection : dict
+        What was seen before anything was named: homogeneity over levels, even share, coherence.
+    simulation : dict
+        The model with its effects in the closed loop against the validation records.
+    equivalents : tuple of tuple of LinearEquivalent
+        For each effect the spring and damper it is equivalent to at each level; empty for a linear one.
+    """
+
+    detection: dict[str, Any] = field(default_factory=dict)
+    simulation: dict[str, Any] = field(default_factory=dict)
+    equivalents: Equivalents = ()
+
+    @property
+    def nonlinear(self) -> tuple[Effect, ...]:
+        """The accepted effects that depend on the level."""
+        return tuple(e for e in self.effects if e.definition.level_dependent)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``diagnosis.json``, with ``detection``, ``simulation`` and the equivalents of level-dependent effects beside."""
+        effects = stated(self.effects, self.equivalents)
+        return super().to_dict() | {"effects": effects, "detection": self.detection, "simulation": self.simulation}
+
+
+@dataclass(frozen=True)
+class RecordsApplied(Applied):
+    """Effects chosen by hand, level-dependent ones among them, fitted to records.
+
+    Parameters
+    ----------
+    better : tuple of (int, Effect, float)
+        Step, and an effect that lowers the chi-square of that step to less than half of what the chosen one leaves, with that chi-square.
+    picture, simulation, equivalents
+        As in :class:`RecordsDiagnosis`.
+    """
+
+    better: tuple[tuple[int, Effect, float], ...] = ()
+    picture: dict[str, Any] = field(default_factory=dict)
+    simulation: dict[str, Any] = field(default_factory=dict)
+    equivalents: Equivalents = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object: effects, errors by step, words; ``picture`` and ``simulation`` as in ``diagnosis.json``."""
+        effects = stated(self.effects, self.equivalents)
+        return super().to_dict() | {"effects": effects, "picture": self.picture, "simulation": self.simulation}
+
+
+def stated(effects: Sequence[Effect], equivalents: Equivalents) -> list[dict[str, Any]]:
+    """Effects as in ``diagnosis.json``, level-dependent ones with their ``equivalents``."""
+    return [
+        e.to_dict() | ({"equivalents": [row.to_dict() for row in rows]} if rows else {})
+        for e, rows in zip(effects, equivalents, strict=True)
+    ]
+
+
+def linear_model(idle: ModalModel, effects: Sequence[Effect], equivalents: Equivalents, geometry: Geometry | None) -> Model:
+    """The idle model with linear effects, and of level-dependent ones the equivalents at the lowest level."""
+    linear = [part for e, rows in zip(effects, equivalents, strict=True) for part in (linear_effects(e, rows) if rows else [e])]
+    return Model(idle, tuple(linear), geometry)

@@ -1,0 +1,248 @@
+"""One effect: a kind at a place with values, and its words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from operando.dof import Dof, parse_dofs
+from operando.errors import ConfigError
+from operando.indicators import INTERVAL
+from operando.structure.effects.base import EffectKind
+from operando.structure.effects.registry import kind_of
+from operando.units import engineering_unit
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect: what, where, how large.
+
+    Parameters
+    ----------
+    kind : str
+        A name of :func:`operando.catalogue`.
+    location : tuple of Dof
+        One or two DOFs; empty without a place, or where ``position`` says it.
+    values : dict
+        Parameter name → value in SI; what is left out takes the kind's default.
+    std : dict
+        Parameter name → standard deviation, where known.
+    position : (float, float, float), optional
+        A place without a sensor [m].
+    direction : str
+        Sense and axis at that position, such as "+Z".
+    removed : bool
+        The opposite of the effect: a mass taken away, a spring that is missing. Values stay positive.
+    shape : dict, optional
+        DOF label → shape value of unit modal mass, for a missing mode.
+    fixed : tuple of str
+        Parameters that a fit must hold.
+    band_hz : (float, float), optional
+        Analysis band [Hz]; used once, for defaults that are the band's centre.
+
+    Raises
+    ------
+    ConfigError
+        If the kind is unknown, takes another number of places, or has no parameter of a given name.
+
+    Examples
+    --------
+    >>> import operando
+    >>> spring = operando.Effect("ground_spring", (operando.Dof(2, "Z"),), {"stiffness": 1.5e5}, {"stiffness": 50.0})
+    >>> spring.size
+    '150.0 ± 0.1 kN/m'
+    """
+
+    kind: str
+    location: tuple[Dof, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+    std: dict[str, float] = field(default_factory=dict)
+    position: tuple[float, float, float] | None = None
+    direction: str = ""
+    removed: bool = False
+    shape: dict[str, float] | None = None
+    fixed: tuple[str, ...] = ()
+    band_hz: tuple[float, float] | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        definition = kind_of(self.kind)
+        put("location", parse_dofs(self.location))
+        if self.position is not None:
+            put("position", tuple(float(v) for v in self.position))
+            put("direction", str(Dof.parse(f"0{self.direction}"))[1:])
+            if self.location or definition.places != 1 or definition.group in ("sensor", "force"):
+                raise ConfigError(
+                    f"{self.kind} cannot stand at a position without a sensor", hint="only kinds at one DOF of the structure can"
+                )
+        elif len(self.location) not in (definition.places, *definition.alternative_places):
+            raise ConfigError(
+                f"{self.kind} takes {definition.places} DOFs, {len(self.location)} given",
+                hint=f"write {self.kind}" + ("", "@12+Z", "@12+Z,13+Z")[definition.places],
+            )
+        elif definition.places == 2 and self.location[0].same_axis(self.location[1]):
+            raise ConfigError(f"{self.kind} needs two different DOFs, got {self.location[0]} twice")
+        values = dict(self.values)
+        for name in values:
+            definition.parameter(name)
+        for p in (*definition.parameters, *definition.constants):
+            if definition.acts == "excitation":
+                values[p.name] = tuple(float(v) for v in np.atleast_1d(values.get(p.name, ())))
+            elif p.name not in values:
+                values[p.name] = p.start(self.band_hz)
+        removed = self.removed
+        if definition.removable:
+            # A negative size is the same effect taken away.
+            first = definition.parameters[0].name
+            if values[first] < 0:
+                values[first], removed = -values[first], not removed
+        elif removed:
+            raise ConfigError(f"{self.kind} cannot be removed: its opposite is no physical effect")
+        for p in definition.parameters:
+            value = float(values[p.name])
+            if not np.isfinite(value) or (p.transform == "log" and value <= 0):
+                raise ConfigError(f"{p.name} of {self.kind} must be {'positive' if p.transform == 'log' else 'finite'}, got {value:g}")
+            values[p.name] = value
+        put("values", values)
+        put("removed", removed)
+
+    @property
+    def definition(self) -> EffectKind:
+        """The kind: words, parameters, how it acts."""
+        return kind_of(self.kind)
+
+    @property
+    def supported(self) -> bool:
+        """Whether the 95 % interval of every fitted value leaves out the value at which the effect says nothing: a gain of 1, else 0.
+
+        Values that may be 0 by the catalogue are not asked, as the speed below which friction is smoothed.
+        """
+        asked = [p.name for p in self.definition.parameters if p.low != 0.0 and p.name in self.std]
+        return all(abs(float(self.values[n]) - (1.0 if n == "gain" else 0.0)) > INTERVAL * self.std[n] for n in asked)
+
+    @property
+    def sign(self) -> float:
+        """−1 for an effect taken away."""
+        return -1.0 if self.removed else 1.0
+
+    @property
+    def place(self) -> str:
+        """Where, in words."""
+        if self.position is not None:
+            return f"({', '.join(f'{v:.4g}' for v in self.position)}) m, {self.direction}"
+        return " and ".join(str(d) for d in self.location)
+
+    @property
+    def size(self) -> str:
+        """How large, in words; ± is the 95 % interval."""
+        parts = []
+        definition = self.definition
+        for p in (*definition.parameters, *definition.constants):
+            value, std = self.values[p.name], self.std.get(p.name)
+            if isinstance(value, (tuple, list)):
+                if not value:
+                    continue
+                parts.append(", ".join(f"{v:.5g}" for v in value) + (f" {p.unit}" if p.unit else ""))
+                continue
+            spread = None if std is None else INTERVAL * std
+            size = max(abs(value), spread if spread is not None and np.isfinite(spread) else 0.0)
+            factor, unit = (0.01, "%") if p.name == "change" else engineering_unit(size, p.unit)
+            text = f"{value / factor:.4g}" if not spread else _with_spread(value / factor, spread / factor)
+            text = f"{text} {unit}".strip()
+            alone = len(definition.parameters) + len(definition.constants) == 1
+            parts.append(text if alone else f"{p.plain} {text}")
+        return ", ".join(parts)
+
+    @property
+    def explanation(self) -> str:
+        """One sentence in plain words."""
+        text = self.definition.explain(self.place, self.size, self.removed)
+        return text[:1].upper() + text[1:]
+
+    @property
+    def confirm(self) -> str:
+        """The test that would confirm it."""
+        return self.definition.confirm(self.place, self.values)
+
+    def with_values(self, **values: Any) -> Effect:
+        """The effect with other values; standard deviations of the changed ones are dropped."""
+        kept = {n: s for n, s in self.std.items() if n not in values}
+        return replace(self, values={**self.values, **values}, std=kept)
+
+    def with_std(self, std: Mapping[str, float]) -> Effect:
+        """The effect with standard deviations."""
+        return replace(self, std={**self.std, **std})
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON object as in ``diagnosis.json``."""
+        definition = self.definition
+        parameters = {}
+        for p in (*definition.parameters, *definition.constants):
+            value = self.values[p.name]
+            if self.removed and p.name == definition.parameters[0].name:
+                value = -value  # so that the law of the contract holds as it stands
+            std = self.std.get(p.name)
+            parameters[p.name] = {
+                "value": [float(v) for v in value] if isinstance(value, (tuple, list)) else float(value),
+                "unit": p.unit,
+                "std": None if std is None or not np.isfinite(std) else float(std),
+            }
+        out: dict[str, Any] = {"kind": self.kind, "location": [str(d) for d in self.location], "parameters": parameters}
+        if self.position is not None:
+            out |= {"position": list(self.position), "direction": self.direction}
+        if self.removed:
+            out["removed"] = True
+        if self.shape is not None:
+            out["shape"] = {k: float(v) for k, v in self.shape.items()}
+        if self.fixed:
+            out["fixed"] = list(self.fixed)
+        return out | {"explanation": self.explanation, "confirm": self.confirm}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Effect:
+        """The effect of a JSON object made by :meth:`to_dict`."""
+        values, std = {}, {}
+        for name, entry in data.get("parameters", {}).items():
+            value = entry["value"]
+            values[name] = tuple(value) if isinstance(value, list) else value
+            if entry.get("std") is not None:
+                std[name] = float(entry["std"])
+        position = data.get("position")
+        return cls(
+            data["kind"],
+            parse_dofs(data.get("location", ())),
+            values,
+            std,
+            None if position is None else tuple(position),
+            data.get("direction", ""),
+            False,  # a negative size says it
+            data.get("shape"),
+            tuple(data.get("fixed", ())),
+        )
+
+    def __str__(self) -> str:
+        place = f"{','.join(f'{v:g}' for v in self.position)}:{self.direction}" if self.position else ",".join(map(str, self.location))
+        numbers = []
+        for name, value in self.values.items():
+            if isinstance(value, (tuple, list)):
+                if value:
+                    numbers.append(f"{name}:{';'.join(f'{v:.6g}' for v in value)}")
+            else:
+                first = self.definition.removable and name == self.definition.names[0]
+                numbers.append(f"{name}:{(self.sign if first else 1.0) * value:.6g}")
+        return f"{self.kind}{f'@{place}' if place else ''}{'=' + ','.join(numbers) if numbers else ''}"
+
+
+def _with_spread(value: float, std: float) -> str:
+    """``0.200 ± 0.004``: the spread with one digit, the value to the same digit."""
+    if not np.isfinite(std) or std <= 0:
+        return f"{value:.4g}"
+    digits = int(np.floor(np.log10(float(f"{std:.0e}"))))  # of the rounded spread: 0.098 is 0.1
+    if -6 <= digits <= 4:
+        places = max(0, -digits)
+        return f"{value:.{places}f} ± {std:.{places}f}"
+    lead = max(1, int(np.floor(np.log10(max(abs(value), std)))) - digits + 1)
+    return f"{value:.{lead}g} ± {std:.1g}"

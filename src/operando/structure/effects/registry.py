@@ -1,0 +1,113 @@
+"""The kinds known by name; a user's own kind joins them by :func:`register`."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from operando.errors import ConfigError
+from operando.structure.effects import channels, hysteresis, level_dependent, linear, whole
+from operando.structure.effects.base import EffectKind
+
+_KINDS: dict[str, EffectKind] = {}
+_ACTS = {
+    "dynamic_stiffness": ("dynamic_stiffness", "matrix"),
+    "sensor_map": ("sensor_map",),
+    "modal_change": ("modal_change",),
+    "added_mode": ("added_mode",),
+    "excitation": (),
+    "pseudo_force": ("pseudo_force",),
+}
+
+
+def register(kind: type[EffectKind]) -> type[EffectKind]:
+    """Add a kind to the catalogue (also as a class decorator); a kind of the same name is replaced.
+
+    A kind needs a name, plain words and the one method its ``acts`` names.
+
+    Parameters
+    ----------
+    kind : subclass of EffectKind
+        Not an object of it.
+
+    Returns
+    -------
+    subclass of EffectKind
+
+    Raises
+    ------
+    ConfigError
+        If the class lacks its name, words or way of acting, or declares places and parameters that cannot be.
+
+    Examples
+    --------
+    >>> from operando import EffectKind, Parameter
+    >>> @register
+    ... class Inerter(EffectKind):
+    ...     kind, plain, places = "inerter_here", "an inerter between two points", 2
+    ...     parameters = (Parameter("inertance", "kg", 1e-3, 1e4, "log", 1.0),)
+    ...
+    ...     def dynamic_stiffness(self, s, values):
+    ...         return values["inertance"] * s**2
+    >>> unregister("inerter_here")
+    """
+    if not (isinstance(kind, type) and issubclass(kind, EffectKind)):
+        raise ConfigError(f"{kind!r} is no subclass of EffectKind")
+    if not kind.kind.isidentifier() or not kind.plain:
+        raise ConfigError(f"{kind.__name__} needs a kind (one word) and plain words")
+    if kind.acts not in _ACTS:
+        raise ConfigError(f"acts of {kind.kind} is {kind.acts!r}", hint="one of " + ", ".join(_ACTS))
+    wanted = _ACTS[kind.acts]
+    if wanted and all(getattr(kind, name) is getattr(EffectKind, name) for name in wanted):
+        raise ConfigError(f"{kind.kind} acts by {wanted[0]}, which it does not define")
+    if kind.places not in (0, 1, 2):
+        raise ConfigError(f"{kind.kind} takes {kind.places} DOFs", hint="0, 1 or 2")
+    if kind.acts == "dynamic_stiffness" and kind.places == 0:
+        raise ConfigError(f"{kind.kind} adds stiffness but takes no DOF")
+    if kind.coordinates not in ("difference", "separate", "node") or (kind.coordinates == "node" and kind.places != 1):
+        raise ConfigError(f"coordinates of {kind.kind} cannot be {kind.coordinates!r} on {kind.places} DOFs")
+    names = [p.name for p in (*kind.parameters, *kind.constants)]
+    if len(set(names)) != len(names):
+        raise ConfigError(f"{kind.kind} has two parameters of one name")
+    _KINDS[kind.kind] = kind()
+    return kind
+
+
+def unregister(name: str) -> None:
+    """Take a kind out of the catalogue."""
+    _KINDS.pop(name, None)
+
+
+def catalogue() -> dict[str, EffectKind]:
+    """All kinds of effects that can be looked for, by name.
+
+    Returns
+    -------
+    dict
+        Name → kind (plain words, places, parameters, how it acts).
+
+    Examples
+    --------
+    >>> catalogue()["clearance"].plain
+    'a stop with play on both sides'
+    """
+    return dict(_KINDS)
+
+
+def kind_of(name: str) -> EffectKind:
+    """The kind of this name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; names the nearest.
+    """
+    if name in _KINDS:
+        return _KINDS[name]
+    near = get_close_matches(name, _KINDS, 1, 0.5)
+    hint = (f"did you mean {near[0]!r}? " if near else "") + "kinds: " + ", ".join(sorted(_KINDS))
+    raise ConfigError(f"unknown kind of effect {name!r}", hint=hint)
+
+
+for _room in (linear, whole, channels, level_dependent, hysteresis):
+    for _kind in _room.KINDS:
+        register(_kind)
