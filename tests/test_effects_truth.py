@@ -338,7 +338,7 @@ def test_spread_of_the_poles_is_the_scatter_of_random_models(texts):
     for _ in range(150):
         t = theta + half @ rng.normal(size=p)
         drawn = ModalModel(t[:n], t[n : 2 * n], t[2 * n :].reshape(n, -1).T, DOFS, "unit_modal_mass", band_hz=BAND)
-        moved = [e.with_values(**{k: e.values[k] + e.std[k] * rng.normal() for k in e.names}) for e in effects]
+        moved = [e.with_values(**{k: e.values[k] + e.std[k] * rng.normal() for k in e.definition.names}) for e in effects]
         modes = Model(drawn, tuple(moved)).modes()
         hz.append(modes.frequencies_hz)
         zeta.append(modes.damping_ratios)

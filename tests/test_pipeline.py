@@ -416,7 +416,13 @@ def test_a_stage_reads_only_what_its_key_is_made_of(finished):
 
     path, _, results = finished
     test = load_test(path)
-    fills = {"inspect": {"inventory", "geometry"}, "frf": {"idle_frf"}, "automatic": {"automatic"}, "ema": {"idle"}, "oma": {"operating"}}
+    fills = {
+        "inspect": {"inventory", "geometry", "raw"},
+        "frf": {"idle_frf"},
+        "automatic": {"automatic"},
+        "ema": {"idle"},
+        "oma": {"operating"},
+    }
     fills |= {
         "ofrf": {"hybrid"},
         "check": {"check"},
