@@ -365,7 +365,7 @@ def test_the_model_handed_on_predicts_the_running_structure(truth):
     found = diagnose_modes(idle, running(c, truth), kinds=(kind,))
     true = ModalModel.from_terms(c.hz, c.zeta, c.phi[list(SENSORS)], DOFS, scaling="unit_modal_mass", residual=idle.terms.residual)
     hz = np.linspace(2.0, 1.05 * c.hz[IN_BAND - 1], 150)
-    exact = Model(true, (Effect(kind, places, {Effect(kind, places).names[0]: size}),)).frf(hz)
+    exact = Model(true, (Effect(kind, places, {Effect(kind, places).definition.names[0]: size}),)).frf(hz)
     got, before = found.model.frf(hz), idle.frf(hz)
     error = np.linalg.norm(got.data - exact.data) / np.linalg.norm(exact.data)
     assert error < 0.15 * np.linalg.norm(before.data - exact.data) / np.linalg.norm(exact.data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from itertools import product
 
@@ -16,14 +17,16 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
+from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
-from operando.diagnosis.search import contained, score, search, search_both
+from operando.diagnosis.search import Rival, Search, Start, contained, score, search, started
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
 from operando.results import CheckRun
+from operando.threads import limit
 
 N = 5
 DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, N + 1))
@@ -481,3 +484,66 @@ def test_a_gain_beyond_four_spreads_is_told_as_unusual():
     rows = {tuple(r["location"]): r for r in between_rows(found.best) if r["what"] == "sensor_gain"}
     assert [r["location"] for r in rows.values() if r["unusual"]] == [["3+Z"]]
     assert rows["3+Z",]["value"] == pytest.approx(gains[2], abs=3 * rows["3+Z",]["std"])
+
+
+def test_a_joint_that_loses_more_on_another_day_is_no_damper():
+    def joint(m, c, k):
+        c[2, 2] += 0.6  # up to a tenth of a mode's damping
+
+    one = case(joint, gains=1 + 0.01 * np.random.default_rng(3).standard_normal(N), kinds=("ground_damper",))
+    assert search(one).best.terms == ()
+    damper = Term("ground_damper", (2,), (float(np.log(0.6)),))
+
+    def gain(days):
+        with_damper = fit(days, started(days, (damper,)), own_spreads=True)
+        return with_damper.log_evidence - fit(days, days.forward.start, own_spreads=True).log_evidence
+
+    plain = case(joint, gains=1 + 0.01 * np.random.default_rng(3).standard_normal(N), spreads=SPREADS | {"damping_local": 0.0})
+    assert gain(one) < gain(plain)
+
+
+def test_values_out_of_the_range_of_a_kind_are_told_by_a_simpler_one():
+    far = Term("tuned_absorber", (1,), (float(np.log(0.4)), float(np.log(20 * BAND[1])), float(np.log(0.02))))
+    near = far.moved((far.values[0], float(np.log(30.0)), far.values[2]))
+    assert not far.within_range(BAND)
+    assert near.within_range(BAND)
+    assert not Term("ground_rubber", (1,), (9.0, 0.01)).within_range(BAND)
+    run = Search(case(add_mass), lambda text: None)
+    run.fitted([Start(run.case.forward.start, 0.1, run.case)])
+    run.fitted([Start(started(run.case, (far,)), 0.1, run.case)])
+    assert ("tuned_absorber", (1,)) not in {key for state in run.pool.values() for key in state.key}
+    assert [t.kind for t in run.best().terms] == ["point_mass"]
+
+
+def test_a_weak_effect_adds_no_more_than_it_is_worth():
+    run = Search(case(), lambda text: None)
+    mass = Term("point_mass", (1,), (float(np.log(1e-4)),))
+    run.fitted([Start(run.case.forward.start, 0.1, run.case), Start(started(run.case, (mass,)), 0.1, run.case)])
+    empty, weak = run.pool[()], run.pool[mass.key,]
+    for more, bounded in ((15.0, 2 + run.case.log_place(mass)), (50.0, 50.0)):  # two ways to one state differ by no more than 20
+        run.pool[weak.key] = replace(weak, log_evidence=empty.log_evidence + more)
+        run.bounded(run.pool[weak.key], mass, [], 2.0)
+        assert run.pool[weak.key].log_evidence == pytest.approx(empty.log_evidence + bounded)
+    assert run.case.log_place(mass) == pytest.approx(-np.log(N) - np.log(len(run.case.kinds)))
+
+
+def test_a_search_ends_the_same_with_one_thread_and_with_two():
+    found = []
+    try:
+        for count in (1, 2):
+            limit(count)
+            found.append(search(case(add_damper)).best)
+    finally:
+        limit(os.cpu_count() or 1)
+    assert found[0].terms == found[1].terms
+    assert found[0].log_evidence == found[1].log_evidence
+
+
+def test_another_hypothesis_is_asked_with_the_same_effects():
+    gains = 1 + 0.01 * np.random.default_rng(3).standard_normal(N)
+    days = case(add_mass, gains=gains)
+    rival = Rival(days, fit(days, days.forward.start))
+    alone = rival.score
+    mass = Term("point_mass", (1,), (float(np.log(0.4)),))
+    assert rival.asked([(mass,)], 0.05) > alone + 1000
+    assert rival.asked([], 0.05) == rival.score  # the best so far

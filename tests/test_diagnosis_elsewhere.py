@@ -13,11 +13,11 @@ from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
+from operando.diagnosis.hypotheses import _apart
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import fit
-from operando.diagnosis.search import _apart
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import unseen

@@ -122,11 +122,12 @@ def test_what_could_do_the_same_is_found_about_the_state_that_has_the_effect(the
 
     one = case(weak, noise=5e-3, kinds=("ground_spring",))
     state = fit(one, started(one, spring(there)), 0.1)
-    found = LinearScan(state, held=state.terms[0]).in_place_of(state.terms[0])
+    found, worth = LinearScan(state, held=state.terms[0]).in_place_of(state.terms[0])
     fitted = {i: fit(one, started(one, spring(i)), 0.1).log_evidence for i in range(N) if i != there}
     likeliest = sorted(fitted, key=lambda i: -fitted[i])[:2]
     assert {row.term.places[0] for row in found[:2]} == set(likeliest)
     assert all(row.term.key != state.terms[0].key for row in found)
+    assert found[0].evidence < worth  # nothing takes over more than the effect is worth
 
 
 def test_an_effect_is_told_from_days_that_learn_to_differ():

@@ -63,9 +63,12 @@ class Factor:
         Raises
         ------
         numpy.linalg.LinAlgError
-            If the matrix is not positive definite.
+            If the matrix is not finite or not positive definite.
         """
         k = own.shape[1]
+        # sums of squares: where these are finite, all is
+        if not (np.isfinite(np.diagonal(information.shared)).all() and np.isfinite(np.diagonal(information.own, axis1=1, axis2=2)).all()):
+            raise np.linalg.LinAlgError("derivatives are not finite")
         blocks = np.array(information.own)
         blocks[:, np.arange(k), np.arange(k)] += own
         inverse = np.linalg.inv(np.linalg.cholesky(blocks))

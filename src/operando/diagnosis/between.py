@@ -26,6 +26,7 @@ SPREADS = {
     "stiffness": 0.003,  # relative, of the whole
     "damping": 0.07,  # log, of each mode; with that of the whole 10 %
     "damping_whole": 0.07,  # log, of all modes alike
+    "damping_local": 0.05,  # of a joint at each DOF, over the damping of the mode that feels it most
     "driven": 0.025,  # shape at the driven point, over the rms of the mode's shape
     "mode": 0.001,  # log frequency of each mode
     "seen": 0.015,  # shape that a sensor shows, over the rms of the mode's shape
@@ -47,7 +48,7 @@ FAMILIES = {
     "sensor_gain": (0.01, ("sensor", "sensor_slope", "sensor_corner", "sensor_late")),
     "force_gain": (0.01, ("force", "force_slope", "force_corner", "force_late")),
     "stiffness": (0.003, ("stiffness", "mode", "stiffness_between")),
-    "damping": (0.1, ("damping", "damping_whole", "damping_between")),
+    "damping": (0.1, ("damping", "damping_whole", "damping_local", "damping_between")),
     "offset": (0.015, ("driven", "seen", "rest_above", "rest_below")),
     "skew": (3e-5, ("late",)),
 }
@@ -90,6 +91,8 @@ class Between:
         Of the unknowns that all channels share, after g; of those that each DOF has for itself, after its shape's.
     shared_spread : (n,) array
     own_spread : (DOFs, k) array
+    local_modes, local_pairs : (modes, DOFs) and (pairs, DOFs) arrays
+        What a joint at each DOF changes in the damping of modes, and between them.
     groups : list
         Unknowns of one spread: name, whether shared, and where.
     log_factors : (groups,) array
@@ -122,9 +125,16 @@ class Between:
         self.stiffness_scale = 2 * w0[self.first] * w0[self.second]
         loss = np.abs(idle.zeta * w0)
         self.damping_scale = 2 * np.sqrt(loss[self.first] * loss[self.second])
+        # a damper at a DOF adds to each mode and ties them
+        power = idle.phi[:, modes] ** 2 / np.where(loss[modes] > 0, 2 * loss[modes], np.inf)
+        felt = power.max(axis=1, initial=1e-300, keepdims=True)
+        self.local_modes = (power / felt).T
+        ties = idle.phi[:, self.first] * idle.phi[:, self.second]
+        self.local_pairs = (ties / np.where(self.damping_scale > 0, self.damping_scale, np.inf) / felt).T
         one, each, pair = np.ones(1), np.ones(m), np.ones(first.size)
         shared = {
-            "stiffness": one, "damping": each, "damping_whole": one, "mode": each, "driven": np.tile(rms, references),
+            "stiffness": one, "damping": each, "damping_whole": one, "damping_local": np.ones(dofs), "mode": each,
+            "driven": np.tile(rms, references),
             **{name: np.ones(references) for name in OF_A_FORCE},
             "late": one, "stiffness_between": pair, "damping_between": pair,
         }  # fmt: skip
@@ -181,13 +191,16 @@ class Between:
         return other
 
     def shared_parts(self, d: Array) -> dict[str, Array]:
-        """Values by name; zeros for a part without unknowns."""
+        """Values by name; zeros for a part without unknowns. What joints change stands in the damping of modes and between them, too."""
         m, references = self.idle.modes.size, self.driven.size
         sizes = {"damping": m, "mode": m, "driven": references * m} | dict.fromkeys(("stiffness", "damping_whole", "late"), 1)
-        sizes |= dict.fromkeys(OF_A_FORCE, references)
+        sizes |= dict.fromkeys(OF_A_FORCE, references) | {"damping_local": len(self.idle.dofs)}
         sizes |= dict.fromkeys(("stiffness_between", "damping_between"), self.first.size)
         values = d * self.shared_spread
-        return {name: values[part] if part.stop > part.start else np.zeros(sizes[name]) for name, part in self.shared.items()}
+        out = {name: values[part] if part.stop > part.start else np.zeros(sizes[name]) for name, part in self.shared.items()}
+        out["damping"] = out["damping"] + self.local_modes @ out["damping_local"]
+        out["damping_between"] = out["damping_between"] + self.local_pairs @ out["damping_local"]
+        return out
 
     def across(self, rows: Array, dofs: Any = slice(None)) -> Array:
         """What of a change of DOFs' shapes (DOFs, modes) is across their shape at rest: what is along it is a gain of the channel."""

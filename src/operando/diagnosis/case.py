@@ -47,13 +47,15 @@ class Case:
     correlated : float
         Neighbouring lines over which the noise is alike.
     like : Case, optional
-        The same check and model with other spreads: sizes that effects may have are taken over.
+        The same check and model with other spreads: lines, told directions of the model, and sizes of effects are taken over.
 
     Raises
     ------
     DofError
         If the check and the idle model have no response or no reference in common.
     """
+
+    lines: Lines
 
     def __init__(
         self,
@@ -78,14 +80,15 @@ class Case:
         self.uncompressed = idle
         chosen = frf.select([idle.dofs[i] for i in responses], [idle.dofs[i] for i in references]).to_quantity("receptance")
         modes = idle.modes
-        self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated)
+        self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated) if like is None else like.lines
         self.band = self.lines.band
         self._look_for(kinds, places, like)
         driven = np.array(references)
         spreads = SPREADS.copy() if spreads is None else spreads
         self.between = Between(idle, driven, self.band, spreads)
         rough = Forward(idle, self.between, np.array(responses), driven, self.band)
-        self.forward = Forward(self._compressed(rough), self.between, rough.responses, driven, self.band)
+        told = self._compressed(rough) if like is None else like.idle
+        self.forward = replace(rough, idle=told)
         self.between.idle = self.forward.idle
 
     def _look_for(self, kinds: Sequence[str], places: Sequence[int] | None, like: Case | None) -> None:
@@ -114,25 +117,25 @@ class Case:
 
     def _compressed(self, forward: Forward) -> Idle:
         """Directions of the idle model that the FRFs of all pairs, driven or not, could tell: effects see places that were not driven."""
-        idle, lines, w = forward.idle, self.lines, self.lines.w[self.lines.fit]
-        dofs, g = len(idle.dofs), idle.f_root.shape[1]
-        noise = np.sqrt(np.median(lines.variance[lines.fit][:, lines.there], axis=1) * lines.correlated / 2)
-        noise = np.maximum(noise, 1e-3 * lines.level[lines.fit][:, lines.there].mean(1))
+        idle, lines = forward.idle, self.lines
+        at = lines.fit[:: lines.stride]
+        w, dofs, g = lines.w[at], len(idle.dofs), idle.f_root.shape[1]
+        noise = np.sqrt(np.median(lines.variance[at][:, lines.there], axis=1) * lines.correlated / 2)
+        noise = np.maximum(noise, 1e-3 * lines.level[at][:, lines.there].mean(1)) / np.sqrt(lines.stride)
         whole, each = np.zeros((g, g)), np.zeros((dofs, forward.n_shape, forward.n_shape))
         for first in range(0, dofs, _AT_ONCE):
             columns = np.arange(first, min(first + _AT_ONCE, dofs))
             plain = Between(idle, columns, self.band, {})
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
             made = some.predict(replace(some.start, terms=idle.lacking_term), w)
-            by_g = (made.shared[..., :g] / noise[:, None, None, None]).reshape(made.h.size, g)
-            whole += (by_g.conj().T @ by_g).real
+            whole += _power((made.shared[..., :g] / noise[:, None, None, None]).reshape(1, made.h.size, g))[0]
             # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
-            mine = made.own / noise[:, None, None, None]
-            each += 2 * np.einsum("nijp,nijq->ipq", mine.conj(), mine, optimize=True).real
+            mine = np.swapaxes(made.own / noise[:, None, None, None], 0, 1)
+            each += 2 * _power(mine.reshape(dofs, -1, forward.n_shape))
             for number, dof in enumerate(some.reaching_dofs(())):
-                at = g + number * forward.n_shape
-                far = made.shared[..., at : at + forward.n_shape] / noise[:, None, None, None]
-                each[dof] += np.einsum("njp,njq->pq", far[:, dof].conj(), far[:, dof], optimize=True).real
+                start = g + number * forward.n_shape
+                far = made.shared[:, dof, :, start : start + forward.n_shape] / noise[:, None, None]
+                each[dof] += _power(far.reshape(1, -1, forward.n_shape))[0]
         values, vectors = np.linalg.eigh(whole)
         values_own, vectors_own = np.linalg.eigh(each)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]
@@ -233,9 +236,13 @@ class Case:
             self._places[kind] = sum(1 for t in self.candidates(()) if t.kind == kind)
         return self._places[kind]
 
+    def log_place(self, term: Term) -> float:
+        """Logarithm of the probability of a kind at a place: both uniform."""
+        return float(-np.log(max(self.places(term.kind), 1)) - np.log(len(self.kinds)))
+
     def log_prior(self, term: Term) -> float:
         """Place and kind uniform, sizes log-normal, the opposite of a kind one in seven."""
-        value = -np.log(max(self.places(term.kind), 1)) - np.log(len(self.kinds))
+        value = self.log_place(term)
         mean, std = self.prior(term)
         if term.values:
             x = np.array(term.values)
@@ -245,3 +252,9 @@ class Case:
             elif term.definition.removable:
                 value += np.log(1 - REMOVED if term.sign > 0 else REMOVED)
         return float(value)
+
+
+def _power(rows: Array) -> Array:
+    """Real part of rowsᴴ rows, (blocks, rows, k) → (blocks, k, k)."""
+    laid = np.concatenate([rows.real, rows.imag], axis=1)
+    return np.asarray(np.swapaxes(laid, 1, 2) @ laid)

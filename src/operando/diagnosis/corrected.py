@@ -91,6 +91,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         "damping_whole": (np.zeros(n), zeta),
         "mode": (np.diag(f)[modes], np.zeros((modes.size, n))),
         "damping": (np.zeros((modes.size, n)), np.diag(zeta)[modes]),
+        "damping_local": (np.zeros((dofs, n)), between.local_modes.T @ np.diag(zeta)[modes]),
     }
     for name, (by_f, by_zeta) in slopes.items():
         where = between.shared[name]

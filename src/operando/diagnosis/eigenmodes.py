@@ -258,7 +258,7 @@ class Sides:
         return np.asarray(self._by_zeta * self.system.moved.zeta + self._ties(True) @ between)[..., None]
 
     def _of_d(self) -> list[tuple[Array, Array]]:
-        forward, made, m = self.forward, self.system.moved, self.forward.modes
+        forward, known, made, m = self.forward, self.forward.between, self.system.moved, self.forward.modes
 
         def each(values: Array) -> Array:
             out = np.zeros((self.s.size, forward.n_terms, m.size), complex)
@@ -269,6 +269,7 @@ class Sides:
             "stiffness": self._whole,
             "damping": lambda: each(self._by_zeta * made.zeta),
             "damping_whole": self._all_damping,
+            "damping_local": lambda: each(self._by_zeta * made.zeta) @ known.local_modes + self._ties(True) @ known.local_pairs,
             "mode": lambda: each(self._by_f * made.f),
             "stiffness_between": lambda: self._ties(False),
             "damping_between": lambda: self._ties(True),

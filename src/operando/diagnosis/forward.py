@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -286,24 +287,25 @@ class Forward:
         blocks: list[Array] = []
         # g: poles, shapes
         scale = root * by_mode
-        by_g = by_f @ (idle.f_root * scale[:, None]) + by_zeta @ (idle.zeta_root * (by_damping / root)[:, None])
-        at_sensors = np.moveaxis(np.tensordot(kt, shapes.shared, (2, 1)), 1, 2)
+        by_poles = np.concatenate([idle.f_root * scale[:, None], idle.zeta_root * (by_damping / root)[:, None]])
+        by_g = _times(np.concatenate([by_f, by_zeta], -1), by_poles)
+        at_sensors = _each(kt, shapes.shared)
         if idle.complex:
             late = -1j * w[:, None, None, None]
-            at_sensors = at_sensors + late * np.moveaxis(np.tensordot(kt[:, :, m], lags.shared, (2, 1)), 1, 2)
+            at_sensors = at_sensors + late * _each(kt[:, :, m], lags.shared)
         by_g = by_g + _through(at_sensors, reached, at_sensors[:, here])
         at_forces = np.broadcast_to(np.moveaxis(shapes.shared[refs], 0, 1), (n, self.n_terms, refs.size, self.n_g)).astype(complex)
-        at_forces -= np.einsum("ntj,trq->nrjq", force, shapes.shared[here], optimize=True)
+        at_forces -= _held(force, shapes.shared[here])
         if idle.complex:
             at_forces[:, m] += late * np.moveaxis(lags.shared[refs], 0, 1)
-            at_forces[:, m] -= late * np.einsum("ntj,trq->nrjq", force, lags.shared[here], optimize=True)
+            at_forces[:, m] -= late * _held(force, lags.shared[here])
         by_g = by_g + (pk @ at_forces.reshape(n, self.n_terms, -1)).reshape(n, nd, refs.size, -1)
-        pairs = known.shared["damping_between"].stop > known.shared["damping_between"].start
+        pairs = any(known.shared[name].stop > known.shared[name].start for name in ("damping_between", "damping_local"))
         if pairs or idle.between_root.any() or idle.between.any():
             both = pk[:, :, None, known.first] * kt[:, None, :, known.second] + pk[:, :, None, known.second] * kt[:, None, :, known.first]
             by_between = both * (-1j * w[:, None, None, None] * damping_scale)
             if idle.between_root.any():
-                by_g = by_g + by_between @ idle.between_root
+                by_g = by_g + _times(by_between, idle.between_root)
         else:
             both = by_between = np.zeros((n, nd, refs.size, known.first.size), complex)
         blocks.append(by_g)
@@ -320,6 +322,7 @@ class Forward:
             "stiffness": lambda: by_whole[..., None],
             "damping": lambda: by_zeta[..., m] * zeta[m],
             "damping_whole": lambda: by_more[..., None],
+            "damping_local": lambda: _times(by_zeta[..., m] * zeta[m], known.local_modes) + _times(by_between, known.local_pairs),
             "mode": lambda: by_f[..., m] * f[m],
             "driven": lambda: unlike,
             "force": lambda: of_force,
@@ -392,11 +395,14 @@ class Forward:
             blocks.append(far)
         for dof in self.reaching_dofs(terms):
             mine[:, dof][..., self.reaching] = 0
-        shared = np.concatenate(blocks, -1)[:, order]
-        shared *= factor[..., None]
-        mine = mine[:, order]
-        mine *= factor[..., None]
-        return Prediction(h, shared, mine), scannable
+        measured = factor[..., None]
+        shared = np.empty((*h.shape, sum(block.shape[-1] for block in blocks)), complex)
+        start = 0
+        for block in blocks:
+            stop = start + block.shape[-1]
+            np.multiply(block[:, order], measured, out=shared[..., start:stop])
+            start = stop
+        return Prediction(h, shared, mine[:, order] * measured), scannable
 
     def _added(self, terms: Sequence[Term], w: Array) -> tuple[list[int], Array, list[list[Array]]]:
         """Touched DOFs, the dynamic stiffness over them (lines, k, k), and its derivatives for each term."""
@@ -439,6 +445,22 @@ def _laid(value: Array, b: list[int], size: int) -> Array:
     return full
 
 
+def _times(values: Array, real: Array) -> Array:
+    """Values (…, k) by a real matrix (k, q)."""
+    flat = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
+    out = np.empty((len(flat), real.shape[1]), complex)
+    out.real, out.imag = flat.real @ real, flat.imag @ real
+    return out.reshape(*values.shape[:-1], real.shape[1])
+
+
+def _held(force: Array, moves: Array) -> Array:
+    """Forces at touched DOFs (lines, touched, references) by how these move (touched, terms, q): (lines, terms, references, q)."""
+    n, here, references = force.shape
+    _, terms, q = moves.shape
+    held = _times(np.swapaxes(force, 1, 2), moves.reshape(here, terms * q))
+    return np.swapaxes(held.reshape(n, references, terms, q), 1, 2)
+
+
 def _through(at: Array, reached: Array, there: Array) -> Array:
     """What shows at each DOF (lines, DOFs, references, n), and through the effects what shows at the touched ones."""
     if not reached.shape[2]:
@@ -458,4 +480,6 @@ def _column(reached: Array, here: list[int], dof: int, dofs: int) -> Array:
 
 def _each(kt: Array, own: Array) -> Array:
     """kt (lines, references, terms) by own (DOFs, terms, k): (lines, DOFs, references, k)."""
-    return np.moveaxis(np.tensordot(kt, own, (2, 1)), 1, 2)
+    dofs, terms, k = own.shape
+    by_dof = _times(kt, np.swapaxes(own, 0, 1).reshape(terms, dofs * k))
+    return np.swapaxes(by_dof.reshape(*kt.shape[:2], dofs, k), 1, 2)

@@ -25,10 +25,11 @@ from operando.diagnosis.document import (
     picture,
     proposal,
 )
+from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
-from operando.diagnosis.search import Found, search, search_both, search_elsewhere, unlike_days
+from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import SEARCHED
 from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
@@ -119,23 +120,29 @@ def diagnose_frf(
             days = Case(model, run.frf, band, spreads_of(between or {}), **asked)
             return [days] if between else [days, Case(model, run.frf, band, SAME_SET_UP, like=days, **asked)]
 
-        both, odds = cases(model), None
+        both, odds, asked_for_all = cases(model), None, kinds is None and places is None
         if between:
-            found = search(both[0], say)
+            found = search(both[0], say, depth=AT_FIRST)
         else:
-            found, odds = search_both(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha)
+            alpha = 0.0 if rest is None else rest.state.alpha
+            found, odds = search_both(both[0], both[1], say, alpha, cases if asked_for_all else None, AT_FIRST)
+
+        def left() -> bool:
+            """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
+            name = verdict(found.best.case, found, None if rest is None else rest.state).name
+            unexplained = name in ("partial", "unexplained") or unlike_days(found.best)
+            return unexplained and (rest is None or rest.state.alpha <= EXPLAINED)
+
         found = with_validation(found)
-        name = verdict(found.best.case, found, None if rest is None else rest.state).name
-        asked_for_all = kinds is None and places is None
-        # several effects may stand for one where no sensor is, and an absorber for a mode that is lacking
-        left = name in ("partial", "unexplained") or len(found.best.terms) > 1 or unlike_days(found.best)
-        if (
-            asked_for_all
-            and (rest is None or rest.state.alpha <= EXPLAINED)
-            and (left or any(t.kind == "tuned_absorber" for t in found.best.terms))
-        ):
-            found, odds, geometry = search_elsewhere(found, odds, cases, geometry, left, say)
+        # effects at two sensors may stand for one between them, and an absorber for a mode that is lacking
+        elsewhere = left() or between_sensors(found.best, geometry)
+        modes = left() or any(t.kind == "tuned_absorber" for t in found.best.terms)
+        if asked_for_all and (elsewhere or modes):
+            found, odds, geometry = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
             found = with_validation(found)
+        if found.best.terms and left():
+            say("further effects:")
+            found = with_validation(search(found.best.case, say, start=found))
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 

@@ -12,12 +12,13 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import MOST_CHI_SQUARE
 from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder
+from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
 from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.posterior import AtRest, State, at_rest
 from operando.diagnosis.result import Diagnosis
-from operando.diagnosis.search import Found, search, search_both
+from operando.diagnosis.search import Found, search
 from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
 from operando.dof import Dof, parse_dofs
 from operando.errors import ConfigError, DataError

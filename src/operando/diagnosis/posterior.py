@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from operando.data import Frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CORRELATED_LINES, LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
+from operando.diagnosis.criteria import CORRELATED_LINES, FIT_LINES, LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
@@ -22,7 +22,8 @@ from operando.diagnosis.terms import Term
 
 Array = NDArray[Any]
 
-_TURNS = 18  # of a fit; twice as many where spreads are estimated
+_TURNS = 18  # of a fit; twice as many where spreads are estimated, and again where it goes on closely
+_GAIN = 0.3  # nats that a turn takes off the objective, below which a fit ends; a tenth of them closely
 _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
 _SETTLED = 1.0  # nats that a turn takes off the objective, below which its unknowns tell how wide their spreads are
 _SPREADS_AT = 0.2  # nats that a further turn promises, below which spreads are estimated
@@ -112,7 +113,7 @@ def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, f
     return new * min(1, new / now) if new < now else new
 
 
-def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, own_spreads: bool = False) -> State:
+def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, own_spreads: bool = False, closely: bool = False) -> State:
     """The most probable unknowns near a start; discrepancy and spreads between the turns, by the evidence.
 
     Parameters
@@ -125,13 +126,16 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, ow
         Log evidence of a state that this one has to come near to; left off where it plainly does not.
     own_spreads : bool
         Whether the spreads of what differs between the days are estimated with it.
+    closely : bool
+        To the end of the valley that products of unknowns make: on its way there the evidence still falls by ten nats.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If a start leads to numbers that cannot be.
     """
-    turns = 2 * _TURNS if own_spreads else _TURNS
+    turns = _TURNS * (4 if closely else 2 if own_spreads else 1)
+    least, promised_least = (0.1 * v if closely else v for v in (_GAIN, _SPREADS_AT))
     problem, descent = Problem(case, start.terms, case.lines.fit), Descent()
     x, done, reached = problem.packed(start), False, -np.inf
     last, most = np.zeros(case.between.log_factors.size), WIDER  # of the spreads: the step before, and how far the next may go
@@ -150,11 +154,11 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, ow
         before = alpha
         alpha = min(max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
         change = abs(np.log(alpha / before))
-        done = turn == turns - 2 or (gain < 0.3 and change < 0.1)
-        done = done or (gain < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
+        done = turn == turns - 2 or (gain < least and change < 0.1)
+        done = done or (not closely and gain < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
         if own_spreads and gain < _SETTLED and turn < turns - 2:
             by, promised = likely_spreads(problem, x, factor, most)
-            if promised > _SPREADS_AT:
+            if promised > promised_least:
                 most = min(most * (0.5 if last @ by < 0 else 1.5), WIDER)  # too far, or on its way
                 last = by
                 (problem, x), done = rescaled(problem, x, by), False
@@ -285,11 +289,15 @@ class AtRest:
 
 def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
-    state, correlated = _settled(idle, frf, band, None)
+    # noise taken for alike where it is not would count as a misfit, so the lines count as independent first
+    state = _on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False)
     if state.alpha < REST_DISCREPANCY:
-        return AtRest(idle, state, correlated, False)
-    driven = state.case.forward.references
-    state, correlated = _settled(idle.loose(driven), frf, band, approach)
+        return AtRest(idle, state, _correlated(state), False)
+    loose = idle.loose(state.case.forward.references)
+    state = _on_idle_frfs(loose, frf, band, REST_LINES, CORRELATED_LINES, True)
+    correlated = _correlated(state)
+    if correlated > 1.5 * CORRELATED_LINES:
+        state = _on_idle_frfs(loose, frf, band, REST_LINES, correlated, True)
     case = state.case
     factor = state.factor
     own = np.zeros((case.forward.n_dofs, factor.inverse.shape[1], factor.inverse.shape[1]))
@@ -301,25 +309,19 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     return AtRest(after, state, correlated, True)
 
 
-def _settled(
-    idle: Idle, frf: Frf, band: tuple[float, float], way: Callable[[Case, Point], tuple[float, Point]] | None
-) -> tuple[State, float]:
-    """A model on the FRFs at rest, and how many neighbouring lines have noise that is alike.
-
-    Noise taken for alike where it is not would count as a misfit, so the lines are taken for independent first; what a model leaves
-    that does not fit is no noise.
-    """
-    case = Case(idle, frf, band, spreads={}, number=REST_LINES)
+def _on_idle_frfs(idle: Idle, frf: Frf, band: tuple[float, float], number: int, correlated: float, robust: bool) -> State:
+    """A model on the FRFs at rest."""
+    case = Case(idle, frf, band, spreads={}, number=number, correlated=correlated)
     start = case.forward.start
-    state = fit(case, start if way is None else way(case, start)[1], alpha=0.02)
+    return fit(case, approach(case, start)[1] if robust else start, alpha=0.02)
+
+
+def _correlated(state: State) -> float:
+    """Neighbouring lines whose noise is alike: what a model leaves that does not fit is no noise, and tells nothing of it."""
     if state.alpha > REST_DISCREPANCY:
-        return state, CORRELATED_LINES
-    predicted = case.forward.predict(state.x, case.lines.w_all, derivatives=False).h
-    correlated = case.lines.correlation(predicted, state.alpha)
-    if correlated < 1.5 * CORRELATED_LINES:
-        return state, correlated
-    case = Case(idle, frf, band, spreads={}, number=REST_LINES, correlated=correlated)
-    return fit(case, case.forward.start if way is None else way(case, case.forward.start)[1], state.alpha), correlated
+        return CORRELATED_LINES
+    lines = state.case.lines
+    return lines.correlation(state.case.forward.predict(state.x, lines.w_all, derivatives=False).h, state.alpha)
 
 
 def names(case: Case, terms: Sequence[Term]) -> list[str]:

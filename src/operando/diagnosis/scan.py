@@ -16,7 +16,8 @@ from operando.diagnosis.eigenmodes import ScannableModes
 from operando.diagnosis.forward import Outside, Point, Scannable
 from operando.diagnosis.posterior import State, linear_evidence
 from operando.diagnosis.problem import Problem, Step
-from operando.diagnosis.terms import Term, added, with_term
+from operando.diagnosis.terms import Term, added, changes
+from operando.threads import each
 
 Array = NDArray[Any]
 
@@ -70,16 +71,9 @@ def responses(case: Case, x: Point, state: Scannable | ScannableModes, columns: 
         assert isinstance(state, ScannableModes)
         return state.responses(terms)
     first, w, band = terms[0], case.lines.w[at], case.band
-    if first.structural and first.definition.coordinates == "difference":
-        b = first.places
-        along = columns[:, :, b[0]] - columns[:, :, b[1]] if len(b) == 2 else columns[:, :, b[0]]
-        own = along[:, b[0]] - along[:, b[1]] if len(b) == 2 else along[:, b[0]]
-        there = state.structure[:, b[0]] - state.structure[:, b[1]] if len(b) == 2 else state.structure[:, b[0]]
-        z = np.stack([added(t, w, band)[:, 0, 0] for t in terms], 1)
-        change = state.measured(-along[:, :, None] * there[:, None])
-        return state.h[..., None] + change[..., None] * (z / (1 + z * own[:, None]))[:, None, None]
     if first.structural:
-        return np.stack([state.measured(with_term(columns, state.structure, t, w, band)) for t in terms], -1)
+        patterns, factors = _changes(state, columns, terms, w, band)
+        return state.h[..., None] + (patterns @ factors).reshape(*state.h.shape, len(terms))
     out = []
     for term in terms:
         h = state.h.copy()
@@ -101,6 +95,12 @@ def responses(case: Case, x: Point, state: Scannable | ScannableModes, columns: 
     return np.stack(out, -1)
 
 
+def _changes(state: Scannable, columns: Array, terms: Sequence[Term], w: Array, band: tuple[float, float]) -> tuple[Array, Array]:
+    """As :func:`changes`, as measured: (lines, responses × references, p) and (lines, p, n)."""
+    patterns, factors = changes(columns, state.structure, terms, w, band)
+    return state.measured(patterns).reshape(w.size, -1, patterns.shape[-1]), factors
+
+
 def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> list[tuple[float, Term, bool]]:
     """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places.
 
@@ -111,10 +111,11 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
     places : sequence of Term, optional
         Kinds at places; default all.
     """
-    at, forward = case.lines.fit, case.forward
-    w, measured = case.lines.w[at], case.lines.h[at][..., None]
+    at, forward = case.lines.fit[:: case.lines.stride], case.forward
+    w, measured = case.lines.w[at], case.lines.h[at]
     state = forward.scannable(x, w)
-    noise = (case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)[..., None]
+    root = 1 / np.sqrt(case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)
+    left = ((measured - state.h) * root).reshape(w.size, -1, 1).astype(np.complex64)
     variants = [(False, state.columns)]
     below = case.between.below
     if not x.terms and below.size and state.columns is not None:
@@ -133,8 +134,15 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
                 continue
             some = trials(case, place, case.lines.sizes)
             with np.errstate(all="ignore"):
-                h = responses(case, x, state, columns, some, at)
-                cost = np.nan_to_num(np.sum(np.log1p(np.abs(measured - h) ** 2 / noise), axis=(0, 1, 2)), nan=np.inf)
+                if place.structural and columns is not None and isinstance(state, Scannable):
+                    patterns, factors = _changes(state, columns, some, w, case.band)
+                    patterns = (patterns * root.reshape(w.size, -1, 1)).astype(np.complex64)
+                    error = left - patterns @ factors.astype(np.complex64)
+                else:
+                    h = responses(case, x, state, columns, some, at)
+                    error = (measured[..., None] - h) * root[..., None]
+                cost = np.sum(np.log1p(error.real**2 + error.imag**2), axis=tuple(range(error.ndim - 1)), dtype=float)
+                cost = np.nan_to_num(cost, nan=np.inf)
             best = int(np.argmin(cost))
             out.append((-float(cost[best]), some[best], cut))
     return sorted(out, key=lambda row: -row[0])
@@ -202,12 +210,15 @@ class LinearScan:
 
         The own compliance of an undriven place, which no column tells, counts for nothing at size zero, and for much at a size.
         """
+        undriven = self.case.forward.undriven
+
+        def there(row: Candidate) -> float:
+            if not (row.term.structural and undriven[list(row.term.places)].any()):
+                return -np.inf
+            return self._about(self.fitted.carried([*self.x.terms, row.term], row.start))
+
         before = self._about(self.x)
-        out = []
-        for row in rows:
-            there = self._about(self.fitted.carried([*self.x.terms, row.term], row.start))
-            out.append(replace(row, evidence=max(row.evidence, none + there - before)))
-        return out
+        return [replace(row, evidence=max(row.evidence, none + at - before)) for row, at in zip(rows, each(there, rows), strict=True)]
 
     def _about(self, x: Point) -> float:
         """Evidence of the model that is linear about a point."""
@@ -222,10 +233,17 @@ class LinearScan:
             return -np.inf
         return evidence if np.isfinite(evidence) else -np.inf
 
-    def in_place_of(self, term: Term) -> list[Candidate]:
+    def in_place_of(self, term: Term) -> tuple[list[Candidate], float]:
         """What could do the same as an effect that is there and ``held``: what changes the FRFs as it does, once all unknowns follow.
 
         By the slopes of both about the state with the effect: without it all unknowns would be far from where they belong.
+
+        Returns
+        -------
+        list of Candidate
+            By what each takes over.
+        float
+            What the effect itself is worth, at first order [nats].
         """
         at = self.problem.values_at + sum(len(t.values) for t in self.x.terms[: self.x.terms.index(term)])
         near_zero = term.kind.endswith(("_gain", "_delay")) or term.kind == "global_damping"
@@ -233,7 +251,7 @@ class LinearScan:
         rq = self.whitened(r)
         rest = [t for t in self.x.terms if t is not term]
         places = [p for p in self.case.candidates(rest) if p.key != term.key]
-        return self._by_slope(places, r, rq, 0.0, term)
+        return self._by_slope(places, r, rq, 0.0, term), 0.5 * float(np.sum(r**2) - np.sum(rq**2))
 
     def exchanged(self) -> list[Candidate]:
         """Candidates about a state that was not fitted, as one with an effect taken out: by their responses to trial sizes."""

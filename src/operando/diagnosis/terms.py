@@ -109,6 +109,12 @@ class Term:
             out[first] = abs(out[first])
         return out
 
+    def within_range(self, band: tuple[float, float]) -> bool:
+        """Whether the values after the first lie in the ranges of the catalogue: beyond them a kind is another one by its name."""
+        sizes = self.sizes(band)
+        ranges = {p.name: p.bounds(band) for p in self.definition.parameters[1:]}
+        return all(low <= sizes[name] <= high for name, (low, high) in ranges.items())
+
     def slope(self, number: int, band: tuple[float, float]) -> float:
         """Derivative of a value in SI units by that on the search scale."""
         if number == 0:
@@ -169,8 +175,7 @@ def pattern(places: int) -> Array:
 
 def slopes(term: Term, w: Array, band: tuple[float, float]) -> list[Array]:
     """Derivatives of :func:`added` by the values."""
-    proportional = term.kind in SEARCHED or term.kind == "sensor_mass"
-    out = [added(term, w, band)] if proportional else []
+    out = [added(term, w, band)] if _proportional(term.kind) else []
     for number in range(len(out), len(term.values)):
         step = _STEP * (np.arange(len(term.values)) == number)
         up, down = (added(term.moved(np.array(term.values) + side * step), w, band) for side in (1, -1))
@@ -178,20 +183,42 @@ def slopes(term: Term, w: Array, band: tuple[float, float]) -> list[Array]:
     return out
 
 
-def with_term(columns: Array, h: Array, term: Term, w: Array, band: tuple[float, float]) -> Array:
-    """FRFs h (lines, DOFs, references) with one structural term more, given all columns of the structure (lines, DOFs, DOFs).
+def added_by_each(terms: Sequence[Term], w: Array, band: tuple[float, float]) -> Array:
+    """Dynamic stiffness that each of some terms of one kind and place adds, (n_lines, places, places, n)."""
+    if not _proportional(terms[0].kind):
+        return np.stack([added(term, w, band) for term in terms], -1)
+    units: dict[tuple[float, ...], Array] = {}
+    for term in terms:
+        if term.values[1:] not in units:
+            units[term.values[1:]] = added(replace(term.moved((0.0, *term.values[1:])), sign=1), w, band)
+    return np.stack([term.sign * np.exp(term.values[0]) * units[term.values[1:]] for term in terms], -1)
 
-    Sherman–Morrison–Woodbury; along one coordinate by a division.
+
+def _proportional(kind: str) -> bool:
+    """Whether the dynamic stiffness is in proportion to the first value; own kinds may have other laws."""
+    return kind in SEARCHED or kind == "sensor_mass"
+
+
+def changes(columns: Array, h: Array, terms: Sequence[Term], w: Array, band: tuple[float, float]) -> tuple[Array, Array]:
+    """What some structural terms of one kind and place change in FRFs h (lines, DOFs, references): patterns, and their factors.
+
+    Sherman–Morrison–Woodbury, given all columns of the structure (lines, DOFs, DOFs); along one coordinate by a division.
+
+    Returns
+    -------
+    (lines, DOFs, references, p) and (lines, p, n) arrays
     """
-    b, z = list(term.places), added(term, w, band)
-    if term.definition.coordinates == "difference":
+    b, z = list(terms[0].places), added_by_each(terms, w, band)
+    if terms[0].definition.coordinates == "difference":
         along = columns[:, :, b[0]] - columns[:, :, b[1]] if len(b) == 2 else columns[:, :, b[0]]
         own = along[:, b[0]] - along[:, b[1]] if len(b) == 2 else along[:, b[0]]
         at = h[:, b[0]] - h[:, b[1]] if len(b) == 2 else h[:, b[0]]
         one = z[:, 0, 0]
-        return h - along[:, :, None] * ((one / (1 + one * own))[:, None] * at)[:, None]
-    inner = np.linalg.solve(np.eye(len(b)) + z @ columns[:, b][:, :, b], z)
-    return h - columns[:, :, b] @ (inner @ h[:, b])
+        return -(along[:, :, None] * at[:, None])[..., None], (one / (1 + one * own[:, None]))[:, None]
+    z = np.moveaxis(z, -1, 1)
+    inner = np.linalg.solve(np.eye(len(b)) + z @ columns[:, None, b][..., b], z)
+    patterns = -columns[:, :, None, b, None] * np.swapaxes(h[:, b], 1, 2)[:, None, :, None]
+    return patterns.reshape(*h.shape, len(b) ** 2), np.swapaxes(inner.reshape(len(w), len(terms), -1), 1, 2)
 
 
 def candidates(nodes: Sequence[tuple[int, ...]], terms: Iterable[Term], kinds: Iterable[str], allowed: Iterable[int]) -> Iterator[Term]:

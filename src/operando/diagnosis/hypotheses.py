@@ -1,0 +1,176 @@
+"""Hypotheses of what differs between two measurements, and of what the idle model lacks: which of them a diagnosis goes by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from operando.data import Geometry
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.lacking import with_lacking
+from operando.diagnosis.midway import midway, with_midway
+from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
+from operando.diagnosis.scan import Say
+from operando.diagnosis.search import DEPTH, Found, Rival, remounted, score, search, started
+
+AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
+_ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
+
+
+def search_both(
+    days: Case,
+    one_set_up: Case,
+    say: Say = lambda text: None,
+    at_rest: float = 0.0,
+    again: Callable[[Idle], Sequence[Case]] | None = None,
+    depth: int = DEPTH,
+) -> tuple[Found, float]:
+    """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
+
+    The first is a special case of the second: where it leaves nothing but noise, the second is not searched. Where the idle model
+    explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), nothing is searched. A mode that the
+    idle model lacks, and that explains the check, spares the search of days (``again``: see :func:`search_elsewhere`).
+
+    Returns
+    -------
+    Found
+    float
+        Log odds that nothing was touched.
+    """
+    alone = fit(days, days.forward.start)
+    say(f"two days and no effect: {alone.log_evidence:.1f}, discrepancy {alone.alpha:.4f}")
+    if at_rest > EXPLAINED and alone.alpha < HOPELESS * at_rest:
+        say("no search: what the idle model leaves of the validation measurement it leaves of the idle FRFs")
+        return Found(alone, alone, {alone.key: alone}), -np.inf
+    say("with nothing touched between the measurements:")
+    rival = Rival(days, alone)
+    same = search(one_set_up, say, rival, depth=depth)
+    best = same.best
+    explains = best.alpha < LOOSE and score(best) > score(alone) and on_validation_lines(best)[0] < MOST_CHI_SQUARE
+    if explains and not remounted(best):
+        # the same effects on another day, and each left to what differs between days
+        sets = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
+        odds = score(best) - rival.asked(sorted(sets, key=len), best.alpha, best.log_evidence)
+        if odds > EARNED:
+            return same, odds
+    lacking = None if again is None or alone.alpha < LOOSE else with_mode(alone, again, max(rival.score, score(best)), say)
+    if lacking is not None and lacking.best.alpha < LOOSE:
+        return search(lacking.best.case, say, start=lacking), lacking.odds or 0.0
+    say("on another day:")
+    found = search(days, say, depth=depth)
+    terms = found.best.terms
+    if terms:  # what was found with less to explain it, where nothing was touched
+        back = fit(one_set_up, started(one_set_up, terms), found.best.alpha)
+        say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
+        if score(back) > max(score(found.best), score(best)):
+            same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
+            best = same.best
+    odds = -np.inf if remounted(best) else score(best) - score(found.best)
+    return (same if odds > 0 else found), odds
+
+
+def search_elsewhere(
+    found: Found,
+    odds: float | None,
+    again: Callable[[Idle], Sequence[Case]],
+    geometry: Geometry | None,
+    say: Say,
+    places: bool,
+    modes: bool,
+) -> tuple[Found, float | None, Geometry | None]:
+    """What explains more than effects at sensors: one at a place between them, or a mode that the idle model lacks.
+
+    Parameters
+    ----------
+    found : Found
+        What the places with sensors came to.
+    odds : float, optional
+        Of that, that nothing was touched between the measurements.
+    again : callable
+        The same check with another idle model: on two days and with nothing touched, or as the test states it.
+    geometry : Geometry, optional
+        Positions of the sensors; without it there are no places between them.
+    say : callable
+    places, modes : bool
+        Whether places between sensors are looked at; whether modes that the idle model lacks are.
+
+    Returns
+    -------
+    Found
+    float or None
+    Geometry
+        With the places between sensors, where one was needed.
+    """
+    best, known = found, geometry
+    wider = None if geometry is None or not places else with_midway(found.empty.case.uncompressed, geometry)
+    if wider is not None:
+        say(f"{len(wider[0].midway)} locations between sensors:")
+        cases = again(wider[0])
+        its_odds = odds
+        if len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
+            other, its_odds = search_both(cases[0], cases[1], say, depth=AT_FIRST)
+        else:
+            other = search(cases[0], say, depth=AT_FIRST)
+        if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
+            best, known, odds = other, wider[1], its_odds
+    if modes:
+        # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most
+        empty = found.empty
+        for state in (replace(empty, x=empty.case.forward.start), empty):
+            lacking = with_mode(state, again, score(best.best), say)
+            if lacking is not None:
+                best, odds, known = search(lacking.best.case, say, start=lacking), lacking.odds, geometry
+                break
+    return best, odds, known
+
+
+@dataclass
+class Lacking(Found):
+    """With a mode that the idle model lacks; the log odds that nothing was touched, where both hypotheses were tried."""
+
+    odds: float | None = None
+
+
+def with_mode(state: State, again: Callable[[Idle], Sequence[Case]], bar: float, say: Say) -> Lacking | None:
+    """States of an idle model with the mode that it lacks, where one lifts the score above a bar.
+
+    Parameters
+    ----------
+    state : State
+        Without such a mode.
+    again : callable
+        The same check with another idle model.
+    bar : float
+    say : callable
+    """
+    grown = None if state.case.idle.lacking is not None else with_lacking(state)
+    if grown is None:
+        return None
+    say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
+    starts = [fit(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1], 0.03) for c in again(grown)]
+    first = max(starts, key=score)
+    say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
+    if score(first) <= bar or not _apart(first):
+        return None
+    empty = fit(first.case, first.case.forward.start, 0.1)
+    return Lacking(first, empty, {s.key: s for s in (empty, first)}, None if len(starts) < 2 else score(starts[1]) - score(starts[0]))
+
+
+def between_sensors(state: State, geometry: Geometry | None) -> bool:
+    """Whether effects stand at both sensors beside a place: one effect between them moves both."""
+    if geometry is None or len(state.terms) < 2:
+        return False
+    at = {i for t in state.terms for i in t.places}
+    return any(set(place.ends) <= at for place in midway(state.case.dofs, geometry))
+
+
+def _apart(state: State) -> bool:
+    """Whether a mode that was lacking lies beyond the half-power widths of all others: nearer, it may be one of them that differs."""
+    idle = state.case.idle
+    others = [r for r in idle.modes if r != idle.lacking]
+    f, zeta = (float(np.exp(v)) for v in next(t for t in state.terms if t.kind == "missing_mode").values)
+    return bool(np.all(np.abs(idle.f[others] / f - 1) > 2 * np.maximum(idle.zeta[others], zeta)))
