@@ -21,7 +21,7 @@ from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
-from operando.diagnosis.search import Rival, Search, Start, contained, score, search, started
+from operando.diagnosis.search import Rival, Search, Start, contained, fitted_if_can_be, score, search, started
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
@@ -547,3 +547,6 @@ def test_another_hypothesis_is_asked_with_the_same_effects():
     mass = Term("point_mass", (1,), (float(np.log(0.4)),))
     assert rival.asked([(mass,)], 0.05) > alone + 1000
     assert rival.asked([], 0.05) == rival.score  # the best so far
+    endless = Term("point_mass", (1,), (800.0,))
+    assert fitted_if_can_be(days, started(days, (endless,)), 0.05) is None
+    assert rival.asked([(endless,)], 0.05) == rival.score  # numbers that cannot be end no search

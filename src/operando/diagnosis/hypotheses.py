@@ -15,7 +15,7 @@ from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import DEPTH, Found, Rival, remounted, score, search, started
+from operando.diagnosis.search import DEPTH, Found, Rival, fitted_if_can_be, remounted, score, search, started
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
 _ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
@@ -64,9 +64,9 @@ def search_both(
     found = search(days, say, depth=depth)
     terms = found.best.terms
     if terms:  # what was found with less to explain it, where nothing was touched
-        back = fit(one_set_up, started(one_set_up, terms), found.best.alpha)
-        say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
-        if score(back) > max(score(found.best), score(best)):
+        back = fitted_if_can_be(one_set_up, started(one_set_up, terms), found.best.alpha)
+        if back is not None and score(back) > max(score(found.best), score(best)):
+            say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
             same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
             best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)

@@ -86,10 +86,20 @@ class Rival:
         """The best score, with some sets of effects tried as well."""
 
         def one(terms: tuple[Term, ...]) -> float:
-            return score(fit(self.case, started(self.case, terms), alpha, floor=floor))
+            state = fitted_if_can_be(self.case, started(self.case, terms), alpha, floor=floor)
+            return -np.inf if state is None else score(state)
 
         self.score = max([self.score, *each(one, sets)])
         return self.score
+
+
+def fitted_if_can_be(case: Case, x: Point, alpha: float, **how: Any) -> State | None:
+    """As :func:`fit`; None where a start leads to numbers that cannot be."""
+    try:
+        with np.errstate(all="ignore"):
+            return fit(case, x, alpha, **how)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def started(case: Case, terms: tuple[Term, ...]) -> Point:
@@ -243,11 +253,7 @@ class Search:
         floor = self.best().log_evidence if self.pool else -np.inf
 
         def one(start: Start) -> State | None:
-            try:
-                with np.errstate(all="ignore"):  # a start may lead to numbers that cannot be: no fit
-                    return fit(start.case, start.x, start.alpha, floor=floor, own_spreads=self.own_spreads, closely=closely)
-            except np.linalg.LinAlgError:
-                return None
+            return fitted_if_can_be(start.case, start.x, start.alpha, floor=floor, own_spreads=self.own_spreads, closely=closely)
 
         states, simpler = each(one, starts), []
         for state in states:
