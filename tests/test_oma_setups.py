@@ -71,7 +71,6 @@ def test_modes_of_all_sensors(merged):
 
 def test_merging_agrees_with_pyoma():
     """pyOMA-2's merging (PoSER) of its own SSI-cov at a fixed order as an oracle: frequencies, dampings, shapes over all sensors."""
-    pytest.importorskip("pyoma2")
     from operando.oma.pyoma import contained_pyoma
 
     records = [setup(masses, 10 + k) for k, masses in enumerate(SENSORS)]
