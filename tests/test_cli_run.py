@@ -102,18 +102,3 @@ def test_example_is_there():
     assert test.operating.records
     assert test.check.records
     assert sum(p.stat().st_size for p in test.files) < 15e6
-
-
-def test_demo(tmp_path):
-    done = call("demo", "-o", tmp_path / "demo", "--json")
-    assert done.exit_code == 0, done.stderr
-    models = json.loads(done.stdout)["comparison"]["models"]
-    assert models["ofrf"]["error_db"] < models["idle"]["error_db"]
-    assert models["effect"]["error_db"] < 0.3
-    assert (tmp_path / "demo/report.html").stat().st_size > 100_000
-    # what benchmarks/example_data hid in the running frame
-    found = json.loads((tmp_path / "demo/diagnosis.json").read_text())
-    assert found["verdict"] == "explained"
-    assert [(e["kind"], e["location"]) for e in found["effects"]] == [("ground_spring", ["2+Z"])]
-    size = found["effects"][0]["parameters"]["stiffness"]
-    assert abs(size["value"] - 1.5e5) < 3 * size["std"] < 0.01 * 1.5e5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import shutil
 import subprocess
@@ -65,7 +66,17 @@ def test_tutorials_of_the_whole_chain_and_readme_run(tmp_path, monkeypatch, own_
     told = run_page(ROOT / "README.md", again)
     assert "(1, 1, 1400)" in told[-1]
     assert (again / "pair.uff").exists()
-    assert (again / "demo-results" / "report.html").exists()
+    demo = again / "demo-results"
+    assert (demo / "report.html").stat().st_size > 100_000
+    errors = json.loads((demo / "comparison.json").read_text())["models"]
+    assert errors["ofrf"]["error_db"] < errors["idle"]["error_db"]
+    assert errors["effect"]["error_db"] < 0.3
+    # what benchmarks/example_data hid in the running frame
+    found = json.loads((demo / "diagnosis.json").read_text())
+    assert found["verdict"] == "explained"
+    assert [(e["kind"], e["location"]) for e in found["effects"]] == [("ground_spring", ["2+Z"])]
+    size = found["effects"][0]["parameters"]["stiffness"]
+    assert abs(size["value"] - 1.5e5) < 3 * size["std"] < 0.01 * 1.5e5
 
 
 @pytest.mark.parametrize("page", [p for p in pages() if programs(p) and page_name(p) not in (*FIRST, "README.md")], ids=page_name)

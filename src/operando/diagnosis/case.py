@@ -242,16 +242,21 @@ class Case:
 
     def log_prior(self, term: Term) -> float:
         """Place and kind uniform, sizes log-normal, the opposite of a kind one in seven."""
-        value = self.log_place(term)
-        mean, std = self.prior(term)
-        if term.values:
-            x = np.array(term.values)
-            value += float(np.sum(-0.5 * ((x - mean) / std) ** 2 - np.log(std) - 0.5 * np.log(2 * np.pi)))
-            if term.kind in ("gyroscopic", "circulatory", "global_stiffness"):
+        return float(self.log_priors([term])[0])
+
+    def log_priors(self, terms: Sequence[Term]) -> Array:
+        """The same of some terms of one kind and place."""
+        first = terms[0]
+        value = np.full(len(terms), self.log_place(first))
+        if first.values:
+            mean, std = self.prior(first)
+            x = np.array([term.values for term in terms])
+            value += np.sum(-0.5 * ((x - mean) / std) ** 2 - np.log(std) - 0.5 * np.log(2 * np.pi), axis=1)
+            if first.kind in ("gyroscopic", "circulatory", "global_stiffness"):
                 value += np.log(0.5)
-            elif term.definition.removable:
-                value += np.log(1 - REMOVED if term.sign > 0 else REMOVED)
-        return float(value)
+            elif first.definition.removable:
+                value += np.log(np.where([term.sign > 0 for term in terms], 1 - REMOVED, REMOVED))
+        return value
 
 
 def _power(rows: Array) -> Array:

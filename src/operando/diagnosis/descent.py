@@ -13,7 +13,7 @@ from operando.diagnosis.problem import Problem, Step
 Array = NDArray[Any]
 
 _TRIES, _CHORDS = 12, 5  # steps tried in a turn, and further ones with the same factor
-_DAMPING, _PART = 3.0, 0.2  # by how much the damping grows and falls; the part of a step along which its bend is measured
+_DAMPING, _PART = 3.0, 0.2  # by how much the damping grows, and falls at most; the part of a step along which its bend is measured
 _ALIKE = 0.1  # share of the damping that all unknowns get, in units of their priors
 
 
@@ -41,7 +41,7 @@ class Descent:
 
         begun = now = float(np.sum(left**2 / variance)) + problem.penalty(x)
         gradient = problem.gradient(shared, own, left * weights, x)
-        metric, damped = None, factor
+        metric, damped, harder = None, factor, _DAMPING
         for _ in range(_TRIES):
             if self.damping:
                 if metric is None:
@@ -60,17 +60,20 @@ class Descent:
                     h, new, step = bent, its, step + second
             if new < now:
                 break
-            self.damping = max(self.damping, 1.0) * _DAMPING
+            self.damping = max(self.damping, 1.0) * harder
+            harder *= 2
         else:
             return x, left, now, 0.0
         gain, now, x, left = now - new, new, x + step, problem.residual(h)
         if self.damping:
-            self.damping = self.damping / _DAMPING if self.damping > 1 else 0.0
-            return x, left, now, begun - now
+            promised = float(gradient.shared @ step.shared + np.sum(gradient.own * problem.by_response(step.own)))
+            kept = min(gain / max(promised, gain), 1.0)
+            easier = max(1 / _DAMPING, 1 - (2 * kept - 1) ** 3)
+            self.damping = self.damping * easier if self.damping > 1 else 0.0
         for _ in range(_CHORDS):  # the same factor again
             if gain < 0.02 * max(1, 0.02 * now):
                 break
-            step = problem.limited(problem.solved(factor, problem.gradient(shared, own, left * weights, x)))
+            step = problem.limited(problem.solved(damped, problem.gradient(shared, own, left * weights, x)))
             h, new = problem.tried(x + step, cost)
             if not new < now:
                 break

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, channel_laws
 from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.products import Compliance, each_dof, laid, motion, through, times
 from operando.diagnosis.terms import Term, added, slopes, touched
 
 Array = NDArray[Any]
@@ -232,20 +232,19 @@ class Forward:
         damping_between = idle.between + idle.between_root @ x.g + part["damping_between"]
         damping_scale = known.damping_scale * more
         coupled = part["stiffness_between"] * known.stiffness_scale + 1j * line * damping_between * damping_scale
-        k = np.zeros((n, self.n_terms, self.n_terms), complex)
-        k[:, np.arange(self.n_terms), np.arange(self.n_terms)] = 1 / own_dynamic
+        k = Compliance(1 / own_dynamic)
         if coupled.any():
-            dynamic = np.zeros_like(k)
+            dynamic = np.zeros((n, self.n_terms, self.n_terms), complex)
             dynamic[:, np.arange(self.n_terms), np.arange(self.n_terms)] = own_dynamic
             dynamic[:, known.first, known.second] = dynamic[:, known.second, known.first] = coupled
-            k[:, m[:, None], m] = np.linalg.inv(dynamic[:, m[:, None], m])
+            k = Compliance(k.diagonal, m, np.linalg.inv(dynamic[:, m[:, None], m]))
         driven, seen = np.zeros((refs.size, self.n_terms)), np.zeros((nd, self.n_terms))
         driven[:, m] = known.across(part["driven"].reshape(-1, m.size), refs)
         seen[:, m] = known.across(own["seen"])
         there = np.abs(phi).any(axis=tuple(range(phi.ndim - 1)))
         driven, seen = driven * there, seen * there
         phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
-        shape_k = phi @ k
+        shape_k = k.after(phi)
         h0 = shape_k @ phi_f + own["rest_above"] - own["rest_below"] / line[:, :, None] ** 2
         # structural effects: a low-rank update in the DOFs they touch
         here, stiff, by_values = self._added(terms, w)
@@ -262,7 +261,7 @@ class Forward:
         touched_columns = columns - columns @ (inner @ columns[:, here])
         force = stiff @ structure[:, here]
         psi = phi - touched_columns @ (stiff @ phi_here)
-        kx = k @ (phi_f - np.swapaxes(phi_here, -1, -2) @ force)
+        kx = k.before(phi_f - np.swapaxes(phi_here, -1, -2) @ force)
         beside = seen @ kx
         structure = structure + beside
         order = self.order(terms)
@@ -278,7 +277,7 @@ class Forward:
         if not derivatives:
             return Prediction(h, none, none), scannable
 
-        pk, kt = psi @ k, np.swapaxes(kx, 1, 2)
+        pk, kt = k.after(psi), np.swapaxes(kx, 1, 2)
         reached = -touched_columns @ stiff  # what forces at the touched DOFs do elsewhere: passive = 1 + reached
         core = -pk[:, :, None, :] * kt[:, None]
         by_f = core * ((2 * wr + 2j * zeta * line) * 2 * np.pi)[:, None, None]
@@ -288,24 +287,28 @@ class Forward:
         # g: poles, shapes
         scale = root * by_mode
         by_poles = np.concatenate([idle.f_root * scale[:, None], idle.zeta_root * (by_damping / root)[:, None]])
-        by_g = _times(np.concatenate([by_f, by_zeta], -1), by_poles)
-        at_sensors = _each(kt, shapes.shared)
+        by_g = times(np.concatenate([by_f, by_zeta], -1), by_poles)
+        at_sensors = each_dof(kt, shapes.shared)
         if idle.complex:
             late = -1j * w[:, None, None, None]
-            at_sensors = at_sensors + late * _each(kt[:, :, m], lags.shared)
-        by_g = by_g + _through(at_sensors, reached, at_sensors[:, here])
-        at_forces = np.broadcast_to(np.moveaxis(shapes.shared[refs], 0, 1), (n, self.n_terms, refs.size, self.n_g)).astype(complex)
-        at_forces -= _held(force, shapes.shared[here])
-        if idle.complex:
-            at_forces[:, m] += late * np.moveaxis(lags.shared[refs], 0, 1)
-            at_forces[:, m] -= late * _held(force, lags.shared[here])
-        by_g = by_g + (pk @ at_forces.reshape(n, self.n_terms, -1)).reshape(n, nd, refs.size, -1)
+            at_sensors = at_sensors + late * each_dof(kt[:, :, m], lags.shared)
+        by_g = by_g + through(at_sensors, reached, at_sensors[:, here])
+        # a unit motion of a driven DOF, and of a touched one against the force there
+        for j, ref in enumerate(refs):
+            by_g[:, :, j] += times(pk, shapes.shared[ref])
+            if idle.complex:
+                by_g[:, :, j] += late[..., 0] * times(pk[:, :, m], lags.shared[ref])
+        for i, dof in enumerate(here):
+            by_shape = times(pk, shapes.shared[dof])
+            if idle.complex:
+                by_shape += late[..., 0] * times(pk[:, :, m], lags.shared[dof])
+            by_g -= by_shape[:, :, None] * force[:, None, i, :, None]
         pairs = any(known.shared[name].stop > known.shared[name].start for name in ("damping_between", "damping_local"))
         if pairs or idle.between_root.any() or idle.between.any():
             both = pk[:, :, None, known.first] * kt[:, None, :, known.second] + pk[:, :, None, known.second] * kt[:, None, :, known.first]
             by_between = both * (-1j * w[:, None, None, None] * damping_scale)
             if idle.between_root.any():
-                by_g = by_g + _times(by_between, idle.between_root)
+                by_g = by_g + times(by_between, idle.between_root)
         else:
             both = by_between = np.zeros((n, nd, refs.size, known.first.size), complex)
         blocks.append(by_g)
@@ -322,7 +325,7 @@ class Forward:
             "stiffness": lambda: by_whole[..., None],
             "damping": lambda: by_zeta[..., m] * zeta[m],
             "damping_whole": lambda: by_more[..., None],
-            "damping_local": lambda: _times(by_zeta[..., m] * zeta[m], known.local_modes) + _times(by_between, known.local_pairs),
+            "damping_local": lambda: times(by_zeta[..., m] * zeta[m], known.local_modes) + times(by_between, known.local_pairs),
             "mode": lambda: by_f[..., m] * f[m],
             "driven": lambda: unlike,
             "force": lambda: of_force,
@@ -339,9 +342,9 @@ class Forward:
         # u
         for row in outside:
             slope = (-1 / w**2 if row.below else np.ones(n)) * row.spread
-            by_row = -_column(reached, here, row.other, nd)[:, :, None] * force[:, here.index(row.place), None]
+            by_row = -motion(reached, here, row.other, nd)[:, :, None] * force[:, here.index(row.place), None]
             if row.other in here and row.other != row.place:
-                by_row = by_row - _column(reached, here, row.place, nd)[:, :, None] * force[:, here.index(row.other), None]
+                by_row = by_row - motion(reached, here, row.place, nd)[:, :, None] * force[:, here.index(row.other), None]
             blocks.append((by_row * slope[:, None, None])[..., None])
         # effects
         for term, laws_of in zip(terms, by_values, strict=True):
@@ -365,9 +368,9 @@ class Forward:
                 blocks.append(only)
         # own unknowns of each DOF
         mine = np.zeros((n, nd, refs.size, self.n_own), complex)
-        mine[..., : self.n_shape] = _each(kt, shapes.own)
+        mine[..., : self.n_shape] = each_dof(kt, shapes.own)
         if idle.complex:
-            mine[..., : self.n_shape] += late * _each(kt[:, :, m], lags.own)
+            mine[..., : self.n_shape] += late * each_dof(kt[:, :, m], lags.own)
         for name, where in known.own.items():
             if where.stop == where.start:
                 continue
@@ -382,7 +385,7 @@ class Forward:
                     mine[:, :, j, at.start + j] = slope[:, None]
             mine[..., at] *= known.own_spread[:, None, where]
         for dof in self.reaching_dofs(terms):
-            column_of = _column(reached, here, dof, nd)[:, :, None, None]
+            column_of = motion(reached, here, dof, nd)[:, :, None, None]
             far = column_of * mine[:, dof][:, None, :, self.reaching]
             active = np.zeros((n, refs.size), complex)
             active[:, refs == dof] = 1
@@ -415,8 +418,8 @@ class Forward:
                 continue
             b = [here.index(i) for i in term.places]
 
-            stiff += _laid(added(term, w, self.band), b, len(here))
-            by_values.append([_laid(slope, b, len(here)) for slope in slopes(term, w, self.band)])
+            stiff += laid(added(term, w, self.band), b, len(here))
+            by_values.append([laid(slope, b, len(here)) for slope in slopes(term, w, self.band)])
         return here, stiff, by_values
 
     def _channels(
@@ -436,50 +439,3 @@ class Forward:
             else:
                 sensors[:, term.places[0]] *= ratio
         return sensors, forces
-
-
-def _laid(value: Array, b: list[int], size: int) -> Array:
-    """Dynamic stiffness (lines, places, places) among all touched DOFs."""
-    full = np.zeros((len(value), size, size), complex)
-    full[:, np.array(b)[:, None], b] = value
-    return full
-
-
-def _times(values: Array, real: Array) -> Array:
-    """Values (…, k) by a real matrix (k, q)."""
-    flat = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
-    out = np.empty((len(flat), real.shape[1]), complex)
-    out.real, out.imag = flat.real @ real, flat.imag @ real
-    return out.reshape(*values.shape[:-1], real.shape[1])
-
-
-def _held(force: Array, moves: Array) -> Array:
-    """Forces at touched DOFs (lines, touched, references) by how these move (touched, terms, q): (lines, terms, references, q)."""
-    n, here, references = force.shape
-    _, terms, q = moves.shape
-    held = _times(np.swapaxes(force, 1, 2), moves.reshape(here, terms * q))
-    return np.swapaxes(held.reshape(n, references, terms, q), 1, 2)
-
-
-def _through(at: Array, reached: Array, there: Array) -> Array:
-    """What shows at each DOF (lines, DOFs, references, n), and through the effects what shows at the touched ones."""
-    if not reached.shape[2]:
-        return at
-    n, dofs = reached.shape[:2]
-    return at + (reached @ there.reshape(n, there.shape[1], -1)).reshape(n, dofs, *at.shape[2:])
-
-
-def _column(reached: Array, here: list[int], dof: int, dofs: int) -> Array:
-    """Motion (lines, DOFs) that a unit motion of one DOF brings about."""
-    out = np.zeros((reached.shape[0], dofs), complex)
-    out[:, dof] = 1
-    if dof in here:
-        out += reached[:, :, here.index(dof)]
-    return out
-
-
-def _each(kt: Array, own: Array) -> Array:
-    """kt (lines, references, terms) by own (DOFs, terms, k): (lines, DOFs, references, k)."""
-    dofs, terms, k = own.shape
-    by_dof = _times(kt, np.swapaxes(own, 0, 1).reshape(terms, dofs * k))
-    return np.swapaxes(by_dof.reshape(*kt.shape[:2], dofs, k), 1, 2)

@@ -140,7 +140,7 @@ def diagnose_frf(
         if asked_for_all and (elsewhere or modes):
             found, odds, geometry = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
             found = with_validation(found)
-        if found.best.terms and left():
+        if 0 < len(found.best.terms) <= AT_FIRST and left():
             say("further effects:")
             found = with_validation(search(found.best.case, say, start=found))
         of_a_sensor(found.best, idle, operating, geometry)

@@ -114,7 +114,7 @@ def search_elsewhere(
         if len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
             other, its_odds = search_both(cases[0], cases[1], say, depth=AT_FIRST)
         else:
-            other = search(cases[0], say, depth=AT_FIRST)
+            other = search(cases[0], say, depth=AT_FIRST, own_spreads=not found.best.terms and found.best.alpha < EXPLAINED)
         if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
             best, known, odds = other, wider[1], its_odds
     if modes:

@@ -27,6 +27,7 @@ _GAIN = 0.3  # nats that a turn takes off the objective, below which a fit ends;
 _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
 _SETTLED = 1.0  # nats that a turn takes off the objective, below which its unknowns tell how wide their spreads are
 _SPREADS_AT = 0.2  # nats that a further turn promises, below which spreads are estimated
+_OUTSIDE = 3  # turns in a row that end with values of an effect out of their range, after which they do not come back
 _FAR = 60.0  # nats below the best state at which a fit is left where a turn does not take a quarter of them
 
 
@@ -113,7 +114,16 @@ def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, f
     return new * min(1, new / now) if new < now else new
 
 
-def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, own_spreads: bool = False, closely: bool = False) -> State:
+def fit(
+    case: Case,
+    start: Point,
+    alpha: float = 0.1,
+    floor: float = -np.inf,
+    own_spreads: bool = False,
+    closely: bool = False,
+    in_range: bool = False,
+    enough: float = 0.0,
+) -> State:
     """The most probable unknowns near a start; discrepancy and spreads between the turns, by the evidence.
 
     Parameters
@@ -128,6 +138,10 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, ow
         Whether the spreads of what differs between the days are estimated with it.
     closely : bool
         To the end of the valley that products of unknowns make: on its way there the evidence still falls by ten nats.
+    in_range : bool
+        Whether a fit ends once values of an effect have left their range for some turns: it is an effect of another kind.
+    enough : float
+        Discrepancy below which nothing more is asked of a fit.
 
     Raises
     ------
@@ -139,11 +153,12 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, ow
     problem, descent = Problem(case, start.terms, case.lines.fit), Descent()
     x, done, reached = problem.packed(start), False, -np.inf
     last, most = np.zeros(case.between.log_factors.size), WIDER  # of the spreads: the step before, and how far the next may go
+    outside = 0
     for turn in range(turns):
         prediction = problem.predict(x)
         shared, own, residual = problem.rows(prediction.shared), problem.rows(prediction.own), problem.residual(prediction.h)
         evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
-        if done or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
+        if done or outside == _OUTSIDE or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
             break
         reached = evidence
         if turn == 0 and alpha > 0.02:  # nothing is known of the discrepancy yet: from the linear model
@@ -154,7 +169,8 @@ def fit(case: Case, start: Point, alpha: float = 0.1, floor: float = -np.inf, ow
         before = alpha
         alpha = min(max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
         change = abs(np.log(alpha / before))
-        done = turn == turns - 2 or (gain < least and change < 0.1)
+        outside = outside + 1 if in_range and not all(t.within_range(case.band) for t in problem.point(x).terms) else 0
+        done = turn == turns - 2 or (change < 0.1 and (gain < least or alpha < enough))
         done = done or (not closely and gain < 3e-3 * now and alpha > 0.02 and change < 0.2 and turn > 1)
         if own_spreads and gain < _SETTLED and turn < turns - 2:
             by, promised = likely_spreads(problem, x, factor, most)
@@ -290,7 +306,7 @@ class AtRest:
 def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
     # noise taken for alike where it is not would count as a misfit, so the lines count as independent first
-    state = _on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False)
+    state = _on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False, REST_DISCREPANCY)
     if state.alpha < REST_DISCREPANCY:
         return AtRest(idle, state, _correlated(state), False)
     loose = idle.loose(state.case.forward.references)
@@ -309,11 +325,13 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     return AtRest(after, state, correlated, True)
 
 
-def _on_idle_frfs(idle: Idle, frf: Frf, band: tuple[float, float], number: int, correlated: float, robust: bool) -> State:
+def _on_idle_frfs(
+    idle: Idle, frf: Frf, band: tuple[float, float], number: int, correlated: float, robust: bool, enough: float = 0.0
+) -> State:
     """A model on the FRFs at rest."""
     case = Case(idle, frf, band, spreads={}, number=number, correlated=correlated)
     start = case.forward.start
-    return fit(case, approach(case, start)[1] if robust else start, alpha=0.02)
+    return fit(case, approach(case, start)[1] if robust else start, alpha=0.02, enough=enough)
 
 
 def _correlated(state: State) -> float:

@@ -127,24 +127,30 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
         i = np.arange(forward.n_dofs)
         rest[:, i, i] = -np.sum(phi**2, axis=1) / w[:, None] ** 2
         variants.append((True, state.columns - rest))
-    out = []
-    for cut, columns in variants:
-        for place in case.candidates(x.terms) if places is None else places:
-            if cut and not (place.structural and forward.undriven[list(place.places)].all()):
-                continue
-            some = trials(case, place, case.lines.sizes)
-            with np.errstate(all="ignore"):
-                if place.structural and columns is not None and isinstance(state, Scannable):
-                    patterns, factors = _changes(state, columns, some, w, case.band)
-                    patterns = (patterns * root.reshape(w.size, -1, 1)).astype(np.complex64)
-                    error = left - patterns @ factors.astype(np.complex64)
-                else:
-                    h = responses(case, x, state, columns, some, at)
-                    error = (measured[..., None] - h) * root[..., None]
-                cost = np.sum(np.log1p(error.real**2 + error.imag**2), axis=tuple(range(error.ndim - 1)), dtype=float)
-                cost = np.nan_to_num(cost, nan=np.inf)
-            best = int(np.argmin(cost))
-            out.append((-float(cost[best]), some[best], cut))
+
+    def best(asked: tuple[bool, Array | None, Term]) -> tuple[float, Term, bool]:
+        cut, columns, place = asked
+        some = trials(case, place, case.lines.sizes)
+        with np.errstate(all="ignore"):
+            if place.structural and columns is not None and isinstance(state, Scannable):
+                patterns, factors = _changes(state, columns, some, w, case.band)
+                patterns = (patterns * root.reshape(w.size, -1, 1)).astype(np.complex64)
+                error = left - patterns @ factors.astype(np.complex64)
+            else:
+                h = responses(case, x, state, columns, some, at)
+                error = (measured[..., None] - h) * root[..., None]
+            cost = np.sum(np.log1p(error.real**2 + error.imag**2), axis=tuple(range(error.ndim - 1)), dtype=float)
+            cost = np.nan_to_num(cost, nan=np.inf)
+        first = int(np.argmin(cost))
+        return -float(cost[first]), some[first], cut
+
+    asked = [
+        (cut, columns, place)
+        for cut, columns in variants
+        for place in (case.candidates(x.terms) if places is None else places)
+        if not cut or (place.structural and forward.undriven[list(place.places)].all())
+    ]
+    out = each(best, asked)
     return sorted(out, key=lambda row: -row[0])
 
 
@@ -259,15 +265,18 @@ class LinearScan:
 
     def _by_trials(self, places: Sequence[Term]) -> list[Candidate]:
         case = self.case
-        found: list[tuple[float, Term]] = []
-        for place in places:
+
+        def best(place: Term) -> list[tuple[float, Term]]:
             some = trials(case, place, _SIZES)
-            score = np.array([case.log_prior(t) for t in some]) - self.costs(some)
+            score = case.log_priors(some) - self.costs(some)
             order = np.argsort(-score)
-            found.append((float(score[order[0]]), some[order[0]]))
+            rows = [(float(score[order[0]]), some[order[0]])]
             if place.kind == "tuned_absorber":  # a second start at another frequency
                 far = [j for j in order[1:40] if abs(some[j].values[1] - some[order[0]].values[1]) > _OTHER_FREQUENCY][:1]
-                found += [(float(score[j]), some[j]) for j in far]
+                rows += [(float(score[j]), some[j]) for j in far]
+            return rows
+
+        found = [row for rows in each(best, places) for row in rows]
         found.sort(key=lambda row: -row[0])
         chosen: list[Term] = []
         of_kind: dict[str, int] = {}
@@ -275,7 +284,7 @@ class LinearScan:
             if len(chosen) < _TOP or of_kind.get(term.kind, 0) < 2:
                 chosen.append(term)
                 of_kind[term.kind] = of_kind.get(term.kind, 0) + 1
-        return [Candidate(*self._refined(term), self.x) for term in chosen]
+        return [Candidate(*row, self.x) for row in each(self._refined, chosen)]
 
     def slopes(self, terms: Sequence[Term]) -> Iterable[tuple[Sequence[Term], Array]]:
         """Weighted rows (responses, rows, n) by the size of each term, at size zero, some at a time."""
