@@ -135,7 +135,7 @@ def diagnose_frf(
 
         found = with_validation(found)
         # effects at two sensors may stand for one between them, and an absorber for a mode that is lacking
-        elsewhere = left() or between_sensors(found.best, geometry)
+        elsewhere = AT_FIRST if left() else 1 if between_sensors(found.best, geometry) else 0
         modes = left() or any(t.kind == "tuned_absorber" for t in found.best.terms)
         if asked_for_all and (elsewhere or modes):
             found, odds, geometry = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)

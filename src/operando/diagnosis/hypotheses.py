@@ -79,7 +79,7 @@ def search_elsewhere(
     again: Callable[[Idle], Sequence[Case]],
     geometry: Geometry | None,
     say: Say,
-    places: bool,
+    places: int,
     modes: bool,
 ) -> tuple[Found, float | None, Geometry | None]:
     """What explains more than effects at sensors: one at a place between them, or a mode that the idle model lacks.
@@ -95,8 +95,10 @@ def search_elsewhere(
     geometry : Geometry, optional
         Positions of the sensors; without it there are no places between them.
     say : callable
-    places, modes : bool
-        Whether places between sensors are looked at; whether modes that the idle model lacks are.
+    places : int
+        Effects to look for at places between sensors too; none where it is 0.
+    modes : bool
+        Whether modes that the idle model lacks are looked for.
 
     Returns
     -------
@@ -109,12 +111,13 @@ def search_elsewhere(
     wider = None if geometry is None or not places else with_midway(found.empty.case.uncompressed, geometry)
     if wider is not None:
         say(f"{len(wider[0].midway)} locations between sensors:")
-        cases = again(wider[0])
-        its_odds = odds
-        if len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
-            other, its_odds = search_both(cases[0], cases[1], say, depth=AT_FIRST)
-        else:
-            other = search(cases[0], say, depth=AT_FIRST, own_spreads=not found.best.terms and found.best.alpha < EXPLAINED)
+        cases, its_odds = again(wider[0]), odds
+        same = len(cases) > 1 and odds is not None and odds > 0
+        if places > 1 and len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
+            other, its_odds = search_both(cases[0], cases[1], say, depth=places)
+        else:  # where effects are found that explain the lines, by the hypothesis that they are of
+            known_spreads = places > 1 and (bool(found.best.terms) or found.best.alpha >= EXPLAINED)
+            other = search(cases[1 if same else 0], say, depth=places, own_spreads=not known_spreads)
         if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
             best, known, odds = other, wider[1], its_odds
     if modes:

@@ -25,6 +25,7 @@ DEPTH = 5  # effects that a search looks for, one after the other, and the most 
 _FITTED, _APPROACHED, _BEAM = 3, 6, 3
 _OTHERS = 5  # of what may stand in the place of an effect: so many are fitted
 _SHORT = 20.0  # nats below what its scan promises from which a fit counts as lost on its way
+_SMALL_PART = 0.5  # of the squares left, below which a second effect is none where days differ: 0.3 there, 0.8 to 1 where one is missing
 _LITTLE = 0.75  # of what is missing to another hypothesis, left by the best single effect, from which no pair of effects makes up for it
 _RIVALS = 40.0  # nats below the best state up to which others are compared with it again
 _SURE = 160.0  # nats that an effect is worth at first order, from which the state without it is no answer
@@ -257,6 +258,7 @@ class Search:
         self.case, self.say, self.start, self.rival, self.own_spreads, self.depth = case, say, start, rival, own_spreads, depth
         self.pool: dict[Key, State] = {}
         self.tried: set[Key] = set()
+        self.given_up = False
 
     def best(self) -> State:
         return max(self.pool.values(), key=lambda s: s.log_evidence)
@@ -312,6 +314,8 @@ class Search:
             if self.own_spreads:
                 self.fitted([Start(s.x, s.alpha, s.case) for s in states])
                 self.pool = self.pool or {first.best.key: first.best}
+                for key, state in self.pool.items():  # the idle model that it is about is the same
+                    state.robustly = key in first.pool and first.pool[key].robustly
         empty = self.pool.get((), self.best())
         empty.robustly = self.start is not None
         for _ in range(self.depth):
@@ -322,6 +326,8 @@ class Search:
                 if self._enough() or self._behind(was, _LITTLE, ()):
                     break
             self._grow()
+            if self.given_up:
+                break
             now = self.best()
             if len(now.terms) > 1:
                 rests = [[t for t in now.terms if t is not term] for term in now.terms]
@@ -382,6 +388,12 @@ class Search:
         now = self.rival.asked([terms] if terms else [], best.alpha)
         return now - score(best) > max(part * (now - score(was)), 0.0)
 
+    def _rather_the_rival(self, state: State, gain: float, left: float) -> bool:
+        """Whether the rival explains the lines better, and no effect more would take away the squares that are left."""
+        if self.rival is None or not state.terms or state.alpha < LOOSE or state is not self.best():
+            return False
+        return self.rival.score > score(state) and gain < _SMALL_PART * left
+
     def _enough(self) -> bool:
         """Whether the lines are explained, before spreads are estimated: what is left is looked for with these."""
         best = self.best()
@@ -396,6 +408,10 @@ class Search:
             self.fitted([Start(x, state.alpha, state.case) for x in promotions(state) if self.once(x.terms)])
             found, none = LinearScan(state).run()
             self.say(f"scan of {names(self.case, state.terms)}: {self._listed(found[:4], none)}")
+            if found and self._rather_the_rival(state, found[0].evidence - none, -none):
+                self.say("  no effect takes away half of what is left, and what differs between days does")
+                self.given_up = True
+                return
             # about a state that explains the lines what one effect more changes is small, and the first order tells its evidence
             short = _SHORT if state.alpha > LOOSE else EARNED
             tested = found[: _FITTED if rank == 0 else 1]
