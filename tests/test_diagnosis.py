@@ -14,7 +14,8 @@ from operando.diagnosis import Diagnosis, diagnose_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
 from operando.diagnosis.hypotheses import search_both
@@ -457,7 +458,7 @@ def _heavier():
 
 def test_a_kind_that_contains_another_must_earn_more():
     one = case(add_mass)
-    absorber = Term("tuned_absorber", (1,), (np.log(0.4), np.log(400.0), np.log(0.02)))
+    rubber = Term("ground_rubber", (1,), (float(np.log(4e3)), 0.2))  # of a steel spring the exponent is zero
     simple, rich = (
         fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside(terms))), terms=terms))
         for terms in ((Term("point_mass", (1,), (np.log(0.4),)),), (absorber,))
@@ -550,3 +551,42 @@ def test_another_hypothesis_is_asked_with_the_same_effects():
     endless = Term("point_mass", (1,), (800.0,))
     assert fitted_if_can_be(days, started(days, (endless,)), 0.05) is None
     assert rival.asked([(endless,)], 0.05) == rival.score  # numbers that cannot be end no search
+
+
+def test_effects_beyond_doubt_are_not_taken_out_again():
+    run = Search(case(add_mass), lambda text: None)
+    sure, doubtful = Term("point_mass", (1,), (float(np.log(0.4)),)), Term("ground_damper", (4,), (float(np.log(1e-3)),))
+    (state,) = run.fitted([Start(started(run.case, (sure, doubtful)), 0.05, run.case)])
+    assert [t.kind for t in run.unsure(state)] == ["ground_damper"]
+
+
+def test_one_set_up_is_given_up_where_no_second_effect_takes_half_of_what_is_left():
+    gains = 1 + 0.05 * np.random.default_rng(3).standard_normal(N)
+    days, same = case(add_mass, gains=gains), case(add_mass, gains=gains, spreads=SAME_SET_UP)
+    mass = Term("point_mass", (1,), (float(np.log(0.4)),))
+    better = Rival(days, fit(days, days.forward.start))
+    better.asked([(mass,)], 0.05)
+    for rival, outdone in ((better, True), (None, False)):
+        run = Search(same, lambda text: None, rival=rival)
+        (state,) = run.fitted([Start(started(same, (mass,)), 0.05, same)])
+        assert state.alpha > LOOSE
+        assert run.outdone(state, 30.0, 100.0) == outdone  # 0.3 of the squares: what a second effect takes where days differ
+        assert not run.outdone(state, 80.0, 100.0)  # 0.8: where one is missing
+
+
+def test_a_fit_ends_where_values_stay_out_of_their_range(monkeypatch):
+    turns = []
+    whole = Descent.turn
+    monkeypatch.setattr(Descent, "turn", lambda self, *given: turns.append(1) or whole(self, *given))
+
+    def add_spring(m, c, k):
+        k[1, 1] += 5e3
+
+    spring, count = case(add_spring), []
+    rubber = Term("ground_rubber", (1,), (float(np.log(4e3)), 0.2))  # of a steel spring the exponent is zero
+    for in_range in (True, False):
+        turns.clear()
+        state = fit(spring, started(spring, (rubber,)), 0.05, in_range=in_range)
+        assert not state.terms[0].within_range(BAND)
+        count.append(len(turns))
+    assert count[0] < count[1]

@@ -357,7 +357,7 @@ class Search:
                 self._others(best)
                 continue
             starts = [Start(best.x, best.alpha, best.case)]
-            for term in self._unsure(best):
+            for term in self.unsure(best):
                 rest = best.carried([t for t in best.terms if t is not term])
                 own = self.pool.get(tuple(sorted(t.key for t in rest.terms)))
                 if own is None or own.log_evidence > best.log_evidence - _RIVALS:
@@ -370,7 +370,7 @@ class Search:
             self.pool = before | self.pool
             converged |= keys
 
-    def _unsure(self, state: State) -> list[Term]:
+    def unsure(self, state: State) -> list[Term]:
         """Effects without which a state may be as probable: by the standard deviation of their size."""
         std, at, out = np.sqrt(np.diag(state.covariance)), 0, []
         for term in state.terms:
@@ -388,7 +388,7 @@ class Search:
         now = self.rival.asked([terms] if terms else [], best.alpha)
         return now - score(best) > max(part * (now - score(was)), 0.0)
 
-    def _rather_the_rival(self, state: State, gain: float, left: float) -> bool:
+    def outdone(self, state: State, gain: float, left: float) -> bool:
         """Whether the rival explains the lines better, and no effect more would take away the squares that are left."""
         if self.rival is None or not state.terms or state.alpha < LOOSE or state is not self.best():
             return False
@@ -408,7 +408,7 @@ class Search:
             self.fitted([Start(x, state.alpha, state.case) for x in promotions(state) if self.once(x.terms)])
             found, none = LinearScan(state).run()
             self.say(f"scan of {names(self.case, state.terms)}: {self._listed(found[:4], none)}")
-            if found and self._rather_the_rival(state, found[0].evidence - none, -none):
+            if found and self.outdone(state, found[0].evidence - none, -none):
                 self.say("  no effect takes away half of what is left, and what differs between days does")
                 self.given_up = True
                 return
