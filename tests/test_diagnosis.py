@@ -20,6 +20,7 @@ from operando.diagnosis.document import between_rows
 from operando.diagnosis.forward import Point
 from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
 from operando.diagnosis.search import Rival, Search, Start, contained, fitted_if_can_be, score, search, started
@@ -458,7 +459,7 @@ def _heavier():
 
 def test_a_kind_that_contains_another_must_earn_more():
     one = case(add_mass)
-    rubber = Term("ground_rubber", (1,), (float(np.log(4e3)), 0.2))  # of a steel spring the exponent is zero
+    absorber = Term("tuned_absorber", (1,), (np.log(0.4), np.log(400.0), np.log(0.02)))
     simple, rich = (
         fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside(terms))), terms=terms))
         for terms in ((Term("point_mass", (1,), (np.log(0.4),)),), (absorber,))
@@ -501,6 +502,20 @@ def test_a_joint_that_loses_more_on_another_day_is_no_damper():
 
     plain = case(joint, gains=1 + 0.01 * np.random.default_rng(3).standard_normal(N), spreads=SPREADS | {"damping_local": 0.0})
     assert gain(one) < gain(plain)
+
+
+def test_a_damper_within_four_spreads_of_a_joint_is_told_as_a_difference_of_days():
+    days, same = case(), case(spreads=SAME_SET_UP)
+    w, zeta, phi, _ = modes()
+    most = float(np.max(phi[1] ** 2 / (2 * zeta * w)))  # relative change of the damping of a mode, by one N·s/m at the second DOF
+    for spreads, named in ((0.9 * UNUSUAL, True), (1.1 * UNUSUAL, False)):
+        size = spreads * SPREADS["damping_local"] / most
+        damper = Term("ground_damper", (1,), (float(np.log(size)),))
+        assert no_more_than_days(days, damper) == named
+        assert not no_more_than_days(same, damper)  # where nothing was touched nothing differs
+    assert not no_more_than_days(days, Term("ground_spring", (1,), (float(np.log(0.01 * 2.5e4)),)))
+    state = fit(days, started(days, (Term("ground_damper", (1,), (float(np.log(1e-3)),)),)), 0.05)
+    assert score(state) == -np.inf
 
 
 def test_values_out_of_the_range_of_a_kind_are_told_by_a_simpler_one():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import EXPLAINED, LEAST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, left_on
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.search import Found, score
@@ -158,8 +159,10 @@ def candidate_rows(found: Found) -> list[dict[str, Any]]:
                 continue
             seen.add(term.key)
             if state is best:
-                nats = score(best) - max((score(s) for s in found.pool.values() if term.key not in s.key), default=score(found.empty))
+                nats = score(best) - max(score(s) for s in (found.empty, *found.pool.values()) if term.key not in s.key)
                 evidence = f"log odds {nats:.1f} for it"
+            elif no_more_than_days(state.case, term):
+                evidence = "no more than what a joint loses on another day"
             else:
                 evidence = f"log odds {score(best) - score(state):.1f} against it"
             beside = " with what is found beside it" if len(state.terms) > 1 else ""

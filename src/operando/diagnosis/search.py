@@ -13,6 +13,7 @@ from operando.diagnosis.between import SPREAD_FACTOR
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, LOOSE, PROMOTED, STRAINED, UNUSUAL
 from operando.diagnosis.forward import Point
+from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, approach, fit, names
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
 from operando.diagnosis.terms import Term, added
@@ -64,7 +65,9 @@ def strained(state: State) -> bool:
 
 
 def score(state: State) -> float:
-    """Log probability of a state but for a constant: a further effect must earn its place."""
+    """Log probability of a state but for a constant: a further effect must earn its place, and be more than what days differ by."""
+    if any(no_more_than_days(state.case, t) for t in state.terms):
+        return -np.inf
     # all stiffness or all damping that differs far beyond two days is an effect by another name
     wholes = [state.case.between.shared[name] for name in ("stiffness", "damping_whole")]
     beyond = sum(part.stop > part.start and abs(state.x.d[part.start]) > PROMOTED for part in wholes)

@@ -1,0 +1,35 @@
+"""Dampers that are no more than what joints lose on another day."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import UNUSUAL
+from operando.diagnosis.terms import Term, added
+
+
+def no_more_than_days(case: Case, term: Term) -> bool:
+    """Whether an effect is what a joint that loses more, or less, on another day is: told as a difference of days, and no effect.
+
+    Where days differ, one joint may lose more than the others, and a normal law of all joints has no place for it: a damper there is
+    the more probable the less the others differ. It counts as a difference of days while it changes the damping of no mode in band by
+    more than four standard deviations of what a joint does (contract, ``between``), and no frequency by more than one of its own.
+
+    Parameters
+    ----------
+    case : Case
+        Of two days; where nothing was touched no effect is one.
+    term : Term
+        At first order in what it adds to each mode of the idle model.
+    """
+    spreads, idle = case.between.spreads, case.idle
+    if not (term.structural and spreads.get("damping_local") and spreads.get("mode")):
+        return False
+    modes = [r for r in idle.modes if case.band[0] < idle.f[r] < case.band[1] and r != idle.lacking]
+    w = 2 * np.pi * idle.f[modes]
+    phi = idle.phi[np.ix_(list(term.places), modes)]
+    with np.errstate(all="ignore"):
+        change = np.einsum("ir,rij,jr->r", phi, added(term, w, case.band), phi) / w**2
+    by_damping, by_frequency = np.abs(change.imag / 2 / idle.zeta[modes]), np.abs(change.real / 2)
+    return bool(np.all(by_damping <= UNUSUAL * spreads["damping_local"]) and np.all(by_frequency <= spreads["mode"]))
