@@ -23,7 +23,8 @@ from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
-from operando.diagnosis.search import Rival, Search, Start, contained, fitted_if_can_be, score, search, started
+from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
+from operando.diagnosis.search import Search, Start, contained, search
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError

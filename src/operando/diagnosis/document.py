@@ -14,7 +14,8 @@ from operando.diagnosis.criteria import EXPLAINED, LEAST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, left_on
 from operando.diagnosis.problem import Problem
-from operando.diagnosis.search import Found, score
+from operando.diagnosis.rival import score
+from operando.diagnosis.search import Found
 from operando.diagnosis.terms import Term, added
 from operando.diagnosis.verdict import Verdict
 from operando.results import CheckRun

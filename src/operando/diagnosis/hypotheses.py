@@ -14,10 +14,14 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
+from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import DEPTH, Found, Rival, fitted_if_can_be, remounted, score, search, started
+from operando.diagnosis.search import DEPTH, Found, promotions, remounted, search
+from operando.threads import each
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
+_SOME = 1.0  # spreads of a difference between days from which the effect of its name is tried where nothing was touched
+_ROUGH = 0.05  # discrepancy that such a fit begins with
 _ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
 
 
@@ -62,13 +66,15 @@ def search_both(
         return search(lacking.best.case, say, start=lacking), lacking.odds or 0.0
     say("on another day:")
     found = search(days, say, depth=depth)
-    terms = found.best.terms
-    if terms:  # what was found with less to explain it, where nothing was touched
-        back = fitted_if_can_be(one_set_up, started(one_set_up, terms), found.best.alpha)
-        if back is not None and score(back) > max(score(found.best), score(best)):
-            say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
-            same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
-            best = same.best
+    # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
+    there = [found.best.terms, *(x.terms for x in promotions(found.best, _SOME))]
+    floor = max(found.best.log_evidence, best.log_evidence)
+    tried = each(lambda terms: fitted_if_can_be(one_set_up, started(one_set_up, terms), _ROUGH, floor=floor), [t for t in there if t])
+    back = max((state for state in tried if state is not None), key=score, default=None)
+    if back is not None and score(back) > max(score(found.best), score(best)):
+        say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
+        same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
+        best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
     return (same if odds > 0 else found), odds
 

@@ -14,7 +14,7 @@ def no_more_than_days(case: Case, term: Term) -> bool:
 
     Where days differ, one joint may lose more than the others, and a normal law of all joints has no place for it: a damper there is
     the more probable the less the others differ. It counts as a difference of days while it changes the damping of no mode in band by
-    more than four standard deviations of what a joint does (contract, ``between``), and no frequency by more than one of its own.
+    more than four standard deviations of what a joint does (contract, ``between``), and frequencies by less of theirs, one at most.
 
     Parameters
     ----------
@@ -31,5 +31,6 @@ def no_more_than_days(case: Case, term: Term) -> bool:
     phi = idle.phi[np.ix_(list(term.places), modes)]
     with np.errstate(all="ignore"):
         change = np.einsum("ir,rij,jr->r", phi, added(term, w, case.band), phi) / w**2
-    by_damping, by_frequency = np.abs(change.imag / 2 / idle.zeta[modes]), np.abs(change.real / 2)
-    return bool(np.all(by_damping <= UNUSUAL * spreads["damping_local"]) and np.all(by_frequency <= spreads["mode"]))
+    by_damping = np.abs(change.imag / 2 / idle.zeta[modes]).max(initial=0.0) / spreads["damping_local"]
+    by_frequency = np.abs(change.real / 2).max(initial=0.0) / spreads["mode"]
+    return bool(by_frequency < by_damping <= UNUSUAL and by_frequency <= 1)

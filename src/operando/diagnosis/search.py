@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.between import SPREAD_FACTOR
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, LOOSE, PROMOTED, STRAINED, UNUSUAL
+from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE, PROMOTED, STRAINED, UNUSUAL
 from operando.diagnosis.forward import Point
-from operando.diagnosis.joints import no_more_than_days
-from operando.diagnosis.posterior import State, approach, fit, names
+from operando.diagnosis.posterior import State, approach, names
+from operando.diagnosis.rival import Rival, fitted_if_can_be, score
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
 from operando.diagnosis.terms import Term, added
 from operando.threads import each
@@ -64,54 +64,6 @@ def strained(state: State) -> bool:
     return any(float(np.mean(v)) > STRAINED for v in map(np.concatenate, power.values()) if v.size > 1)
 
 
-def score(state: State) -> float:
-    """Log probability of a state but for a constant: a further effect must earn its place, and be more than what days differ by."""
-    if any(no_more_than_days(state.case, t) for t in state.terms):
-        return -np.inf
-    # all stiffness or all damping that differs far beyond two days is an effect by another name
-    wholes = [state.case.between.shared[name] for name in ("stiffness", "damping_whole")]
-    beyond = sum(part.stop > part.start and abs(state.x.d[part.start]) > PROMOTED for part in wholes)
-    containing = sum(bool(t.definition.contains) for t in state.terms)
-    return state.log_evidence - EARNED * (len(state.terms) + beyond) - CONTAINING * containing
-
-
-class Rival:
-    """Another hypothesis of the same lines, more general than the one searched: what it scores with the same effects.
-
-    Attributes
-    ----------
-    score : float
-        The best so far.
-    """
-
-    def __init__(self, case: Case, state: State) -> None:
-        self.case, self.score = case, score(state)
-
-    def asked(self, sets: Sequence[tuple[Term, ...]], alpha: float, floor: float = -np.inf) -> float:
-        """The best score, with some sets of effects tried as well."""
-
-        def one(terms: tuple[Term, ...]) -> float:
-            state = fitted_if_can_be(self.case, started(self.case, terms), alpha, floor=floor)
-            return -np.inf if state is None else score(state)
-
-        self.score = max([self.score, *each(one, sets)])
-        return self.score
-
-
-def fitted_if_can_be(case: Case, x: Point, alpha: float, **how: Any) -> State | None:
-    """As :func:`fit`; None where a start leads to numbers that cannot be."""
-    try:
-        with np.errstate(all="ignore"):
-            return fit(case, x, alpha, **how)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def started(case: Case, terms: tuple[Term, ...]) -> Point:
-    """Effects with everything else as at rest."""
-    return replace(case.forward.start, u=np.zeros(len(case.forward.outside(terms))), terms=terms)
-
-
 def search(
     case: Case,
     say: Say = lambda text: None,
@@ -158,7 +110,7 @@ def remounted(state: State) -> bool:
     return sum(t.definition.acts == "sensor_map" for t in state.terms) > 1
 
 
-def promotions(state: State) -> list[Point]:
+def promotions(state: State, beyond: float = PROMOTED) -> list[Point]:
     """The effects of whose name a difference between the days far beyond its spread is, in its place."""
     case, x = state.case, state.x
     between, n_shape = case.between, case.forward.n_shape
@@ -170,7 +122,7 @@ def promotions(state: State) -> list[Point]:
 
     if shared["stiffness"].stop > shared["stiffness"].start:
         at = shared["stiffness"].start
-        if abs(x.d[at]) > PROMOTED and "global_stiffness" not in have:
+        if abs(x.d[at]) > beyond and "global_stiffness" not in have:
             d, each = x.d.copy(), shared["mode"]
             shift = float((d[each] * between.shared_spread[each]).mean()) if each.stop > each.start else 0.0
             if shift:
@@ -182,7 +134,7 @@ def promotions(state: State) -> list[Point]:
     if each.stop > each.start and "global_damping" not in have:
         whole = shared["damping_whole"].start
         mean = float((x.d[each] * between.shared_spread[each]).mean())
-        if abs(x.d[whole]) > PROMOTED or abs(mean) > between.shared_spread[each].mean():
+        if abs(x.d[whole]) > beyond or abs(mean) > between.shared_spread[each].mean():
             d = x.d.copy()
             d[each] -= mean / between.shared_spread[each]
             value = mean + float(d[whole] * between.shared_spread[whole])
@@ -191,12 +143,12 @@ def promotions(state: State) -> list[Point]:
     part = between.own["sensor"]
     if part.stop > part.start:
         column = n_shape + part.start
-        for i in np.flatnonzero(np.abs(x.own[:, column]) > PROMOTED):
+        for i in np.flatnonzero(np.abs(x.own[:, column]) > beyond):
             own = x.own.copy()
             own[i, column] = 0
             put(Term("sensor_gain", (int(i),), (float(x.own[i, column] * between.own_spread[i, part.start]),)), x.d, own)
     for number, at in enumerate(range(shared["force"].start, shared["force"].stop)):
-        if abs(x.d[at]) > PROMOTED:
+        if abs(x.d[at]) > beyond:
             d = x.d.copy()
             d[at] = 0  # H is divided by the gain of the force
             put(Term("force_gain", (int(case.forward.references[number]),), (-float(x.d[at] * between.shared_spread[at]),)), d)

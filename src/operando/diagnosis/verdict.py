@@ -21,8 +21,9 @@ from operando.diagnosis.criteria import (
 )
 from operando.diagnosis.posterior import State, left_on, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
+from operando.diagnosis.rival import score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import Found, score, unlike_days
+from operando.diagnosis.search import Found, unlike_days
 from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.dof import Dof
 

@@ -1,0 +1,66 @@
+"""What a state is worth, and another hypothesis of the same lines that a search is held against."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import CONTAINING, EARNED, PROMOTED
+from operando.diagnosis.forward import Point
+from operando.diagnosis.joints import no_more_than_days
+from operando.diagnosis.posterior import State, fit
+from operando.diagnosis.terms import Term
+from operando.threads import each
+
+
+def score(state: State) -> float:
+    """Log probability of a state but for a constant: a further effect must earn its place, and be more than what days differ by."""
+    if any(no_more_than_days(state.case, t) for t in state.terms):
+        return -np.inf
+    # all stiffness or all damping that differs far beyond two days is an effect by another name
+    wholes = [state.case.between.shared[name] for name in ("stiffness", "damping_whole")]
+    beyond = sum(part.stop > part.start and abs(state.x.d[part.start]) > PROMOTED for part in wholes)
+    containing = sum(bool(t.definition.contains) for t in state.terms)
+    return state.log_evidence - EARNED * (len(state.terms) + beyond) - CONTAINING * containing
+
+
+def started(case: Case, terms: tuple[Term, ...]) -> Point:
+    """Effects with everything else as at rest."""
+    return replace(case.forward.start, u=np.zeros(len(case.forward.outside(terms))), terms=terms)
+
+
+def fitted_if_can_be(case: Case, x: Point, alpha: float, **how: Any) -> State | None:
+    """As :func:`fit`; None where a start leads to numbers that cannot be."""
+    try:
+        with np.errstate(all="ignore"):
+            return fit(case, x, alpha, **how)
+    except np.linalg.LinAlgError:
+        return None
+
+
+class Rival:
+    """Another hypothesis of the same lines, more general than the one searched: what it scores with the same effects.
+
+    Attributes
+    ----------
+    score : float
+        The best so far.
+    """
+
+    def __init__(self, case: Case, state: State) -> None:
+        self.case, self.score = case, score(state)
+
+    def asked(self, sets: Sequence[tuple[Term, ...]], alpha: float, floor: float = -np.inf) -> float:
+        """The best score, with some sets of effects tried as well."""
+
+        def one(terms: tuple[Term, ...]) -> float:
+            state = fitted_if_can_be(self.case, started(self.case, terms), alpha, floor=floor)
+            more = () if state is None else tuple(t for t in state.terms if not no_more_than_days(self.case, t))
+            return -np.inf if state is None else score(state) if len(more) == len(terms) else one(more)
+
+        self.score = max([self.score, *each(one, sets)])
+        return self.score
