@@ -14,7 +14,7 @@ def no_more_than_days(case: Case, term: Term) -> bool:
 
     Where days differ, one joint may lose more than the others, and a normal law of all joints has no place for it: a damper there is
     the more probable the less the others differ. It counts as a difference of days while it changes the damping of no mode in band by
-    more than four standard deviations of what a joint does (contract, ``between``), and frequencies by less of theirs, one at most.
+    more than four standard deviations of what a joint does, and frequencies by less of theirs, one at most.
 
     Parameters
     ----------

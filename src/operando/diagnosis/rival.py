@@ -18,7 +18,7 @@ from operando.threads import each
 
 
 def score(state: State) -> float:
-    """Log probability of a state but for a constant: a further effect must earn its place, and be more than what days differ by."""
+    """Log probability of a state but for a constant: a further effect must be worth it, and more than what days differ by."""
     if any(no_more_than_days(state.case, t) for t in state.terms):
         return -np.inf
     # all stiffness or all damping that differs far beyond two days is an effect by another name
