@@ -71,7 +71,7 @@ def test_a_mass_between_two_sensors_is_placed_there(where: float) -> None:
 
 
 def test_without_geometry_no_place_is_invented() -> None:
-    idle, run, _ = made(0.9, 0.5)
-    found = diagnose(idle, check=[run], kinds=("point_mass", "ground_spring"))
+    idle, run, _ = made(0.9, 0.05)
+    found = diagnose(idle, check=[run], kinds=("point_mass",))
     assert all(e.position is None for e in found.effects)
     assert found.verdict != "no_misfit"
