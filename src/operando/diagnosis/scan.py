@@ -252,8 +252,7 @@ class LinearScan:
             What the effect itself is worth, at first order [nats].
         """
         at = self.problem.values_at + sum(len(t.values) for t in self.x.terms[: self.x.terms.index(term)])
-        near_zero = term.kind.endswith(("_gain", "_delay")) or term.kind == "global_damping"
-        r = self.shared[..., at : at + 1] * (term.values[0] if near_zero else 1.0)
+        r = self.shared[..., at : at + 1] * (term.values[0] if term.linear else 1.0)
         rq = self.whitened(r)
         rest = [t for t in self.x.terms if t is not term]
         places = [p for p in self.case.candidates(rest) if p.key != term.key]

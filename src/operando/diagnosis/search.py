@@ -329,8 +329,7 @@ class Search:
         """Effects without which a state may be as probable: by the standard deviation of their size."""
         std, at, out = np.sqrt(np.diag(state.covariance)), 0, []
         for term in state.terms:
-            near_zero = term.kind.endswith(("_gain", "_delay")) or term.kind == "global_damping"
-            if not term.values or 0.5 * ((term.values[0] if near_zero else 1.0) / std[at]) ** 2 < _SURE:
+            if not term.values or 0.5 * ((term.values[0] if term.linear else 1.0) / std[at]) ** 2 < _SURE:
                 out.append(term)
             at += len(term.values)
         return out

@@ -109,6 +109,11 @@ class Term:
             out[first] = abs(out[first])
         return out
 
+    @property
+    def linear(self) -> bool:
+        """Whether the first value is the size itself, which may be zero, and no logarithm of it."""
+        return self.kind.endswith(("_gain", "_delay")) or self.kind == "global_damping"
+
     def within_range(self, band: tuple[float, float]) -> bool:
         """Whether the values after the first lie in the ranges of the catalogue: beyond them a kind is another one by its name."""
         sizes = self.sizes(band)

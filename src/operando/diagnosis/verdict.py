@@ -126,10 +126,8 @@ def supported(state: State) -> bool:
     """Whether the interval of each effect's size excludes zero."""
     std, at = np.sqrt(np.diag(state.covariance)) if state.terms else np.zeros(0), 0
     for term in state.terms:
-        if term.values:
-            near_zero = term.kind.endswith(("_gain", "_delay")) or term.kind == "global_damping"
-            if std[at] > (abs(term.values[0]) / 2 if near_zero else SUPPORTED):
-                return False
+        if term.values and std[at] > (abs(term.values[0]) / 2 if term.linear else SUPPORTED):
+            return False
         at += len(term.values)
     return True
 
