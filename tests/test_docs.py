@@ -11,8 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-from operando.cli import COMMANDS
+from operando.cli import COMMANDS, main
 from pages import DOCS, LANGUAGES, QUIET, ROOT, blocks, command_lines, pages, programs, run_page
 
 FIRST = ("docs/tutorials/whole_chain.md", "docs/tutorials/validation.md", "docs/tutorials/contacts.md")
@@ -68,7 +69,8 @@ def test_tutorials_of_the_whole_chain_and_readme_run(tmp_path, monkeypatch, own_
     assert (again / "pair.uff").exists()
     demo = again / "demo-results"
     assert (demo / "report.html").stat().st_size > 100_000
-    errors = json.loads((demo / "comparison.json").read_text())["models"]
+    asked = CliRunner().invoke(main, ["demo", "-o", str(demo), "--json"])
+    errors = json.loads(asked.stdout)["comparison"]["models"]
     assert errors["ofrf"]["error_db"] < errors["idle"]["error_db"]
     assert errors["effect"]["error_db"] < 0.3
     # what benchmarks/example_data hid in the running frame

@@ -160,7 +160,8 @@ def candidate_rows(found: Found) -> list[dict[str, Any]]:
                 continue
             seen.add(term.key)
             if state is best:
-                nats = score(best) - max(score(s) for s in (found.empty, *found.pool.values()) if term.key not in s.key)
+                without = (score(s) for s in (found.empty, *found.pool.values()) if term.key not in s.key)
+                nats = score(best) - max(without, default=score(found.empty))
                 evidence = f"log odds {nats:.1f} for it"
             elif no_more_than_days(state.case, term):
                 evidence = "no more than what a joint loses on another day"
