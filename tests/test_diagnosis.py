@@ -24,7 +24,18 @@ from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
-from operando.diagnosis.search import Search, Start, contained, search
+from operando.diagnosis.search import (
+    GROWN,
+    MOST_SETTLED,
+    RIVALS,
+    Found,
+    Search,
+    Start,
+    contained,
+    leaders,
+    replaceable,
+    search,
+)
 from operando.diagnosis.terms import Term, added, candidates
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError
@@ -574,6 +585,64 @@ def test_effects_beyond_doubt_are_not_taken_out_again():
     sure, doubtful = Term("point_mass", (1,), (float(np.log(0.4)),)), Term("ground_damper", (4,), (float(np.log(1e-3)),))
     (state,) = run.fitted([Start(started(run.case, (sure, doubtful)), 0.05, run.case)])
     assert [t.kind for t in run.unsure(state)] == ["ground_damper"]
+
+
+def test_a_state_with_one_effect_less_is_fitted_from_its_own_place_once_spreads_are_estimated(monkeypatch):
+    days = case(add_mass)
+    mass, damper = Term("point_mass", (1,), (float(np.log(0.4)),)), Term("ground_damper", (4,), (float(np.log(1e-3)),))
+    run = Search(days, lambda text: None)
+    run.fitted([Start(started(days, terms), 0.05, days) for terms in ((), (mass,), (mass, damper))])
+    alone = run.pool[mass.key,]
+    pair = max((state for state in run.pool.values() if len(state.terms) == 2), key=score)
+    pair = run.pool[pair.key] = replace(pair, log_evidence=alone.log_evidence + 200)  # far above, by the way its fit went
+    monkeypatch.setattr(Search, "_settle", lambda self: None)
+    begun = Found(pair, run.pool[()], dict(run.pool))
+    found = Search(days, lambda text: None, begun, own_spreads=True, depth=0).run()
+    assert (mass.key,) in found.pool
+
+
+def test_states_30_nats_below_the_best_are_scanned_for_one_effect_more_and_40_below_compared_again():
+    days = case()
+    run = Search(days, lambda text: None)
+    run.fitted([Start(days.forward.start, 0.1, days)])
+    base = run.pool[()]
+    mass, spring, damper = (Term(kind, (1,), (0.0,)) for kind in ("point_mass", "ground_spring", "ground_damper"))
+
+    def told(terms, below):
+        return replace(base, x=replace(base.x, terms=terms), log_evidence=base.log_evidence - below)
+
+    pool = {s.key: s for s in (told((mass,), 0), told((spring,), 29), told((damper,), 39), told((mass, spring), 1))}
+    assert [s.terms for s in leaders(pool, GROWN, 9)] == [(mass,), (spring,)]  # what only adds to the best is not asked again
+    assert [s.terms for s in leaders(pool, RIVALS, 9)] == [(mass,), (spring,), (damper,)]
+    assert [s.terms for s in leaders(pool, RIVALS, 1)] == [(mass,)]
+
+
+def test_what_stands_in_the_place_of_an_effect_may_lack_a_fifth_of_it_there_and_a_twentieth_elsewhere():
+    mass, there, elsewhere = (
+        Term("point_mass", (1,), (0.0,)),
+        Term("tuned_absorber", (1,), (0.0, 3.0, -3.0)),
+        Term("point_mass", (2,), (0.0,)),
+    )
+    assert replaceable(mass, there) == 0.2  # its frequency and damping still move
+    assert replaceable(mass, elsewhere) == 0.05
+
+
+def test_a_search_that_settles_on_nothing_ends(monkeypatch):
+    days, asked = case(), []
+    state = fit(days, days.forward.start)
+
+    def another(self, starts, closely=False):
+        """Each fit to its end finds a state that is more probable than all before it."""
+        asked.append(closely)
+        x = replace(state.x, terms=(Term("point_mass", (1,), (0.0,)),) * len(asked))
+        new = replace(state, x=x, log_evidence=state.log_evidence + 50.0 * len(asked))
+        self.pool[new.key] = new
+        return [new]
+
+    monkeypatch.setattr(Search, "fitted", another)
+    monkeypatch.setattr(Search, "unsure", lambda self, state: [])
+    Search(days, lambda text: None, Found(state, state, {(): state}), own_spreads=True, depth=0).run()
+    assert asked == [False] + [True] * MOST_SETTLED
 
 
 def test_one_set_up_is_given_up_where_no_second_effect_takes_half_of_what_is_left():

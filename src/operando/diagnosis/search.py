@@ -28,13 +28,13 @@ _OTHERS = 5  # of what may stand in the place of an effect: so many are fitted
 _SHORT = 20.0  # nats below what its scan promises from which a fit counts as lost on its way
 _SMALL_PART = 0.5  # of the squares left, below which a second effect is none where days differ: 0.3 there, 0.8 to 1 where one is missing
 _LITTLE = 0.75  # of what is missing to another hypothesis, left by the best single effect, from which no pair of effects makes up for it
-_RIVALS = 40.0  # nats below the best state up to which others are compared with it again
+RIVALS = 40.0  # nats below the best state up to which others are compared with it again
 _SURE = 160.0  # nats that an effect is worth at first order, from which the state without it is no answer
-_MOST_SETTLED = 6  # states to the end of their fit, and searches for what could stand in their place
+MOST_SETTLED = 6  # states to the end of their fit, and searches for what could stand in their place
 _WAYS = 30.0  # nats by which two ways to one state differ: 4 to 20 in what was run of plan ``days`` (``benchmarks/hidden_effects``)
-_GROWN = 30.0  # nats below the best state up to which others are scanned for one effect more
+GROWN = 30.0  # nats below the best state up to which others are scanned for one effect more
 _WORSE = 3.0  # times the cost of the best place of a scan, up to which others are approached
-_LACKING = (0.2, 0.05)  # part of what an effect is worth that one at the same place, or elsewhere, may lack at first order to be fitted
+LACKING = (0.2, 0.05)  # part of what an effect is worth that one at the same place, or elsewhere, may lack at first order to be fitted
 
 
 @dataclass
@@ -193,9 +193,9 @@ def leaders(pool: Mapping[Key, State], within: float, count: int) -> list[State]
     return near[:count]
 
 
-def _replaceable(term: Term, other: Term) -> float:
+def replaceable(term: Term, other: Term) -> float:
     """Part of what an effect is worth that another may lack: at the same place its further values still move."""
-    return _LACKING[set(term.places) != set(other.places)]
+    return LACKING[set(term.places) != set(other.places)]
 
 
 class Search:
@@ -260,8 +260,10 @@ class Search:
             self.fitted([Start(self.case.forward.start, 0.1, self.case)])
         else:
             first = self.start
-            near = leaders(first.pool, _RIVALS, _BEAM)
-            states = {s.key: s for s in (first.best, *near, first.empty)}.values()
+            near = leaders(first.pool, RIVALS, _BEAM)
+            # from its own place: beside one effect more, the way back to a state is farther than its fit goes
+            rests = [s for key, s in first.pool.items() if set(key) < set(first.best.key) and len(key) == len(first.best.key) - 1]
+            states = {s.key: s for s in (first.best, *near, *rests, first.empty)}.values()
             for state in states:
                 self.once(state.terms)
                 if not self.own_spreads:
@@ -303,7 +305,7 @@ class Search:
         """The most probable state to the end of its fit, beside the states with one effect less; then what could stand in its place."""
         converged: set[Key] = set()
         told: set[Key] = set()
-        for _ in range(_MOST_SETTLED):
+        for _ in range(MOST_SETTLED):
             best = max(self.pool.values(), key=score)
             if best.key in told:
                 break
@@ -315,7 +317,7 @@ class Search:
             for term in self.unsure(best):
                 rest = best.carried([t for t in best.terms if t is not term])
                 own = self.pool.get(tuple(sorted(t.key for t in rest.terms)))
-                if own is None or own.log_evidence > best.log_evidence - _RIVALS:
+                if own is None or own.log_evidence > best.log_evidence - RIVALS:
                     starts.append(Start(rest, best.alpha, best.case))
                     starts += [] if own is None else [Start(own.x, own.alpha, own.case)]
             keys = {tuple(sorted(t.key for t in start.x.terms)) for start in starts}
@@ -355,7 +357,7 @@ class Search:
 
     def _grow(self) -> None:
         """One effect more about each of the leaders."""
-        for rank, state in enumerate(leaders(self.pool, _GROWN, _BEAM)):
+        for rank, state in enumerate(leaders(self.pool, GROWN, _BEAM)):
             if state.scanned or len(state.terms) >= DEPTH:
                 continue
             state.scanned = True
@@ -428,7 +430,7 @@ class Search:
                 found, whole = LinearScan(best, held=term).in_place_of(term)
                 self.say(f"in the place of {names(self.case, [term])[0]} ({whole:+.0f}): {self._listed(found[:6], 0.0)}")
                 self.bounded(best, term, rest, whole)
-                able = [row for row in found[:_OTHERS] if row.evidence > whole - max(_RIVALS, _replaceable(term, row.term) * whole)]
+                able = [row for row in found[:_OTHERS] if row.evidence > whole - max(RIVALS, replaceable(term, row.term) * whole)]
                 starts += [best.carried([*rest, row.term], row.start) for row in able if self.once([*rest, row.term])]
             self.fitted([Start(x, best.alpha, best.case) for x in starts])
 
