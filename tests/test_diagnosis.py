@@ -13,7 +13,7 @@ from operando.data import Frf, ModalModel
 from operando.diagnosis import Diagnosis, diagnose_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
-from operando.diagnosis.case import Case
+from operando.diagnosis.case import COLUMNS, Case
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import between_rows
@@ -329,6 +329,16 @@ def test_noise_that_is_alike_on_neighbouring_lines_is_told_from_what_the_model_l
     smooth = np.apply_along_axis(lambda v: np.convolve(v, alike, "same"), 1, noise)
     left = (smooth[0] + 1j * smooth[1]) * np.sqrt(one.lines._all[2] / 2)
     assert one.lines.correlation(one.lines._all[1] - left, 0.0) == pytest.approx(6, rel=0.25)
+
+
+def test_directions_of_the_idle_model_are_the_same_from_some_columns_as_from_all(monkeypatch):
+    kept = []
+    for columns in (COLUMNS, 3):
+        monkeypatch.setattr("operando.diagnosis.case.COLUMNS", columns)
+        idle = case(responses=range(N), lag=0.01).idle
+        kept.append((idle.f_root.shape[1], idle.shapes.own.shape[2]))
+    assert columns < N <= COLUMNS
+    assert kept[0] == kept[1]
 
 
 def test_a_variance_of_few_averages_is_pooled_over_lines():

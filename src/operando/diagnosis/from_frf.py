@@ -32,7 +32,7 @@ from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import SEARCHED
-from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
+from operando.diagnosis.verdict import judged, no_other_answer, others, verdict, with_validation
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
@@ -129,9 +129,9 @@ def diagnose_frf(
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
-            name = verdict(found.best.case, found, None if rest is None else rest.state).name
-            unexplained = name in ("partial", "unexplained") or unlike_days(found.best)
-            return unexplained and (rest is None or rest.state.alpha <= EXPLAINED)
+            if rest is not None and rest.state.alpha > EXPLAINED:
+                return False
+            return judged(found, None)[0] in ("partial", "unexplained") or unlike_days(found.best)
 
         found = with_validation(found)
         # effects at two sensors may stand for one between them, and an absorber for a mode that is lacking
@@ -278,7 +278,7 @@ def told(
 ) -> Diagnosis:
     """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
     case = found.best.case
-    said = verdict(case, found, None if rest is None else rest.state)
+    said = verdict(found, None if rest is None else rest.state)
     best = found.best
     rivals = others(found)[0]
     name, why = said.name, said.why

@@ -134,7 +134,7 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
     """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
     best = found.best
     lines: OperatingModes = best.case.lines  # type: ignore[assignment]
-    said, rivals = verdict(best.case, found, None if rest is None else rest.state), others(found)[0]
+    said, rivals = verdict(found, None if rest is None else rest.state), others(found)[0]
     name, why = said.name, said.why
     if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""

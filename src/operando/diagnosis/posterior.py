@@ -42,6 +42,7 @@ class State:
     problem: Problem = field(repr=False)
     scanned: bool = False
     robustly: bool = False
+    _validated: tuple[float, float] | None = field(default=None, init=False, repr=False)
 
     @property
     def case(self) -> Case:
@@ -249,7 +250,9 @@ def _flat(values: Array) -> Array:
 
 def on_validation_lines(state: State) -> tuple[float, float]:
     """Reduced chi-square of the validation lines under noise, discrepancy and posterior, per independent value; their error."""
-    return left_on(state.case, state.x, state.alpha, state.case.lines.validation)
+    if state._validated is None:
+        state._validated = left_on(state.case, state.x, state.alpha, state.case.lines.validation)
+    return state._validated
 
 
 def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float]:

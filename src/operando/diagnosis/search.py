@@ -262,8 +262,8 @@ class Search:
             first = self.start
             near = leaders(first.pool, RIVALS, _BEAM)
             # from its own place: beside one effect more, the way back to a state is farther than its fit goes
-            rests = [s for key, s in first.pool.items() if set(key) < set(first.best.key) and len(key) == len(first.best.key) - 1]
-            states = {s.key: s for s in (first.best, *near, *rests, first.empty)}.values()
+            fewer = [s for key, s in first.pool.items() if set(key) < set(first.best.key) and len(key) == len(first.best.key) - 1]
+            states = {s.key: s for s in (first.best, *near, *fewer, first.empty)}.values()
             for state in states:
                 self.once(state.terms)
                 if not self.own_spreads:

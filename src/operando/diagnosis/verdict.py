@@ -9,7 +9,6 @@ from itertools import permutations
 import numpy as np
 
 from operando.data import Geometry
-from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import (
     EARNED,
     EXPLAINED,
@@ -155,12 +154,11 @@ def with_validation(found: Found) -> Found:
     return Found(state, state if found.empty is best else found.empty, found.pool | {best.key: state})
 
 
-def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
-    """The verdict, by the rules of the specification.
+def verdict(found: Found, rest: State | None) -> Verdict:
+    """The verdict with all that is told with it.
 
     Parameters
     ----------
-    case : Case
     found : Found
     rest : State or None
         The idle model on the idle FRFs, where there are any.
@@ -168,38 +166,50 @@ def verdict(case: Case, found: Found, rest: State | None) -> Verdict:
     best = found.best
     chi, db = on_validation_lines(best)
     rivals, probability = others(found)
-    least = detectable(best)
     blind = unseen(best)
-    sets = tuple(s.terms for s in rivals)
+    name, why = judged(found, rest, blind)
+    terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
+    return Verdict(name, why, terms, tuple(s.terms for s in rivals), probability, chi, db, tuple(blind), detectable(best))
 
-    def say(name: str, why: str = "") -> Verdict:
-        terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
-        return Verdict(name, why, terms, sets, probability, chi, db, tuple(blind), least)
 
+def judged(found: Found, rest: State | None, blind: Sequence[float] = ()) -> tuple[str, str]:
+    """Name of the verdict and its ground, by the rules of the specification.
+
+    Parameters
+    ----------
+    found : Found
+    rest : State or None
+        The idle model on the idle FRFs, where there are any.
+    blind : sequence of float
+        Modes that could move by a half-power width without being seen: what keeps "no_misfit" from being said.
+    """
+    best = found.best
+    chi, db = on_validation_lines(best)
     unlike = "what differs between the measurements is more than between days in a laboratory: it stands for something else"
     far = unlike if unlike_days(best) else ""
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
     if lost or far or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
         if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
-            return say("partial", lost or far or "the effects lower the error, and something remains")
+            return "partial", lost or far or "the effects lower the error, and something remains"
         if lost:
-            return say("inconclusive", lost)
+            return "inconclusive", lost
         if far and not best.terms:
-            return say("inconclusive", far)
-        return say("unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %")
+            return "inconclusive", far
+        return "unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
+    sets = [s.terms for s in others(found)[0]]
     if not best.terms:
         if any(sets):
-            return say("inconclusive", "nothing and an effect are as likely")
+            return "inconclusive", "nothing and an effect are as likely"
         if blind:
             which = ", ".join(f"{hz:.4g}" for hz in blind)
-            return say("inconclusive", f"the modes at {which} Hz could have moved by a half-power width without being seen")
-        return say("no_misfit")
-    if not supported(best) or any(not s for s in sets):
-        return say("inconclusive", "an effect is likely, but none is as likely")
+            return "inconclusive", f"the modes at {which} Hz could have moved by a half-power width without being seen"
+        return "no_misfit", ""
+    if not supported(best) or not all(sets):
+        return "inconclusive", "an effect is likely, but none is as likely"
     if sets:
-        return say("ambiguous", "other effects fit as well")
-    return say("explained")
+        return "ambiguous", "other effects fit as well"
+    return "explained", ""
 
 
 def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:
