@@ -31,7 +31,7 @@ from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
-from operando.diagnosis.terms import SEARCHED
+from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
 from operando.diagnosis.verdict import judged, no_other_answer, others, verdict, with_validation
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
@@ -110,7 +110,7 @@ def diagnose_frf(
             rest = at_rest(known, idle_frf, band)
         model = known if rest is None else rest.idle
         asked: dict[str, Any] = {
-            "kinds": searched(kinds),
+            "kinds": searched(kinds, rest is not None and rest.state.alpha > EXPLAINED),
             "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],
             "correlated": CORRELATED_LINES if rest is None else rest.correlated,
         }
@@ -247,8 +247,8 @@ def levels_disagree(check: Sequence[CheckRun], band: tuple[float, float]) -> boo
     return False
 
 
-def searched(kinds: Sequence[str] | None) -> tuple[str, ...]:
-    """Kinds to look for.
+def searched(kinds: Sequence[str] | None, poor: bool = False) -> tuple[str, ...]:
+    """Kinds to look for; where none are named and the idle model is a poor one, those at one location.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def searched(kinds: Sequence[str] | None) -> tuple[str, ...]:
     from operando.structure.effects import kind_of
 
     if kinds is None:
-        return SEARCHED
+        return AT_ONE_LOCATION if poor else SEARCHED
     known = [k for k in kinds if kind_of(k).acts in ("dynamic_stiffness", "sensor_map", "modal_change")]
     if not known:
         raise ConfigError(f"none of the kinds {', '.join(kinds)} can be found from FRFs", hint="name linear kinds, or give records")
@@ -336,6 +336,11 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
             "unexplained. The model with the effects holds real modes: its FRFs leave out what ties the modes to each other"
         )
     case = found.best.case
+    if case.kinds == AT_ONE_LOCATION:
+        notes.append(
+            "effects between two locations (coupling, gyroscopic, circulatory) were not looked for: the idle model misses the idle FRFs "
+            "themselves, so that nothing could be explained; name them in [analysis] kinds to look for them"
+        )
     count = len(case.dofs) - case.forward.responses.size
     if count:
         notes.append(f"{count} DOFs of the idle model were not measured in operation: what happens there follows from the others alone")
