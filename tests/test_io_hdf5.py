@@ -11,7 +11,7 @@ from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenanc
 from operando.dof import Dof
 from operando.errors import DataError, FormatError
 from operando.io import read_hdf5, read_object, write_hdf5, write_object
-from operando.io.hdf5 import PACKED_FROM
+from operando.io.hdf5_tree import PACKED_FROM
 from operando.stabilization import PoleTable, RejectedPole, Stabilization
 
 h5py = pytest.importorskip("h5py")
@@ -117,3 +117,47 @@ def test_large_arrays_are_compressed_and_small_ones_are_not(tmp_path):
     back = read_hdf5(tmp_path / "a.h5")["arrays"]
     assert back["smooth"].tobytes() == smooth.tobytes()
     assert equal(back["few"], few)
+
+
+def test_a_large_array_of_several_objects_stands_once(tmp_path):
+    noise = np.random.default_rng(1).normal(size=(40, 50))
+    objects = {"a": {"x": noise, "again": noise.copy(), "transposed": noise.T}, "b": [noise.copy(), noise.astype(np.float32)]}
+    write_hdf5(tmp_path / "a.h5", objects)
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert (set(file["a"]), set(file["b"])) == ({"__tree__", "x", "transposed"}, {"__tree__", "1"})
+    back = read_hdf5(tmp_path / "a.h5")
+    assert equal(back, objects)
+    assert back["b"][0].tobytes() == noise.tobytes()
+    assert not np.shares_memory(back["a"]["x"], back["b"][0])
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert equal(read_object(file["b"]), objects["b"])  # also without the object that holds it
+
+
+def test_a_symmetric_matrix_is_kept_to_the_bit(tmp_path):
+    half = np.random.default_rng(1).normal(size=(60, 60))
+    symmetric = half + half.T
+    symmetric[3, 5] = symmetric[5, 3] = np.nan
+    signed = symmetric.copy()
+    signed[1, 2], signed[2, 1] = 0.0, -0.0
+    write_hdf5(tmp_path / "a.h5", {"a": [symmetric, signed], "b": symmetric})
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert [file[f"a/{i}"].shape for i in (0, 1)] == [(60 * 61 // 2,), (60, 60)]
+    back = read_hdf5(tmp_path / "a.h5")
+    for found, wanted in ((back["a"][0], symmetric), (back["a"][1], signed), (back["b"], symmetric)):
+        assert (found.shape, found.tobytes()) == (wanted.shape, wanted.tobytes())
+
+
+def test_files_of_the_second_version_are_read(tmp_path):
+    write_hdf5(tmp_path / "a.h5", {"a": np.ones(3)})
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file.attrs["schema"] = "operando/hdf5/2"
+    assert equal(read_hdf5(tmp_path / "a.h5")["a"], np.ones(3))
+
+
+def test_an_array_named_again_and_again_does_not_fill_the_memory(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("a")
+        group["__tree__"] = "[" + ", ".join(['{"__same__": {"__array__": "a/x"}}'] * 100) + "]"
+        group["x"] = np.ones(1 << 18)  # 2 MB, named for 200
+    with pytest.raises(FormatError, match="named again hold would take"):
+        read_hdf5(tmp_path / "a.h5")

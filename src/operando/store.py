@@ -100,7 +100,7 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
     FormatError
         If it is no results file of operando, or damaged.
     """
-    from operando.io import UNREADABLE, check_fields, check_objects, opened_hdf5, read_object
+    from operando.io import UNREADABLE, check_fields, check_objects, opened_hdf5, read_objects
 
     path = Path(path)
     if path.is_dir():
@@ -113,7 +113,7 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
             check_objects(file)
             if "name" not in file:
                 raise FormatError("an HDF5 file, but no results of operando", where=str(path), hint="expected model.h5 of a results folder")
-            values: dict[str, Any] = {name: read_object(file[name]) for name in _NAMES if name in wanted and name in file}
+            values = read_objects(file, [name for name in _NAMES if name in wanted and name in file])
         results = Results(**values)
     except OperandoError:
         raise

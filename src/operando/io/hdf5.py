@@ -4,7 +4,8 @@ A group that holds an object has a dataset ``__tree__`` (JSON, with each array r
 ``h5dump`` or any HDF5 viewer shows ``idle/frequencies_hz``, ``idle/shapes``, … without knowing operando.
 
 HDF5 itself does not notice a changed byte. So the tree holds a hash of each array, the group one of the tree, and the file a list of
-its objects: a damaged file is refused, never read as something else. Files of the first version of the format have no hashes.
+its objects: a damaged file is refused, never read as something else. Files of the first version of the format have no hashes; from
+the third on a large array that several objects hold stands once, where it comes first, and a symmetric matrix as its upper triangle.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import importlib
 import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,22 +24,18 @@ import numpy as np
 
 from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, mapped, mapped_rows, pieces
 from operando.dof import Dof
-from operando.errors import DataError, FormatError, OperandoError
+from operando.errors import FormatError, OperandoError
 from operando.io.atomic import replacing
+from operando.io.hdf5_tree import HASH, TREE, Target, encode, hash_of, write_dataset
 from operando.io.hints import check_fields
-from operando.io.safe import opened_hdf5, trust
+from operando.io.safe import check_growth, opened_hdf5, trust
 
 if TYPE_CHECKING:
     import h5py
 
-SCHEMA = "operando/hdf5/2"
-TREE = "__tree__"
-HASH = "blake2b"
-"""Key of a hash of 64 bits: as attribute of a group that of its tree, in the tree that of an array."""
-PACKED_FROM = 4096
-"""Bytes from which an array is compressed, up to the size of records that stay in their file: below, HDF5's notes take as much.
-"""
-_SCHEMAS = ("operando/hdf5/1", SCHEMA)
+SCHEMA = "operando/hdf5/3"
+_SCHEMAS = ("operando/hdf5/1", "operando/hdf5/2", SCHEMA)
+_HASHED = _SCHEMAS[1:]
 _CHANGED = "the file is damaged, or was changed after operando wrote it"
 UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError)
 """What h5py and the description of an object raise where a file is damaged."""
@@ -68,9 +65,13 @@ def write_object(group: h5py.Group, obj: Any) -> None:
     ...     read_object(file["numbers"])
     {'f': [1.0, 2.0]}
     """
-    text = json.dumps(_encode(obj, group, ""), ensure_ascii=False, allow_nan=False)
-    _dataset(group, TREE, text)
-    group.attrs[HASH] = _hash(text)
+    _write(Target(group, {}), obj)
+
+
+def _write(target: Target, obj: Any) -> None:
+    text = json.dumps(encode(obj, target, ""), ensure_ascii=False, allow_nan=False)
+    write_dataset(target.group, TREE, text)
+    target.group.attrs[HASH] = hash_of(text)
 
 
 def read_object(group: h5py.Group) -> Any:
@@ -100,18 +101,53 @@ def read_object(group: h5py.Group) -> Any:
     ...     read_object(file["text"])
     'a note'
     """
+    return _read(group, _Repeated(group.file))
+
+
+def read_objects(file: h5py.File, names: Iterable[str]) -> dict[str, Any]:
+    """Objects of an open file by the names of their groups; what they share is counted over all of them.
+
+    Parameters
+    ----------
+    file : h5py File
+        The open file.
+    names : iterable of str
+        Groups.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    FormatError
+        As for :func:`read_object`.
+
+    Examples
+    --------
+    >>> import h5py
+    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
+    ...     write_object(file.create_group("text"), "a note")
+    ...     read_objects(file, ["text"])
+    {'text': 'a note'}
+    """
+    repeated = _Repeated(file)
+    return {name: _read(file[name], repeated) for name in names}
+
+
+def _read(group: h5py.Group, repeated: _Repeated) -> Any:
     if TREE not in group:
         raise FormatError(f"group {group.name!r} holds no operando object", where=_where(group), hint="expected a dataset " + TREE)
     try:
         raw = group[TREE][()]
         text = raw.decode("utf-8") if isinstance(raw, bytes) else raw
         stated = group.attrs.get(HASH)
-        if stated != _hash(text) and (stated is not None or _schema(group.file) == SCHEMA):
+        if stated != hash_of(text) and (stated is not None or _schema(group.file) in _HASHED):
             raise FormatError(f"the description of {group.name!r} is not what was written", where=_where(group), hint=_CHANGED)
         tree = json.loads(text)
     except UNREADABLE as error:
         raise FormatError(f"the description of {group.name!r} is damaged: {error}", where=_where(group)) from error
-    return _decode(tree, _Stored(group))
+    return _decode(tree, _Stored(group, repeated))
 
 
 def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
@@ -139,8 +175,9 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
         file.attrs["schema"], file.attrs["objects"] = SCHEMA, json.dumps(list(objects))
+        standing: dict[str, str] = {}
         for name, obj in objects.items():
-            write_object(file.create_group(name), obj)
+            _write(Target(file.create_group(name), standing), obj)
     with replacing(path) as stream:
         stream.write(content.getbuffer())
     trust(path, "hdf5")
@@ -177,7 +214,7 @@ def read_hdf5(path: str | Path) -> dict[str, Any]:
     try:
         with opened_hdf5(path) as file:
             check_objects(file)
-            found = {str(name): read_object(item) for name, item in file.items() if isinstance(item, h5py.Group) and TREE in item}
+            found = read_objects(file, [str(name) for name, item in file.items() if isinstance(item, h5py.Group) and TREE in item])
     except OperandoError:
         raise
     except UNREADABLE as error:
@@ -210,7 +247,7 @@ def check_objects(file: h5py.File) -> None:
     if schema is not None and schema not in _SCHEMAS:
         hint = f"known are {' and '.join(_SCHEMAS)}; is the file of a newer version?"
         raise FormatError(f"the format {schema!r:.100} is not known", where=file.filename, hint=hint)
-    if schema != SCHEMA:
+    if schema not in _HASHED:
         return
     try:
         names = list(json.loads(str(file.attrs["objects"])))
@@ -226,19 +263,6 @@ def _schema(file: h5py.File) -> str | None:
     return None if found is None else str(found)
 
 
-def _hash(value: str | np.ndarray) -> str:
-    """Hash of a text or an array, by which damage is noticed."""
-    digest = hashlib.blake2b(digest_size=8)
-    if isinstance(value, str):
-        digest.update(value.encode("utf-8", "surrogatepass"))
-    elif value.dtype.kind in "OU":
-        digest.update(json.dumps(value.tolist()).encode())
-    else:
-        digest.update(f"{value.dtype.str}{value.shape}".encode())
-        digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
-
-
 def _hash_of_rows(samples: MappedSamples, stored: np.dtype[Any]) -> str:
     """The hash of an array that stays in its file, row by row."""
     digest = hashlib.blake2b(f"{stored.str}{samples.shape}".encode(), digest_size=8)
@@ -252,80 +276,25 @@ def _where(group: h5py.Group) -> str:
     return f"{group.file.filename}:{group.name}"
 
 
-def _dataset(group: h5py.Group, path: str, value: Any) -> None:
-    """Write a text or an array, without loss in less room: bytes of one weight stand together, and then compress."""
-    import h5py
+class _Repeated:
+    """Arrays of a file that are read for more than one place: as for all content, no more than in proportion to the file."""
 
-    if isinstance(value, str) or (isinstance(value, np.ndarray) and value.dtype.kind in "UO"):
-        group.create_dataset(path, data=value, dtype=h5py.string_dtype("utf-8"))
-    elif PACKED_FROM <= getattr(value, "nbytes", 0) < mapped.MAPPED_FROM:
-        group.create_dataset(path, data=value, chunks=value.shape, compression="gzip", compression_opts=1, shuffle=True)
-    else:
-        group.create_dataset(path, data=value)
+    def __init__(self, file: h5py.File) -> None:
+        self.file, self.needed = file, 0
 
-
-def _encode(value: Any, group: h5py.Group, path: str) -> Any:
-    """JSON form of a value; arrays go to datasets named after their path."""
-    if value is None or isinstance(value, bool | str | int):
-        return value
-    if isinstance(value, np.bool_ | np.integer):
-        return value.item()
-    if isinstance(value, float | np.floating):
-        number = float(value)
-        return number if math.isfinite(number) else {"__float__": repr(number)}
-    if isinstance(value, complex | np.complexfloating):
-        return {"__complex__": [repr(float(value.real)), repr(float(value.imag))]}
-    if isinstance(value, Dof):
-        return {"__dof__": str(value)}
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, np.ndarray | MappedSamples):
-        return _encode_array(np.asarray(value), group, path)
-    if isinstance(value, tuple | list):
-        return _encode_sequence(value, group, path)
-    if isinstance(value, Mapping):
-        if all(isinstance(k, str) and not k.startswith("__") for k in value):
-            return {k: _encode(v, group, _join(path, k)) for k, v in value.items()}
-        pairs = [[_encode(k, group, f"{path}/key{i}"), _encode(v, group, _join(path, str(i)))] for i, (k, v) in enumerate(value.items())]
-        return {"__dict__": pairs}
-    if is_dataclass(value) and not isinstance(value, type) and type(value).__module__.split(".")[0] == "operando":
-        kind = type(value)
-        body = {f.name: _encode(getattr(value, f.name), group, _join(path, f.name)) for f in fields(value) if f.init}
-        return {"__class__": f"{kind.__module__}:{kind.__qualname__}", "fields": body}
-    raise DataError(f"{type(value).__module__}.{type(value).__qualname__} at {path or 'the top'} cannot be stored in HDF5")
-
-
-def _encode_array(value: np.ndarray, group: h5py.Group, path: str) -> Any:
-    if value.dtype.kind not in "biufcUS":
-        raise DataError(f"an array of {value.dtype} at {path or 'the top'} cannot be stored in HDF5")
-    name = path or "value"
-    _dataset(group, name, value)
-    return {"__array__": name, HASH: _hash(value)}
-
-
-def _encode_sequence(value: tuple[Any, ...] | list[Any], group: h5py.Group, path: str) -> Any:
-    if len(value) > 0 and all(isinstance(v, Dof) for v in value):
-        name = path or "value"
-        labels = np.array([str(v) for v in value], dtype=object)
-        _dataset(group, name, labels)
-        tree: Any = {"__dofs__": name, HASH: _hash(labels)}
-        return tree if isinstance(value, tuple) else {"__list__": tree}
-    if len(value) > 32 and all(type(v) is float for v in value):
-        return {"__floats__": _encode_array(np.asarray(value, float), group, path), "tuple": isinstance(value, tuple)}
-    items = [_encode(v, group, _join(path, str(i))) for i, v in enumerate(value)]
-    return {"__tuple__": items} if isinstance(value, tuple) else items
-
-
-def _join(path: str, name: str) -> str:
-    clean = name.replace("/", "_").replace(".", "_") or "_"
-    return f"{path}/{clean}" if path else clean
+    def array(self, tree: Any) -> np.ndarray:
+        """The array that stands elsewhere in the file."""
+        found = _array_of(tree, _Stored(self.file["/"], self))
+        self.needed += found.nbytes
+        check_growth(self.needed, self.file.id.get_filesize(), self.file.filename, "what arrays that stand once and are named again hold")
+        return found
 
 
 class _Stored:
     """The group an object is read from; each of its arrays is taken once."""
 
-    def __init__(self, group: h5py.Group) -> None:
-        self.group = group
+    def __init__(self, group: h5py.Group, repeated: _Repeated) -> None:
+        self.group, self.repeated = group, repeated
         self._taken: set[str] = set()
 
     def array(self, name: str, stated: str | None) -> np.ndarray:
@@ -345,7 +314,7 @@ class _Stored:
             raise FormatError(f"the array {name!r} of the description is {reason}", where=self.where)
         self._taken.add(name)
         found = np.asarray(item.asstr()[()] if item.dtype.kind == "O" else item[()])
-        if stated is not None and stated != _hash(found):
+        if stated is not None and stated != hash_of(found):
             raise FormatError(f"the array {name!r} is not what was written", where=self.where, hint=_CHANGED)
         return found
 
@@ -382,8 +351,10 @@ def _decode(tree: Any, stored: _Stored) -> Any:
         return tree
     if "__class__" in tree:
         return _decode_class(tree, stored)
-    if "__array__" in tree:
-        return stored.array(tree["__array__"], tree.get(HASH))
+    if "__array__" in tree or "__triangle__" in tree:
+        return _array_of(tree, stored)
+    if "__same__" in tree:
+        return stored.repeated.array(tree["__same__"])
     if "__dofs__" in tree:
         return tuple(Dof.parse(str(text)) for text in stored.array(tree["__dofs__"], tree.get(HASH)))
     if "__list__" in tree:
@@ -402,6 +373,18 @@ def _decode(tree: Any, stored: _Stored) -> Any:
     if "__dict__" in tree:
         return {_decode(k, stored): _decode(v, stored) for k, v in tree["__dict__"]}
     return {k: _decode(v, stored) for k, v in tree.items()}
+
+
+def _array_of(tree: Any, stored: _Stored) -> np.ndarray:
+    """An array as it stands, or the symmetric matrix of a triangle."""
+    if "__triangle__" not in tree:
+        return stored.array(tree["__array__"], tree.get(HASH))
+    triangle = stored.array(tree["__triangle__"]["__array__"], tree["__triangle__"].get(HASH))
+    size = math.isqrt(2 * triangle.size)  # n² < n(n + 1) < (n + 1)²
+    found = np.empty((size, size), triangle.dtype)
+    found[np.triu_indices(size)] = triangle
+    np.copyto(found, found.T, where=np.tri(size, k=-1, dtype=bool))
+    return found
 
 
 def _class_named(text: str) -> Any:

@@ -1,0 +1,145 @@
+"""How objects of operando stand in HDF5: arrays as datasets named after their place, the rest as JSON, each large array once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from operando.data import MappedSamples, mapped
+from operando.dof import Dof
+from operando.errors import DataError
+
+if TYPE_CHECKING:
+    import h5py
+
+TREE = "__tree__"
+HASH = "blake2b"
+"""Key of a hash of 64 bits: as attribute of a group that of its tree, in the tree that of an array."""
+PACKED_FROM = 4096
+"""Bytes from which an array is compressed, up to the size of records that stay in their file: below, HDF5's notes take as much.
+"""
+
+
+def hash_of(value: str | np.ndarray) -> str:
+    """Hash of a text or an array, by which damage is noticed."""
+    digest = hashlib.blake2b(digest_size=8)
+    if isinstance(value, str):
+        digest.update(value.encode("utf-8", "surrogatepass"))
+    elif value.dtype.kind in "OU":
+        digest.update(json.dumps(value.tolist()).encode())
+    else:
+        digest.update(f"{value.dtype.str}{value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Target:
+    """The group an object is written to, and where in the file each large array stands, by its hash."""
+
+    group: h5py.Group
+    standing: dict[str, Any]
+
+    def put(self, name: str, value: np.ndarray, stated: str) -> dict[str, str]:
+        """Write an array; give back what the tree says of it."""
+        write_dataset(self.group, name, value)
+        return {"__array__": name, HASH: stated}
+
+
+def write_dataset(group: h5py.Group, path: str, value: Any) -> None:
+    """Write a text or an array, without loss in less room: bytes of one weight stand together, and then compress."""
+    import h5py
+
+    if isinstance(value, str) or (isinstance(value, np.ndarray) and value.dtype.kind in "UO"):
+        group.create_dataset(path, data=value, dtype=h5py.string_dtype("utf-8"))
+    elif PACKED_FROM <= getattr(value, "nbytes", 0) < mapped.MAPPED_FROM:
+        group.create_dataset(path, data=value, chunks=value.shape, compression="gzip", compression_opts=1, shuffle=True)
+    else:
+        group.create_dataset(path, data=value)
+
+
+def encode(value: Any, target: Target, path: str) -> Any:
+    """JSON form of a value; arrays go to datasets named after their path."""
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, np.bool_ | np.integer):
+        return value.item()
+    if isinstance(value, float | np.floating):
+        number = float(value)
+        return number if math.isfinite(number) else {"__float__": repr(number)}
+    if isinstance(value, complex | np.complexfloating):
+        return {"__complex__": [repr(float(value.real)), repr(float(value.imag))]}
+    if isinstance(value, Dof):
+        return {"__dof__": str(value)}
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.ndarray | MappedSamples):
+        return _encode_array(np.asarray(value), target, path)
+    if isinstance(value, tuple | list):
+        return _encode_sequence(value, target, path)
+    if isinstance(value, Mapping):
+        if all(isinstance(k, str) and not k.startswith("__") for k in value):
+            return {k: encode(v, target, _join(path, k)) for k, v in value.items()}
+        pairs = [[encode(k, target, f"{path}/key{i}"), encode(v, target, _join(path, str(i)))] for i, (k, v) in enumerate(value.items())]
+        return {"__dict__": pairs}
+    if is_dataclass(value) and not isinstance(value, type) and type(value).__module__.split(".")[0] == "operando":
+        kind = type(value)
+        body = {f.name: encode(getattr(value, f.name), target, _join(path, f.name)) for f in fields(value) if f.init}
+        return {"__class__": f"{kind.__module__}:{kind.__qualname__}", "fields": body}
+    raise DataError(f"{type(value).__module__}.{type(value).__qualname__} at {path or 'the top'} cannot be stored in HDF5")
+
+
+def _encode_array(value: np.ndarray, target: Target, path: str) -> Any:
+    if value.dtype.kind not in "biufcUS":
+        raise DataError(f"an array of {value.dtype} at {path or 'the top'} cannot be stored in HDF5")
+    name, stated = path or "value", hash_of(value)
+    large = PACKED_FROM <= value.nbytes < mapped.MAPPED_FROM
+    if large and stated in target.standing:
+        return {"__same__": target.standing[stated]}
+    tree: dict[str, Any]
+    if large and _symmetric(value):
+        triangle = value[np.triu_indices(len(value))]
+        tree = {"__triangle__": target.put(name, triangle, hash_of(triangle))}
+    else:
+        tree = target.put(name, value, stated)
+    if large:
+        target.standing[stated] = _placed(tree, f"{target.group.name.strip('/')}/{name}".strip("/"))
+    return tree
+
+
+def _placed(tree: dict[str, Any], name: str) -> dict[str, Any]:
+    """What a tree says of an array, with its path from the top of the file."""
+    return {"__triangle__": _placed(tree["__triangle__"], name)} if "__triangle__" in tree else tree | {"__array__": name}
+
+
+def _symmetric(value: np.ndarray) -> bool:
+    """Whether a real matrix is symmetric to the bit (0 and −0 differ), so that its triangle says all."""
+    if value.ndim != 2 or value.shape[0] != value.shape[1] or value.dtype != np.float64:
+        return False
+    bits = np.ascontiguousarray(value).view(np.int64)
+    return bool(np.array_equal(bits, bits.T))
+
+
+def _encode_sequence(value: tuple[Any, ...] | list[Any], target: Target, path: str) -> Any:
+    if len(value) > 0 and all(isinstance(v, Dof) for v in value):
+        name = path or "value"
+        labels = np.array([str(v) for v in value], dtype=object)
+        write_dataset(target.group, name, labels)
+        tree: Any = {"__dofs__": name, HASH: hash_of(labels)}
+        return tree if isinstance(value, tuple) else {"__list__": tree}
+    if len(value) > 32 and all(type(v) is float for v in value):
+        return {"__floats__": _encode_array(np.asarray(value, float), target, path), "tuple": isinstance(value, tuple)}
+    items = [encode(v, target, _join(path, str(i))) for i, v in enumerate(value)]
+    return {"__tuple__": items} if isinstance(value, tuple) else items
+
+
+def _join(path: str, name: str) -> str:
+    clean = name.replace("/", "_").replace(".", "_") or "_"
+    return f"{path}/{clean}" if path else clean
