@@ -338,8 +338,8 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
     case = found.best.case
     if case.kinds == AT_ONE_LOCATION:
         notes.append(
-            "effects between two locations (coupling, gyroscopic, circulatory) were not looked for: the error of the idle model on the idle "
-            "FRFs themselves is too large for anything to be explained; name them in [analysis] kinds to look for them"
+            "effects between two locations (coupling, gyroscopic, circulatory) were not looked for: the error of the idle model on the "
+            "idle FRFs themselves is too large for anything to be explained; name them in [analysis] kinds to look for them"
         )
     count = len(case.dofs) - case.forward.responses.size
     if count:
