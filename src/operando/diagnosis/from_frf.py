@@ -32,7 +32,7 @@ from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
-from operando.diagnosis.verdict import judged, no_other_answer, others, verdict, with_validation
+from operando.diagnosis.verdict import no_other_answer, others, verdict, verdict_and_reason, with_validation
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
@@ -131,7 +131,7 @@ def diagnose_frf(
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
             if rest is not None and rest.state.alpha > EXPLAINED:
                 return False
-            return judged(found, None)[0] in ("partial", "unexplained") or unlike_days(found.best)
+            return verdict_and_reason(found, None)[0] in ("partial", "unexplained") or unlike_days(found.best)
 
         found = with_validation(found)
         # effects at two sensors may stand for one between them, and an absorber for a mode that is lacking

@@ -167,12 +167,12 @@ def verdict(found: Found, rest: State | None) -> Verdict:
     chi, db = on_validation_lines(best)
     rivals, probability = others(found)
     blind = unseen(best)
-    name, why = judged(found, rest, blind)
+    name, why = verdict_and_reason(found, rest, blind)
     terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
     return Verdict(name, why, terms, tuple(s.terms for s in rivals), probability, chi, db, tuple(blind), detectable(best))
 
 
-def judged(found: Found, rest: State | None, blind: Sequence[float] = ()) -> tuple[str, str]:
+def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] = ()) -> tuple[str, str]:
     """Name of the verdict and its ground, by the rules of the specification.
 
     Parameters
