@@ -25,9 +25,9 @@ from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.search import (
-    GROWN,
     MOST_SETTLED,
     RIVALS,
+    WAYS,
     Found,
     Search,
     Start,
@@ -644,7 +644,7 @@ def test_states_30_nats_below_the_best_are_scanned_for_one_effect_more_and_40_be
         return replace(base, x=replace(base.x, terms=terms), log_evidence=base.log_evidence - below)
 
     pool = {s.key: s for s in (told((mass,), 0), told((spring,), 29), told((damper,), 39), told((mass, spring), 1))}
-    assert [s.terms for s in leaders(pool, GROWN, 9)] == [(mass,), (spring,)]  # what only adds to the best is not asked again
+    assert [s.terms for s in leaders(pool, WAYS, 9)] == [(mass,), (spring,)]  # what only adds to the best is not asked again
     assert [s.terms for s in leaders(pool, RIVALS, 9)] == [(mass,), (spring,), (damper,)]
     assert [s.terms for s in leaders(pool, RIVALS, 1)] == [(mass,)]
 

@@ -23,10 +23,9 @@ from operando.structure.effects import kind_of
 Array = NDArray[Any]
 _DECADES = np.linspace(-5, 3, 25)  # of sizes about that which stops a place
 _AT_ONCE = 2  # columns of all DOFs at a time
-COLUMNS = (
-    24  # of them, which tell the directions as all do: of 81 points of a plate as many were kept, and the evidence was the same to 1e-9
-)
 HELD = 1e-7  # standard deviation of a value that no fit moves, on its search scale
+COLUMNS = 24
+"""Columns that tell the directions of an idle model as all do: of 81 points of a plate as many were kept, the evidence equal to 1e-9."""
 
 
 class Case:
@@ -126,8 +125,8 @@ class Case:
         noise = np.sqrt(np.median(lines.variance[at][:, lines.there], axis=1) * lines.correlated / 2)
         noise = np.maximum(noise, 1e-3 * lines.level[at][:, lines.there].mean(1)) / np.sqrt(lines.stride)
         whole, each = np.zeros((g, g)), np.zeros((dofs, forward.n_shape, forward.n_shape))
-        some_dofs = np.unique(np.linspace(0, dofs - 1, min(COLUMNS, dofs)).round().astype(int))
-        for columns in np.array_split(some_dofs, -(-some_dofs.size // _AT_ONCE)):
+        taken = np.unique(np.linspace(0, dofs - 1, min(COLUMNS, dofs)).round().astype(int))
+        for columns in np.array_split(taken, -(-taken.size // _AT_ONCE)):
             plain = Between(idle, columns, self.band, {})
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
             made = some.predict(replace(some.start, terms=idle.lacking_term), w)
@@ -139,8 +138,8 @@ class Case:
                 start = g + number * forward.n_shape
                 far = made.shared[:, dof, :, start : start + forward.n_shape] / noise[:, None, None]
                 each[dof] += _power(far.reshape(1, -1, forward.n_shape))[0]
-        values, vectors = np.linalg.eigh(whole * dofs / some_dofs.size)
-        values_own, vectors_own = np.linalg.eigh(each * dofs / some_dofs.size)
+        values, vectors = np.linalg.eigh(whole * dofs / taken.size)
+        values_own, vectors_own = np.linalg.eigh(each * dofs / taken.size)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]
         kept = max(1, int((values_own > LEAST_MOVE).sum(axis=1).max()))
         told = values > LEAST_MOVE
