@@ -558,6 +558,8 @@ def test_a_damper_within_four_spreads_of_a_joint_is_told_as_a_difference_of_days
         assert no_more_than_days(days, damper) == named
         assert not no_more_than_days(same, damper)  # where nothing was touched nothing differs
     assert not no_more_than_days(days, Term("ground_spring", (1,), (float(np.log(0.01 * 2.5e4)),)))
+    for kind in ("gyroscopic", "circulatory"):  # changes no mode at first order, and no joint does it
+        assert not no_more_than_days(days, Term(kind, (0, 2), (float(np.log(0.01)),)))
     state = fit(days, started(days, (Term("ground_damper", (1,), (float(np.log(1e-3)),)),)), 0.05)
     assert score(state) == -np.inf
 

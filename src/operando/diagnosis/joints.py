@@ -14,7 +14,8 @@ def no_more_than_days(case: Case, term: Term) -> bool:
 
     Where days differ, one joint may lose more than the others, and a normal law of all joints has no place for it: a damper there is
     the more probable the less the others differ. It counts as a difference of days while it changes the damping of no mode in band by
-    more than four standard deviations of what a joint does, and frequencies by less of theirs, one at most.
+    more than four standard deviations of what a joint does, and frequencies by less of theirs, one at most. What couples two directions
+    without reciprocity, as a rotor does, is nothing a joint does, and at first order it changes no mode: it is an effect at any size.
 
     Parameters
     ----------
@@ -24,7 +25,7 @@ def no_more_than_days(case: Case, term: Term) -> bool:
         At first order in what it adds to each mode of the idle model.
     """
     spreads, idle = case.between.spreads, case.idle
-    if not (term.structural and spreads.get("damping_local") and spreads.get("mode")):
+    if not (term.structural and term.definition.symmetric and spreads.get("damping_local") and spreads.get("mode")):
         return False
     modes = [r for r in idle.modes if case.band[0] < idle.f[r] < case.band[1] and r != idle.lacking]
     w = 2 * np.pi * idle.f[modes]
