@@ -13,11 +13,12 @@ from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
-from operando.diagnosis.hypotheses import _apart
+from operando.diagnosis.hypotheses import _apart, with_mode
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import fit
+from operando.diagnosis.rival import score
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import unseen
@@ -160,11 +161,30 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
 
 
 def test_no_mode_is_lacking_where_what_is_left_does_not_add_to_its_drive_points():
-    one = case(references=(0,))
-    state = fit(one, one.forward.start)
-    lines = one.lines
-    lines._all = (lines._all[0], 0.5 * lines._all[1], *lines._all[2:])  # everything half as large: every residue is negative
-    assert with_lacking(state) is None
+    there = rest((0,))
+    half = replace(there, data=0.5 * there.data)  # every residue of what is left is negative
+
+    def again(idle):
+        return [Case(idle, half, BAND, correlated=1.0)]
+
+    [one] = again(Idle.of(identified((0,)), BAND, DOFS[:1]))
+    state = replace(fit(one, one.forward.start), x=one.forward.start)
+    assert with_lacking(state) is not None
+    assert with_mode(state, again, score(state), lambda text: None) is None
+
+
+def test_a_lacking_mode_is_looked_at_though_what_is_left_at_its_drive_point_has_the_other_sign():
+    w, zeta, _, _ = modes()
+    there, pole = rest((0,)), 1.07 * w[1]
+    shape = np.array([0.03, 0.8, -0.6, 0.5, -0.7])  # hardly driven: other errors are larger at the drive point
+    line = 2j * np.pi * HZ
+    own = line**2 / (pole**2 + line**2 + 2 * zeta[1] * pole * line)
+    sign = np.array([-1, 1, 1, 1, 1])
+    lacking = replace(there, data=there.data + (sign * shape * shape[0])[:, None, None] * own)
+    one = Case(Idle.of(identified((0,)), BAND, DOFS[:1]), lacking, BAND, correlated=1.0)
+    grown = with_lacking(replace(fit(one, one.forward.start), x=one.forward.start))
+    assert grown.f[grown.lacking] == pytest.approx(pole / 2 / np.pi, rel=1e-3)
+    assert np.all(grown.phi[1:, grown.lacking] * grown.phi[1, grown.lacking] * shape[1:] * shape[1] > 0)
 
 
 def operating_modes(heavier):

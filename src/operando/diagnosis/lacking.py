@@ -21,9 +21,7 @@ _WIDE = 2.0  # standard deviation of its shape, over the rms of what is seen: no
 
 
 def with_lacking(state: State, hz: float | None = None) -> Idle | None:
-    """The idle model with one more mode, at the pole whose free residues take most from what a state leaves; None where no mode has them.
-
-    A mode adds to its drive points: residues that do not are none.
+    """The idle model with one more mode, at the pole whose free residues take most from what a state leaves; None where none takes any.
 
     Parameters
     ----------
@@ -66,9 +64,10 @@ def with_lacking(state: State, hz: float | None = None) -> Idle | None:
     columns = [i for i, r in enumerate(forward.references) if int(r) in row]
     rows = [row[int(forward.references[i])] for i in columns]
     across = float(u[rows, 0] @ vh[0, columns]) if rows else 0.0
-    if not (fall > 0 and across > 0):
+    if not (fall > 0 and across):
         return None
-    shape[forward.responses] = u[:, 0] * np.sqrt(s[0] * float(vh[0, columns] @ vh[0, columns]) / across)
+    # a mode adds to its drive points; near a node there, what is left of other modes hides the sign, and the fit decides
+    shape[forward.responses] = u[:, 0] * np.sqrt(s[0] * float(vh[0, columns] @ vh[0, columns]) / abs(across))
     return _grown(state, at, zeta, shape)
 
 
