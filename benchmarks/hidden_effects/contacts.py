@@ -71,6 +71,8 @@ def hide_contact(
         if size is None:
             continue
         parameters, law, rate = _law(kind, size, deflection, speed, rng, float(row @ row))
+        if kind == "quadratic_damping" and 2 * parameters["coefficient"] * 6 * speed * float(row @ row) > RATE * FINE:
+            continue  # at six times the rms speed it brakes the place within one step: the integration would run away
         unit = UNITS.get(kind, PLAIN)
         effect = {
             "kind": kind,
