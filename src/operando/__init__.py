@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from operando.data import FrequencyAxis as FrequencyAxis
     from operando.data import Frf as Frf
     from operando.data import Geometry as Geometry
+    from operando.data import ModalCoupling as ModalCoupling
     from operando.data import ModalModel as ModalModel
     from operando.data import ResidualTerms as ResidualTerms
     from operando.data import TimeRecord as TimeRecord
@@ -64,6 +65,7 @@ _WHERE = {
     "FrequencyAxis": "operando.data",
     "Frf": "operando.data",
     "Geometry": "operando.data",
+    "ModalCoupling": "operando.data",
     "ModalModel": "operando.data",
     "ResidualTerms": "operando.data",
     "TimeRecord": "operando.data",

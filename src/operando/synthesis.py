@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.errors import DataError
 
-_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
+POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
 _CACHE_VALUES = 4096
@@ -80,15 +80,26 @@ def modal_kernel(
     DataError
         If the quantity is unknown.
     """
-    if quantity not in _POWER:
-        raise DataError(f"quantity {quantity!r} is none of {', '.join(_POWER)}")
+    if quantity not in POWER:
+        raise DataError(f"quantity {quantity!r} is none of {', '.join(POWER)}")
     s = 2j * np.pi * np.asarray(frequencies_hz, float) + rate
     w0, zeta = 2 * np.pi * np.asarray(mode_hz, float), np.asarray(damping_ratios, float)
-    top = s ** _POWER[quantity]
+    top = s ** POWER[quantity]
     out = np.empty((w0.size, s.size), complex)
     for rows in row_blocks(*out.shape):
         np.multiply(compliance(s, w0[rows], zeta[rows]), top, out=out[rows])
     return out
+
+
+def second_order_poles(
+    mass: NDArray[np.float64], damping: NDArray[np.float64], stiffness: NDArray[np.float64]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+    """Poles (2n,), right and left vectors (n, 2n) of (M λ² + C λ + K) v = 0 with (M s² + C s + K)⁻¹ = Σ v lᵀ/(s − λ)."""
+    n = len(mass)
+    inverse = np.linalg.inv(mass)
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
+    poles, vectors = np.linalg.eig(state)
+    return poles, vectors[:n], (np.linalg.inv(vectors)[:, n:] @ inverse).T
 
 
 def kernel_derivatives(

@@ -1,6 +1,7 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
 from operando.data.arrays import complex_of
+from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding, group_findings
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
@@ -11,6 +12,7 @@ from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.objects import Saved, Short, counted, expect, names_text, plots, several
 from operando.data.provenance import Provenance, file_hash
 from operando.data.quantities import QUANTITIES, quantity_named, unit_of
+from operando.data.receptances import Receptances
 from operando.data.time import Channel, TimeRecord
 
 __all__ = [
@@ -24,9 +26,11 @@ __all__ = [
     "Frf",
     "Geometry",
     "MappedSamples",
+    "ModalCoupling",
     "ModalModel",
     "ModalTerms",
     "Provenance",
+    "Receptances",
     "ResidualTerms",
     "RowStatistics",
     "Saved",

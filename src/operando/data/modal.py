@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
+from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.modal_figures import ModalFigures
@@ -18,9 +19,10 @@ from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_terms, 
 from operando.data.objects import Noun, counted, names_text
 from operando.data.provenance import Provenance
 from operando.data.quantities import quantity_named
+from operando.data.receptances import Receptances
 from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
 from operando.errors import DataError
-from operando.synthesis import synthesis_variance, synthesise
+from operando.synthesis import POWER, synthesis_variance, synthesise
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,6 +62,8 @@ class ModalModel(ModalFigures, Noun):
         Where it came from.
     details : object, optional
         What the identification kept (stabilisation diagram, rejected poles, …); not part of the physics.
+    coupling : ModalCoupling, optional
+        Damping that ties all terms to each other, of a model of unit modal mass: its FRFs have it. Counts as known in variances.
 
     Raises
     ------
@@ -88,6 +92,7 @@ class ModalModel(ModalFigures, Noun):
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance)
     details: Any = None
+    coupling: ModalCoupling | None = None
 
     def __post_init__(self) -> None:
         put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
@@ -111,6 +116,8 @@ class ModalModel(ModalFigures, Noun):
             raise DataError(f"scaling {self.scaling!r} is neither unit_modal_mass nor unscaled")
         if self.scaling == "unit_modal_mass" and np.iscomplexobj(self.terms.shapes):
             raise DataError("shapes of unit modal mass must be real")
+        if self.coupling is not None and (self.scaling != "unit_modal_mass" or self.coupling.lag.shape != self.terms.shapes.shape):
+            raise DataError(f"damping between terms of lags {self.coupling.lag.shape} does not belong to this model")
         p = self.n_parameters
         if self.covariance is not None and self.covariance.shape != (p, p):
             raise DataError(f"covariance has shape {self.covariance.shape}, expected {(p, p)}")
@@ -131,6 +138,7 @@ class ModalModel(ModalFigures, Noun):
         in_band: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
         std: dict[str, NDArray[np.float64]] | None = None,
+        coupling: ModalCoupling | None = None,
         **others: Any,
     ) -> ModalModel:
         """A model from arrays over modes and residual terms in any order: the modes come first, both kinds keep their order.
@@ -149,6 +157,8 @@ class ModalModel(ModalFigures, Noun):
             Of θ in the order given; it is put into the order of the model.
         std : dict, optional
             In the order given, too.
+        coupling : ModalCoupling, optional
+            In the order given, too.
         **others
             As for :class:`ModalModel`.
 
@@ -164,7 +174,7 @@ class ModalModel(ModalFigures, Noun):
         if mask.shape != hz.shape or inside.shape != hz.shape:
             raise DataError("residual and in_band need one entry a term")
         given = None if covariance is None else frozen(covariance, float, 2, "covariance")
-        terms = ModalTerms(hz, zeta, values, labels, mask, inside, given, std)
+        terms = ModalTerms(hz, zeta, values, labels, mask, inside, given, std, coupling)
         if given is not None and given.shape != (terms.n_parameters,) * 2:
             raise DataError(f"covariance has shape {given.shape}, expected {(terms.n_parameters,) * 2}")
         if np.any(mask[:-1] & ~mask[1:]):
@@ -173,7 +183,7 @@ class ModalModel(ModalFigures, Noun):
         rest = ResidualTerms(terms.frequencies_hz[n:], terms.damping_ratios[n:], terms.shapes[:, n:])
         return cls(
             terms.frequencies_hz[:n], terms.damping_ratios[:n], terms.shapes[:, :n], labels, scaling,
-            residuals=rest, in_band=terms.in_band[:n], covariance=terms.covariance, std=terms.std, **others,
+            residuals=rest, in_band=terms.in_band[:n], covariance=terms.covariance, std=terms.std, coupling=terms.coupling, **others,
         )  # fmt: skip
 
     @classmethod
@@ -219,7 +229,13 @@ class ModalModel(ModalFigures, Noun):
         std = self.std
         if std is not None and std.get("shapes") is not None:
             std = std | {"shapes": np.asarray(std["shapes"])[index]}
-        return self.with_terms(shapes=np.asarray(terms.shapes)[index] * sign[:, None], dofs=wanted, covariance=covariance, std=std)
+        return self.with_terms(
+            shapes=np.asarray(terms.shapes)[index] * sign[:, None],
+            dofs=wanted,
+            covariance=covariance,
+            std=std,
+            coupling=None if self.coupling is None else self.coupling.at(index, sign),
+        )
 
     @property
     def n_modes(self) -> int:
@@ -241,7 +257,7 @@ class ModalModel(ModalFigures, Noun):
             shapes = np.concatenate([shapes, rest.shapes], axis=1)
         residual = np.arange(hz.size) >= self.n_modes
         in_band = np.concatenate([np.asarray(self.in_band, bool), np.zeros(self.n_residuals, bool)])
-        return ModalTerms(hz, zeta, shapes, self.dofs, residual, in_band, self.covariance, self.std)
+        return ModalTerms(hz, zeta, shapes, self.dofs, residual, in_band, self.covariance, self.std, self.coupling)
 
     @property
     def n_parameters(self) -> int:
@@ -281,7 +297,7 @@ class ModalModel(ModalFigures, Noun):
         others = {name: getattr(self, name) for name in ("scaling", "band_hz", "misfit", "si", "findings", "provenance", "details")}
         return ModalModel.from_terms(
             some.frequencies_hz, some.damping_ratios, some.shapes, self.dofs,
-            residual=some.residual, in_band=some.in_band, covariance=some.covariance, std=some.std, **others,
+            residual=some.residual, in_band=some.in_band, covariance=some.covariance, std=some.std, coupling=some.coupling, **others,
         )  # fmt: skip
 
     def without_residuals(self) -> ModalModel:
@@ -344,7 +360,11 @@ class ModalModel(ModalFigures, Noun):
         refs = self.dofs if references is None else parse_dofs(references)
         axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
         terms = self.terms
-        data = synthesise(axis.values, terms.frequencies_hz, terms.damping_ratios, terms.rows(resp), terms.rows(refs), quantity)
+        if self.coupling is None:
+            data = synthesise(axis.values, terms.frequencies_hz, terms.damping_ratios, terms.rows(resp), terms.rows(refs), quantity)
+        else:
+            tied = Receptances(terms, axis.values)
+            data = tied.between(tied.rows(resp), tied.rows(refs)) * (2j * np.pi * axis.values) ** POWER[quantity]
         own = None
         if variance and self.covariance is not None:
             rows, columns = match_dofs(resp, self.dofs)[0], match_dofs(refs, self.dofs)[0]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
+from operando.data.coupling import ModalCoupling
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
 
@@ -71,6 +72,8 @@ class ModalTerms:
         Of θ.
     std : dict or None
         Standard deviations ``{"frequencies_hz", "damping_ratios", "shapes"}`` of all terms, where no full covariance is kept.
+    coupling : ModalCoupling or None
+        Damping that ties them to each other.
     """
 
     frequencies_hz: NDArray[np.float64]
@@ -81,11 +84,19 @@ class ModalTerms:
     in_band: NDArray[np.bool_]
     covariance: NDArray[np.float64] | None = None
     std: dict[str, NDArray[np.float64]] | None = None
+    coupling: ModalCoupling | None = None
 
     @property
     def n(self) -> int:
         """Number of terms: modes and residual terms."""
         return int(self.frequencies_hz.size)
+
+    @property
+    def quadratic(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Damping [1/s] and stiffness [1/s²] matrices in modal coordinates of unit mass."""
+        w = 2 * np.pi * self.frequencies_hz
+        damping = np.diag(2 * self.damping_ratios * w)
+        return damping if self.coupling is None else damping + self.coupling.damping, np.diag(w**2)
 
     @property
     def n_parameters(self) -> int:
@@ -140,7 +151,8 @@ class ModalTerms:
         if self.std is not None:
             std = {k: np.asarray(v)[..., index] for k, v in self.std.items() if v is not None}
         hz, zeta, shapes = self.frequencies_hz[index], self.damping_ratios[index], self.shapes[:, index]
-        return ModalTerms(hz, zeta, shapes, self.dofs, self.residual[index], self.in_band[index], covariance, std)
+        coupling = None if self.coupling is None else self.coupling.select(index)
+        return ModalTerms(hz, zeta, shapes, self.dofs, self.residual[index], self.in_band[index], covariance, std, coupling)
 
 
 def checked_terms(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Geometry, ModalModel
+from operando.data import Geometry, ModalCoupling, ModalModel
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
 from operando.structure import Model
@@ -33,10 +33,28 @@ def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effec
     return tuple(out)
 
 
+def coupling_of(state: State, more: float) -> ModalCoupling | None:
+    """Damping that ties the terms to each other and to what lies outside the band, as a state has it; None where modes are real.
+
+    All damping is ``more`` times as large as at rest; effects stay out.
+    """
+    forward, x = state.case.forward, state.x
+    idle, known, n, modes = forward.idle, forward.between, forward.idle.f.size, forward.modes
+    part = known.shared_parts(x.d)
+    between = idle.between + idle.between_root @ x.g + part["damping_between"]
+    if not (between.any() or idle.complex):
+        return None
+    damping, lag = np.zeros((n, n)), np.zeros((len(idle.dofs), n))
+    damping[known.first, known.second] = between * known.damping_scale * more
+    if idle.complex:
+        lag[:, modes] = idle.late(x.g, x.own[:, : forward.n_shape])[0]
+    return ModalCoupling(damping + damping.T, lag)
+
+
 def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -> Model:
     """Idle model moved by what the check taught of it, with stiffness and damping of that day, and the effects.
 
-    Gains of channels, places of sensors and what ties modes to each other stay out: they are no structure, or no real mode has them.
+    Gains of channels and places of sensors stay out: they are no structure. So does what ties modes by stiffness from day to day.
 
     Parameters
     ----------
@@ -61,6 +79,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     used = {i for t in state.terms for i in t.places}
     kept = np.array([i for i in range(dofs) if i not in moved.midway or i in used])
     at_rest = np.array([r for r in range(n) if r != moved.lacking])
+    coupling = coupling_of(state, more)
     updated = idle.with_terms(
         frequencies_hz=f[at_rest],
         damping_ratios=zeta[at_rest],
@@ -68,6 +87,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         dofs=tuple(moved.dofs[i] for i in kept),
         covariance=None,
         std=None,
+        coupling=None if coupling is None else coupling.select(at_rest).at(kept, np.ones(kept.size)),
     )
     if geometry is not None:
         gone = {moved.dofs[i].node for i in moved.midway if i not in used}

@@ -333,7 +333,7 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
     elif rest.again:
         notes.append(
             f"the idle model was fitted to the idle FRFs again, with complex modes; {100 * rest.state.alpha:.2g} % of them stay "
-            "unexplained. The model with the effects holds real modes: its FRFs leave out what ties the modes to each other"
+            "unexplained. The FRFs of the model with the effects have what ties the modes to each other; its idle modes alone do not"
         )
     case = found.best.case
     if case.kinds == AT_ONE_LOCATION:

@@ -116,7 +116,7 @@ class Idle:
 
     @classmethod
     def of(cls, model: ModalModel, band: tuple[float, float], driven: Sequence[Dof]) -> Idle:
-        """Of a fitted model: real modes, no damping between them. A residual term in band is a mode.
+        """Of a fitted model, with the damping that ties its modes where it has one, as known. A residual term in band is a mode.
 
         Parameters
         ----------
@@ -146,11 +146,17 @@ class Idle:
             own, _ = _root(covariance[np.ix_(mine, mine)] - given @ given.T)
             shape_own[i, :, : own.shape[1]] = own
         pairs = m * (m - 1) // 2
+        between, lag = np.zeros(pairs), np.zeros((d, m))
+        if model.coupling is not None:
+            modes, (first, second) = np.flatnonzero(~residual), np.triu_indices(m, 1)
+            loss = 2 * zeta * 2 * np.pi * f
+            lag = np.array(model.coupling.lag[:, modes])
+            between = model.coupling.damping[modes[first], modes[second]] / np.sqrt(loss[modes[first]] * loss[modes[second]])
         none = Moves(np.zeros((d, m, root.shape[1])), np.zeros((d, m, t)))
         was_driven = np.zeros(d, bool)
         was_driven[at] = True
         return cls(
-            f, zeta, phi, residual, tuple(terms.dofs), np.zeros(pairs), np.zeros((d, m)),
+            f, zeta, phi, residual, tuple(terms.dofs), between, lag,
             root[:t], root[t : 2 * t], np.zeros((pairs, root.shape[1])), Moves(shape_shared, shape_own), none,
             was_driven,
         )  # fmt: skip

@@ -219,7 +219,7 @@ def along_axes(model: ModalModel, directions: Mapping[str, Sequence[float]], nam
             action="model.h5 and summary.json have the values as measured",
         )
     )
-    return model.with_terms(shapes=shapes, dofs=tuple(dofs), covariance=None, std=None)
+    return model.with_terms(shapes=shapes, dofs=tuple(dofs), covariance=None, std=None, coupling=None)
 
 
 def ofrf_lines(results: Results) -> Any:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from operando.data import ModalModel
 from operando.errors import IdentificationError
 from operando.structure.effects import Effect, Quadratic
+from operando.synthesis import second_order_poles
 
 Array = NDArray[Any]
 Placed = Sequence[tuple[Effect, Array]]
+Acting = Sequence[tuple[Effect, Array, Array]]  # with its displacements by the modal coordinates, and how these lag (times s)
 
 _ITERATIONS = 40
 _CLOSE = 1e-11
@@ -29,19 +31,18 @@ class RunningDetails:
 
     left: Array | None
     """Left shapes l (n_dofs, n_terms) of such a scale that the receptance is Σ ψ lᵀ/(iω − λ) and its conjugate part, where no pole is
-    real; equal to the shapes up to a factor unless an effect is skew. None where an effect has no finite number of poles."""
+    real; equal to the shapes up to a factor unless an effect is skew. None where an effect has no finite number of poles, or shapes lag."""
     real_poles: NDArray[np.float64]
     """Poles without oscillation [rad/s], which have no frequency."""
 
 
-def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tuple[Effect, Array]]]:
-    """M, C, K over the idle modes of unit modal mass followed by the effects' internal coordinates.
+def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tuple[Effect, Array, Array]]]:
+    """M, C, K over the idle modes of unit modal mass followed by the effects' internal coordinates; without lags of shapes.
 
-    The effects that say no M, C, K of their own (hysteretic, rubber) stand apart, each with its displacements by the coordinates.
+    The effects that say no M, C, K of their own (hysteretic, rubber) stand apart.
     """
     n = base.terms.n
-    w = 2 * np.pi * base.terms.frequencies_hz
-    mass, damping, stiffness = np.eye(n), np.diag(2 * base.terms.damping_ratios * w), np.diag(w**2)
+    mass, (damping, stiffness) = np.eye(n), base.terms.quadratic
     rest = []
     for effect, weights in placed:
         at = np.asarray(weights @ base.terms.shapes)
@@ -57,23 +58,25 @@ def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tu
         grown = [np.pad(a, (0, inner)) for a in (mass, damping, stiffness)]
         parts = [effect.sign * (wide.T @ a @ wide) for a in (form.mass, form.damping, form.stiffness)]
         mass, damping, stiffness = (a + b for a, b in zip(grown, parts, strict=True))
-    return Quadratic(mass, damping, stiffness), [(e, np.pad(at, ((0, 0), (0, mass.shape[0] - n)))) for e, at in rest]
+    padded = [(e, np.pad(at, ((0, 0), (0, mass.shape[0] - n)))) for e, at in rest]
+    return Quadratic(mass, damping, stiffness), [(e, at, np.zeros_like(at)) for e, at in padded]
 
 
-def eigenpairs(form: Quadratic) -> tuple[Array, Array, Array]:
-    """Poles (2n,), right and left vectors (n, 2n) of (M λ² + C λ + K) v = 0 with H(s) = Σ v lᵀ/(s − λ)."""
-    n = form.internal
-    inverse = np.linalg.inv(form.mass)
-    state = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ form.stiffness, -inverse @ form.damping]])
-    poles, vectors = np.linalg.eig(state)
-    return poles, vectors[:n], (np.linalg.inv(vectors)[:, n:] @ inverse).T
+def acting(base: ModalModel, placed: Placed) -> list[tuple[Effect, Array, Array]]:
+    """All effects by their dynamic stiffness over the modal coordinates alone, lags of shapes included."""
+    lag = _lag(base)
+    return [(effect, np.asarray(weights @ base.terms.shapes), np.asarray(weights @ lag)) for effect, weights in placed]
+
+
+def _lag(base: ModalModel) -> Array:
+    return np.zeros(base.terms.shapes.shape) if base.coupling is None else base.coupling.lag
 
 
 def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
     """Poles and complex shapes of the idle modes and residual terms under effects of dynamic stiffness.
 
-    The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, all zeros of
-    det D(λ) at once by Ehrlich's and Aberth's iteration. Poles without oscillation are told in the details.
+    The eigenproblem of M λ² + C λ + K in modal coordinates, with the effects' internal ones; where an effect is no M, C, K, or acts where
+    shapes lag, all zeros of det D(λ) at once by Ehrlich's and Aberth's iteration. Poles without oscillation are told in the details.
 
     Returns
     -------
@@ -87,21 +90,25 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
         If the poles under an effect that is no M, C, K are not found.
     """
     form, rest = modal_matrices(base, placed)
-    exact = not rest
-    poles, right, left = eigenpairs(_replaced(base, form, rest))
+    lag = _lag(base)
+    exact = not rest and not (placed and lag.any())
+    near = _replaced(base, form, rest)
+    poles, right, left = second_order_poles(near.mass, near.damping, near.stiffness)
     real = np.abs(poles.imag) <= 1e-9 * np.abs(poles)
     up = np.flatnonzero(~real & (poles.imag > 0))
     up = up[np.argsort(np.abs(poles[up]))]
     n = base.terms.n
     value, vector = poles[up], right[:, up]
     if not exact:
+        if lag.any():
+            form, rest = modal_matrices(base, ())[0], acting(base, placed)
         value = _refined(form, rest, value)
         vector = _vectors(form, rest, value)
     shares = np.abs(vector[:n]) ** 2 / np.linalg.norm(vector[:n], axis=0) ** 2
     residual = shares[base.terms.residual].sum(axis=0) > 0.5
     order = np.argsort(residual, kind="stable")
     value, q, up, residual = value[order], vector[:n, order], up[order] if exact else up, residual[order]
-    shapes = base.terms.shapes @ q
+    shapes = base.terms.shapes @ q - (lag @ q) * value
     scale = _normal(shapes)
     hz = np.abs(value) / 2 / np.pi
     low, high = _band(base)
@@ -116,7 +123,7 @@ def running_modes(base: ModalModel, placed: Placed) -> ModalModel:
         band_hz=base.band_hz,
         si=base.si,
         provenance=base.provenance.then("running_modes"),
-        details=RunningDetails((base.terms.shapes @ left[:n, up]) * scale if exact else None, np.sort(poles[real].real)),
+        details=RunningDetails(None if not exact or lag.any() else (base.terms.shapes @ left[:n, up]) * scale, np.sort(poles[real].real)),
     )
 
 
@@ -137,14 +144,14 @@ def _band(base: ModalModel) -> tuple[float, float]:
     return (0.8 * float(inside.min()), 1.2 * float(inside.max())) if inside.size else (0.0, np.inf)
 
 
-def _replaced(base: ModalModel, form: Quadratic, rest: Sequence[tuple[Effect, Array]]) -> Quadratic:
+def _replaced(base: ModalModel, form: Quadratic, rest: Acting) -> Quadratic:
     """The same with spring and mass of the same dynamic stiffness, at the median of the frequencies, in place of what is no M, C, K.
 
     No damper: a strong one would make poles real that are not, and so lose them.
     """
     w = 2 * np.pi * float(np.median(base.terms.frequencies_hz))
     mass, stiffness = form.mass.copy(), form.stiffness.copy()
-    for effect, at in rest:
+    for effect, at, _ in rest:
         z, slope = _stiffness(effect, at, np.array([1j * w]))
         inertia = slope[0].imag / 2 / w
         size, axes = np.linalg.eigh((inertia + inertia.T) / 2)
@@ -161,17 +168,19 @@ def _stiffness(effect: Effect, at: Array, s: Array) -> tuple[Array, Array]:
     return z[0], (z[1] - z[2]) / (2 * h)[:, None, None]
 
 
-def _system(form: Quadratic, rest: Sequence[tuple[Effect, Array]], s: Array) -> tuple[Array, Array]:
+def _system(form: Quadratic, rest: Acting, s: Array) -> tuple[Array, Array]:
     """D(s) and dD/ds at each s [rad/s]: (l, n, n)."""
     s3 = s[:, None, None]
     d, slope = (form.mass * s3 + form.damping) * s3 + form.stiffness, 2 * form.mass * s3 + form.damping
-    for effect, at in rest:
+    for effect, at, late in rest:
         z, dz = _stiffness(effect, at, s)
-        d, slope = d + at.T @ z @ at, slope + at.T @ dz @ at
+        p = at - s3 * late
+        turned = np.swapaxes(p, 1, 2)
+        d, slope = d + turned @ z @ p, slope + turned @ dz @ p - late.T @ z @ p - turned @ z @ late
     return d, slope
 
 
-def _refined(form: Quadratic, rest: Sequence[tuple[Effect, Array]], start: Array) -> Array:
+def _refined(form: Quadratic, rest: Acting, start: Array) -> Array:
     """Zeros of det D(λ) above the real axis from starting values, by frequency: Newton's steps that keep off each other's zeros.
 
     One at a time, Newton's method takes several starting values to the same zero and loses the others; Ehrlich's and Aberth's step
@@ -207,14 +216,14 @@ def _refined(form: Quadratic, rest: Sequence[tuple[Effect, Array]], start: Array
         lost = ", ".join(f"{abs(v) / 2 / np.pi:.4g}" for v in value[change > _SETTLED])
         raise IdentificationError(
             f"poles of the running structure are not found (near {lost} Hz)",
-            where=", ".join(effect.kind for effect, _ in rest),
+            where=", ".join(effect.kind for effect, _, _ in rest),
             hint="its frequency response by Model.frf does not need them; or give the kind its M, C, K by `quadratic`",
         )
     value = value[value.imag > 1e-9 * np.abs(value)]
     return np.asarray(value[np.argsort(np.abs(value))])
 
 
-def _vectors(form: Quadratic, rest: Sequence[tuple[Effect, Array]], poles: Array) -> Array:
+def _vectors(form: Quadratic, rest: Acting, poles: Array) -> Array:
     """Right vectors D(λ) v = 0 in columns; of m equal poles m independent ones."""
     vh = np.linalg.svd(_system(form, rest, poles)[0])[2].conj()
     nth = [int(np.sum(np.abs(poles[:i] - p) < _SETTLED * abs(p))) for i, p in enumerate(poles)]
@@ -249,7 +258,7 @@ def pole_slopes(base: ModalModel, placed: Placed, pole: complex) -> Array:
 
     dλ = −lᵀ dD(λ) v / (lᵀ D'(λ) v).
     """
-    everything = [(effect, np.asarray(weights @ base.terms.shapes)) for effect, weights in placed]  # internal coordinates eliminated
+    everything = acting(base, placed)
     d, slope = (part[0] for part in _system(modal_matrices(base, ())[0], everything, np.array([pole])))
     u, _, vh = np.linalg.svd(d)
     v, left = vh[-1].conj(), u[:, -1].conj()  # D v = 0, lᵀ D = 0
@@ -260,8 +269,8 @@ def pole_slopes(base: ModalModel, placed: Placed, pole: complex) -> Array:
     out[:n] = left * v * (2 * base.terms.damping_ratios * pole + 2 * w) * 2 * np.pi
     out[n : 2 * n] = left * v * 2 * w * pole
     shapes = np.zeros((n, m), complex)
-    for effect, weights in placed:
-        at = np.asarray(weights @ base.terms.shapes)
+    for (effect, weights), (_, own, late) in zip(placed, everything, strict=True):
+        at = own - pole * late
         z = effect.sign * np.asarray(effect.definition.matrix(np.array([pole]), effect.values, at.shape[0]), complex)[0]
         shapes += np.outer(left, weights.T @ (z @ (at @ v))) + np.outer(v, weights.T @ (z.T @ (at @ left)))
     out[2 * n :] = shapes.ravel()

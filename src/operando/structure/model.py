@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
 from operando.structure.effects import Effect, parse_effect, place_weights
 from operando.structure.eigenproblem import running_modes, with_spread
 from operando.structure.low_rank import update_variance, woodbury_core
-from operando.synthesis import modal_kernel
+from operando.synthesis import POWER
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
-_POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
 @dataclass(frozen=True)
@@ -172,15 +171,15 @@ class Model:
         DofError
             If a DOF is not in the idle model.
         """
-        if quantity not in _POWER:
-            raise DataError(f"quantity {quantity!r} is none of {', '.join(_POWER)}")
+        if quantity not in POWER:
+            raise DataError(f"quantity {quantity!r} is none of {', '.join(POWER)}")
         resp = self.idle.dofs if responses is None else parse_dofs(responses)
         refs = self.idle.dofs if references is None else parse_dofs(references)
         axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
         with one_blas_thread():
             data = self._receptance(axis.values, resp, refs)
             own = self._variance(axis.values, resp, refs) if variance else None
-        power = _POWER[quantity]
+        power = POWER[quantity]
         if power:
             factor = (2j * np.pi * axis.values) ** power
             data *= factor
@@ -273,13 +272,13 @@ class Model:
 
     def _receptance(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array:
         base = self._base()
-        lines = _Lines(base, hz)
+        lines = Receptances(base.terms, hz)
         carried, factor = self._channels(resp, refs, hz)
-        h = lines.between(base.terms.rows(carried), base.terms.rows(refs))
+        h = lines.between(lines.rows(carried), lines.rows(refs))
         acting = self._acting()
         if acting:
             weights, z = self._added(base, acting, hz)
-            core, from_o, to_j = self._update(lines, base, weights, z, carried, refs)
+            core, from_o, to_j = self._update(lines, weights, z, carried, refs)
             for a in range(core.shape[0]):
                 seen = np.einsum("bl,bjl->jl", core[a], to_j)
                 h -= from_o[:, a, None] * seen[None]
@@ -298,13 +297,11 @@ class Model:
         return np.concatenate(weights), z
 
     @staticmethod
-    def _update(
-        lines: _Lines, base: ModalModel, weights: Array, z: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]
-    ) -> tuple[Array, Array, Array]:
+    def _update(lines: Receptances, weights: Array, z: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> tuple[Array, Array, Array]:
         """(I + δZ H_BB)⁻¹ δZ, H0_oB and H0_Bj, lines last."""
-        at = weights @ base.terms.shapes
+        at = lines.placed(weights)
         k = at.shape[0]
-        both = lines.between(np.concatenate([base.terms.rows(resp), base.terms.rows(refs), at]), at)
+        both = lines.between(np.concatenate([lines.rows(resp), lines.rows(refs), at]), at)
         return woodbury_core(z, both[-k:]), both[: len(resp)], both[len(resp) : -k].transpose(1, 0, 2)
 
     def _variance(self, hz: Array, resp: tuple[Dof, ...], refs: tuple[Dof, ...]) -> Array | None:
@@ -322,7 +319,7 @@ class Model:
             weights, left, right = np.zeros((0, len(base.dofs))), np.zeros(shape, complex), np.zeros((0, len(refs), hz.size), complex)
             if acting:
                 weights, z = self._added(base, acting, hz)
-                core, from_o, to_j = self._update(_Lines(base, hz), base, weights, z, carried, refs)
+                core, from_o, to_j = self._update(Receptances(base.terms, hz), weights, z, carried, refs)
                 left, right = np.einsum("oal,abl->obl", from_o, core), np.einsum("abl,bjl->ajl", core, to_j)
             shared: tuple[Array, Array] | None = None
             if cross is not None and gradient is not None:
@@ -375,20 +372,3 @@ class Model:
         """Other values of one effect, within its bounds or not, for derivatives: without a covariance."""
         changed = self.effects[number].with_values(**values)
         return replace(self, effects=(*self.effects[:number], changed, *self.effects[number + 1 :]), covariance=None)
-
-
-class _Lines:
-    """Receptances of a modal model on some lines."""
-
-    def __init__(self, model: ModalModel, hz: Array) -> None:
-        kernel = modal_kernel(hz, model.terms.frequencies_hz, model.terms.damping_ratios, "receptance")
-        self.stacked = np.concatenate([kernel.real, kernel.imag], axis=1)
-
-    def between(self, left: Array, right: Array) -> Array:
-        """Σ_r left_r right_r/(ω_r² − ω² + 2iζω_rω): (a, b, lines) of rows (a, n) and (b, n)."""
-        residues = (left[:, None, :] * right[None, :, :]).reshape(-1, left.shape[1])
-        both = residues @ self.stacked
-        half = both.shape[1] // 2
-        out = np.empty((both.shape[0], half), complex)
-        out.real, out.imag = both[:, :half], both[:, half:]
-        return out.reshape(left.shape[0], right.shape[0], half)

@@ -34,6 +34,7 @@ class GlobalStiffness(EffectKind):
             frequencies_hz=terms.frequencies_hz * root,
             damping_ratios=terms.damping_ratios / root,
             covariance=_scaled(idle.covariance, factors),
+            coupling=None if idle.coupling is None else idle.coupling.scaled(1, 1 + values["change"]),
         )
 
 
@@ -52,8 +53,10 @@ class GlobalDamping(EffectKind):
     def modal_change(self, idle: ModalModel, values: Values) -> ModalModel:
         n = idle.terms.n
         factors = np.r_[np.ones(n), np.full(n, 1 + values["change"]), np.ones(idle.n_parameters - 2 * n)]
-        damping = idle.terms.damping_ratios * (1 + values["change"])
-        return idle.with_terms(damping_ratios=damping, covariance=_scaled(idle.covariance, factors))
+        more = 1 + values["change"]
+        coupling = None if idle.coupling is None else idle.coupling.scaled(more, 1)
+        damping = idle.terms.damping_ratios * more
+        return idle.with_terms(damping_ratios=damping, covariance=_scaled(idle.covariance, factors), coupling=coupling)
 
 
 class MissingMode(EffectKind):
@@ -92,6 +95,7 @@ class MissingMode(EffectKind):
             in_band=np.r_[np.asarray(idle.in_band), True],
             covariance=covariance,
             std=None,
+            coupling=None if idle.coupling is None else idle.coupling.with_term(at),
         )
 
 
