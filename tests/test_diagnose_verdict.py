@@ -10,6 +10,8 @@ from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
 from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose
+from operando.diagnosis.criteria import UNUSUAL
+from operando.diagnosis.verdict import moved_peaks, peaks_text
 from operando.results import CheckRun
 from operando.scaling.no_scale import no_scale
 from operando.structure.effects import parse_effect
@@ -111,6 +113,41 @@ def test_effects_without_support_are_candidates_only(chain, idle):  # noqa: F811
     assert all(e.supported for e in found.effects)
     assert found.reason or found.verdict == "unexplained"
     assert found.candidates
+
+
+@pytest.mark.parametrize(("share", "seen"), [(0.99, False), (1.01, True)])
+def test_peaks_have_moved_where_they_lie_beyond_days_and_their_width(share, seen):
+    def row(moved, zeta):
+        return {"frequency_hz": 50.0, "damping_ratio": zeta, "frequency_error_percent": 100 * (1 / (1 + moved) - 1)}
+
+    spreads = {"stiffness": 0.006, "mode": 0.004}
+    days = UNUSUAL * 0.005
+    assert bool(moved_peaks([row(-share * days, 0.001)], spreads)) is seen
+    assert bool(moved_peaks([row(share * 2 * 0.02, 0.02)], spreads)) is seen
+    assert bool(moved_peaks([row(share * 2 * 0.001, 0.001)], {})) is seen  # nothing was touched
+    assert moved_peaks([row(0.5, 0.001) | {"frequency_error_percent": None}], spreads) == []
+    [(hz, percent)] = moved_peaks([row(-0.1, 0.001)], spreads)
+    assert (hz, percent) == (50.0, pytest.approx(-10))
+    assert "to 50 Hz by −10 %" in peaks_text([(hz, percent)])
+
+
+@pytest.mark.parametrize(("changed", "verdict"), [(False, "inconclusive"), (True, "unexplained")])
+def test_peaks_that_moved_are_no_open_question_though_the_idle_model_is_a_poor_one(chain, idle, changed, verdict):  # noqa: F811
+    rng = np.random.default_rng(5)
+
+    def poor(frf):
+        """A third of each FRF off, smoothly over frequency, as no set of modes is."""
+        phase = np.exp(
+            2j * np.pi * (rng.uniform(size=frf.data.shape[:2])[..., None] + HZ / rng.uniform(8, 20, frf.data.shape[:2])[..., None])
+        )
+        return Frf(frf.data * (1 + 0.4 * phase), HZ, frf.responses, frf.references, variance=frf.variance)
+
+    run = running(chain, [0, 3], stiffness=-0.1 * changed * chain.K)
+    run = CheckRun(run.name, run.level, poor(run.frf))
+    found = diagnose(idle, check=[run], idle_frf=poor(running(chain, [0, 3]).frf), kinds=["sensor_polarity"])
+    assert "idle FRFs themselves" in found.reason
+    assert found.verdict == verdict
+    assert ("peaks have moved" in found.reason) is changed
 
 
 def test_one_comparison_has_one_number(chain, idle):  # noqa: F811

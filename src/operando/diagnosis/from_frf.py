@@ -32,7 +32,15 @@ from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
-from operando.diagnosis.verdict import no_other_answer, others, verdict, verdict_and_reason, with_validation
+from operando.diagnosis.verdict import (
+    moved_peaks,
+    no_other_answer,
+    others,
+    peaks_text,
+    verdict,
+    verdict_and_reason,
+    with_validation,
+)
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
@@ -290,6 +298,9 @@ def told(
     floor = floor_db(found.empty)
     if name == "no_misfit" and (hidden := floor_reason(floor)) is not None:
         name, why = "inconclusive", hidden
+    where = where_it_fails(idle, check, band, compared)
+    if name == "inconclusive" and not best.terms and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
+        name, why = "unexplained", f"{why + '; ' if why else ''}{peaks_text(moved)}"
     shown = best.terms if said.terms and name != "unexplained" else ()
     final = best if shown else found.empty
     rows = ladder(final)  # what was found without support is a candidate, and the ladder ends where the model does
@@ -302,7 +313,7 @@ def told(
         proposal(found, replace(said, name=name), rivals),
         tuple(rows),
         tuple(candidate_rows(found)),
-        where_it_fails(idle, check, band, compared),
+        where,
         floor if not shown else floor_db(final),
         ("check_frf",),
         picture(final),

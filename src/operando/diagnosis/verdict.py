@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -17,6 +17,7 @@ from operando.diagnosis.criteria import (
     ONE_SIDED,
     SET,
     SUPPORTED,
+    UNUSUAL,
 )
 from operando.diagnosis.posterior import State, left_on, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
@@ -210,6 +211,42 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     if sets:
         return "ambiguous", "other effects fit as well"
     return "explained", ""
+
+
+def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Peaks of the check that lie off those of the idle model by more than days in a laboratory differ and than their half-power width.
+
+    Peaks and shapes were fitted to the lines near them alone: that they moved is seen also where the idle model as a whole is a poor one.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        ``by_mode`` of the comparison: each measured peak, with the idle model's of the same shape.
+    spreads : mapping
+        Of what differs between the measurements.
+
+    Returns
+    -------
+    list of (float, float)
+        Hz, and by how much it has moved [%].
+    """
+    days = UNUSUAL * float(np.hypot(spreads.get("stiffness", 0.0) / 2, spreads.get("mode", 0.0)))
+    out = []
+    for row in rows:
+        hz, zeta, error = row["frequency_hz"], row["damping_ratio"], row["frequency_error_percent"]
+        if hz is None or zeta is None or error is None:
+            continue
+        moved = 1 / (1 + error / 100) - 1
+        if abs(moved) > max(days, 2 * zeta):
+            out.append((hz, 100 * moved))
+    return out
+
+
+def peaks_text(moved: Sequence[tuple[float, float]], most: int = 4) -> str:
+    """Which peaks have moved, those that moved farthest."""
+    farthest = sorted(sorted(moved, key=lambda row: -abs(row[1]))[:most])
+    named = ", ".join(f"to {hz:.4g} Hz by {'+' if percent > 0 else '−'}{abs(percent):.2g} %" for hz, percent in farthest)
+    return f"{len(moved)} peaks have moved by more than days in a laboratory differ and than their half-power width, the farthest {named}"
 
 
 def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:
