@@ -7,6 +7,8 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.collections import CircleCollection, PathCollection
+from matplotlib.figure import Figure
 
 from operando import plots
 from operando.data import Channel, Finding, Frf, Geometry, ModalModel, TimeRecord
@@ -16,7 +18,7 @@ from operando.errors import DataError, ObjectError
 from operando.indicators import frf_correlation
 from operando.plots.fits import fit_circle
 from operando.plots.mesh import Mesh
-from operando.plots.shapes import draw_shape, real_shape
+from operando.plots.shapes import draw_shape, draw_small, real_shape
 from operando.plots.style import log_axis, new_axes, number, thin
 from operando.stabilization import classify, select_modes, stability_letters
 from structures import Chain
@@ -218,6 +220,25 @@ def test_shapes_stand_where_the_nodes_move(model, chain_geometry):
         plots.plot_shape(model, 0, Geometry((9,), np.zeros((1, 3))))
     with pytest.raises(DataError, match="moves on a geometry"):
         plots.animate_shape(model, 0)
+
+
+def test_small_shapes_are_seen_from_where_large_ones_are(model, chain_geometry):
+    """The picture without axes is that of mplot3d but for its scale, and fills its box."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    mesh, shape = Mesh(chain_geometry, model.dofs), real_shape(model.shapes[:, 3])
+    large = new_axes(4, 4, "3d")
+    moved = draw_shape(large, mesh, shape).placed(shape)[0]
+    figure = Figure(figsize=(5, 3))
+    draw_small(figure, (1.0, 0.5, 3.0, 2.0), mesh, shape)
+    small = np.asarray(figure.findobj(CircleCollection)[0].get_offsets())
+    seen = np.column_stack(proj_transform(*moved.T, large.get_proj()))
+    seen = seen[np.argsort(-seen[:, 2], kind="stable"), :2]  # drawn from the far to the near
+    scale = np.ptp(small[:, 0]) / np.ptp(seen[:, 0])
+    assert np.allclose(small - small[0], scale * (seen - seen[0]), atol=1e-9)
+    corners = np.vstack([p.vertices for c in figure.findobj(PathCollection) for p in c.get_paths()])
+    assert np.max(np.ptp(corners, axis=0) / (3.0, 2.0)) == pytest.approx(0.96)
+    assert (corners.min(axis=0) + corners.max(axis=0)) / 2 == pytest.approx([2.5, 1.5])
 
 
 def test_complex_shapes_are_turned_to_the_real_axis():

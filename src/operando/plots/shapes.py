@@ -17,9 +17,17 @@ from operando.plots.style import GREY, INK, MODEL, ORANGE_PURPLE, colormap, new_
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 ELEVATION, AZIMUTH = 32.0, -58.0
 """View from the front right above [°]."""
+
+_E, _A = np.radians((ELEVATION, AZIMUTH))
+SEEN = np.array(
+    [[-np.sin(_A), np.cos(_A), 0], [-np.sin(_E) * np.cos(_A), -np.sin(_E) * np.sin(_A), np.cos(_E)],
+     [np.cos(_E) * np.cos(_A), np.cos(_E) * np.sin(_A), np.sin(_E)]]
+).T  # fmt: skip
+"""Turns points (n, 3) so that x lies to the right, y up and z towards the eye."""
 
 LARGEST = 0.13
 """Greatest displacement drawn, as part of the diagonal of the structure."""
@@ -239,9 +247,14 @@ def plot_geometry(geometry: Geometry, axes: Axes | None = None, *, dofs: Sequenc
 class Drawn:
     """What of a shape has been drawn, so that it can be moved."""
 
-    def __init__(self, mesh: Mesh, size: float, peak: float) -> None:
-        self.mesh, self.size, self.peak = mesh, size, peak
-        self.direction: NDArray[np.float64] = np.array([0.0, 0.0, 1.0])
+    def __init__(self, mesh: Mesh, shape: NDArray[Any], scale: float = 1.0) -> None:
+        move = mesh.displacements(np.asarray(shape, float))
+        self.mesh, self.size = mesh, LARGEST * scale * mesh.span
+        self.peak = float(np.linalg.norm(move, axis=1).max(initial=0.0)) or 1.0
+        main = np.linalg.svd(move, full_matrices=False)[2][0]
+        self.direction = main * (1 if main[np.argmax(np.abs(main))] >= 0 else -1)
+        joined = {n for group in (*mesh.faces, *mesh.edges) for n in group}
+        self.alone = [n for n in np.flatnonzero(mesh.measured) if n not in joined]
         self.parts: dict[str, Any] = {}
         self.names: list[tuple[Any, int]] = []
 
@@ -269,44 +282,74 @@ class Drawn:
         return [*parts.values(), *(t for t, _ in self.names)]
 
 
-def draw_shape(
-    axes: Axes, mesh: Mesh, shape: NDArray[Any], *, scale: float = 1.0, names: bool = False, bare: bool = False, wide: float = 1.0
-) -> Drawn:
-    """A real shape on three-dimensional axes; ``bare`` without axes, for many small pictures; ``wide`` scales lines and dots."""
+def draw_shape(axes: Axes, mesh: Mesh, shape: NDArray[Any], *, scale: float = 1.0, names: bool = False) -> Drawn:
+    """A real shape on three-dimensional axes."""
     place = _solid(axes)
-    move = mesh.displacements(np.asarray(shape, float))
-    length = np.linalg.norm(move, axis=1)
-    peak = float(length.max()) if length.size and length.max() > 0 else 1.0
-    drawn = Drawn(mesh, LARGEST * scale * mesh.span, peak)
-    main = np.linalg.svd(move, full_matrices=False)[2][0]
-    drawn.direction = main * (1 if main[np.argmax(np.abs(main))] >= 0 else -1)
+    drawn = Drawn(mesh, shape, scale)
     moved, signed = drawn.placed(shape)
     colors = colormap(ORANGE_PURPLE)
-    _lines(place, [mesh.xyz[list(e)] for e in sorted(mesh.outline)], "#c3cbd3", 0.8 * wide)
+    _lines(place, [mesh.xyz[list(e)] for e in sorted(mesh.outline)], "#c3cbd3", 0.8)
     if mesh.faces:
         corners, values = patches(mesh.faces, moved, signed)
         drawn.parts["faces"] = _faces(place, corners, colors(0.5 + 0.46 * values), 1.0)
     if mesh.edges:
-        color, thick = ("#46525d", 0.9) if mesh.faces else (MODEL, 1.4)
-        drawn.parts["edges"] = _lines(place, [moved[list(e)] for e in sorted(mesh.edges)], color, thick * wide)
-    joined = {n for group in (*mesh.faces, *mesh.edges) for n in group}
-    alone = [n for n in np.flatnonzero(mesh.measured) if n not in joined]
-    _lines(place, [np.array([mesh.xyz[n], moved[n]]) for n in alone], MODEL, 1.0 * wide)
+        drawn.parts["edges"] = _lines(place, [moved[list(e)] for e in sorted(mesh.edges)], *_edge_look(mesh))
+    _lines(place, [np.array([mesh.xyz[n], moved[n]]) for n in drawn.alone], MODEL, 1.0)
     shown = mesh.measured
     drawn.parts["nodes"] = place.scatter(
-        *moved[shown].T, s=(4.0 * wide) ** 2, c=colors(0.5 + 0.5 * signed[shown]), edgecolors=INK, linewidths=0.5 * wide, depthshade=False
+        *moved[shown].T, s=16.0, c=colors(0.5 + 0.5 * signed[shown]), edgecolors=INK, linewidths=0.5, depthshade=False
     )
     if names:
         measured = np.flatnonzero(shown)
         texts = _names(place, [mesh.nodes[n] for n in measured], moved[shown], mesh.span)
         drawn.names = list(zip(texts, measured.tolist(), strict=True))
-    turned = [] if bare else [2 * mesh.xyz[shown] - moved[shown]]  # where half a period later stands, which an animation shows
-    _box(place, np.vstack([mesh.xyz, moved[shown], *turned]), mesh.span)
-    if bare:
-        unclipped(place)
-        place.set_axis_off()
-        _fill(place, np.vstack([mesh.xyz, moved[shown]]))
+    turned = 2 * mesh.xyz[shown] - moved[shown]  # where half a period later stands, which an animation shows
+    _box(place, np.vstack([mesh.xyz, moved[shown], turned]), mesh.span)
     return drawn
+
+
+def draw_small(figure: Figure, box: Sequence[float], mesh: Mesh, shape: NDArray[Any], thin: float = 0.65) -> None:
+    """What :func:`draw_shape` shows, flat on the figure and without axes, as large as a box (left, bottom, width, height) [inch] allows."""
+    from matplotlib.collections import CircleCollection, PathCollection, PolyCollection
+    from matplotlib.path import Path
+
+    drawn = Drawn(mesh, shape)
+    moved, signed = drawn.placed(shape)
+    shown = np.flatnonzero(mesh.measured)
+    seen = np.vstack([mesh.xyz, moved[shown]]) @ SEEN[:, :2]
+    low, high, room = seen.min(axis=0), seen.max(axis=0), np.array(box[2:])
+    zoom = 0.96 * float(np.min(room / np.maximum(high - low, 1e-9 * mesh.span)))
+    shift = np.append(box[:2] + room / 2 - zoom * (low + high) / 2, 0)
+    still, moved = (zoom * points @ SEEN + shift for points in (mesh.xyz, moved))
+    colors, inch = colormap(ORANGE_PURPLE), figure.dpi_scale_trans
+    parts: list[tuple[float, Any]] = []  # each with what of it is nearest to the eye
+
+    def strokes(ends: NDArray[np.float64], color: str, width: float) -> None:
+        if ends.size:
+            path = Path(ends[..., :2].reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(ends)))
+            made = PathCollection([path], facecolors="none", edgecolors=color, linewidths=thin * width, transform=inch)
+            parts.append((ends[..., 2].max(), made))
+
+    strokes(still[sorted(mesh.outline)], "#c3cbd3", 0.8)
+    if mesh.faces:
+        corners, values = patches(mesh.faces, moved, signed)
+        far = np.argsort(corners[..., 2].mean(axis=1), kind="stable")
+        fill = colors(0.5 + 0.46 * values[far])
+        parts.append((corners[..., 2].max(), PolyCollection(list(corners[far, :, :2]), facecolors=fill, linewidths=0, transform=inch)))
+    strokes(moved[sorted(mesh.edges)], *_edge_look(mesh))
+    strokes(np.stack([still, moved], axis=1)[drawn.alone], MODEL, 1.0)
+    far = shown[np.argsort(moved[shown, 2], kind="stable")]
+    nodes = CircleCollection(
+        [(4.0 * thin) ** 2], offsets=moved[far, :2], offset_transform=inch, facecolors=colors(0.5 + 0.5 * signed[far]), edgecolors=INK,
+        linewidths=0.5 * thin,
+    )  # fmt: skip
+    parts.append((moved[shown, 2].max(), nodes))
+    for _, part in sorted(parts, key=lambda p: p[0]):
+        figure.add_artist(part)
+
+
+def _edge_look(mesh: Mesh) -> tuple[str, float]:
+    return ("#46525d", 0.9) if mesh.faces else (MODEL, 1.4)
 
 
 def draw_bars(axes: Axes, dofs: Sequence[Dof], shape: NDArray[Any], color: str = MODEL, most: int = 40) -> None:
@@ -370,25 +413,7 @@ def _names(place: Any, nodes: Sequence[object], xyz: NDArray[np.float64], span: 
     return [place.text(*(p + 0.015 * span), str(n), fontsize=7.5, color="#46525d", zorder=20) for n, p in zip(nodes, xyz, strict=True)]
 
 
-def _fill(place: Any, points: NDArray[np.float64]) -> None:
-    """As large as the box of the axes lets the points be, without axes around them."""
-    from mpl_toolkits.mplot3d.proj3d import proj_transform
-
-    figure = place.get_figure(root=True)
-    box = place.get_position(original=True)
-    room = np.array([box.width * figure.bbox.width, box.height * figure.bbox.height]) / 2
-    place.apply_aspect()
-    x, y, _ = proj_transform(*points.T, place.get_proj())
-    seen = place.transData.transform(np.column_stack([x, y]))
-    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-    half = np.maximum((seen.max(axis=0) - seen.min(axis=0)) / 2, 1e-9)
-    zoom = 0.96 * float(np.min(room / half))
-    place.set_box_aspect([high - low for low, high in (place.get_xlim(), place.get_ylim(), place.get_zlim())], zoom=zoom)
-    shift = zoom * (middle - place.bbox.get_points().mean(axis=0)) / (figure.bbox.width, figure.bbox.height)
-    place.set_position([box.x0 - shift[0], box.y0 - shift[1], box.width, box.height])
-
-
-def _box(place: Any, points: NDArray[np.float64], span: float, zoom: float = 1.0) -> None:
+def _box(place: Any, points: NDArray[np.float64], span: float) -> None:
     """Equal scales in all directions, and words at the axes."""
     from matplotlib.ticker import MaxNLocator
 
@@ -396,7 +421,7 @@ def _box(place: Any, points: NDArray[np.float64], span: float, zoom: float = 1.0
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, LEAST_SIDE * span / 2) * 1.02
     place.set_proj_type("ortho")
     place.view_init(ELEVATION, AZIMUTH)
-    place.set_box_aspect(tuple(half / half.max()), zoom=zoom)
+    place.set_box_aspect(tuple(half / half.max()))
     for name, m, h in zip("xyz", middle, half, strict=True):
         getattr(place, f"set_{name}lim")(m - h, m + h)
         getattr(place, f"set_{name}label")(f"{name} [m]")

@@ -13,7 +13,7 @@ from operando.dof import Dof
 from operando.io.csv import cell_text
 from operando.plots import plot_mac, plot_shares
 from operando.plots.mesh import Mesh
-from operando.plots.shapes import draw_bars, draw_shape
+from operando.plots.shapes import draw_bars, draw_small
 from operando.report.figure_csv import numbers, table_csv
 from operando.report.svg import GREY, IDLE, MODEL, drawn, new_figure
 
@@ -64,16 +64,16 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
             left = x0 + 0.04 + side * half
             word(left + half / 2, y0 + cell - 0.05, text, 7.5, ha="center", color=color)
             foot = 0.0 if mesh is not None and mesh.drawable else 0.38
-            box = ((left + 0.05) / width, (y0 + foot) / height, (half - 0.1) / width, (cell - 0.14 - foot) / height)
+            box = (left + 0.05, y0 + foot, half - 0.1, cell - 0.14 - foot)  # [inch]
             if shape is None:
                 word(left + half / 2, y0 + cell / 2, "none", 7.5, ha="center", color=GREY)
             elif mesh is None or not mesh.drawable:
-                axes = figure.add_axes(box)
+                axes = figure.add_axes((box[0] / width, box[1] / height, box[2] / width, box[3] / height))
                 draw_bars(axes, dofs, np.asarray(shape, float), color, most=12)
                 axes.tick_params(labelsize=5.5)
                 axes.set_yticks([])
             else:
-                draw_shape(figure.add_axes(box, projection="3d"), mesh, np.asarray(shape, float), bare=True, wide=0.65)
+                draw_small(figure, box, mesh, np.asarray(shape, float))
     return figure, f"Mode shapes, idle and operating, {len(pairs)} modes side by side"
 
 
