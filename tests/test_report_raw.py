@@ -15,7 +15,7 @@ from operando.quality import SHOWN_CHANNELS, overview
 from operando.quality.overview import PLACES
 from operando.report import render_report
 from operando.report.figures_raw import raw_hits, raw_records
-from operando.report.svg import LONG_PATH
+from operando.report.renderer import LONG_PATH
 
 RATE = 1000.0
 
@@ -90,5 +90,6 @@ def test_of_many_records_the_first_are_shown(tmp_path, monkeypatch):
 
 def test_curves_have_tenths_of_a_point_and_marks_hundredths():
     paths = re.findall(r' d="([^"]*)"', raw_records([overview(noise(), "operating")]))
-    digits = {len(d) > LONG_PATH * 0.8: max(map(len, re.findall(r"\.(\d+)", d)), default=0) for d in sorted(paths, key=len)}
+    points = lambda d: len(re.findall(r"[-\d.]+", d)) // 2  # noqa: E731
+    digits = {points(d) >= LONG_PATH: max(map(len, re.findall(r"\.(\d+)", d)), default=0) for d in sorted(paths, key=points)}
     assert digits[True] == 1

@@ -1,0 +1,81 @@
+"""SVG of figures: where things stand, what is said once, and that every kind of artist of a user's own figure is kept."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from operando.report.svg import to_svg
+
+
+def parsed(figure):
+    """The elements of the SVG by their names; every id is there once and every reference has its id."""
+    text = to_svg(figure, "words")
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text)) == set(ids)
+    found = {}
+    for element in ElementTree.fromstring(text).iter():
+        found.setdefault(element.tag, []).append(element)
+    return found
+
+
+def numbers(d):
+    return np.array(re.findall(r"-?[\d.]+", d), float).reshape(-1, 2)
+
+
+def test_lines_and_marks_stand_where_the_data_are():
+    figure = Figure(figsize=(4, 3))
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    x, y = np.array([1.0, 2.0, 3.0, 5.0]), np.array([1.0, -1.0, np.nan, 2.0])
+    axes.plot(x, y, color="#123456")
+    axes.plot(x, y, "o", color="#654321")
+    axes.scatter(x, y, s=[30.0], c=["#aa0000", "#00aa00", "#0000aa", "#aaaa00"])
+    there = parsed(figure)
+    dpi = figure.dpi
+    figure.dpi = 72
+    seen = axes.transData.transform(np.column_stack([x, y])) * (1, -1) + (0, 216)
+    figure.dpi = dpi
+    known = seen[np.isfinite(y)]
+    line = next(e for e in there["path"] if "#123456" in e.get("style", ""))
+    assert numbers(line.get("d")) == pytest.approx(known, abs=0.0051)
+    assert re.fullmatch(r"M[^A-Z]+M[^A-Z]+", line.get("d"))  # no line over the gap
+    holder = next(e for e in there["g"] if "#654321" in e.get("style", ""))
+    assert [[float(e.get(k)) for k in "xy"] for e in holder] == [pytest.approx(p, abs=0.0051) for p in known]
+    assert "clip-path" in holder.attrib
+    spots = [e for e in there["g"] for c in e if "#00" in e.get("style", "") or "#aa" in e.get("style", "")]
+    assert len(spots) == 3
+    assert len({c.get("href") for e in spots for c in e}) == 1  # the mark itself is said once
+
+
+def test_a_figure_of_ones_own_keeps_all_it_shows():
+    figure = Figure(figsize=(6, 4))
+    axes = figure.add_subplot(2, 2, 1)
+    axes.bar([0, 1], [1, 2], hatch="//", facecolor="#aabbcc", alpha=0.5)
+    axes.set_title(r"$\omega^2$ of 1 < 2 & 3", family="Courier New", style="italic")
+    axes.text(0, 1, "one\ntwo", rotation=30, rotation_mode="anchor")
+    axes = figure.add_subplot(2, 2, 2)
+    axes.imshow(np.arange(6.0).reshape(2, 3))
+    axes = figure.add_subplot(2, 2, 3)
+    axes.tripcolor([0, 1, 0], [0, 0, 1], [0.0, 1.0, 2.0], shading="gouraud")
+    axes.plot([0, 1], [0, 1], rasterized=True)
+    axes = figure.add_subplot(2, 2, 4)
+    (line,) = axes.plot([0, 1, 2], [0, 1, 0], dashes=(4, 2), url="https://example.org")
+    line.set_clip_path(Circle((1, 0.5), 0.5, transform=axes.transData))
+    there = parsed(figure)
+    assert len(there["pattern"]) == 1
+    assert len(there["image"]) == 2
+    assert any(len(clip) and clip[0].tag == "path" for clip in there["clipPath"])
+    looks = [e.get("style", "") for e in there["path"]]
+    assert any("stroke-dasharray" in look for look in looks)
+    assert any("opacity:0.5" in look and "url(#" in look for look in looks)
+    assert any("fill:#767e57" in look for look in looks)  # the mean of the colours of the triangle
+    texts = [e.text for e in there["text"]]
+    assert {"one", "two"} <= set(texts)
+    assert "a" not in there  # the page leads nowhere
+    assert figure.dpi == 100
