@@ -11,12 +11,10 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from matplotlib.backend_bases import RendererBase
-from matplotlib.colors import to_hex
 from matplotlib.font_manager import weight_dict
 from matplotlib.path import Path
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import Affine2D
-from numpy.typing import NDArray
 
 LONG_PATH = 17
 """Points from which a path of straight pieces is a curve of data: a tenth of a point is below a seventh of its line's width on paper."""
@@ -34,7 +32,11 @@ _MARK = "\0"  # stands for the drawing's own prefix in its ids until the prefix,
 
 def short(value: float) -> str:
     """A number with two decimals at most."""
-    return f"{round(value, 2) + 0.0:.8g}"
+    return f"{round(float(value), 2) + 0.0:.8g}"
+
+
+def _hex(color: Any) -> str:
+    return f"#{round(255 * color[0]):02x}{round(255 * color[1]):02x}{round(255 * color[2]):02x}"
 
 
 class SmallSvg(RendererBase):
@@ -51,7 +53,6 @@ class SmallSvg(RendererBase):
     def __init__(self, width: float, height: float, dpi: float) -> None:
         super().__init__()
         self.width, self.height, self.dpi = width, height, dpi
-        self._flip = Affine2D().scale(1, -1).translate(0, height)
         self._body: list[str] = []
         self._shared: dict[str, str] = {}
         self._many = False
@@ -100,7 +101,7 @@ class SmallSvg(RendererBase):
             return
         line = rgbFace is None and gc.get_hatch_path() is None
         clip = (0.0, 0.0, self.width, self.height) if line else None
-        d = _outline(path, transform + self._flip, line and path.should_simplify, clip, gc.get_sketch_params())
+        d = _outline(path, transform, self.height, line and path.should_simplify, clip, gc.get_sketch_params())
         if d:
             self._body.append(f'<path d="{d}"{self._look(gc, rgbFace)}/>')
 
@@ -108,11 +109,11 @@ class SmallSvg(RendererBase):
         self, gc: Any, marker_path: Any, marker_trans: Any, path: Any, trans: Any, rgbFace: Any = None
     ) -> None:  # fmt: skip
         """One mark in many places."""
-        ends = [points[-2:] for points, _ in path.iter_segments(trans + self._flip, simplify=False) if len(points)]
-        size = np.array([self.width, self.height])
-        places = [e for e in ends if np.all((e > -size) & (e < 2 * size))]  # no NaN either
+        ends = [points[-2:].tolist() for points, _ in path.iter_segments(trans, simplify=False) if len(points)]
+        wide, high = self.width, self.height
+        places = [(x, high - y) for x, y in ends if -wide < x < 2 * wide and -high < y < 2 * high]
         if places:
-            mark = self._key(f'<path d="{_outline(marker_path, marker_trans + Affine2D().scale(1, -1))}"/>')
+            mark = self._key(f'<path d="{_outline(marker_path, marker_trans)}"/>')
             used, look = [f'<use href="#{mark}" x="{short(x)}" y="{short(y)}"' for x, y in places], self._look(gc, rgbFace)
             alone = len(used) == 1 and "clip-path" not in look  # which would move with the mark
             self._body.append(f"{used[0]}{look}/>" if alone else f"<g{look}>{'/>'.join(used)}/></g>")
@@ -145,7 +146,8 @@ class SmallSvg(RendererBase):
         else:
             pixel, style = Affine2D().scale(1 / wide, 1 / high) + transform, {"image-rendering": "pixelated"}
             style["opacity"] = "" if gc.get_alpha() in (None, 1) else short(gc.get_alpha())
-        matrix = " ".join(f"{v:.8g}" for v in (pixel + Affine2D().translate(x, y) + self._flip).get_matrix()[:2].T.ravel())
+        onto = pixel + Affine2D().translate(x, y).scale(1, -1).translate(0, self.height)
+        matrix = " ".join(f"{v:.8g}" for v in onto.get_matrix()[:2].T.ravel())
         data = base64.b64encode(stream.getvalue()).decode()
         self._body.append(
             f'<g{self._clip(gc)}><image width="{wide}" height="{high}" transform="matrix({matrix})" style="{_css(style)}" '
@@ -164,7 +166,7 @@ class SmallSvg(RendererBase):
             style["font-family"] = ", ".join(f"'{name}'" for name in family)
         color = gc.get_rgb()
         alpha = gc.get_alpha() if gc.get_forced_alpha() else color[3]
-        style |= {"fill": to_hex(color), "opacity": "" if alpha == 1 else short(alpha)}
+        style |= {"fill": _hex(color), "opacity": "" if alpha == 1 else short(alpha)}
         if mtext and (angle == 0 or mtext.get_rotation_mode() == "anchor"):  # the letters of the reader may be wider or narrower
             at = np.array(mtext.get_transform().transform(mtext.get_unitless_position()))
             at[1] = self.height - at[1]
@@ -181,7 +183,7 @@ class SmallSvg(RendererBase):
         path, transform = gc.get_clip_path()
         box = gc.get_clip_rectangle()
         if path is not None:
-            shape = f'<path d="{_outline(path, transform + self._flip)}"/>'
+            shape = f'<path d="{_outline(path, transform, self.height)}"/>'
         elif box is not None:
             x, y, wide, high = box.bounds
             shape = f'<rect x="{short(x)}" y="{short(self.height - y - high)}" width="{short(wide)}" height="{short(high)}"/>'
@@ -192,7 +194,7 @@ class SmallSvg(RendererBase):
     def _look(self, gc: Any, face: Any) -> str:
         """Attributes of a line or area."""
         alpha, forced = gc.get_alpha(), gc.get_forced_alpha()
-        style = {"fill": "none" if face is None else to_hex(face), "opacity": "" if not forced or alpha == 1 else short(alpha)}
+        style = {"fill": "none" if face is None else _hex(face), "opacity": "" if not forced or alpha == 1 else short(alpha)}
         if face is not None and len(face) == 4 and face[3] != 1 and not forced:
             style["fill-opacity"] = short(face[3])
         if gc.get_hatch_path() is not None:
@@ -201,7 +203,7 @@ class SmallSvg(RendererBase):
             color, (offset, dashes) = gc.get_rgb(), gc.get_dashes()
             cap = gc.get_capstyle()
             style |= {
-                "stroke": to_hex(color),
+                "stroke": _hex(color),
                 "stroke-opacity": "" if forced or color[3] == 1 else short(color[3]),
                 "stroke-width": "" if width == 1 else f"{width:.3g}",
                 "stroke-linejoin": str(gc.get_joinstyle()).replace("round", ""),
@@ -212,8 +214,8 @@ class SmallSvg(RendererBase):
         return f' style="{_css(style)}"{self._clip(gc)}'
 
     def _hatch(self, gc: Any, fill: str) -> str:
-        d = _outline(gc.get_hatch_path(), Affine2D().scale(HATCH, -HATCH).translate(0, HATCH))
-        color = to_hex(gc.get_hatch_color())
+        d = _outline(gc.get_hatch_path(), Affine2D().scale(HATCH), HATCH)
+        color = _hex(gc.get_hatch_color())
         ground = f'<rect width="{HATCH + 1}" height="{HATCH + 1}" fill="{fill}"/>'
         lines = f'<path d="{d}" fill="{color}" stroke="{color}" stroke-width="{short(gc.get_hatch_linewidth())}"/>'
         return self._key(f'<pattern patternUnits="userSpaceOnUse" width="{HATCH}" height="{HATCH}">{ground}{lines}</pattern>')
@@ -223,13 +225,15 @@ def _css(style: dict[str, str]) -> str:
     return ";".join(f"{name}:{value}" for name, value in style.items() if value)
 
 
-def _outline(path: Any, transform: Any, simplify: bool = False, clip: Sequence[float] | None = None, sketch: Any = None) -> str:
-    """Path data: curves in tenths of a point, marks in hundredths."""
+def _outline(
+    path: Any, transform: Any, top: float = 0.0, simplify: bool = False, clip: Sequence[float] | None = None, sketch: Any = None
+) -> str:
+    """Path data, y from the top: curves in tenths of a point, marks in hundredths."""
     clean = path.cleaned(transform, remove_nans=True, clip=clip, simplify=simplify, curves=True, sketch=sketch)
     codes: list[int] = clean.codes.tolist()
     round_parts = {int(Path.CURVE3), int(Path.CURVE4)} & set(codes)  # letters and marks have them, curves of data do not
     digits = 1 if len(codes) > LONG_PATH and not round_parts else 2
-    points: NDArray[np.float64] = np.round(np.asarray(clean.vertices, float), digits) + 0.0  # no −0
+    points = np.round(clean.vertices * (1, -1) + (0, top), digits) + 0.0  # no −0
     pieces, taken, last = [], [], 0
     for k, code in enumerate(codes):
         if code in _LETTERS:  # the letter stands once for a run, and M is followed by lines
