@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from operando.report.sheet import Sheet
 from operando.report.svg import to_svg
 
 
@@ -79,3 +80,29 @@ def test_a_figure_of_ones_own_keeps_all_it_shows():
     assert {"one", "two"} <= set(texts)
     assert "a" not in there  # the page leads nowhere
     assert figure.dpi == 100
+
+
+def test_axes_with_one_tick_show_what_matplotlib_shows():
+    def drawn(figure):
+        axes = figure.add_axes((0.1, 0.6, 0.35, 0.3))
+        axes.plot([0, 3e6 + 1, 3e6 + 2], [1, 2, 3])  # with an offset at the axis
+        axes.set_xlim(3e6 + 2, 3e6)
+        axes.grid(True)
+        axes.set_xlabel("x [m]")
+        right = axes.twinx()
+        right.plot([3e6, 3e6 + 1], [1, 50])
+        right.set_ylabel("right")
+        axes = figure.add_axes((0.6, 0.6, 0.35, 0.3))
+        axes.loglog([1, 1000], [1, 20])  # with minor ticks
+        axes = figure.add_axes((0.1, 0.1, 0.35, 0.3))
+        axes.bar([0, 1, 2], [3, 4, 5])
+        axes.set_xticks([0, 1, 2], ["a", "b", "c"], rotation=90)
+        axes.get_xticklabels()[0].set_fontweight("bold")
+        axes.set_ylabel("y")
+        axes.tick_params(labelsize=5)
+        figure.add_axes((0.6, 0.1, 0.35, 0.3), projection="polar")
+        words = [t.get_text() for t in axes.get_yticklabels()]
+        return to_svg(figure, "words"), words, [t.get_text() for t in axes.get_yticklabels()]
+
+    assert drawn(Sheet(figsize=(8, 6))) == drawn(Figure(figsize=(8, 6)))
+    assert len(Sheet().add_axes((0.1, 0.1, 0.8, 0.8)).xaxis.majorTicks) == 1

@@ -73,9 +73,9 @@ def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, Drawing]:
 
 def new_figure(width: float, height: float) -> Figure:
     """Figure of a size in inches, without pyplot and so without any display or global state."""
-    from matplotlib.figure import Figure
+    from operando.report.sheet import Sheet
 
-    return Figure(figsize=(width, height))
+    return Sheet(figsize=(width, height))
 
 
 def to_svg(figure: Figure, alt: str) -> str:
