@@ -97,6 +97,7 @@ def test_axes_with_one_tick_show_what_matplotlib_shows():
         axes = figure.add_axes((0.1, 0.1, 0.35, 0.3))
         axes.bar([0, 1, 2], [3, 4, 5])
         axes.set_xticks([0, 1, 2], ["a", "b", "c"], rotation=90)
+        axes.set_yticks([0, 4, 8], ["none", "half", "all"], fontsize=6)  # wider than the data
         axes.get_xticklabels()[0].set_fontweight("bold")
         axes.set_ylabel("y")
         axes.tick_params(labelsize=5)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import zip_longest
-from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,7 +47,8 @@ def table_csv(columns: list[Column]) -> str:
 
 def numbers(values: Any, digits: int = 4) -> list[str]:
     """Numbers, nothing where there is none."""
-    return [f"{v:.{digits}g}" if isfinite(v) else "" for v in np.asarray(values, float).ravel().tolist()]
+    flat = np.asarray(values, float).ravel().tolist()
+    return ["" if word in ("nan", "inf", "-inf") else word for word in (f"%.{digits}g " * len(flat) % tuple(flat)).split()]
 
 
 def _columns(axes: Axes, title: str) -> list[Column]:
@@ -90,6 +90,10 @@ def _columns(axes: Axes, title: str) -> list[Column]:
     return out + (_bars(axes, bars, head) if bars else [])
 
 
+def _numbers_at(axis: Any) -> list[str]:
+    return list(axis.get_major_formatter().format_ticks(axis.get_majorticklocs()))
+
+
 def _xy(points: Any) -> tuple[Any, Any]:
     x, y = np.asarray(points, float).T
     return x, y
@@ -98,8 +102,8 @@ def _xy(points: Any) -> tuple[Any, Any]:
 def _bars(axes: Axes, bars: list[Any], head: str) -> list[Column]:
     """Name, start and end of each bar, lying or standing."""
     lying = len({round(b.get_x(), 9) for b in bars}) == 1 and len({round(b.get_y(), 9) for b in bars}) > 1
-    names, label = (axes.get_yticklabels(), axes.get_xlabel()) if lying else (axes.get_xticklabels(), axes.get_ylabel())
-    texts = [" ".join(t.get_text().split()) for t in names]
+    axis, label = (axes.yaxis, axes.get_xlabel()) if lying else (axes.xaxis, axes.get_ylabel())
+    texts = [" ".join(name.split()) for name in _numbers_at(axis)]
     rest = [(b.get_x(), b.get_x() + b.get_width()) if lying else (b.get_y(), b.get_y() + b.get_height()) for b in bars]
     named = [(f"{head}bar", [cell_text(t) for t in texts])] if len(texts) == len(bars) else []
     return [
@@ -114,7 +118,7 @@ def _matrix(axes: Axes, mesh: Any, head: str) -> list[Column]:
     values: Any = np.ma.filled(np.ma.asarray(mesh.get_array(), float), np.nan)
     n, m = np.shape(mesh.get_coordinates())[0] - 1, np.shape(mesh.get_coordinates())[1] - 1
     values = values.reshape(n, m)
-    rows, columns = ([t.get_text() for t in names] for names in (axes.get_yticklabels(), axes.get_xticklabels()))
+    rows, columns = _numbers_at(axes.yaxis), _numbers_at(axes.xaxis)
     rows = rows if len(rows) == n else [str(i) for i in range(n)]
     edges = len(columns) == m + 1
     columns = (

@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis, YAxis
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 
 class _Moving:
@@ -38,6 +38,19 @@ class _OneTick(Axis):
         slack = 1e-10 * (high - low)  # as matplotlib's
         inside = [low - slack <= at <= high + slack for at in scale(places)]
         return _Moving(self.majorTicks[0], [(p, w) for p, w, here in zip(places, words, inside, strict=True) if here])
+
+    def set_ticks(self, ticks: Any, labels: Any = None, *, minor: bool = False, **kwargs: Any) -> Any:
+        """Places and their names, in letters of one size and direction; as matplotlib does it where more is asked for."""
+        if minor or not len(ticks) or not set(kwargs) <= {"fontsize", "rotation"}:
+            return super().set_ticks(ticks, labels, minor=minor, **kwargs)
+        this: Any = self
+        for axis in this._get_shared_axis():
+            axis.set_view_interval(min(ticks), max(ticks))
+        self.set_major_locator(FixedLocator(ticks))
+        if labels is not None:
+            self.set_major_formatter(FixedFormatter(labels))
+            self.set_tick_params(**{{"fontsize": "labelsize", "rotation": "labelrotation"}[name]: value for name, value in kwargs.items()})
+        return self.majorTicks
 
     def get_majorticklabels(self) -> Any:
         """The texts of all ticks, which are made for it."""
