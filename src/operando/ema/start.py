@@ -53,10 +53,9 @@ def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside_hz
         gain = np.abs(run.responses) ** 2 * np.sum(run.force_variance / np.maximum(np.abs(run.forces) ** 2, 1e-300), axis=0)
         residues = np.empty((k, m, n))
         for j in range(m):
-            weight = 1 / np.sqrt(run.response_variance[j] + gain[j])
-            design = np.concatenate([(stack * weight).real, (stack * weight).imag], axis=1)
-            target = np.concatenate([(run.responses[j] * weight).real, (run.responses[j] * weight).imag])
-            residues[:, j] = _ridge(design, target)[: k * n].reshape(k, n)
+            weight = np.repeat(1 / np.sqrt(run.response_variance[j] + gain[j]), 2)  # of real and imaginary parts side by side
+            target = np.ascontiguousarray(run.responses[j]).view(float) * weight
+            residues[:, j] = _ridge(stack.view(float) * weight, target)[: k * n].reshape(k, n)
         out.append(residues)
     return out
 
@@ -82,9 +81,10 @@ def inverted_forces(runs: Sequence[RunSpectra], residues: Sequence[Real]) -> lis
 
 
 def _ridge(design: Real, target: Real) -> Real:
-    scale = np.linalg.norm(design, axis=1)
+    gram = design @ design.T
+    scale = np.sqrt(np.diag(gram))
     scale[scale == 0] = 1
-    normal = (design @ design.T) / np.outer(scale, scale)
+    normal = gram / np.outer(scale, scale)
     normal[np.diag_indices_from(normal)] += 1e-7
     return np.asarray(cho_solve(cho_factor(normal), design @ target / scale) / scale)
 
