@@ -18,7 +18,7 @@ from operando.ema.polish import Polished, signed
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
-from operando.ema.start import inverted_forces, linear_residues, outside_kernels
+from operando.ema.start import LOWER_FACTORS, inverted_forces, linear_residues, outside_kernels
 
 WIDER = 1.33
 """The fit reaches this far above the analysis band where the force does."""
@@ -148,12 +148,24 @@ def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, 
     if without is None:
         without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
     theta = without.parameters
-    with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, max_iterations=6)
     unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
-    price = unknowns * 0.5 * np.log(without.n_data) * 2 * max(1.0, with_lower.cost / with_lower.n_data)
-    lower = without.cost - with_lower.cost > price
+    price = unknowns * 0.5 * np.log(without.n_data) * 2
+    start, needed = _with_lower(thinned, theta), without.cost - price
+    with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, start=start, max_iterations=6, needed_cost=needed)
+    lower = without.cost - with_lower.cost > price * max(1.0, with_lower.cost / with_lower.n_data)
     best = with_lower if lower else without
     return bool(lower), relative_model_error(thinned, best.parameters), best.parameters
+
+
+def _with_lower(runs: Sequence[RunSpectra], theta: Parameters) -> Parameters:
+    """The parameters with kernels below the band that add nothing yet."""
+    lower = outside_kernels(runs, theta.hz, True)[-len(LOWER_FACTORS) :]
+    q, local = theta.outside_hz.size, []
+    for run, old in zip(runs, theta.local, strict=True):
+        k = run.forces.shape[0]
+        kernels = np.pad(old[:, : q * k].reshape(-1, k, q), ((0, 0), (0, 0), (0, lower.size)))
+        local.append(np.c_[kernels.reshape(old.shape[0], -1), old[:, q * k :]])
+    return replace(theta, outside_hz=np.append(theta.outside_hz, lower), local=tuple(local))
 
 
 def _final(
