@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.synthesis import power_of
+
 PROMINENCE_DB = 3.0
 """How far a peak must stand out of the averaged curve on both sides."""
 
@@ -129,17 +131,19 @@ def fit_peaks(data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.flo
 
 
 def _basis(poles: NDArray[np.complex128], f: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Functions of one or several sets of poles (…, n) on the lines, (…, n_lines, n + 3)."""
     middle, half = (f[0] + f[-1]) / 2, (f[-1] - f[0]) / 2
     x = (f - middle) / half
-    s = 2j * np.pi * f[:, None]
-    scale = 2 * np.pi * half
-    return np.concatenate([scale / (s - poles[None, :]), np.stack([np.ones_like(x), x, x**2], axis=1)], axis=1)
+    out = np.empty((*poles.shape[:-1], f.size, poles.shape[-1] + 3), complex)
+    out[..., :-3] = 2 * np.pi * half / (2j * np.pi * f[:, None] - poles[..., None, :])
+    out[..., -3:] = np.stack([np.ones_like(x), x, x**2], axis=1)
+    return out
 
 
-def _project(poles: NDArray[np.complex128], f: NDArray[np.float64], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    basis = _basis(poles, f)
-    solution = np.linalg.lstsq(basis, y, rcond=None)[0]
-    return y - basis @ solution, solution
+def _rest(poles: NDArray[np.complex128], f: NDArray[np.float64], y: NDArray[Any]) -> NDArray[Any]:
+    """What one or several sets of poles (…, n) leave of y (n_lines, n_pairs), (…, n_lines, n_pairs)."""
+    q = np.linalg.qr(_basis(poles, f))[0]
+    return np.asarray(y - q @ (q.conj().swapaxes(-1, -2) @ y))
 
 
 def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128], w: NDArray[np.float64]) -> list[Peak]:
@@ -159,8 +163,8 @@ def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.compl
 def _improves(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Drop poles that explain little: what noise makes of a peak."""
     while poles.size:
-        cost = float(np.sum(np.abs(_project(poles, f, y.T)[0]) ** 2))
-        without = [float(np.sum(np.abs(_project(np.delete(poles, k), f, y.T)[0]) ** 2)) for k in range(poles.size)]
+        cost = float(np.sum(power_of(_rest(poles, f, y.T))))
+        without = [float(np.sum(power_of(_rest(np.delete(poles, k), f, y.T)))) for k in range(poles.size)]
         weakest = int(np.argmin(without))
         if cost <= LARGEST_REST * without[weakest]:
             break
@@ -172,26 +176,21 @@ def _improves(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex
 
 def _fit_poles(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], float]:
     """Poles of one window and the squared residual."""
-    columns = y.T
+    columns = np.ascontiguousarray(y.T)
     n = start.size
     theta = np.concatenate([start.real, start.imag])
     scale = np.concatenate([-start.real, -start.real])
-    poles = lambda t: t[:n] + 1j * t[n:]  # noqa: E731
-    rest = _project(poles(theta), f, columns)[0]
-    cost, damping = float(np.sum(np.abs(rest) ** 2)), 1e-3
+    poles = lambda t: t[..., :n] + 1j * t[..., n:]  # noqa: E731
+    rest = _rest(poles(theta), f, columns)
+    cost, damping = float(np.sum(power_of(rest))), 1e-3
     for _ in range(25):
-        jacobian = np.empty((2 * rest.size, 2 * n))
-        for k in range(2 * n):
-            moved = theta.copy()
-            moved[k] += 1e-5 * scale[k]
-            change = (_project(poles(moved), f, columns)[0] - rest).ravel() / 1e-5
-            jacobian[:, k] = np.concatenate([change.real, change.imag])
-        r = np.concatenate([rest.ravel().real, rest.ravel().imag])
-        gram = jacobian.T @ jacobian
-        step = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-300), -jacobian.T @ r)
+        change = (_rest(poles(theta + 1e-5 * np.diag(scale)), f, columns) - rest) / 1e-5
+        jacobian = change.reshape(2 * n, -1).view(float)
+        gram = jacobian @ jacobian.T
+        step = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-300), -jacobian @ rest.ravel().view(float))
         trial = theta + scale * step
-        new_rest = _project(poles(trial), f, columns)[0]
-        new = float(np.sum(np.abs(new_rest) ** 2))
+        new_rest = _rest(poles(trial), f, columns)
+        new = float(np.sum(power_of(new_rest)))
         if np.all(trial[:n] < 0) and new < cost:
             gain = cost - new
             theta, rest, cost, damping = trial, new_rest, new, max(damping / 5, 1e-9)
@@ -208,7 +207,7 @@ def _peaks_of(y: NDArray[Any], f: NDArray[np.float64], final: NDArray[np.complex
     """Peaks at given poles; a pole that left the window is dropped."""
     columns = y.T
     n = final.size
-    solution = _project(final, f, columns)[1]
+    solution = np.linalg.lstsq(_basis(final, f), columns, rcond=None)[0]
     half = 2 * np.pi * (f[-1] - f[0]) / 2
     out = []
     for k in range(n):
