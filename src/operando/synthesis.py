@@ -216,12 +216,17 @@ def _pair_covariances(shapes: NDArray[np.float64], covariance: NDArray[np.float6
 def _quadratic_forms(functions: NDArray[np.complex128], triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Σ_ab C_ab Re(g_a ḡ_b) of each symmetric C on each line, (matrices, lines): products are made once for all of them."""
     count, n_lines = functions.shape
-    step = max(32, _FORM_VALUES // triangles.shape[1])
+    first, second = np.triu_indices(count)
+    weights = np.where(first == second, 1, 2) * triangles  # each product of two functions stands twice
+    step = max(32, _FORM_VALUES // first.size)
     out = np.empty((triangles.shape[0], n_lines))
-    for first in range(0, n_lines, step):
-        real, imag = functions.real[:, first : first + step].copy(), functions.imag[:, first : first + step].copy()
-        products = np.concatenate([real[a] * real[a:] + imag[a] * imag[a:] for a in range(count)])
-        products *= 2
-        products[np.cumsum([0, *range(count, 1, -1)])] *= 0.5  # squares stand once
-        out[:, first : first + step] = triangles @ products
+    for start in range(0, n_lines, step):
+        part = functions[:, start : start + step]
+        real, imag = part.real.copy(), part.imag.copy()
+        products, end = np.empty((first.size, real.shape[1])), 0
+        for a in range(count):
+            rows = products[end : (end := end + count - a)]
+            np.multiply(real[a], real[a:], out=rows)
+            rows += imag[a] * imag[a:]
+        out[:, start : start + step] = weights @ products
     return out
