@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.spectra import RunSpectra
-from operando.synthesis import combined, kernel_derivatives, modal_kernel
+from operando.synthesis import combined, kernel_derivatives, modal_kernel, row_blocks
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -96,7 +96,7 @@ class RunModel:
     outside: Complex  # G_q (q, L)
 
 
-def decays(f: Real, hz: Real, zeta: Real, step: float) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:
+def decays(f: Real, hz: Real, zeta: Real, step: float) -> tuple[Complex, ...]:
     """Transforms of sampled free decays (real and imaginary amplitude) and derivatives by ln f_r and ln ζ_r.
 
     Returns
@@ -104,19 +104,22 @@ def decays(f: Real, hz: Real, zeta: Real, step: float) -> tuple[Complex, Complex
     t1, t2, dt1_f, dt2_f, dt1_z, dt2_z : (n, L) complex arrays
         T = a·t1 + b·t2 for an amplitude a + ib.
     """
-    z1 = np.exp(-2j * np.pi * f * step)[None, :]
+    z1 = np.exp(-2j * np.pi * f * step)
     w0 = 2 * np.pi * hz
     root = np.sqrt(1 - zeta**2)
     pole = w0 * (-zeta + 1j * root)
     by_zeta = zeta * w0 * (-1 - 1j * zeta / root)
     scale = np.sqrt(step)  # keeps the amplitudes near the size of the spectra
-    decay = np.exp(pole * step)[:, None] * z1
-    decay_c = np.exp(pole.conj() * step)[:, None] * z1
-    u, v = scale / (1 - decay), scale / (1 - decay_c)
-    du, dv = step * decay * u**2 / scale, step * decay_c * v**2 / scale
-    fu, fv = du * pole[:, None], dv * pole.conj()[:, None]
-    zu, zv = du * by_zeta[:, None], dv * by_zeta.conj()[:, None]
-    return u + v, 1j * (u - v), fu + fv, 1j * (fu - fv), zu + zv, 1j * (zu - zv)
+    out = np.empty((6, hz.size, f.size), complex)
+    for rows in row_blocks(hz.size, f.size):
+        p, z = pole[rows, None], by_zeta[rows, None]
+        decay, decay_c = np.exp(p * step) * z1, np.exp(p.conj() * step) * z1
+        u, v = scale / (1 - decay), scale / (1 - decay_c)
+        du, dv = step / scale * decay * u**2, step / scale * decay_c * v**2
+        for k, (a, b) in enumerate([(u, v), (du * p, dv * p.conj()), (du * z, dv * z.conj())]):
+            np.add(a, b, out=out[2 * k, rows])
+            np.multiply(1j, a - b, out=out[2 * k + 1, rows])
+    return tuple(out)
 
 
 def end_basis(f: Real, top_hz: float, step: float) -> Complex:
