@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
 from operando.compare.models import ModelComparison, compare_models
-from operando.compare.peaks import by_mode, fit_peaks
+from operando.compare.peaks import Peak, by_mode, fit_peaks
 from operando.data import FrequencyAxis, Frf, ModalModel, Saved, expect, plots
 from operando.dof import Dof, DofIndex
 from operando.errors import DataError, ObjectError
@@ -171,7 +171,7 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
         return _compare(model, runs, band_hz)
 
 
-def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float] | None) -> Comparison:
+def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float] | None, peaks: _Fit = fit_peaks) -> Comparison:
     labels: list[Dof] = []
     notes: list[str] = []
     pairs = [common_frfs(model, run, band_hz, notes) for run in runs]
@@ -198,7 +198,7 @@ def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float
         model_share(lines),
         tuple(by_dof),
         tuple(by_band),
-        tuple(_modes(pairs, notes)),
+        tuple(_modes(pairs, notes, peaks)),
         int(lines.model.size),
         tuple(dict.fromkeys(notes)),
         misfit_meas(lines),
@@ -268,8 +268,8 @@ def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
     return Lines(made.data[good], ref.data[good], var_meas[good], own[good], response[good], f[good])
 
 
-def _modes(pairs: Sequence[tuple[Frf, Frf]], notes: list[str]) -> list[dict[str, Any]]:
-    """Peaks of the measured FRFs refitted, and the model's; runs on other lines than the first are left out."""
+def _modes(pairs: Sequence[tuple[Frf, Frf]], notes: list[str], peaks: _Fit) -> list[dict[str, Any]]:
+    """Peaks of the measured FRFs refitted (by ``peaks``), and the model's; runs on other lines than the first are left out."""
     f = pairs[0][1].frequencies_hz
     model, measured = [], []
     for made, ref in pairs:
@@ -285,7 +285,23 @@ def _modes(pairs: Sequence[tuple[Frf, Frf]], notes: list[str]) -> list[dict[str,
         return []
     size = np.sqrt(np.mean(np.abs(y) ** 2, axis=1))
     weight = np.divide(1, size, out=np.zeros_like(size), where=size > 0)
-    return by_mode(fit_peaks(y, f, weight), fit_peaks(h, f, weight))
+    return by_mode(peaks(y, f, weight), fit_peaks(h, f, weight))
+
+
+_Fit = Callable[[NDArray[Any], NDArray[np.float64], NDArray[np.float64] | None], list[Peak]]
+
+
+def _fit_once() -> _Fit:
+    """:func:`fit_peaks` that fits a measurement once, however many models are compared with it; its values say whether it is the same."""
+    known: dict[tuple[bytes, ...], list[Peak]] = {}
+
+    def fit(y: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None) -> list[Peak]:
+        key = (y.tobytes(), f.tobytes(), b"" if weight is None else weight.tobytes())
+        if key not in known:
+            known[key] = fit_peaks(y, f, weight)
+        return known[key]
+
+    return fit
 
 
 def pool(parts: Sequence[Lines]) -> Lines:
@@ -335,11 +351,17 @@ def compare_all(
         raise DataError("no validation measurement to compare with")
     lowest = lowest_level(runs)
     chosen = [r for r in runs if r.level == lowest]
-    overall = {name: compare(m, [r.frf for r in chosen], band_hz).to_dict() for name, m in models.items()}
+    peaks = _fit_once()
+
+    def errors_on(frfs: list[Frf]) -> dict[str, Any]:
+        with one_blas_thread():
+            return {name: _compare(m, frfs, band_hz, peaks).to_dict() for name, m in models.items()}
+
+    overall = errors_on([r.frf for r in chosen])
     by_run = []
     for r in runs:
         alone = len(chosen) == 1 and r.level == lowest  # this run is all that judged: its errors are known
-        errors = overall if alone else {name: compare(m, r.frf, band_hz).to_dict() for name, m in models.items()}
+        errors = overall if alone else errors_on([r.frf])
         by_run.append({"name": r.name, **r.stated_level(), "models": errors})
     on = {"runs": [r.name for r in chosen], **chosen[0].stated_level(), "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
     return {"schema": "operando/comparison/1", "judged_on": on, "models": overall, "by_run": by_run}
