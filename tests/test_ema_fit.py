@@ -278,3 +278,26 @@ def test_a_fit_that_cannot_reach_what_is_needed_is_given_up():
     lost = polish(runs, start, tolerance=1e-3, needed_cost=0.5 * whole.cost)
     assert not lost.converged
     assert lost.iterations < whole.iterations
+
+
+def test_kernels_below_the_band_are_asked_for_where_a_mode_lies_there():
+    """They start without a share in the fit that is known, which they leave as it is; one mode below the lines is told by them."""
+    from operando.ema.polished import _needs_lower, _with_lower
+
+    chain, rng = plate_like(), np.random.default_rng(5)
+    records = [steady_record(chain, 0, rng), steady_record(chain, 3, rng)]
+    rank = np.argsort(chain.hz)
+    hz, zeta = chain.hz[rank], chain.zeta[rank]
+    runs = [record_spectra(record, DOFS, (15, 130)) for record in records]
+    assert not _needs_lower(runs, 6, hz, zeta, None)[0]
+    above = [record_spectra(record, DOFS, (35, 130)) for record in records]
+    lower, share, theta = _needs_lower(above, 6, hz[1:], zeta[1:], None)
+    assert lower
+    assert share == 0
+    np.testing.assert_allclose(theta.hz, hz[1:], rtol=2e-3)
+    run = replace(above[0], forces=above[0].forces * [[1.0], [0.5]], force_rows=np.array([0, 3]))
+    run = replace(run, force_variance=np.repeat(run.force_variance, 2, axis=0))
+    without = start_parameters([run], hz, zeta, chain.phi[:, rank], np.array([150.0, 200.0, 300.0]))
+    without = replace(without, local=(rng.standard_normal(without.local[0].shape),))
+    costs = [residual(run, theta, 0).cost for theta in (without, _with_lower([run], without))]
+    np.testing.assert_allclose(costs[1], costs[0], rtol=1e-12)
