@@ -1,5 +1,7 @@
 """Damping that ties modes to each other: FRFs, poles and effects against the structure's own matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -172,6 +174,15 @@ def test_a_missing_mode_is_tied_to_nothing():
     assert grown.coupling.damping.shape == (N, N)
     assert not grown.coupling.damping[4].any()
     np.testing.assert_array_equal(grown.coupling.damping[:4, :4], model.coupling.damping)
+
+
+def test_the_hybrid_route_says_that_it_leaves_coupling_out():
+    idle = whole()
+    operating = ModalModel(idle.frequencies_hz, idle.damping_ratios, 2.0 * idle.shapes, DOFS)
+    codes = [f.kind for f in operando.scale_operational(idle, operating).findings]
+    assert "complex_idle_modes" in codes
+    codes = [f.kind for f in operando.scale_operational(replace(idle, coupling=None), operating).findings]
+    assert "complex_idle_modes" not in codes
 
 
 def test_coupling_that_does_not_belong_is_refused():

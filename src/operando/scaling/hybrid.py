@@ -120,6 +120,16 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
     one_factor = sampling_rate_finding(pairing, idle, proper)
     if one_factor is not None:
         findings.append(one_factor)
+    if idle.coupling is not None:
+        findings.append(
+            Finding(
+                "complex_idle_modes",
+                "the idle model has damping that ties its modes to each other",
+                "info",
+                consequence="the hybrid route holds real modes and leaves it out: its operational FRFs are those of modal damping",
+                action="compare with the FRFs of the model with effects (`operando ofrf --route effect`, `Model.frf`), which have it",
+            )
+        )
     basis = _basis(e[:, real_idle], idle.frequencies_hz, in_band, dofs, findings, _more_dofs(idle, idle_rows))
     turned, factor = real_shapes(o)
     noise = _noise(proper, rows, signs, factor)
