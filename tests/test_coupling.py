@@ -134,20 +134,45 @@ def test_effects_act_on_tied_modes_as_on_the_matrices(effect):
     np.testing.assert_allclose(model.modes().terms.poles, poles[np.argsort(np.abs(poles))], rtol=1e-9)
 
 
-@pytest.mark.parametrize("effect", [*EFFECTS, "tuned_absorber@2+Z=mass:0.5,frequency:30,damping_ratio:0.02"])
-def test_poles_where_shapes_lag_are_those_of_the_frfs(effect):
-    """A free vibration at a pole needs no force: there the inverse of the receptances is singular."""
-    model = Model(truncated()).add(effect)
-    found = model.modes()
-    assert found.terms.n == N + (1 if effect.startswith("tuned") else 0)
-    slow = found.terms.poles[:3]
-    for pole, shape in zip(slow, found.terms.shapes.T, strict=False):
-        near = pole.imag / 2 / np.pi * (1 + np.array([-1e-6, 1e-6]))
-        h = model.frf(near, quantity="receptance", variance=False).data
-        # near a lightly damped pole the residue is what the FRFs change by over the line
-        residue = (h[:, :, 1] - h[:, :, 0]) / (1 / (2j * np.pi * near[1] - pole) - 1 / (2j * np.pi * near[0] - pole))
-        u = np.linalg.svd(residue)[0][:, 0]
-        assert np.abs(np.vdot(u, shape)) ** 2 / np.vdot(shape, shape).real == pytest.approx(1, abs=2e-3)
+ABSORBER = 0.5, 2 * np.pi * 30, 0.02  # kg, rad/s, damping ratio
+AT_ONE_PLACE = {  # DOF and dynamic stiffness at s
+    "ground_spring@2+Z=stiffness:2e4": (1, lambda s: 2e4),
+    "point_mass@2+Z=mass:0.4": (1, lambda s: 0.4 * s**2),
+    "ground_damper@1+Z=damping:5": (0, lambda s: 5 * s),
+    "tuned_absorber@2+Z=mass:0.5,frequency:30,damping_ratio:0.02": (1, lambda s: absorbing(s, *ABSORBER)),
+}
+
+
+def absorbing(s, mass, w, zeta):
+    link = mass * (w**2 + 2 * zeta * w * s)
+    return mass * s**2 * link / (mass * s**2 + link)
+
+
+@pytest.mark.parametrize("effect", AT_ONE_PLACE)
+def test_poles_where_shapes_lag_are_zeros_of_the_dynamic_stiffness(effect):
+    """At a pole the modal dynamic stiffness, with the effect at φ − s·lag, is singular; at the pole without lag it is not."""
+    base = truncated()
+    dof, law = AT_ONE_PLACE[effect]
+
+    def singular(s):
+        damping, stiffness = base.terms.quadratic
+        late = base.terms.shapes[dof] - s * base.coupling.lag[dof]
+        values = np.linalg.svd(s**2 * np.eye(N) + s * damping + stiffness + law(s) * np.outer(late, late), compute_uv=False)
+        return values[-1] / values[-2]
+
+    found, without = (
+        Model(b).add(effect).modes().terms for b in (base, replace(base, coupling=replace(base.coupling, lag=np.zeros((N, N)))))
+    )
+    assert found.n == N + effect.startswith("tuned")
+    assert max(singular(pole) for pole in found.poles) < 1e-9
+    assert max(singular(pole) for pole in without.poles) > 1e-4
+    # a free vibration moves the DOFs by its shapes at the pole
+    pole = found.poles[0]
+    near = np.abs(pole) / 2 / np.pi * (1 + np.array([-1e-6, 1e-6]))
+    h = Model(base).add(effect).frf(near, quantity="receptance", variance=False).data
+    residue = (h[:, :, 1] - h[:, :, 0]) / (1 / (2j * np.pi * near[1] - pole) - 1 / (2j * np.pi * near[0] - pole))
+    u, shape = np.linalg.svd(residue)[0][:, 0], found.shapes[:, 0]
+    assert np.abs(np.vdot(u, shape)) ** 2 / np.vdot(shape, shape).real == pytest.approx(1, abs=1e-6)
 
 
 def test_coupling_follows_its_terms_and_dofs(tmp_path):
