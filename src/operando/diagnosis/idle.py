@@ -34,21 +34,25 @@ class Moves:
         scale = np.divide(along, power[:, None], out=np.zeros_like(along), where=power[:, None] > 0)
         return np.asarray(scale)
 
-    def at(self, base: Array, scale: Array, driven: Array, g: Array, own: Array) -> tuple[Array, Moves]:
+    def at(self, base: Array, scale: Array, g: Array, own: Array) -> tuple[Array, Moves]:
         """Values (DOFs, terms) at g and own (DOFs, e), and how they move from there.
 
         What is measured are products of a driven and another DOF: where the driven value is larger, the other one is smaller by the same
         factor e^t. By sums alone their product would be wrong by t², far beyond its own standard deviation where a reference hardly
-        moves in a mode. The factor is log-normal, with the relative standard deviation σ of the scale: t has √ln(1 + σ²).
+        moves in a mode. The factor is log-normal, with the relative standard deviation σ of the scale: t has √ln(1 + σ²). Each value
+        follows it as far as its regression on the scale says (1: in proportion, −1: inversely), and moves on its own with the rest.
         """
-        sign = np.where(driven, 1.0, -1.0)[:, None]
-        relative = np.linalg.norm(scale, axis=1)
-        by_log = np.divide(np.sqrt(np.log1p(relative**2)), relative, out=np.ones_like(relative), where=relative > 0)
+        variance = np.sum(scale**2, axis=1)
+        along, against = np.einsum("dtg,tg->dt", self.shared, scale), base * variance
+        most = np.maximum(np.abs(along), np.abs(against))  # no value follows more than in proportion
+        follows = np.divide(along * np.sign(against), most, out=np.zeros_like(base), where=most > 0)
+        relative = np.sqrt(variance)
+        by_log = np.divide(np.sqrt(np.log1p(variance)), relative, out=np.ones_like(relative), where=relative > 0)
         within = by_log[:, None] * scale
-        grown = np.exp(sign * (within @ g))
-        shared = self.shared - (sign * base)[..., None] * scale
+        grown = np.exp(follows * (within @ g))
+        shared = self.shared - (follows * base)[..., None] * scale
         values = (base + shared @ g + (self.own @ own[..., None])[..., 0]) * grown
-        return values, Moves(grown[..., None] * shared + (sign * values)[..., None] * within, grown[..., None] * self.own)
+        return values, Moves(grown[..., None] * shared + (follows * values)[..., None] * within, grown[..., None] * self.own)
 
 
 @dataclass(frozen=True)
@@ -163,12 +167,12 @@ class Idle:
 
     def shape(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Shapes at g and own (DOFs, e), and how they move from there."""
-        return self.shapes.at(self.phi, self.shapes.scale(self.phi, self.driven), self.driven, g, own)
+        return self.shapes.at(self.phi, self.shapes.scale(self.phi, self.driven), g, own)
 
     def late(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Lags of shapes, which scale as these do."""
         scale = self.shapes.scale(self.phi, self.driven)[self.modes]
-        return self.lags.at(self.lag, scale, self.driven, g, own)
+        return self.lags.at(self.lag, scale, g, own)
 
     def loose(self, driven: Array) -> Idle:
         """With variances that only say of which order the parameters are; ``driven`` are numbers of DOFs."""

@@ -116,7 +116,7 @@ class Problem:
             with np.errstate(all="ignore"):
                 h = self.predict(x, False).h
                 value = cost(h, x)
-        except np.linalg.LinAlgError:
+        except (np.linalg.LinAlgError, OverflowError):
             return self.measured, np.inf
         return h, value if np.isfinite(value) else np.inf
 
