@@ -47,6 +47,47 @@ def test_two_close_modes_under_one_peak_are_told_apart():
     assert [p.frequency_hz for p in peaks[:3]] == pytest.approx(chain.hz[:3], rel=5e-4)
 
 
+@pytest.mark.parametrize("of_force", [False, True])
+def test_intervals_of_peak_frequencies_cover(of_force):
+    """Noise of each pair alike, and noise of the force, in proportion to the FRFs and the same in all pairs."""
+    chain, rng = Chain(5), np.random.default_rng(5)
+    f = np.linspace(10, 150, 700)
+    data = chain.accelerance(f)[:, 0]
+    floor = 0.02 * np.sqrt(np.mean(np.abs(data) ** 2))
+    off = []
+    for _ in range(40):
+        noise = rng.normal(size=(2, 5, f.size))
+        if of_force:
+            noise = 0.05 * np.broadcast_to(noise[:, :1], noise.shape) * np.abs(data)
+        else:
+            noise = floor * noise
+        for peak in fit_peaks(data + (noise[0] + 1j * noise[1]) / np.sqrt(2), f):
+            away = peak.frequency_hz - chain.hz[np.argmin(np.abs(chain.hz - peak.frequency_hz))]
+            if abs(away) < 0.02 * peak.frequency_hz:  # noise makes peaks of its own where the FRFs are small
+                off.append(away / peak.frequency_std_hz)
+    assert len(off) == 200
+    assert 0.90 <= np.mean(np.abs(off) < 1.96) <= 0.98
+
+
+def test_a_mode_that_drifts_while_a_hammer_roves_is_one_peak():
+    """Rows of points one after the other, frequency and damping by the row; two modes as close with shapes of their own stay two."""
+    rng = np.random.default_rng(2)
+    f, shape = np.arange(340.0, 410.0, 0.5), rng.normal(size=45)
+    rows = np.repeat(np.linspace(-0.12, 0.12, 9), 5)
+    pole = 2 * np.pi * (-(0.0017 + 0.003 * rows**2) * 374 + 1j * (374 + rows))
+
+    def seen(h):
+        return h + 1e-3 * np.sqrt(np.mean(np.abs(h) ** 2)) * (rng.normal(size=(2, 45, f.size)).T @ [1, 1j]).T
+
+    [peak] = fit_peaks(seen(shape[:, None] / (2j * np.pi * f - pole[:, None])), f)
+    assert peak.frequency_hz == pytest.approx(374, abs=0.03)
+    assert 0.05 < peak.frequency_std_hz < 0.12
+    two = rng.normal(size=(45, 2)) @ (
+        1 / (2j * np.pi * f - 2 * np.pi * np.array([-0.0017 * 374 + 373.8j, -0.0017 * 374 + 374.2j])[:, None])
+    )
+    assert len(fit_peaks(seen(two), f)) == 2
+
+
 def test_errors_by_mode_are_those_put_in():
     chain = Chain(5)
     hz, zeta, phi = chain.hz.copy(), chain.zeta.copy(), chain.phi.copy()

@@ -26,6 +26,7 @@ from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.search import Found, unlike_days
 from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.dof import Dof
+from operando.indicators import INTERVAL
 
 _HALVINGS = 8  # of the range of a discrepancy
 
@@ -213,7 +214,7 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     return "explained", ""
 
 
-def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str, float]) -> list[tuple[float, float]]:
+def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str, float]) -> list[tuple[float, float, float | None]]:
     """Peaks of the check that lie off those of the idle model by more than days in a laboratory differ and than their half-power width.
 
     Peaks and shapes were fitted to the lines near them alone: that they moved is seen also where the idle model as a whole is a poor one.
@@ -227,8 +228,8 @@ def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str
 
     Returns
     -------
-    list of (float, float)
-        Hz, and by how much it has moved [%].
+    list of (float, float, float or None)
+        Hz, by how much it has moved [%], and the standard deviation of its frequency [Hz].
     """
     days = UNUSUAL * float(np.hypot(spreads.get("stiffness", 0.0) / 2, spreads.get("mode", 0.0)))
     out = []
@@ -238,15 +239,26 @@ def moved_peaks(rows: Sequence[Mapping[str, float | None]], spreads: Mapping[str
             continue
         moved = 1 / (1 + error / 100) - 1
         if abs(moved) > max(days, 2 * zeta):
-            out.append((hz, 100 * moved))
+            out.append((hz, 100 * moved, row.get("frequency_std_hz")))
     return out
 
 
-def peaks_text(moved: Sequence[tuple[float, float]], most: int = 4) -> str:
+def peaks_text(moved: Sequence[tuple[float, float, float | None]], most: int = 4) -> str:
     """Which peaks have moved, those that moved farthest."""
     farthest = sorted(sorted(moved, key=lambda row: -abs(row[1]))[:most])
-    named = ", ".join(f"to {hz:.4g} Hz by {'+' if percent > 0 else '−'}{abs(percent):.2g} %" for hz, percent in farthest)
-    return f"{len(moved)} peaks have moved by more than days in a laboratory differ and than their half-power width, the farthest {named}"
+    named = ", ".join(f"to {_hz_text(hz, std)} Hz by {'+' if percent > 0 else '−'}{abs(percent):.2g} %" for hz, percent, std in farthest)
+    known = " (± is the 95 % interval)" if "±" in named else ""
+    many = "1 peak has" if len(moved) == 1 else f"{len(moved)} peaks have"
+    return f"{many} moved by more than days in a laboratory differ and than their half-power width, the farthest {named}{known}"
+
+
+def _hz_text(hz: float, std: float | None) -> str:
+    """``47.18 ± 0.05``: with the 95 % interval where it is known, to its first digit."""
+    if std is None or not 0 < std < hz:
+        return f"{hz:.4g}"
+    half = INTERVAL * std
+    decimals = max(0, -int(np.floor(np.log10(float(f"{half:.0e}")))))
+    return f"{hz:.{decimals}f} ± {half:.{decimals}f}"
 
 
 def no_other_answer(best: State, rival: State, geometry: Geometry | None) -> bool:

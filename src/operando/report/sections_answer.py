@@ -136,14 +136,14 @@ def _by_run(results: Results) -> tuple[list[str], list[tuple[str, Any, list[Any]
     return [MODEL_NAMES[k] for k in keys], [(n, row.get("level_name"), e) for n, row, e in zip(names, rows, errors, strict=True)]
 
 
-def _by_mode(models: Any, chosen: list[str]) -> list[tuple[float, list[dict[str, Any]]]]:
-    """Frequency of each mode of the check, and its errors by each model chosen."""
+def _by_mode(models: Any, chosen: list[str]) -> list[tuple[float, float | None, list[dict[str, Any]]]]:
+    """Frequency of each mode of the check with its standard deviation, and its errors by each model chosen."""
     rows: dict[float, list[dict[str, Any]]] = {}
     for n, key in enumerate(chosen):
         for entry in models[key]["by_mode"]:
             if finite(entry.get("frequency_hz")):
                 rows.setdefault(round(float(entry["frequency_hz"]), 6), [{} for _ in chosen])[n] = entry
-    return sorted(rows.items())
+    return [(hz, next((e.get("frequency_std_hz") for e in rows[hz] if e), None), rows[hz]) for hz in sorted(rows)]
 
 
 def _unchecked(results: Results) -> tuple[Markup | None, str]:
