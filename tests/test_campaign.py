@@ -70,8 +70,8 @@ ROWS = 'template = "test.toml"\nrows = [{speed = 1}, {speed = 2}]\n'
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (ROWS + "basline = 3", "the nearest known key is 'baseline'"),
-        (ROWS + '[workers]\nprocesess = 2', "the nearest known key is 'processes'"),
+        (ROWS + "basline = 3", "did you mean 'baseline'"),
+        (ROWS + '[workers]\nprocesess = 2', "did you mean 'processes'"),
         (ROWS + "[workers]\nprocesses = 0", "a whole number of at least 1"),
         (ROWS + '[workers]\ncluster = "slrum"', "did you mean 'slurm'"),
         (ROWS + 'over = "sped"', "did you mean 'speed'"),

@@ -12,9 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 import measurements
+import operando
 from operando.cli import main
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
+from operando.errors import ConfigError, MissingError, ObjectError
 from operando.io import write_uff
 from operando.results import CheckRun, Results
 from operando.store import save_results
@@ -327,3 +329,41 @@ def test_every_command_that_reads_a_test_file_takes_changes(command, home, monke
 def test_changes_need_a_test_file(home, monkeypatch):
     assert answer(home, monkeypatch, "inspect", "idle/run1.uff", "--set", "analysis.band=[1,2]")[0] == 2
     assert answer(home, monkeypatch, "diagnose", "results", "--set", "analysis.band=[1,2]")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: operando.read(3), "a file is read from its path, not int"),
+        (lambda: operando.run(operando), "a test is run from its test file, not a module"),
+        (lambda: operando.run(3, "out"), "a test is run from its test file, not int"),
+        (lambda: operando.load(None), "what was saved is loaded from its path, not NoneType"),
+        (lambda: operando.load_test([1]), "a test is loaded from its test file, not list"),
+        (lambda: operando.mac(1, 2), "MAC of int and int is not defined"),
+        (lambda: operando.Model(3), "effects are added to idle modes, not int"),
+        (lambda: operando.diagnose(3), "a diagnosis needs idle modes first, not int"),
+        (lambda: operando.Report("results"), "a report is made of results, not str"),
+    ],
+)
+def test_an_object_of_another_kind_is_an_error_of_the_package_with_advice(call, said):
+    with pytest.raises(ObjectError, match=said) as error:
+        call()
+    assert error.value.hint
+
+
+def test_a_path_that_is_not_there_names_the_nearest(tmp_path):
+    (tmp_path / "run1.uff").write_text("")
+    (tmp_path / "frame-results").mkdir()
+    for call, name in ((operando.read, "run11.uff"), (operando.load, "frame-result")):
+        with pytest.raises(MissingError) as error:
+            call(tmp_path / name)
+        assert error.value.hint.startswith("did you mean")
+        assert name[:4] in error.value.hint
+        assert error.value.where == str(tmp_path / name)
+
+
+def test_an_unknown_key_is_answered_once(tmp_path):
+    (tmp_path / "test.toml").write_text('[idel]\nfrfs = ["a.uff"]\n')
+    with pytest.raises(ConfigError) as error:
+        operando.load_test(tmp_path)
+    assert str(error.value).count("'idle'") == 1

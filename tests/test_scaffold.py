@@ -229,3 +229,34 @@ def test_files_of_the_same_frfs_are_said_to_be_several_states(tmp_path):
     for name in ("ref", "cut"):
         operando.write_uff(tmp_path / f"{name}.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "1+Z"))
     assert any(note.startswith("cut.uff, ref.uff hold the same FRFs") for note in scaffold(tmp_path).notes)
+
+
+def test_tables_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):
+    rng = np.random.default_rng(1)
+    (tmp_path / "idle").mkdir()
+    rows = "\n".join(",".join(f"{v:.5g}" for v in row) for row in rng.normal(size=(400, 2)))
+    (tmp_path / "idle" / "hits.csv").write_text(f"force 1+Z [N],acc 3-X [g]\n{rows}\n")
+    made = scaffold(tmp_path)
+    assert [(t.role, t.reason) for t in made.taken] == [
+        ("idle records", "1 force and 1 response channels, 400 samples without a sampling rate; named 'idle'")
+    ]
+    assert "hits.csv: no sampling rate is stated: give [units] sampling_hz, nothing runs without" in made.notes
+    assert "[channels]" not in made.text  # the heads of the columns say where they were measured
+    write_test(made, tmp_path / "test.toml")
+    text = (tmp_path / "test.toml").read_text()
+    (tmp_path / "test.toml").write_text(text.replace("# sampling_hz", "sampling_hz"))
+    assert load_test(tmp_path).units["sampling_hz"] == 512
+
+
+def test_a_dof_in_the_head_of_a_column_is_read(tmp_path):
+    heads = {
+        "acc 3+Z [m/s2]": "3+Z",
+        "3-x acc [g]": "3-X",
+        "4+Z [g]": "4+Z",
+        "acc 1+Z to 2+Z [g]": None,
+        "acc 3z [g]": None,
+        "acc 12 [g]": None,
+    }
+    (tmp_path / "a.csv").write_text(f"time [s],{','.join(heads)}\n" + "".join(f"{i / 100}{',1.0' * len(heads)}\n" for i in range(9)))
+    [record] = operando.read(tmp_path / "a.csv").records
+    assert [None if c.dof is None else str(c.dof) for c in record.channels] == list(heads.values())

@@ -13,6 +13,7 @@ from operando import values
 from operando.entries import Entry, Given, lines_of
 from operando.errors import ConfigError, OperandoError
 from operando.own_effects import load_effects
+from operando.paths import path_of
 from operando.states import Span as Span
 from operando.states import State as State
 from operando.states import find_files, record_named, state_of
@@ -259,7 +260,7 @@ def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
     ...     operando.load_test(folder, ["analysis.band=[1,2]"]).analysis.band
     (1.0, 2.0)
     """
-    path = Path(path)
+    path = path_of(path, "a test is loaded from its test file", "give the path of test.toml")
     if path.is_dir():
         if (path / "model.h5").exists() and not (path / "test.toml").exists():
             hint = "give the test file; `operando report`, `ofrf`, `diagnose` and `compare` take a results folder"

@@ -205,7 +205,9 @@ def parse_dofs(labels: object) -> tuple[Dof, ...]:
     """Parse several labels: a comma-separated text, or an iterable of labels or DOFs."""
     if isinstance(labels, Dof):
         return (labels,)
-    items = [part for part in labels.split(",") if part.strip()] if isinstance(labels, str) else list(labels)  # type: ignore[call-overload]
+    if not isinstance(labels, str | Iterable):
+        raise DofError(f"DOF labels are a text or a list of labels, not {type(labels).__name__}", hint='write "1+Z, 2+Z"')
+    items = [part for part in labels.split(",") if part.strip()] if isinstance(labels, str) else list(labels)
     return tuple(Dof.parse(item) for item in items)
 
 

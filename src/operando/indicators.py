@@ -53,7 +53,7 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
         a, b, _ = common_shapes(first, other)
     else:
         a, b = np.asarray(first), np.asarray(other)
-    if not (np.issubdtype(a.dtype, np.number) and np.issubdtype(b.dtype, np.number)):
+    if not (np.issubdtype(a.dtype, np.number) and np.issubdtype(b.dtype, np.number) and a.ndim in (1, 2) and b.ndim in (1, 2)):
         raise ObjectError(
             f"MAC of {type(first).__name__} and {type(other).__name__} is not defined", hint="give models or arrays of shapes"
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from operando.errors import FormatError, MissingError, ObjectError, OperandoError
+from operando.paths import near_path, path_of
 from operando.results import Results
 
 _NAMES = tuple(f.name for f in fields(Results) if f.name != "timings_s")
@@ -55,9 +56,9 @@ def load(path: str | Path, kind: type[Any] = object) -> Any:
     """
     from operando.io import load_object, object_names
 
-    file = Path(path)
+    file = path_of(path, "what was saved is loaded from its path", "save(path) of an object writes what load(path) reads")
     if not file.exists():
-        raise MissingError("there is no such file or folder", where=str(path))
+        raise MissingError("there is no such file or folder", where=str(path), hint=near_path(file))
     found = load_results(file) if file.is_dir() or "name" in object_names(file) else load_object(file)
     if not isinstance(found, kind):
         raise ObjectError(f"a {type(found).__name__} was saved, not a {kind.__name__}", hint=f"load({str(path)!r}) without a kind takes it")
@@ -102,9 +103,13 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
     """
     from operando.io import UNREADABLE, check_fields, check_objects, opened_hdf5, read_objects
 
-    path = Path(path)
+    path = path_of(path, "results are loaded from their folder")
     if path.is_dir():
         path = path / "model.h5"
+    elif not path.exists():
+        raise MissingError(
+            "there is no such results folder", where=str(path), hint=f"{near_path(path)}; `operando run test.toml -o DIR` makes one"
+        )
     if not path.is_file():
         raise MissingError("there is no model.h5", where=str(path.parent), hint="make one with `operando run test.toml -o DIR`")
     wanted = _NAMES if only is None else ("name", *only)

@@ -39,10 +39,8 @@ def check_keys(table: Mapping[str, Any], known: Iterable[str], where: Entry) -> 
     known = tuple(known)
     for key in table:
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
-            text = f"unknown key {key!r}" + (f"; the nearest known key is {near[0]!r}" if near else "")
             here = where.within(key) if not where.section else where if where.key else where.at(key)
-            raise ConfigError(text, where=str(here), hint=nearest(key, known, 40))
+            raise ConfigError(f"unknown key {key!r}", where=str(here), hint=nearest(key, known, 40))
 
 
 def is_number(value: Any) -> bool:

@@ -58,4 +58,6 @@ def results_folder(name: str, output: str | None) -> Path:
     """The folder named, else ``results/NAME`` in the current one."""
     if output is not None:
         return Path(output)
-    return Path("results") / "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")
+    from operando.pipeline.folder import default_folder
+
+    return default_folder(name)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from operando.compare.verdict import floor_reason
-from operando.data import Frf, Geometry, ModalModel, TimeRecord
+from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
@@ -211,6 +211,14 @@ def diagnose(
     MissingError
         If there is neither a check nor operational modes.
     """
+    expect(idle, ModalModel, "a diagnosis needs idle modes first", "fit_ema(frf) gives them")
+    for run in check:
+        expect(
+            run,
+            CheckRun,
+            "check takes validation measurements",
+            'operando.results.CheckRun("run 1", "20 N", frf) names the FRFs and their level',
+        )
     asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band}
     asked |= {"progress": progress, "compared": compared}
 
@@ -224,7 +232,10 @@ def diagnose(
     if check:
         return from_frf()
     if operating is None:
-        raise MissingError("neither FRFs of a validation measurement nor operating modes to diagnose from")
+        raise MissingError(
+            "neither FRFs of a validation measurement nor operating modes to diagnose from",
+            hint="diagnose(idle, check=[operando.results.CheckRun(...)]) or diagnose(idle, operating=modes)",
+        )
     from operando.diagnosis.from_modes import diagnose_modes
 
     del asked["compared"]

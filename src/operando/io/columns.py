@@ -47,6 +47,13 @@ class NoLines(FormatError):
         self.lines = lines
 
 
+class NoRate(FormatError):
+    """Time histories whose sampling rate nobody states."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__("no time column and no sampling rate", where=where, hint="give [units] sampling_hz = 512 in the test file")
+
+
 def check_columns(columns: Any, where: str) -> tuple[str, ...]:
     """``[units] columns`` of a test file, checked.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from operando.data import Finding, Provenance, TimeRecord
 from operando.errors import FormatError, UnitError
 from operando.io.atomic import replacing
-from operando.io.columns import TIME, NoHeader, check_columns, propose_columns
+from operando.io.columns import TIME, NoHeader, NoRate, check_columns, propose_columns
 from operando.io.content import Content, SetInfo
 from operando.io.frf_table import BARE, is_frf_table, read_bare_frf, read_frf_table
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
@@ -105,7 +105,7 @@ def read_csv(
         found, start = _rate_of_time(table[time_column], texts[time_column], where)
         rate = rate or found
     if not rate:
-        raise FormatError("no time column and no sampling rate", where=where, hint="give [units] sampling_hz = 512 in the test file")
+        raise NoRate(where)
     if not keep:
         raise FormatError("no column with data beside the time", where=where)
     provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))

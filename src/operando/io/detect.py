@@ -13,6 +13,7 @@ from operando.data import Finding
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
+from operando.paths import path_of
 
 READERS = {
     "uff": ("operando.io.uff.reader", "read_uff"),
@@ -63,9 +64,9 @@ def detect_format(path: str | Path) -> str:
     from operando.io.uff.reader import open_file
     from operando.io.uff.split import find_first_set
 
-    path = Path(path)
+    path = path_of(path, "a file is read from its path")
     if path.is_dir():
-        raise MissingError("a folder, not a file", where=str(path), hint="name the files in it, for example with *.uff")
+        raise MissingError("a folder, not a file", where=str(path), hint=f"name the files in it: read({str(path / '*.uff')!r})")
     with open_file(path) as stream:
         head = stream.read(_HEAD)
     if not head.strip():
@@ -140,6 +141,9 @@ def read(
     ...     operando.read(f"{folder}/frf.uff").frfs[0]["7+Z", "1+Z"].data.real.tolist()
     [[[1.0, 2.0]]]
     """
+    path = path_of(
+        path, "a file is read from its path", "a pattern as 'idle/*.uff' reads several files; for arrays there are TimeRecord and Frf"
+    )
     if is_pattern(path):
         return _read_all(str(path), units, channels)
     kind = detect_format(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -111,12 +112,17 @@ def _scaled(array: Any, rows: list[int], factors: list[float]) -> Any:
 
 
 def _dof_of(name: str) -> Dof | None:
-    """DOF of a channel name that is a DOF label with a direction; a bare number is a name."""
+    """DOF of a channel name that is a DOF label with a direction, or has one word that is (``acc 3+Z``); a bare number is a name."""
     try:
         dof = Dof.parse(name)
     except DofError:
-        return None
+        labels = [word for word in name.split() if _SIGNED_DOF.fullmatch(word)]
+        return Dof.parse(labels[0]) if len(labels) == 1 else None
     return dof if dof.axis else None
+
+
+_SIGNED_DOF = re.compile(r"[0-9]{1,9}[+-]R?[XYZ]", re.IGNORECASE)
+"""A label among other words: the sign is asked for, since "3z" may be anything."""
 
 
 def _missing_unit(name: str, quantity: str, source: str, i: int) -> Finding:

@@ -127,6 +127,11 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
     return {}
 
 
+def default_folder(name: str) -> Path:
+    """The results folder of a test of this name where none is given: ``results/NAME`` in the current one."""
+    return Path("results") / "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")
+
+
 @contextmanager
 def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Iterator[ResultsFolder]:
     """A results folder for this process alone, without what an earlier one left half done.

@@ -15,9 +15,10 @@ from operando.errors import ConfigError, OperandoError, WriteError
 from operando.io.atomic import replacing
 from operando.jsonable import jsonable
 from operando.own_effects import effects_hash
+from operando.paths import path_of
 from operando.pipeline.cache import load_stage, save_stage, stage_file
 from operando.pipeline.code import code_hash
-from operando.pipeline.folder import ResultsFolder, key_of, results_folder
+from operando.pipeline.folder import ResultsFolder, default_folder, key_of, results_folder
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.names import UnfitTest
 from operando.pipeline.outputs import OUTPUTS, Output
@@ -33,7 +34,7 @@ Progress = Callable[[str, str], None]
 
 def run(
     test: Test | str | Path,
-    out: str | Path,
+    out: str | Path | None = None,
     *,
     until: str | None = None,
     progress: Progress | None = None,
@@ -52,8 +53,8 @@ def run(
     ----------
     test : Test or path
         Test or test file.
-    out : path
-        Results folder; made where it is missing.
+    out : path, optional
+        Results folder; made where it is missing. Default: ``results/NAME`` in the current folder, as on the command line.
     until : str, optional
         Last stage to run, one of ``STAGES``.
     progress : callable, optional
@@ -86,10 +87,10 @@ def run(
     'idle.uff'
     """
     if not isinstance(test, Test):
-        test = load_test(test)
+        test = load_test(path_of(test, "a test is run from its test file", "give the path of test.toml, or load_test(path)"))
     if until is not None and until not in STAGES:
         raise ConfigError(f"unknown stage {until!r}", where="until", hint="stages: " + ", ".join(STAGES))
-    out = Path(out)
+    out = default_folder(test.name) if out is None else path_of(out, "results go into a folder")
     if out.exists() and not out.is_dir():
         raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
     with one_blas_thread(), results_folder(out, "run", make=True) as folder:

@@ -12,6 +12,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from operando.data import expect
 from operando.errors import DataError
 from operando.io.atomic import replacing
 from operando.printable import without_active
@@ -57,6 +58,7 @@ class Report:
     """
 
     def __init__(self, results: Results) -> None:
+        expect(results, Results, "a report is made of results", "run(test) returns them, load(folder) reads them")
         self.results = results
         self._added: dict[str, list[tuple[Drawing | None, str]]] = {}
 

@@ -23,7 +23,8 @@ class Seen:
 
     ``labels`` are guesses, channel name → what [channels] would say of it; ``columns`` of tables without a header line → their files;
     ``loudest`` rms of each force channel; ``bands`` in which each measurement with force has power [Hz]; ``lineless`` files of FRFs without
-    frequencies → lines; ``unlabelled_force``: FRFs of one reference name no DOFs; ``pairs`` of FRFs and their state → files.
+    frequencies → lines; ``rateless`` files of time histories without a rate; ``unlabelled_force``: FRFs of one reference name no DOFs;
+    ``pairs`` of FRFs and their state → files.
     """
 
     unitless: dict[str, set[str]] = field(default_factory=dict)
@@ -35,6 +36,7 @@ class Seen:
     loudest: dict[str, float] = field(default_factory=dict)
     bands: dict[str, tuple[float, float]] = field(default_factory=dict)
     lineless: dict[str, int] = field(default_factory=dict)
+    rateless: list[str] = field(default_factory=list)
     unlabelled_force: bool = False
     pairs: dict[frozenset[tuple[str, str]], list[Path]] = field(default_factory=dict)
 

@@ -152,7 +152,7 @@ def _passed_over(file: Path) -> str:
 
 def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
     """What a file holds; what it is taken for is decided when all are known."""
-    from operando.io import NoHeader, NoLines, read
+    from operando.io import NoHeader, NoLines, NoRate, read
 
     if reason:
         return Taken(file, "ignored", reason)
@@ -167,6 +167,9 @@ def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
         except NoLines as error:
             content = read(file, units={"frequency_step_hz": 1.0})
             seen.lineless[file.name] = error.lines
+        except NoRate:
+            content = read(file, units={"sampling_hz": 1.0})
+            seen.rateless.append(file.name)
     except OperandoError as error:
         return Taken(file, "ignored", f"cannot be read: {error.message}", sure=False)
     if not (content.records or content.frfs):
@@ -214,7 +217,8 @@ def _look_at_record(file: Path, content: Any, seen: Seen) -> _Draft:
     import numpy as np
 
     record = max(content.records, key=lambda r: r.data.size)
-    seen.rates.add(record.sampling_hz)
+    timed = file.name not in seen.rateless
+    seen.rates |= {record.sampling_hz} if timed else set()
     record = labelled(record, seen)
     for channel in record.channels:
         if channel.name in seen.labels and "exclude" in seen.labels[channel.name]:
@@ -226,14 +230,12 @@ def _look_at_record(file: Path, content: Any, seen: Seen) -> _Draft:
     forces = {record.channels[i].label: float(np.sqrt(np.nanmean(np.square(record.data[i], dtype=float)))) for i in record.force_indices}
     for label, rms in forces.items():
         seen.loudest[label] = max(rms, seen.loudest.get(label, 0.0))
-    if forces and record.response_indices:
+    if forces and record.response_indices and timed:
         band = excited_band(record)
         if band is not None:
             seen.bands[str(file)] = band
-    what = (
-        f"{len(forces)} force and {len(record.response_indices)} response channels, "
-        f"{record.duration_s:.4g} s at {record.sampling_hz:.6g} Hz"
-    )
+    length = f"{record.duration_s:.4g} s at {record.sampling_hz:.6g} Hz" if timed else f"{record.n_samples} samples without a sampling rate"
+    what = f"{len(forces)} force and {len(record.response_indices)} response channels, {length}"
     return _Draft(file, what, forces, len(record.response_indices))
 
 
@@ -276,6 +278,8 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
         )
     if seen.lineless:
         notes.append(f"{', '.join(seen.lineless)}: the file states no frequencies: give [units] frequency_step_hz, nothing runs without")
+    if seen.rateless:
+        notes.append(f"{', '.join(seen.rateless[:4])}: no sampling rate is stated: give [units] sampling_hz, nothing runs without")
     for alike in seen.pairs.values():
         if len(alike) > 1:
             names = [file.name for file in alike]

@@ -72,13 +72,15 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     if geometry:
         lines += ["", "[geometry]", f"file = {quoted(_relative(geometry[0], base))}"]
         lines.append('# units = "m"  # of coordinates, where the file does not say')
-    if seen.columns or seen.lineless or seen.unitless:
+    if seen.columns or seen.lineless or seen.rateless or seen.unitless:
         lines += ["", "[units]  # where the files do not say: take off the # and write what was used"]
     if seen.columns:
         columns = max(seen.columns, key=lambda c: len(seen.columns[c]))
         lines.append(f"columns = {_list(columns)}  # of tables without a header line: a guess from the numbers, look at it")
     if seen.lineless:
         lines.append(f"# frequency_step_hz = 0.25  # Hz: needed, {printable(', '.join(seen.lineless))} does not say")
+    if seen.rateless:
+        lines.append(f"# sampling_hz = 512  # needed, {printable(', '.join(seen.rateless[:4]))} does not say")
     units = {"acceleration": "g", "force": "N"}
     lines += [f'# {quantity} = "{units.get(quantity, "?")}"' for quantity in sorted(seen.unitless)]
     if seen.labels or seen.unlabelled:

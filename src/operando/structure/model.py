@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, expect
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
 from operando.structure.effects import Effect, parse_effect, place_weights
@@ -59,6 +59,7 @@ class Model:
     covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
+        expect(self.idle, ModalModel, "effects are added to idle modes", "fit_ema(frf) gives them")
         object.__setattr__(self, "effects", tuple(self.effects))
         if self.idle.scaling != "unit_modal_mass":
             raise DataError("effects need an idle model of unit modal mass", hint="give units to the EMA, so that shapes can be scaled")
@@ -77,6 +78,7 @@ class Model:
     def add(self, effect: Effect | str) -> Model:
         """The model with one effect more (an Effect, or text as on the command line)."""
         added = parse_effect(effect, self.idle.band_hz) if isinstance(effect, str) else effect
+        expect(added, Effect, "an effect is added", 'write an Effect or a text as "point_mass@3+Z"')
         return replace(self, effects=(*self.effects, added), covariance=None)
 
     def remove(self, step: int) -> Model:

@@ -23,6 +23,7 @@ from operando.io.uff.models import assemble_models
 from operando.io.uff.records import assemble_records, is_time_function
 from operando.io.uff.split import RawSet, outside_sets, split_sets
 from operando.io.uff.textform import Buffer, in_one_form
+from operando.paths import near_path
 
 _FULL_HASH = 1 << 25
 _LINES = {164: 3, 151: 7, 1858: 7}
@@ -143,7 +144,7 @@ def open_file(path: Path) -> IO[bytes]:
     try:
         return open(path, "rb")
     except FileNotFoundError as error:
-        raise MissingError("no such file", where=str(path)) from error
+        raise MissingError("no such file", where=str(path), hint=near_path(path)) from error
     except OSError as error:
         raise MissingError(f"cannot be opened: {error.strerror}", where=str(path)) from error
 
