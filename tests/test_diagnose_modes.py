@@ -294,6 +294,22 @@ def test_modes_are_paired_by_frequency_and_mac():
         one.pairs(f[:3], one.shapes[:, :3])
 
 
+def test_a_size_that_leaves_too_few_modes_is_not_chosen():
+    """A damper so large that a mode no longer swings, where the idle model has just the modes that were measured."""
+    c = chain()
+    whole = idle_of(c)
+    bare = ModalModel(whole.frequencies_hz, whole.damping_ratios, whole.shapes, DOFS, "unit_modal_mass", band_hz=whole.band_hz)
+    idle = Idle.of(bare, bare.band_hz, bare.dofs)
+    case = ModesCase(idle, OperatingModes(idle, running(c, noise=0.0), ()), bare.band_hz, SAME_SET_UP)
+    state = case.forward.scannable(case.forward.start, case.lines.w)
+    sizes = [Term("ground_damper", (0,), (float(np.log(size)),)) for size in (1.0, 10.0, 3e3)]
+    alone = state.responses(sizes[:2])
+    assert np.isfinite(alone).all()
+    together = state.responses(sizes)
+    np.testing.assert_array_equal(together[..., :2], alone)
+    assert np.isnan(together[..., 2]).all()
+
+
 def test_noise_is_at_least_what_any_identification_leaves():
     c = chain()
     exact = running(c, noise=0.0)

@@ -376,7 +376,7 @@ class ScannableModes:
         return cls(forward, x, w, system, solved, used, channel, h[:, None, None])
 
     def responses(self, terms: Sequence[Term]) -> Array:
-        """Values (values, 1, 1, n) with each of some terms of one kind and place more."""
+        """Values (values, 1, 1, n) with each of some terms of one kind and place more, NaN where it leaves too few modes."""
         known = self.forward.observed.at_rest if self.at_rest else {}
         key = (*terms, self.w.size)
         if key not in known:
@@ -387,7 +387,10 @@ class ScannableModes:
         out = []
         for term in terms:
             more = Point(self.x.g, self.x.d, self.x.own, self.x.u, (*self.x.terms, term))
-            out.append(self.forward.predict(more, self.w, derivatives=False).h)
+            try:
+                out.append(self.forward.predict(more, self.w, derivatives=False).h)
+            except np.linalg.LinAlgError:
+                out.append(np.full_like(self.h, np.nan))
         return np.stack(out, -1)
 
     def _changed(self, terms: Sequence[Term]) -> Array:
@@ -412,7 +415,10 @@ class ScannableModes:
             mass, damping, stiffness = (q @ at.T @ part.T for part in laws[number])
             held = s[:, None] ** 2 * mass + s[:, None] * damping + stiffness
             psi = q @ shown.T - held @ follows.T
-            numbers = self.forward.pair(s, psi, self.used, self.channel)
+            try:
+                numbers = self.forward.pair(s, psi, self.used, self.channel)
+            except np.linalg.LinAlgError:  # a damper of this size leaves fewer modes than were measured: its values stay NaN
+                continue
             out[:, number] = self.forward.values(s, psi, numbers, self.used, self.channel)[self.w]
         # what is left out of the state itself is left out with an effect more, too
         return (out[:, 1:] + self.h[:, 0] - out[:, :1])[:, None, None]
