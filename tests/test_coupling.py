@@ -185,6 +185,7 @@ def test_coupling_follows_its_terms_and_dofs(tmp_path):
     np.testing.assert_allclose(mixed.frf(HZ, quantity="receptance").data, wanted, rtol=1e-7, atol=1e-20)
     model.save(tmp_path / "model.h5")
     again = operando.load(tmp_path / "model.h5")
+    np.testing.assert_array_equal(again.coupling.stiffness, model.coupling.stiffness)
     np.testing.assert_array_equal(again.coupling.damping, model.coupling.damping)
     np.testing.assert_array_equal(again.coupling.lag, model.coupling.lag)
     few = model.select_modes([0, 2])
@@ -213,8 +214,8 @@ def test_the_hybrid_route_says_that_it_leaves_coupling_out():
 def test_coupling_that_does_not_belong_is_refused():
     with pytest.raises(DataError, match="not symmetric"):
         ModalCoupling(np.array([[0, 1.0], [2.0, 0]]), np.zeros((1, 2)))
-    with pytest.raises(DataError, match="not zero on its diagonal"):
-        ModalCoupling(np.eye(2), np.zeros((1, 2)))
+    with pytest.raises(DataError, match="stiffness beside that of 2 terms"):
+        ModalCoupling(np.eye(2), np.zeros((1, 2)), np.zeros(3))
     with pytest.raises(DataError, match="expected"):
         ModalCoupling(np.zeros((3, 3)), np.zeros((1, 2)))
     for scaling, n in (("unit_modal_mass", 3), ("unscaled", 2)):

@@ -20,19 +20,22 @@ class ModalCoupling:
 
     In modal coordinates the damping matrix is then not diagonal (Rayleigh 1877, § 102). Between two terms of the model it is
     ``damping``; a mode that it ties to terms outside the band, which only follow, has the shape φ − iω·lag in the FRFs, exact to
-    first order.
+    first order. Where frequencies and damping ratios of the model are those of its poles, what the diagonals of the modal damping and
+    stiffness matrices have beside 2ζω and ω² stands on the diagonals here.
 
     Parameters
     ----------
     damping : (n_terms, n_terms) array
-        Symmetric, zero on its diagonal [1/s].
+        Symmetric [1/s]; on its diagonal what is added to 2ζω.
     lag : (n_dofs, n_terms) array
         [s·kg^(−1/2)]
+    stiffness : (n_terms,) array, optional
+        What is added to ω² [1/s²]; default zero.
 
     Raises
     ------
     DataError
-        If the two do not belong together, or the damping is not symmetric or has a diagonal.
+        If they do not belong together, or the damping is not symmetric.
 
     Examples
     --------
@@ -46,6 +49,7 @@ class ModalCoupling:
 
     damping: Array
     lag: Array
+    stiffness: Array | None = None
 
     def __post_init__(self) -> None:
         damping, lag = frozen(self.damping, float, 2, "damping"), frozen(self.lag, float, 2, "lag")
@@ -54,23 +58,33 @@ class ModalCoupling:
         n = lag.shape[1]
         if damping.shape != (n, n):
             raise DataError(f"damping between terms has shape {damping.shape}, lags have shape {lag.shape}: expected {(n, n)}")
+        stiffness = frozen(np.zeros(n) if self.stiffness is None else self.stiffness, float, 1, "stiffness")
+        object.__setattr__(self, "stiffness", stiffness)
+        if stiffness.shape != (n,):
+            raise DataError(f"stiffness beside that of {n} terms has shape {stiffness.shape}, expected {(n,)}")
         rounding = 1e-9 * np.abs(damping).max(initial=0.0)
-        if np.abs(damping - damping.T).max(initial=0.0) > rounding or np.diagonal(damping).any():
-            raise DataError("damping between terms is not symmetric, or not zero on its diagonal", hint="a term's own is its damping ratio")
+        if np.abs(damping - damping.T).max(initial=0.0) > rounding:
+            raise DataError("damping between terms is not symmetric", hint="what is not is a gyroscopic or circulatory effect")
+
+    @property
+    def beside(self) -> Array:
+        """What is added to ω² of each term [1/s²]."""
+        assert self.stiffness is not None  # filled when it was made
+        return self.stiffness
 
     def select(self, terms: Array) -> ModalCoupling:
         """Of some of the terms, in that order."""
-        return ModalCoupling(self.damping[np.ix_(terms, terms)], self.lag[:, terms])
+        return ModalCoupling(self.damping[np.ix_(terms, terms)], self.lag[:, terms], self.beside[terms])
 
     def at(self, dofs: Array, signs: Array) -> ModalCoupling:
         """At some of the DOFs (rows), with the signs of their senses."""
-        return ModalCoupling(self.damping, self.lag[dofs] * signs[:, None])
+        return ModalCoupling(self.damping, self.lag[dofs] * signs[:, None], self.beside)
 
     def scaled(self, damping: float, stiffness: float) -> ModalCoupling:
         """Where all damping and all stiffness are so many times as large; what follows gives way less by as much."""
-        return ModalCoupling(damping * self.damping, damping / stiffness * self.lag)
+        return ModalCoupling(damping * self.damping, damping / stiffness * self.lag, stiffness * self.beside)
 
     def with_term(self, at: int) -> ModalCoupling:
         """With one term more before number ``at``, which nothing ties to the others."""
         damping = np.insert(np.insert(self.damping, at, 0.0, axis=0), at, 0.0, axis=1)
-        return ModalCoupling(damping, np.insert(self.lag, at, 0.0, axis=1))
+        return ModalCoupling(damping, np.insert(self.lag, at, 0.0, axis=1), np.insert(self.beside, at, 0.0))

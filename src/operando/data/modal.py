@@ -15,6 +15,7 @@ from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.modal_figures import ModalFigures
+from operando.data.modal_poles import pole_form
 from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_terms, shape_rows
 from operando.data.objects import Noun, counted, names_text
 from operando.data.provenance import Provenance
@@ -320,6 +321,15 @@ class ModalModel(ModalFigures, Noun):
         rest = ResidualTerms(hz[n:], zeta[n:], values[:, n:])
         return replace(self, frequencies_hz=hz[:n], damping_ratios=zeta[:n], shapes=values[:, :n], residuals=rest, **others)
 
+    @cached_property
+    def complex_shapes(self) -> NDArray[Any]:
+        """Shapes as the modes move (n_dofs, n_modes): with damping that ties modes they are complex, else ``shapes`` as they are."""
+        if (form := pole_form(self.terms)) is None:
+            return self.shapes
+        poles = replace(self.terms, frequencies_hz=form.frequencies_hz, damping_ratios=form.damping_ratios).poles
+        lag = self.terms.coupling.lag if self.terms.coupling is not None else 0
+        return np.asarray(self.terms.shapes @ form.vectors - poles * (lag @ form.vectors))[:, : self.n_modes]
+
     def rows(self, dofs: object) -> NDArray[Any]:
         """Shape rows of the modes at the DOFs asked for, sign by their sense (n_wanted, n_modes)."""
         return shape_rows(self.shapes, self.dofs, dofs)
@@ -375,7 +385,7 @@ class ModalModel(ModalFigures, Noun):
 
     def mode_dict(self, i: int) -> dict[str, Any]:
         """JSON object of one mode, as in ``summary.json``."""
-        shape = self.shapes[:, i]
+        shape, moving = self.shapes[:, i], self.complex_shapes[:, i]
         f_std, z_std, s_std = self.frequency_std_hz, self.damping_ratio_std, self.shape_std
         value = (lambda v: [float(v.real), float(v.imag)]) if np.iscomplexobj(shape) else (lambda v: float(v))
         return {
@@ -383,7 +393,7 @@ class ModalModel(ModalFigures, Noun):
             "frequency_std_hz": _number(f_std, i),
             "damping_ratio": float(self.damping_ratios[i]),
             "damping_ratio_std": _number(z_std, i),
-            "modal_phase_collinearity": phase_collinearity(shape),
+            "modal_phase_collinearity": phase_collinearity(moving),
             "in_band": bool(np.asarray(self.in_band)[i]),
             "shape": {str(d): value(v) for d, v in zip(self.dofs, shape, strict=True)},
             "shape_std": None if s_std is None else {str(d): float(v) for d, v in zip(self.dofs, s_std[:, i], strict=True)},

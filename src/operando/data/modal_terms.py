@@ -95,8 +95,10 @@ class ModalTerms:
     def quadratic(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Damping [1/s] and stiffness [1/s²] matrices in modal coordinates of unit mass."""
         w = 2 * np.pi * self.frequencies_hz
-        damping = np.diag(2 * self.damping_ratios * w)
-        return damping if self.coupling is None else damping + self.coupling.damping, np.diag(w**2)
+        damping, stiffness = np.diag(2 * self.damping_ratios * w), np.diag(w**2)
+        if self.coupling is None:
+            return damping, stiffness
+        return damping + self.coupling.damping, stiffness + np.diag(self.coupling.beside)
 
     @property
     def n_parameters(self) -> int:

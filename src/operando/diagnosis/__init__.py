@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from operando.diagnosis.applied import Applied
 from operando.diagnosis.by_hand import apply_effects
+from operando.diagnosis.complex_idle import with_complex_modes
 from operando.diagnosis.from_frf import diagnose, diagnose_frf
 from operando.diagnosis.from_modes import diagnose_modes
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, apply_to_records, diagnose_records, measured_distortion
@@ -21,4 +22,5 @@ __all__ = [
     "diagnose_modes",
     "diagnose_records",
     "measured_distortion",
+    "with_complex_modes",
 ]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalCoupling, ModalModel
+from operando.data.modal_poles import pole_form
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
 from operando.structure import Model
@@ -95,7 +96,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         if len(there) < len(geometry.nodes):
             geometry = replace(geometry, nodes=tuple(geometry.nodes[k] for k in there), coordinates=geometry.coordinates[there])
     if idle.covariance is None:
-        return Model(updated, effects, geometry)
+        return Model(_with_poles(updated)[0], effects, geometry)
 
     # θ and the values as linear in the unknowns: rows of a matrix whose product with the posterior covariance is theirs
     problem = state.problem
@@ -141,5 +142,17 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     joint = a.T @ a + np.tensordot(b, b, ((0, 1), (0, 1)))
     theta = np.r_[at_rest, n + at_rest, (2 * n + at_rest[:, None] * dofs + kept).ravel()]
     both = np.r_[theta, np.arange(2 * n + n * dofs, rows)]
-    updated = updated.with_terms(covariance=joint[np.ix_(theta, theta)])
-    return Model(updated, effects, geometry, joint[np.ix_(both, both)])
+    updated, turn = _with_poles(updated)
+    joint = joint[np.ix_(both, both)]
+    joint[: len(turn)] = turn @ joint[: len(turn)]
+    joint[:, : len(turn)] = joint[:, : len(turn)] @ turn.T
+    return Model(updated.with_terms(covariance=joint[: theta.size, : theta.size]), effects, geometry, joint)
+
+
+def _with_poles(model: ModalModel) -> tuple[ModalModel, Array]:
+    """With frequencies and damping ratios of the poles where modes are tied, and how these follow the terms' own (2n, 2n)."""
+    form = pole_form(model.terms)
+    if form is None:
+        return model, np.zeros((0, 0))
+    hz, zeta = form.frequencies_hz, form.damping_ratios
+    return model.with_terms(frequencies_hz=hz, damping_ratios=zeta, coupling=form.coupling), form.by_terms

@@ -118,9 +118,16 @@ class Idle:
             return ()
         return (Term("missing_mode", (), (float(np.log(self.f[self.lacking])), float(np.log(self.zeta[self.lacking])))),)
 
+    @property
+    def tied(self) -> bool:
+        """Whether damping that is no modal one stands between modes, or in their shapes."""
+        return bool(self.between.any() or self.lag.any())
+
     @classmethod
     def of(cls, model: ModalModel, band: tuple[float, float], driven: Sequence[Dof]) -> Idle:
         """Of a fitted model, with the damping that ties its modes where it has one, as known. A residual term in band is a mode.
+
+        Frequencies and damping ratios are those of the diagonals of the modal matrices; where modes are tied poles have others.
 
         Parameters
         ----------
@@ -133,6 +140,10 @@ class Idle:
         """
         terms = model.terms
         f, zeta, phi = (np.array(v, float) for v in (terms.frequencies_hz, terms.damping_ratios, np.real(terms.shapes)))
+        if terms.coupling is not None:
+            damping, stiffness = (np.diag(a) for a in terms.quadratic)
+            f = np.sqrt(stiffness) / 2 / np.pi
+            zeta = damping / (4 * np.pi * f)
         residual = np.asarray(terms.residual) & ~((f > band[0]) & (f < band[1]))
         t, d, m = f.size, phi.shape[0], int((~residual).sum())
         at = np.array([i for i, dof in enumerate(terms.dofs) if any(dof.same_axis(o) for o in driven)], int)
@@ -174,17 +185,21 @@ class Idle:
         scale = self.shapes.scale(self.phi, self.driven)[self.modes]
         return self.lags.at(self.lag, scale, g, own)
 
-    def loose(self, driven: Array) -> Idle:
-        """With variances that only say of which order the parameters are; ``driven`` are numbers of DOFs."""
+    def loose(self, driven: Array, complex_modes: bool = True) -> Idle:
+        """With variances that only say of which order the parameters are; ``driven`` are numbers of DOFs.
+
+        What makes modes complex stays as it is where ``complex_modes`` is False.
+        """
         rms = np.sqrt(np.mean(self.phi**2, axis=0))
         modes, t, d, pairs = self.modes, self.f.size, len(self.dofs), self.between.size
         m = modes.size
         shape = np.where(self.residual, 1.0, SHAPE_LOOSE) * rms
-        lag = LAG_LOOSE * rms[modes] / (2 * np.pi * self.f[modes])
+        ties = 1.0 if complex_modes else 0.0
+        lag = ties * LAG_LOOSE * rms[modes] / (2 * np.pi * self.f[modes])
         std = [
             np.where(self.residual, 0, FREQUENCY_LOOSE * self.f),
             np.where(self.residual, 0, DAMPING_LOOSE * self.zeta),
-            np.full(pairs, BETWEEN_LOOSE),
+            np.full(pairs, ties * BETWEEN_LOOSE),
             np.tile(shape, driven.size),
             np.tile(lag, driven.size),
         ]

@@ -307,16 +307,20 @@ class AtRest:
 
 
 def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
-    """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex."""
-    # noise taken for alike where it is not would count as a misfit, so the lines count as independent first
-    state = _on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False, REST_DISCREPANCY)
-    if state.alpha < REST_DISCREPANCY:
-        return AtRest(idle, state, _correlated(state), False)
-    loose = idle.loose(state.case.forward.references)
-    state = _on_idle_frfs(loose, frf, band, REST_LINES, CORRELATED_LINES, True)
+    """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex.
+
+    A model whose modes are tied is fitted again in any case: it does not say how well its ties are known.
+    """
+    if not idle.tied:
+        # noise taken for alike where it is not would count as a misfit, so the lines count as independent first
+        state = on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False, REST_DISCREPANCY)
+        if state.alpha < REST_DISCREPANCY:
+            return AtRest(idle, state, _correlated(state), False)
+    loose = idle.loose(np.flatnonzero(idle.driven))
+    state = on_idle_frfs(loose, frf, band, REST_LINES, CORRELATED_LINES, True)
     correlated = _correlated(state)
     if correlated > 1.5 * CORRELATED_LINES:
-        state = _on_idle_frfs(loose, frf, band, REST_LINES, correlated, True)
+        state = on_idle_frfs(loose, frf, band, REST_LINES, correlated, True)
     case = state.case
     factor = state.factor
     own = np.zeros((case.forward.n_dofs, factor.inverse.shape[1], factor.inverse.shape[1]))
@@ -328,10 +332,10 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     return AtRest(after, state, correlated, True)
 
 
-def _on_idle_frfs(
+def on_idle_frfs(
     idle: Idle, frf: Frf, band: tuple[float, float], number: int, correlated: float, robust: bool, enough: float = 0.0
 ) -> State:
-    """A model on the FRFs at rest."""
+    """A model on so many lines of the FRFs at rest, whose noise is alike over ``correlated`` neighbours; ``robust`` from far away."""
     case = Case(idle, frf, band, spreads={}, number=number, correlated=correlated)
     start = case.forward.start
     return fit(case, approach(case, start)[1] if robust else start, alpha=0.02, enough=enough)

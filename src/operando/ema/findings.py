@@ -110,17 +110,23 @@ def fit_findings(frf: Frf, band: tuple[float, float], drive: DriveResidues, misf
                 action="check the sense of the force sensor and the accelerometer there, and whether both sit at the same point",
             )
         )
-    if np.isfinite(misfit) and misfit > 3:
-        out.append(
-            Finding(
-                "misfit",
-                f"the reduced chi-square of the idle model on lines the fit did not use is {misfit:.3g}",
-                "warning",
-                consequence="noise does not limit this model: real modes, linearity or stationarity fail; intervals are widened",
-                action="look at the reduced chi-square by DOF, at complex shapes, and at the level dependence of the FRFs",
-            )
-        )
+    out += misfit_findings(misfit)
     return out
+
+
+def misfit_findings(misfit: float) -> list[Finding]:
+    """That noise does not limit the model, where it does not."""
+    if not (np.isfinite(misfit) and misfit > 3):
+        return []
+    return [
+        Finding(
+            "misfit",
+            f"the reduced chi-square of the idle model on lines the fit did not use is {misfit:.3g}",
+            "warning",
+            consequence="noise does not limit this model: real modes, linearity or stationarity fail; intervals are widened",
+            action="look at the reduced chi-square by DOF, at complex shapes, and at the level dependence of the FRFs",
+        )
+    ]
 
 
 def _at(hz: Sequence[float]) -> str:

@@ -30,24 +30,24 @@ def automatic_modes(work: Work) -> dict[str, Any]:
 
 
 def idle_modes(work: Work) -> dict[str, Any]:
-    """The automatic modes, with those named by hand."""
+    """The automatic modes with those named by hand; complex where the FRFs ask for it."""
+    from operando.diagnosis import with_complex_modes
     from operando.ema import fit_ema
 
     analysis = work.analysis
-    automatic = needed(work.results.automatic, "idle modes")
-    if not (analysis.modes_hz or analysis.select_hz or analysis.reject_hz):
-        return {"idle": automatic}
+    found = needed(work.results.automatic, "idle modes")
     frf = needed(work.results.idle_frf, "idle FRFs")
-    by_hand = fit_ema(
-        frf,
-        band=analysis.band,
-        exclude_bands=analysis.exclude_bands,
-        modes_hz=analysis.modes_hz,
-        select_hz=analysis.select_hz,
-        reject_hz=analysis.reject_hz,
-        automatic=automatic,
-    )
-    return {"idle": by_hand}
+    if analysis.modes_hz or analysis.select_hz or analysis.reject_hz:
+        found = fit_ema(
+            frf,
+            band=analysis.band,
+            exclude_bands=analysis.exclude_bands,
+            modes_hz=analysis.modes_hz,
+            select_hz=analysis.select_hz,
+            reject_hz=analysis.reject_hz,
+            automatic=found,
+        )
+    return {"idle": with_complex_modes(found, frf, progress=work.say)}
 
 
 def runs_behind(frf: Frf, records: list[TimeRecord]) -> list[TimeRecord]:

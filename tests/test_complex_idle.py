@@ -1,0 +1,132 @@
+"""Complex modes in the idle model: told by their poles, against the eigenvalues of the structure's own matrices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando import ModalModel
+from operando.data.modal_poles import pole_form
+from operando.diagnosis import with_complex_modes
+from operando.diagnosis.complex_idle import EARNED
+from operando.diagnosis.idle import Idle
+from test_coupling import HZ, chain, whole
+from test_diagnosis import BAND, DOFS, N, identified, matrices, measured, modes
+
+REFERENCES = (0, 3)
+
+
+def eigen():
+    """Poles and complex shapes of the chain with its dashpot."""
+    mass, damping, stiff, *_ = chain()
+    state = np.block([[np.zeros((N, N)), np.eye(N)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damping)]])
+    poles, vectors = np.linalg.eig(state)
+    up = np.flatnonzero(poles.imag > 0)
+    up = up[np.argsort(np.abs(poles[up]))]
+    return poles[up], vectors[:N, up]
+
+
+def told():
+    """The exact model of the chain, told by its poles."""
+    model = whole()
+    form = pole_form(model.terms)
+    return model.with_terms(frequencies_hz=form.frequencies_hz, damping_ratios=form.damping_ratios, coupling=form.coupling)
+
+
+def real_modes():
+    """What a fit of real modes to FRFs of the chain with its dashpot would have: no ties."""
+    _, _, _, w, phi, modal = chain()
+    zeta = np.diag(modal) / 2 / w
+    std = np.concatenate([1e-5 * w, 1e-3 * zeta, np.full(N * N, 2e-4)])
+    return ModalModel(w / 2 / np.pi, zeta, phi, DOFS, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
+
+
+def idle_frf(seed=0, noise=2e-4):
+    mass, damping, stiff, *_ = chain()
+    return measured(mass, damping, stiff, REFERENCES, noise, seed)
+
+
+def test_a_model_told_by_its_poles_has_them_and_the_same_frfs():
+    poles, vectors = eigen()
+    model = told()
+    np.testing.assert_allclose(model.terms.poles, poles, rtol=1e-9)
+    np.testing.assert_allclose(model.frf(HZ).data, whole().frf(HZ).data, rtol=1e-8, atol=1e-12)
+    for own, exact in zip(model.complex_shapes.T, vectors.T, strict=True):
+        assert abs(np.vdot(own, exact)) ** 2 == pytest.approx(np.vdot(own, own).real * np.vdot(exact, exact).real, rel=1e-9)
+    assert min(model.mode_dict(i)["modal_phase_collinearity"] for i in range(N)) < 0.97
+    np.testing.assert_allclose(pole_form(model.terms).frequencies_hz, model.frequencies_hz, rtol=1e-12)  # told so already
+
+
+def test_slopes_of_the_poles_are_differences():
+    base = told().terms
+    form, step = pole_form(base), 1e-6
+
+    def at(**changed):
+        other = pole_form(replace(base, **changed))
+        return np.concatenate([other.frequencies_hz, other.damping_ratios])
+
+    def difference(name, change):
+        value = getattr(base, name)
+        return (at(**{name: value + change}) - at(**{name: value - change})) / 2
+
+    for term in range(N):
+        one = step * np.eye(N)[term]
+        np.testing.assert_allclose(form.by_terms[:, term] * step, difference("frequencies_hz", one), rtol=1e-5, atol=1e-13)
+        np.testing.assert_allclose(form.by_terms[:, N + term] * step, difference("damping_ratios", one), rtol=1e-5, atol=1e-13)
+    tie = np.zeros((N, N))
+    tie[1, 2] = tie[2, 1] = 1e-3
+    ends = [at(coupling=replace(base.coupling, damping=base.coupling.damping + sign * tie)) for sign in (1, -1)]
+    np.testing.assert_allclose(2 * form.by_damping[:, 1, 2] * 1e-3, (ends[0] - ends[1]) / 2, rtol=1e-4, atol=1e-12)
+
+
+def test_idle_takes_the_diagonals_of_the_matrices():
+    exact, again = Idle.of(whole(), BAND, DOFS[:1]), Idle.of(told(), BAND, DOFS[:1])
+    for name in ("f", "zeta", "between"):
+        np.testing.assert_allclose(getattr(again, name), getattr(exact, name), rtol=1e-9, atol=1e-12)
+
+
+def test_complex_modes_are_fitted_where_real_ones_do_not_explain_the_idle_frfs():
+    model = with_complex_modes(real_modes(), idle_frf())
+    poles, _ = eigen()
+    assert model.coupling is not None
+    exact = np.concatenate([np.abs(poles) / 2 / np.pi, -poles.real / np.abs(poles)])
+    found = np.concatenate([model.frequencies_hz, model.damping_ratios])
+    std = np.concatenate([model.frequency_std_hz, model.damping_ratio_std])
+    assert np.abs((found - exact) / std).max() < 4
+    assert (std[:N] < 1e-3 * exact[:N]).all()
+    truth = whole().frf(HZ, references=[DOFS[i] for i in REFERENCES]).data
+    error, before = (
+        np.linalg.norm(m.frf(HZ, references=[DOFS[i] for i in REFERENCES]).data - truth) / np.linalg.norm(truth)
+        for m in (model, real_modes())
+    )
+    assert error < 0.002 < 0.05 < before
+    assert any(f.kind == "complex_modes" and "falls from" in f.message for f in model.findings)
+    assert with_complex_modes(model, idle_frf()) is model  # once is enough
+
+
+def test_intervals_of_the_complex_poles_cover():
+    """With noise above the least discrepancy a model is allowed (0.05 % of the FRFs, at a peak 1 % of their rms)."""
+    poles, _ = eigen()
+    exact = np.concatenate([np.abs(poles) / 2 / np.pi, -poles.real / np.abs(poles)])
+    inside = []
+    for seed in range(8):
+        model = with_complex_modes(real_modes(), idle_frf(seed, 1e-2))
+        found = np.concatenate([model.frequencies_hz, model.damping_ratios])
+        std = np.concatenate([model.frequency_std_hz, model.damping_ratio_std])
+        inside.append(np.abs(found - exact) < 1.96 * std)
+    assert 0.88 <= np.mean(inside) <= 0.995  # of 80 values: 95 % ± 3 standard deviations of what is counted
+
+
+@pytest.mark.parametrize("off", [0.0, 0.004])
+def test_real_modes_stay_real(off):
+    """Also where the model is plainly wrong: real modes fitted again explain as much, and ties have to earn ``EARNED`` nats."""
+    assert EARNED > 0
+    mass, stiff = matrices()
+    model = identified()
+    model = model.with_terms(frequencies_hz=model.frequencies_hz * (1 + off))
+    assert with_complex_modes(model, measured(mass, modes()[3], stiff, REFERENCES, 2e-4, 0)) is model
+
+
+def test_a_model_without_scale_stays_as_it_is():
+    model = replace(real_modes(), scaling="unscaled")
+    assert with_complex_modes(model, idle_frf()) is model
