@@ -301,3 +301,21 @@ def test_kernels_below_the_band_are_asked_for_where_a_mode_lies_there():
     without = replace(without, local=(rng.standard_normal(without.local[0].shape),))
     costs = [residual(run, theta, 0).cost for theta in (without, _with_lower([run], without))]
     np.testing.assert_allclose(costs[1], costs[0], rtol=1e-12)
+
+
+def test_a_response_without_a_number_is_left_out_and_the_rest_is_fitted():
+    chain = Chain(5)
+    dofs, f = tuple(f"{i}+Z" for i in range(1, 6)), np.arange(10.0, 160.0, 0.2)
+    data = chain.accelerance(f)[:, :2].copy()
+    data += 1e-3 * np.sqrt(np.mean(np.abs(data) ** 2)) * (np.random.default_rng(1).normal(size=(*data.shape, 2)) @ [1, 1j])
+    broken = data.copy()
+    broken[2] = np.nan
+    model = fit_ema(Frf(broken, f, dofs, dofs[:2], si=True), band=(12, 155))
+    assert [str(d) for d in model.dofs] == ["1+Z", "2+Z", "4+Z", "5+Z"]
+    assert model.scaling == "unit_modal_mass"
+    [finding] = [x for x in model.findings if x.kind == "nan"]
+    assert (finding.dof, finding.severity) == ("3+Z", "warning")
+    without = fit_ema(Frf(data, f, dofs, dofs[:2], si=True).select([d for d in dofs if d != "3+Z"]), band=(12, 155))
+    np.testing.assert_allclose(model.frequencies_hz, without.frequencies_hz, rtol=1e-12)
+    with pytest.raises(DataError, match="no value of the FRFs is a number"):
+        fit_ema(Frf(np.full_like(data, np.nan), f, dofs, dofs[:2], si=True), band=(12, 155))

@@ -20,7 +20,7 @@ from operando.ema.findings import DriveResidues, drive_residues, fit_findings, l
 from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
 from operando.ema.order import UnseenModesError
-from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines
+from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines, with_values
 from operando.ema.polished import polish_runs, polish_work, polished_answer
 from operando.ema.projection import Poles, project
 from operando.ema.spectra import RunSpectra, whole_records
@@ -178,12 +178,11 @@ def fit_ema(
     >>> operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70)).frequencies_hz.round(2)
     array([20., 45.])
     """
-
     expect(frf, Frf, "modes are identified from FRFs", "estimate_frf(records) makes them of records, read(file).frfs holds measured ones")
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with one_blas_thread():
-        frf = frf.to_quantity("accelerance").without_bands(exclude_bands)
+        frf, lost = with_values(frf.to_quantity("accelerance").without_bands(exclude_bands))
         records = whole_records(records)
         excluded = tuple(exclude_bands)
         job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), excluded, tuple(records or ()), ema, progress, _weights(frf))
@@ -196,6 +195,7 @@ def fit_ema(
             raise IdentificationError(f"no mode is found between {low:g} and {high:g} Hz", hint=hint)
         if modes_hz or select_hz or reject_hz:
             model = modes_by_hand(model, modes_hz, select_hz, reject_hz, _exactly(job))
+        model = replace(model, findings=(*model.findings, *lost))
         if second_opinion:
             from operando.ema.second_opinion import opinion_on
 

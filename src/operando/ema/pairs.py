@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Frf
+from operando.data import Finding, Frf
 from operando.dof import Dof, match_dofs
-from operando.errors import IdentificationError
+from operando.errors import DataError, IdentificationError
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -152,3 +152,27 @@ def informative_lines(f: Real, hz: Real, zeta: Real, per_width: int = 8) -> NDAr
         if f[i] - f[keep[-1]] >= 0.999 * spacing[i] or i == f.size - 1:
             keep.append(i)
     return np.array(keep)
+
+
+def with_values(frf: Frf) -> tuple[Frf, tuple[Finding, ...]]:
+    """The FRFs without responses and references of which no line is a number, and what was left out.
+
+    Raises
+    ------
+    DataError
+        If none is left.
+    """
+    there = np.isfinite(frf.data).any(axis=2)
+    if not there.any():
+        raise DataError("no value of the FRFs is a number", hint="look at the channels with operando inspect")
+    rows, columns = there.any(axis=1), there.any(axis=0)
+    if rows.all() and columns.all():
+        return frf, ()
+    named = ((frf.responses, rows), (frf.references, columns))
+    lost = list(dict.fromkeys(str(d) for dofs, seen in named for d, s in zip(dofs, seen, strict=True) if not s))
+    responses, references = ([d for d, s in zip(dofs, seen, strict=True) if s] for dofs, seen in named)
+    finding = Finding(
+        "nan", f"no line of the FRFs at {', '.join(lost)} is a number", "warning", dof=lost[0],
+        consequence="the model is made without", action="measure there again, or exclude the channel in [channels]",
+    )  # fmt: skip
+    return frf.select(responses, references), (finding,)
