@@ -16,7 +16,7 @@ from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_o
 from operando.diagnosis.case import COLUMNS, Case
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.descent import Descent
-from operando.diagnosis.document import between_rows
+from operando.diagnosis.document import between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
 from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle, Moves
@@ -489,6 +489,20 @@ def test_a_kind_that_contains_another_must_earn_more():
     assert score(simple) == pytest.approx(simple.log_evidence - EARNED)
     assert score(rich) == pytest.approx(rich.log_evidence - EARNED - CONTAINING)
     assert {t.kind for t in contained(one, absorber)} == {"point_mass", "ground_spring", "ground_damper"}
+
+
+def test_rows_of_candidates_say_what_is_beyond_words_and_what_contains_the_effect_found():
+    one = case(add_mass)
+    chosen = (Term("point_mass", (1,), (np.log(0.4),)),), (Term("tuned_absorber", (1,), (np.log(0.4), np.log(400.0), np.log(0.02))),)
+    empty = fit(one, one.forward.start)
+    simple, rich = (fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside(t))), terms=t)) for t in chosen)
+    near = replace(rich, log_evidence=simple.log_evidence - 12.3 + CONTAINING)
+    rows = candidate_rows(Found(simple, empty, {s.key: s for s in (empty, simple, near)}))
+    assert [row["kind"] for row in rows] == ["point_mass", "tuned_absorber"]
+    assert rows[0]["log_odds"] == pytest.approx(score(simple) - max(score(empty), score(near)))
+    assert rows[1]["log_odds"] == pytest.approx(-12.3)
+    assert rows[1]["evidence"].startswith("log odds 12.3 against it; it contains the effect found (a mass) as a special case")
+    assert (odds_text(39.94), odds_text(703.0)) == ("log odds 39.9", "log odds above 40")
 
 
 def test_nothing_is_searched_where_the_idle_model_misses_rest_and_check_alike():

@@ -22,6 +22,8 @@ from operando.results import CheckRun
 
 Array = NDArray[Any]
 
+MOST_ODDS = 40.0
+"""Log odds above which texts name no figure (one in 10¹⁷): the JSON has it as ``log_odds``."""
 _PLACES = 20  # of the kind-free ranking
 _UNITS = {
     "point_mass": ("mass", "kg"), "ground_spring": ("stiffness", "N/m"), "ground_damper": ("damping", "N s/m"),
@@ -151,9 +153,15 @@ def detectable_rows(state: State, verdict: Verdict) -> list[dict[str, Any]]:
     return out
 
 
+def odds_text(nats: float) -> str:
+    """``log odds 17.1``, in words for people: beyond 40 (one in 10¹⁷) the figure says how wrong the model is, not how unlikely."""
+    return f"log odds {nats:.1f}" if nats <= MOST_ODDS else f"log odds above {MOST_ODDS:.0f}"
+
+
 def candidate_rows(found: Found) -> list[dict[str, Any]]:
     """Effects that were tried, best first: those of the best state, with the odds against doing without, then the others."""
     best, out, seen = found.best, [], set()
+    nats: float | None
     for state in [best, *sorted(found.pool.values(), key=lambda s: -score(s))]:
         for effect, term in zip(effects_of(state), state.terms, strict=True):
             if term.key in seen:
@@ -162,14 +170,26 @@ def candidate_rows(found: Found) -> list[dict[str, Any]]:
             if state is best:
                 without = (score(s) for s in (found.empty, *found.pool.values()) if term.key not in s.key)
                 nats = score(best) - max(without, default=score(found.empty))
-                evidence = f"log odds {nats:.1f} for it"
+                evidence = f"{odds_text(nats)} for it"
             elif no_more_than_days(state.case, term):
-                evidence = "no more than what a joint loses on another day"
+                nats, evidence = None, "no more than what a joint loses on another day"
             else:
-                evidence = f"log odds {score(best) - score(state):.1f} against it"
-            beside = " with what is found beside it" if len(state.terms) > 1 else ""
-            out.append(effect.to_dict() | {"selection_misfit": None, "evidence": evidence + beside})
+                nats = score(state) - score(best)
+                evidence = f"{odds_text(-nats)} against it"
+            evidence += " with what is found beside it" if len(state.terms) > 1 else ""
+            evidence += "" if state is best else _special_case(term, best)
+            out.append(effect.to_dict() | {"selection_misfit": None, "evidence": evidence, "log_odds": nats})
     return out
+
+
+def _special_case(term: Term, best: State) -> str:
+    """Where an effect found is what a candidate becomes for some of its values: why it fits as well, and is not taken."""
+    held = [t for t in best.terms if t.places == term.places and t.kind in term.definition.contains]
+    if not held:
+        return ""
+    return (
+        f"; it contains the effect found ({held[0].definition.plain}) as a special case: what it has beyond improves too little"
+    )
 
 
 def picture(state: State) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from operando.diagnosis.document import (
     floor_db,
     judged_on,
     ladder,
+    odds_text,
     picture,
     proposal,
 )
@@ -345,7 +346,7 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
     unused = [r.name for r in check if r is not run]
     if one_set_up is not None and one_set_up > 0:
         notes.append(
-            f"the data say that nothing was touched between the idle and the operating measurement (log odds {one_set_up:.0f}); "
+            f"the data say that nothing was touched between the idle and the operating measurement ({odds_text(one_set_up)}); "
             "gains, positions of sensors, temperature and damping count as the same"
         )
     if unused:

@@ -11,7 +11,7 @@ from operando.data import Frf, Geometry, ModalModel
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import MOST_CHI_SQUARE
-from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder
+from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder, odds_text
 from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
@@ -192,7 +192,7 @@ def _notes(lines: OperatingModes, rest: AtRest | None, one_set_up: float | None)
     notes = [_validated_on(lines)]
     if one_set_up is not None and one_set_up > 0:
         notes.append(
-            f"the data say that nothing was touched between the idle and the operating measurement (log odds {one_set_up:.0f}); "
+            f"the data say that nothing was touched between the idle and the operating measurement ({odds_text(one_set_up)}); "
             "gains, positions of sensors, temperature and damping count as the same"
         )
     if rest is not None and rest.again:
