@@ -15,12 +15,12 @@ from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, one_level
 from operando.diagnosis import diagnose_records
 from operando.dof import MAX_NUMBER_DIGITS, Dof
 from operando.ema import fit_ema
-from operando.ema.limits import LEAST_LINES
 from operando.ema.polished import polish_runs
 from operando.ema.spectra import record_spectra
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
 from operando.frf import estimate_frf
 from operando.io import from_sep005
+from operando.limits import LEAST_LINES
 from operando.pipeline import run
 from operando.pipeline.levels import level_groups
 from operando.scaling import scale_operational

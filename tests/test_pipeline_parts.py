@@ -10,11 +10,11 @@ import pytest
 
 import models
 from measurements import record, running_chain
+from operando.atomic import write_json
 from operando.config import State, Test
 from operando.data import Finding, Provenance
 from operando.errors import DataError
 from operando.frf import merge_frfs
-from operando.io.atomic import write_json
 from operando.pipeline.folder import key_of
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs, force_rms, level_groups

@@ -30,7 +30,7 @@ def main() -> None:
 
 def _interrupted(signum: int, frame: object) -> NoReturn:
     hint = "finished stages are kept; the same command goes on from there"
-    atomic = sys.modules.get("operando.io.atomic")
+    atomic = sys.modules.get("operando.atomic")
     if atomic is not None and hasattr(atomic, "remove_unfinished"):
         atomic.remove_unfinished()
     answer = sys.modules.get("operando.cli.answer")

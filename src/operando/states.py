@@ -13,7 +13,7 @@ from typing import Any
 
 from operando.entries import Entry
 from operando.errors import ConfigError
-from operando.io import natural_order
+from operando.files import natural_order
 from operando.values import check_keys, is_number
 
 _STATE_KEYS = ("records", "frfs")

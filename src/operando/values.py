@@ -12,7 +12,7 @@ from typing import Any
 from operando.dof import Dof
 from operando.entries import Entry
 from operando.errors import ConfigError, DofError, UnitError
-from operando.io.columns import check_columns
+from operando.limits import IMPACT_WINDOWS, METHODS, WINDOWS
 from operando.units import SI_UNIT, parse_unit
 
 ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
@@ -91,6 +91,8 @@ def units(table: Mapping[str, Any], where: Entry) -> dict[str, Any]:
         if quantity in ("sampling_hz", "frequency_step_hz"):
             out[quantity] = _positive(text, here)
         elif quantity == "columns":
+            from operando.io.columns import check_columns
+
             out[quantity] = list(check_columns(text, str(here)))
         else:
             out[quantity] = unit(text, "displacement" if quantity == "length" else quantity, here)
@@ -247,14 +249,10 @@ def _kinds(value: Any, where: Entry) -> tuple[str, ...]:
 
 
 def _scaling(value: Any, where: Entry) -> str:
-    from operando.scaling import METHODS
-
     return one_of(("auto", *METHODS), value, where)
 
 
 def _window(value: Any, where: Entry) -> str:
-    from operando.frf import IMPACT_WINDOWS, WINDOWS
-
     return one_of(tuple(dict.fromkeys((*WINDOWS, *IMPACT_WINDOWS))), value, where, OTHER_WORDS)
 
 

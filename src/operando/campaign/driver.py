@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from operando.atomic import write_json, writing
 from operando.campaign.cluster import dask_pool
 from operando.campaign.config import Campaign, Member, Workers, load_campaign, load_member
 from operando.campaign.document import document_of
@@ -19,7 +20,6 @@ from operando.campaign.outputs import write_outputs
 from operando.campaign.task import Task, fingerprint, fingerprint_in_store, read_record, settled
 from operando.config import Test
 from operando.errors import ConfigError, OperandoError
-from operando.io.atomic import write_json, writing
 from operando.jsonable import jsonable
 from operando.pipeline.folder import HIDDEN
 from operando.pipeline.lock import exclusive

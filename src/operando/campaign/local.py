@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import operando
+from operando.atomic import writing
 from operando.campaign.task import Task
 from operando.errors import MissingError
-from operando.io.atomic import writing
 
 MOST_ATTEMPTS = 2
 """A test whose worker is killed is tried once more: a second time it is the test (its memory) that kills."""

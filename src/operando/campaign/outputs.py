@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from operando.atomic import replacing, write_json
 from operando.campaign.page import render
-from operando.io.atomic import replacing, write_json
 
 _MODE = (
     "track", "mode", "frequency_hz", "frequency_std_hz", "damping_ratio", "damping_ratio_std", "mac_before", "mac_baseline",

@@ -15,12 +15,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from operando.atomic import write_json, writing
 from operando.campaign.config import load_member
 from operando.campaign.record import record_of
 from operando.campaign.store import copied, in_store, listing
 from operando.config import Test
 from operando.errors import BusyError, OperandoError
-from operando.io.atomic import write_json, writing
 from operando.pipeline.code import code_hash
 from operando.pipeline.folder import adopt, key_of
 

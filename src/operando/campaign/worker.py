@@ -37,7 +37,7 @@ def _say(answers: object, document: dict[str, object]) -> None:
 def _listen(tasks: queue.Queue[str]) -> None:
     for line in sys.stdin:
         tasks.put(line)
-    atomic = sys.modules.get("operando.io.atomic")
+    atomic = sys.modules.get("operando.atomic")
     if atomic is not None:
         atomic.remove_unfinished()
     os._exit(0)

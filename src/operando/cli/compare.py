@@ -32,7 +32,7 @@ def compare(model: str, measured: str, output: str | None) -> Answer:
     errors = found["models"]["model"]
     document = found | {"model": errors, "model_source": f"{model}: {source.what}", "measured_source": measured, "band_hz": source.band_hz}
     if output is not None:
-        from operando.io.atomic import write_json
+        from operando.atomic import write_json
 
         write_json(Path(output), document)
     return Answer(document, _text(source.what, errors, document, output))

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from operando.cli.answer import Answer, answers, verbosity
-from operando.cli.summary import open_report, run_answer, run_to
+from operando.cli.summary import open_report, run_answer
 from operando.cli.test_file import read_test, test_options
 
 
@@ -21,7 +21,7 @@ def demo(output: str, changes: tuple[str, ...], second_opinion: bool, show: bool
     if verbosity() >= 0:
         click.echo(f"Example test: {test.path} ({len(test.files)} files)", err=True)
     out = Path(output)
-    answer = run_answer(run_to(test, out), out, None)
+    answer = run_answer(test, out)
     if show:
         open_report(out / "report.html")
     return answer

@@ -240,8 +240,8 @@ def check_dofs(wanted: Any, known: Any, where: str) -> None:
 
 def write_frf(frf: Frf, path: Path) -> None:
     """Write FRFs in the format of the file's ending."""
+    from operando.atomic import writing
     from operando.io import convert, write_hdf5, write_uff
-    from operando.io.atomic import writing
 
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from operando.cli.answer import Answer, answers
-from operando.cli.summary import open_report, run_answer, run_to
+from operando.cli.summary import open_report, run_answer
 from operando.cli.test_file import output_option, read_test, results_folder, test_options
 
 
@@ -36,7 +36,7 @@ def run(test: str, output: str | None, until: str | None, changes: tuple[str, ..
         raise click.BadParameter(f"{until!r} is no stage; stages: {', '.join(STAGES)}; {hint}", param_hint="--until")
     loaded = read_test(test, changes, second_opinion)
     out = results_folder(loaded.name, output)
-    answer = run_answer(run_to(loaded, out, until), out, until)
+    answer = run_answer(loaded, out, until)
     if show:
         open_report(out / "report.html")
     return answer

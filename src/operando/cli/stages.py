@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from operando.cli.answer import Answer, answers
-from operando.cli.summary import open_report, run_answer, run_to
+from operando.cli.summary import open_report, run_answer
 from operando.cli.test_file import need_stage, output_option, read_test, results_folder, test_options
 
 
@@ -13,7 +13,7 @@ def _up_to(stage: str, test: str, output: str | None, changes: tuple[str, ...], 
     loaded = read_test(test, changes, second_opinion)
     need_stage(loaded, stage)
     out = results_folder(loaded.name, output)
-    answer = run_answer(run_to(loaded, out, stage, report=True), out, stage)
+    answer = run_answer(loaded, out, stage, report=True)
     if show:
         open_report(out / "report.html")
     return answer

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from operando.cli.answer import Answer, say, table
 from operando.cli.progress import following
 from operando.errors import IdentificationError, OperandoError
-from operando.indicators import INTERVAL
 
 if TYPE_CHECKING:
     from operando.config import Test
@@ -25,11 +24,18 @@ MODEL_NAMES = {
 
 def run_to(test: Test, out: Path, until: str | None = None, report: bool | None = None) -> Results:
     """Run a test with its progress on stderr; see :func:`operando.pipeline.run`."""
-    from operando.pipeline import STAGES, run
+    from operando.pipeline import run
+
+    with following(_asked(until, report), out) as progress:
+        return run(test, out, until=until, progress=progress, report=report)
+
+
+def _asked(until: str | None, report: bool | None) -> tuple[str, ...]:
+    """Stages that a run will come to."""
+    from operando.pipeline import STAGES
 
     asked = STAGES if until is None else STAGES[: STAGES.index(until) + 1]
-    with following((*asked, "report") if report and "report" not in asked else asked, out) as progress:
-        return run(test, out, until=until, progress=progress, report=report)
+    return (*asked, "report") if report and "report" not in asked else asked
 
 
 def open_report(path: Path) -> None:
@@ -42,15 +48,27 @@ def open_report(path: Path) -> None:
         say(f"operando: no browser could be started; the report is {path}")
 
 
-def run_answer(results: Results, out: Path, until: str | None) -> Answer:
-    """Answer of a run: ``summary.json`` with the folder and the comparison, tables, and an error if a stage failed."""
+def run_answer(test: Test, out: Path, until: str | None = None, report: bool | None = None) -> Answer:
+    """Run a test with its progress on stderr and answer; see :func:`operando.pipeline.run`. An error if a stage failed."""
+    from operando.jsonable import jsonable
+    from operando.pipeline.again import run_and_tell
+
+    def tell(results: Results) -> dict[str, Any]:
+        return {"document": jsonable(run_document(results, out, until)), "text": run_text(results, out)}
+
+    with following(_asked(until, report), out) as progress:
+        said = run_and_tell(test, out, tell, until=until, progress=progress, report=report)
+    return Answer(said.told["document"], said.told["text"], None if said.results is None else failure(said.results, out))
+
+
+def run_document(results: Results, out: Path, until: str | None) -> dict[str, Any]:
+    """``summary.json`` with the folder and the comparison."""
     from operando.compare import recommended
-    from operando.pipeline import summary
+    from operando.pipeline.summary import summary
 
     document = summary(results) | {"results": str(out), "until": until, "comparison": results.comparison, "timings_s": results.timings_s}
     route = recommended(results.comparison, results.diagnosis, results.hybrid is not None)
-    document |= {"verdict": (results.diagnosis or {}).get("verdict"), "route": None if route is None else route.to_dict()}
-    return Answer(document, run_text(results, out), failure(results, out))
+    return document | {"verdict": (results.diagnosis or {}).get("verdict"), "route": None if route is None else route.to_dict()}
 
 
 def failure(results: Results, out: Path) -> OperandoError | None:
@@ -144,6 +162,7 @@ def _lines(comparison: dict[str, Any]) -> str:
 
 def mode_table(model: Any, hybrid: Any = None) -> str:
     """Frequency and damping with 95 % intervals (±); the idle partner of operational modes."""
+    from operando.indicators import INTERVAL
     from operando.report.assessment import CLASS_WORDS
 
     rows = []

@@ -10,10 +10,11 @@ from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, Store
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.objects import Saved, Short, counted, expect, names_text, plots, several
-from operando.data.provenance import Provenance, file_hash
+from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.receptances import Receptances
 from operando.data.time import Channel, TimeRecord
+from operando.files import file_hash
 
 __all__ = [
     "LEVEL_RATIO",

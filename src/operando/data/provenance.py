@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field
-from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -35,32 +33,3 @@ class Provenance:
         inputs = dict.fromkeys(i for p in parts for i in p.inputs)
         calls = dict.fromkeys(c for p in parts for c in p.calls)
         return cls(tuple(inputs), tuple(calls), min((p.measured for p in parts if p.measured), default=""))
-
-
-def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, read in chunks.
-
-    Parameters
-    ----------
-    path : path
-        File.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = pathlib.Path(folder) / "record.txt"
-    ...     written = path.write_text("abc")
-    ...     file_hash(path)[:16]
-    'ba7816bf8f01cfea'
-    """
-    digest = hashlib.sha256()
-    with open(path, "rb") as stream:
-        while chunk := stream.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()

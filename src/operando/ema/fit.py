@@ -17,7 +17,6 @@ from operando.ema.candidates import Candidate, candidate_poles, stabilization_di
 from operando.ema.choose import ChoiceLog, choose_modes
 from operando.ema.doubts import evidence_of_modes, unknown_to
 from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
-from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
 from operando.ema.order import UnseenModesError
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines, with_values
@@ -26,6 +25,7 @@ from operando.ema.projection import Poles, project
 from operando.ema.spectra import RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
+from operando.limits import LEAST_LINES, LOWER, UPPER
 from operando.stabilization import RejectedPole, Stabilization
 from operando.threads import one_blas_thread
 

@@ -12,9 +12,9 @@ from scipy import fft as sfft
 
 from operando.data import Frf, TimeRecord
 from operando.dof import Dof, match_dofs
-from operando.ema.limits import LEAST_LINES
 from operando.errors import DataError, IdentificationError
 from operando.frf import find_hits, is_impact, is_periodic, usable_channels, whole
+from operando.limits import LEAST_LINES
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from operando.frf.estimate import estimate_frf
 from operando.frf.excitation import is_periodic
 from operando.frf.given import merge_frfs
 from operando.frf.hits import Hits, find_hits, hits_of, is_impact, without_hits
-from operando.frf.impact import IMPACT_WINDOWS
 from operando.frf.leakage import Peak, resonance_peaks
 from operando.frf.periodic import PeriodicFrf, SteadyPeriods, periodic_frf, steady_periods
 from operando.frf.rational import LocalRational, local_rational
 from operando.frf.runs import RunEstimate, merge_runs
-from operando.frf.spectra import WINDOWS, CrossSpectra, cross_spectra, effective_averages
+from operando.frf.spectra import CrossSpectra, cross_spectra, effective_averages
 from operando.frf.usable import channel_faults, trimmed, usable_channels, whole
+from operando.limits import IMPACT_WINDOWS, WINDOWS
 
 __all__ = [
     "IMPACT_WINDOWS",

@@ -15,8 +15,8 @@ from operando.errors import DataError
 from operando.frf.hits import Hits, find_hits, hit_blocks
 from operando.frf.remaining import remaining_share
 from operando.frf.spectra import CrossSpectra, cross_spectra
+from operando.limits import IMPACT_WINDOWS
 
-IMPACT_WINDOWS = ("rectangular", "force", "exponential", "force_exponential")
 REMAINING = 0.01
 """Largest share of its amplitude that a mode may keep at the end of a block."""
 INCONSISTENT_RATIO = 6.0

@@ -12,8 +12,8 @@ from scipy import fft
 
 from operando.data import MappedSamples
 from operando.errors import DataError
+from operando.limits import WINDOWS
 
-WINDOWS = ("hann", "rectangular")
 BLOCKS = 4
 """Blocks taken at once: the sums over a response then go through the memory once for four blocks."""
 TOGETHER = 8

@@ -4,7 +4,7 @@ from operando.io.columns import NoHeader, NoLines, NoRate
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
-from operando.io.detect import detect_format, natural_order, read
+from operando.io.detect import detect_format, read
 from operando.io.hdf5 import UNREADABLE, check_objects, read_hdf5, read_object, read_objects, write_hdf5, write_object
 from operando.io.hints import check_fields
 from operando.io.inspect import inspect_content, inspect_files
@@ -31,7 +31,6 @@ __all__ = [
     "inspect_files",
     "load_object",
     "make_record",
-    "natural_order",
     "object_names",
     "opened_hdf5",
     "read",

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.atomic import replacing
 from operando.data import Finding, Provenance, TimeRecord
 from operando.errors import FormatError, UnitError
-from operando.io.atomic import replacing
 from operando.io.columns import TIME, NoHeader, NoRate, check_columns, propose_columns
 from operando.io.content import Content, SetInfo
 from operando.io.frf_table import BARE, is_frf_table, read_bare_frf, read_frf_table

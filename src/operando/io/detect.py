@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import glob
 import importlib
-import re
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 from operando.data import Finding
 from operando.errors import FormatError, MissingError
+from operando.files import natural_order
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
 from operando.paths import path_of
@@ -185,28 +184,6 @@ def _read_all(pattern: str, units: Units | None, channels: ChannelSpecs | None) 
         parts[0].header if len(parts) == 1 else None,
         tuple(text for p in parts for text in p.unkept),
     )
-
-
-def natural_order(path: Path) -> list[Any]:
-    """Sorting key of paths: run2 before run10.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Returns
-    -------
-    list
-        Texts and numbers of the name, in turn.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> [p.name for p in sorted([Path("run10.uff"), Path("run2.uff")], key=natural_order)]
-    ['run2.uff', 'run10.uff']
-    """
-    return [int(part) if part.isdecimal() else part.lower() for part in re.split(r"(\d+)", path.as_posix())]
 
 
 def _read_own_hdf5(path: str | Path) -> Content:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.atomic import replacing
 from operando.data import Finding, Frf, Provenance
 from operando.dof import Dof
 from operando.errors import DofError, FormatError, UnitError
-from operando.io.atomic import replacing
 from operando.io.columns import complex_lines
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, split_ratio

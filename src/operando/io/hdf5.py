@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from operando.atomic import replacing
 from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, mapped, mapped_rows, pieces
 from operando.dof import Dof
 from operando.errors import FormatError, OperandoError
-from operando.io.atomic import replacing
 from operando.io.hdf5_tree import HASH, TREE, Target, encode, hash_of, write_dataset
 from operando.io.hints import check_fields
 from operando.io.safe import check_growth, opened_hdf5, trust

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from operando.atomic import replacing
 from operando.data import Finding, Frf, TimeRecord, complex_of
 from operando.errors import DataError, FormatError, OperandoError
-from operando.io.atomic import replacing
 from operando.io.content import Content
 from operando.io.mat5 import read_mat5
 from operando.io.quantities import ChannelSpecs, Units

@@ -30,6 +30,16 @@ def code_hash(module: str) -> str:
 
 
 @cache
+def whole_code_hash() -> str:
+    """Hash of all code of operando, and of the versions of the packages it needs."""
+    digest = hashlib.sha256("\n".join((operando.__version__, platform.python_version(), *packages())).encode())
+    for file in sorted(ROOT.rglob("*.py")):
+        for part in [file, *(_beside(file.parent) if file.name == "__init__.py" else ())]:
+            digest.update(part.relative_to(ROOT).as_posix().encode() + b"\0" + part.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+@cache
 def source_hash(module: str) -> bytes:
     """Hash of the files of one module; most stages reach the same."""
     digest = hashlib.sha256()
@@ -84,11 +94,18 @@ def _exists(module: str) -> bool:
 
 
 def _files(module: str) -> list[Path]:
-    """The source of a module; for a package also what lies beside it and is no code (a style sheet)."""
+    """The source of a module; for a package also what lies beside it and is no code (templates, a style sheet)."""
     source = _source(module)
-    if source.name != "__init__.py" or source.parent == ROOT:
-        return [source]
-    return [source, *sorted(p for p in source.parent.iterdir() if p.is_file() and p.suffix not in (".py", ".pyc"))]
+    return [source, *_beside(source.parent)] if source.name == "__init__.py" else [source]
+
+
+def _beside(package: Path) -> list[Path]:
+    """Files in the folder of a package, and in folders below that are no packages, which are no code; the example's data are not meant."""
+    if package == ROOT:
+        return []
+    below = [p for p in sorted(package.iterdir()) if p.name != "__pycache__" and not (p / "__init__.py").exists()]
+    files = [p for p in below if p.is_file() and p.suffix not in (".py", ".pyc")]
+    return [*files, *(p for folder in below if folder.is_dir() for p in _beside(folder))]
 
 
 @cache

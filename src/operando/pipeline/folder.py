@@ -13,15 +13,15 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from operando.data import file_hash
+from operando.atomic import left_behind, sync_folder, write_json, writing
 from operando.errors import MissingError
-from operando.io.atomic import left_behind, sync_folder, write_json, writing
+from operando.files import file_hash
 from operando.jsonable import jsonable
 from operando.pipeline.lock import exclusive
 
@@ -67,6 +67,17 @@ class ResultsFolder:
             if file_hash(self.path / name) == entry.get("sha256"):
                 return entry
         return None
+
+    def hashes(self, *but: str) -> dict[str, str]:
+        """Hash of each file that runs made here, but for some."""
+        return {name: entry["sha256"] for name, entry in self._entries.items() if name not in but}
+
+    def holds(self, hashes: Mapping[str, str]) -> bool:
+        """Whether all these files are there, with this content."""
+        try:
+            return all(file_hash(self.path / name) == sha for name, sha in hashes.items())
+        except OSError:
+            return False
 
     def made_before(self, name: str, key: str) -> bool:
         """Whether a file was made under this key, whatever has become of it."""

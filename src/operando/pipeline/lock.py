@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from operando.atomic import writing
 from operando.errors import BusyError, WriteError
-from operando.io.atomic import writing
 
 try:
     import fcntl

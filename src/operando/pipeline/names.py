@@ -12,8 +12,8 @@ import numpy as np
 from operando.config import Test
 from operando.data import Finding, Geometry
 from operando.dof import Dof, Node, split_node
-from operando.ema.limits import LEAST_LINES, LOWER, UPPER
 from operando.errors import ConfigError, OperandoError
+from operando.limits import LEAST_LINES, LOWER, UPPER
 from operando.values import nearest
 
 HAND_NAMED = ("modes_hz", "select_hz", "reject_hz")

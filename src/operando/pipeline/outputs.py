@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from operando.atomic import write_json
 from operando.data import Finding, Frf, ModalModel, node_motion
 from operando.dof import Dof, DofIndex
 from operando.errors import MissingError
-from operando.io.atomic import write_json
 from operando.results import Results
 
 DESCRIPTIONS = {

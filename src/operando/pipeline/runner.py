@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+from operando.atomic import replacing
 from operando.config import Test, load_test
 from operando.data import Finding, group_findings
 from operando.errors import ConfigError, OperandoError, WriteError
-from operando.io.atomic import replacing
 from operando.jsonable import jsonable
 from operando.own_effects import effects_hash
 from operando.paths import path_of
+from operando.pipeline import STAGES
+from operando.pipeline.again import Progress, results_go_to
 from operando.pipeline.cache import load_stage, save_stage, stage_file
 from operando.pipeline.code import code_hash
 from operando.pipeline.folder import ResultsFolder, default_folder, key_of, results_folder
@@ -25,11 +26,6 @@ from operando.pipeline.outputs import OUTPUTS, Output
 from operando.pipeline.stages import STEPS, Lacking, Stage, Work
 from operando.results import Results
 from operando.threads import one_blas_thread
-
-STAGES = ("inspect", "frf", "ema", "oma", "ofrf", "compare", "diagnose", "report")
-"""Stages of the contract, in order."""
-
-Progress = Callable[[str, str], None]
 
 
 def run(
@@ -91,16 +87,29 @@ def run(
     if until is not None and until not in STAGES:
         raise ConfigError(f"unknown stage {until!r}", where="until", hint="stages: " + ", ".join(STAGES))
     out = default_folder(test.name) if out is None else path_of(out, "results go into a folder")
-    if out.exists() and not out.is_dir():
-        raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
-    with one_blas_thread(), results_folder(out, "run", make=True) as folder:
-        return _Run(test, folder, progress or (lambda stage, message: None)).all(until, report)
+    results_go_to(out)
+    with results_folder(out, "run", make=True) as folder:
+        return run_in(folder, test, until, progress, report)[0]
 
 
-def lacking(test: Test, stage: str) -> str | None:
-    """Why a stage cannot be made of this test, None where it can: asked before a run whose purpose it is."""
-    reasons = [reason for step in STEPS if step.part_of == stage and (reason := step.lacks(test)) is not None]
-    return reasons[0] if reasons else None
+def run_in(
+    folder: ResultsFolder, test: Test, until: str | None, progress: Progress | None, report: bool | None
+) -> tuple[Results, list[tuple[str, str]] | None, list[str]]:
+    """Run a test in a results folder that this process holds.
+
+    Returns
+    -------
+    results : Results
+    said : list of (stage, message) or None
+        What a run says that finds nothing changed; None where something would be tried again.
+    unwanted : list of str
+        Names of files of a results folder that these results do not have.
+    """
+    with one_blas_thread():
+        this = _Run(test, folder, progress or (lambda stage, message: None))
+        results = this.all(until, report)
+    unwanted = [output.name for output in OUTPUTS if not (folder.path / output.name).exists()]
+    return results, None if this.unfinished else this.said, ["errors.log", *unwanted]
 
 
 def used_settings(stage: str, results: Results) -> dict[str, Any]:
@@ -120,6 +129,9 @@ def used_settings(stage: str, results: Results) -> dict[str, Any]:
     return {}
 
 
+UNCHANGED = "unchanged, taken from the last run"
+
+
 class _Run:
     """State of one call of :func:`run`."""
 
@@ -129,6 +141,8 @@ class _Run:
         self.keys: dict[str, str] = {}
         self.done: set[str] = set()
         self.own_findings: list[Finding] = []
+        self.said: list[tuple[str, str]] = []  # what a run says that finds nothing changed
+        self.unfinished = False  # whether the next run tries something again
         self.log = ""
 
     @property
@@ -171,14 +185,15 @@ class _Run:
         if lacks is not None:
             if asked and stage.part_of not in self.results.left_out:
                 self.results.left_out[stage.part_of] = lacks
-                self.progress(stage.part_of, f"left out: {lacks}")
+                self.said.append((stage.part_of, f"left out: {lacks}"))
+                self.progress(*self.said[-1])
             return
         kept = load_stage(self.folder, stage.name, self.keys[stage.name])
         if kept is not None:
             self._take(stage, *kept)
             if asked:
-                which = f" ({stage.name})" if stage.name != stage.part_of else ""
-                self.progress(stage.part_of, f"unchanged, taken from the last run{which}")
+                self.said.append((stage.part_of, UNCHANGED + stage.which))
+                self.progress(*self.said[-1])
         elif asked:
             self._make(stage)
 
@@ -197,6 +212,7 @@ class _Run:
         except Lacking as error:
             reason = error.message + (f" ({error.hint})" if error.hint else "")
             self.results.left_out[stage.part_of] = reason
+            self.unfinished = True
             self.progress(stage.part_of, f"left out: {reason}")
         except (UnfitTest, WriteError):
             raise
@@ -206,6 +222,7 @@ class _Run:
             self._failed(stage.part_of, self._unexpected(stage.name, error))
         else:
             self._take(stage, found, seconds)
+            self.said.append((stage.part_of, UNCHANGED + stage.which))
             self.progress(stage.part_of, f"done in {seconds:.1f} s")
 
     def _upstream_missing(self, stage: Stage) -> str | None:
@@ -236,6 +253,7 @@ class _Run:
         self._gather_findings()  # later stages say by them why they lack something
 
     def _failed(self, part: str, error: OperandoError, file: str | None = None) -> None:
+        self.unfinished = True
         text = error.message if file is None else f"{file} cannot be written: {error.message}"
         self.progress(part, f"failed: {text}")
         if file in (None, "report.html"):
@@ -277,12 +295,14 @@ class _Run:
             if entry is not None:
                 self._take_output(output, [Finding(**finding) for finding in entry.get("findings", [])], entry.get("seconds", 0.0))
                 if output.name == "report.html" and report:
-                    self.progress("report", "unchanged, taken from the last run")
+                    self.progress("report", UNCHANGED)
             elif output.name == "report.html" and not report:
                 drop.append(output.name)  # it would show results that no longer hold
             else:
                 self._write(output, key, drop)
         self.folder.commit(drop)
+        if report:
+            self.said.append(("report", UNCHANGED))
 
     def _write(self, output: Output, key: str, drop: list[str]) -> None:
         part = "report" if output.name == "report.html" else "store"
@@ -319,6 +339,3 @@ class _Run:
         told = (r.settings, r.left_out, [f.to_dict() for f in r.findings]) if output.whole else ()
         made = {name: self.keys[name] for name in sorted(self.done)}  # all: the diagnosis may add nodes to the geometry of every file
         return key_of(output.name, r.name, made, told, code_hash("operando.pipeline.outputs"))
-
-
-__all__ = ["STAGES", "lacking", "run"]

@@ -12,9 +12,9 @@ from typing import Any
 
 from markupsafe import Markup
 
+from operando.atomic import replacing
 from operando.data import expect
 from operando.errors import DataError
-from operando.io.atomic import replacing
 from operando.printable import without_active
 from operando.report.derive import analysis_band
 from operando.report.parts import Numbering, Section, render, without_blank_lines

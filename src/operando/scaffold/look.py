@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from operando.atomic import replacing
 from operando.errors import ConfigError, MissingError, OperandoError
-from operando.io.atomic import replacing
 from operando.scaffold.band import excited_band, proposed_band
 from operando.scaffold.labels import Seen, labelled
 from operando.scaffold.text import can_be_named, file_text

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from operando.limits import METHODS
 from operando.scaling.condensed import CondensedBasis, choose_dofs, condensed_basis, condensed_mass
 from operando.scaling.hybrid import scale_operational
-from operando.scaling.methods import METHODS, modal_scale_factor, real_shapes
+from operando.scaling.methods import modal_scale_factor, real_shapes
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pair, Pairing, pair_modes
 

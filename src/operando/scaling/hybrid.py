@@ -13,6 +13,7 @@ from operando.data import Finding, ModalModel, ResidualTerms, expect
 from operando.data.provenance import Provenance
 from operando.dof import Dof, DofIndex
 from operando.errors import ConfigError, DataError, IdentificationError
+from operando.limits import METHODS
 from operando.scaling.carried import LEAST_LEFT, NOT_HELD, CommonShift, common_shift, lessened, part_left, shape_change
 from operando.scaling.common_factor import sampling_rate_finding
 from operando.scaling.condensed import CondensedBasis, best_addition, condensed_basis
@@ -20,7 +21,7 @@ from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import expand, make_prior
 from operando.scaling.flips import class_flips, flip_probability
-from operando.scaling.methods import IN_WORDS, METHODS, Task, real_shapes, scaled_shapes
+from operando.scaling.methods import IN_WORDS, Task, real_shapes, scaled_shapes
 from operando.scaling.missing import missing_modes, with_missing
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes

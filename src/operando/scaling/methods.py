@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.errors import ConfigError, IdentificationError
+from operando.limits import METHODS
 from operando.scaling.expansion import Prior, expand, unit_size
-
-METHODS = ("msf_all", "sqrt_mac", "eq13", "eq15", "eq20", "idle_shapes", "expansion", "expansion_stiffness")
-"""Named methods, besides ``auto``."""
 
 IN_WORDS = {
     "msf_all": "all modes by MSF onto their idle partner (Eq 2, 3)",

@@ -10,10 +10,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.atomic import replacing
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.dof import Dof, Node
 from operando.errors import DataError
-from operando.io.atomic import replacing
 from operando.io.content import FileHeader
 from operando.io.uff.components import NodeNumbers
 from operando.io.uff.frfs import STANDARD_DEVIATION

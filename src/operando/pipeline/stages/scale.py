@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from operando.data import Finding, ModalModel
 from operando.errors import IdentificationError
 from operando.pipeline.stages.work import Lacking
-from operando.scaling.no_scale import no_scale
 
 
 def scaled(idle: ModalModel, findings: Sequence[Finding], what: str) -> None:
@@ -20,6 +19,8 @@ def scaled(idle: ModalModel, findings: Sequence[Finding], what: str) -> None:
     IdentificationError
         If a fault of the measurement hides it.
     """
+    from operando.scaling.no_scale import no_scale
+
     cause = no_scale(idle, findings)
     if cause is not None:
         text = f"the idle modes have no scale, so {what}: {cause[0]}"

@@ -11,6 +11,7 @@ from operando.config import Analysis, Test
 from operando.data import Finding
 from operando.errors import MissingError
 from operando.pipeline.inputs import Inputs
+from operando.pipeline.lacks import lacking
 from operando.results import Results
 
 
@@ -45,8 +46,6 @@ class Stage:
         Stage of the specification it belongs to.
     does : callable
         ``Work`` → fields of ``Results`` it fills (and ``findings``, those of the stage itself).
-    lacks : callable
-        ``Test`` → why the stage is left out, or None.
     upstream : tuple of str
         Stages whose results it uses.
     settings : tuple of str
@@ -60,11 +59,19 @@ class Stage:
     name: str
     part_of: str
     does: Callable[[Work], dict[str, Any]]
-    lacks: Callable[[Test], str | None] = field(default=lambda test: None)
     upstream: tuple[str, ...] = ()
     settings: tuple[str, ...] = ()
     states: tuple[str, ...] = ()
     wanted: Callable[[Test], bool] = field(default=lambda test: True)
+
+    def lacks(self, test: Test) -> str | None:
+        """Why the step is left out, or None."""
+        return lacking(test, self.part_of)
+
+    @property
+    def which(self) -> str:
+        """Which step of its stage it is, in brackets; nothing where it is named after the stage."""
+        return f" ({self.name})" if self.name != self.part_of else ""
 
 
 def offered(function: Callable[..., Any], findings: list[Finding], **keywords: Any) -> dict[str, Any]:
@@ -88,28 +95,3 @@ def needed(value: Any, what: str) -> Any:
 def analysis_band(work: Work) -> tuple[float, float] | None:
     """The band of the test, else the one the idle modes were fitted in, so that both states have the same."""
     return work.analysis.band or (None if work.results.idle is None else work.results.idle.band_hz)
-
-
-def no_idle(test: Test) -> str | None:
-    """Why a stage of the idle state is left out."""
-    return None if test.idle else "the test has no [idle] measurement"
-
-
-def no_operation(test: Test) -> str | None:
-    """Why a stage of the operating state is left out."""
-    return None if test.operating else "the test has no [operating] records"
-
-
-def no_both(test: Test) -> str | None:
-    """Why a stage that needs both states is left out."""
-    return no_idle(test) or no_operation(test)
-
-
-def no_check(test: Test) -> str | None:
-    """Why the comparison is left out."""
-    return no_idle(test) or (None if test.check else "the test has no [check] measurement")
-
-
-def no_evidence(test: Test) -> str | None:
-    """Why the diagnosis is left out."""
-    return no_idle(test) or (None if test.check or test.operating else "the test has neither [check] nor [operating] measurements")
