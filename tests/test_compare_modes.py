@@ -47,8 +47,8 @@ def test_two_close_modes_under_one_peak_are_told_apart():
     assert [p.frequency_hz for p in peaks[:3]] == pytest.approx(chain.hz[:3], rel=5e-4)
 
 
-@pytest.mark.parametrize("of_force", [False, True])
-def test_intervals_of_peak_frequencies_cover(of_force):
+@pytest.mark.parametrize(("of_force", "stated"), [(False, False), (True, False), (False, True), (True, True)])
+def test_intervals_of_peak_frequencies_cover(of_force, stated):
     """Noise of each pair alike, and noise of the force, in proportion to the FRFs and the same in all pairs."""
     chain, rng = Chain(5), np.random.default_rng(5)
     f = np.linspace(10, 150, 700)
@@ -58,15 +58,28 @@ def test_intervals_of_peak_frequencies_cover(of_force):
     for _ in range(40):
         noise = rng.normal(size=(2, 5, f.size))
         if of_force:
-            noise = 0.05 * np.broadcast_to(noise[:, :1], noise.shape) * np.abs(data)
+            noise = 0.05 * np.broadcast_to(noise[:, :1], noise.shape)
+            seen, variance = data * (1 + (noise[0] + 1j * noise[1]) / np.sqrt(2)), 0.05**2 * np.abs(data) ** 2
         else:
-            noise = floor * noise
-        for peak in fit_peaks(data + (noise[0] + 1j * noise[1]) / np.sqrt(2), f):
+            seen, variance = data + floor * (noise[0] + 1j * noise[1]) / np.sqrt(2), np.full(data.shape, floor**2)
+        for peak in fit_peaks(seen, f, variance=variance if stated else None):
             away = peak.frequency_hz - chain.hz[np.argmin(np.abs(chain.hz - peak.frequency_hz))]
             if abs(away) < 0.02 * peak.frequency_hz:  # noise makes peaks of its own where the FRFs are small
                 off.append(away / peak.frequency_std_hz)
     assert len(off) == 200
-    assert 0.90 <= np.mean(np.abs(off) < 1.96) <= 0.98
+    cover = np.mean(np.abs(off) < 1.96)
+    assert 0.90 <= cover <= 0.98
+
+
+def test_errors_that_the_fit_absorbs_are_known_from_the_variance():
+    """Estimates over whole records err smoothly over their lines: nothing is left of it, and the interval is that of the variance."""
+    chain, f = Chain(5), np.linspace(10, 150, 700)
+    data = chain.accelerance(f)[:, 0]
+    variance = 0.02**2 * np.mean(np.abs(data) ** 2) * np.ones(data.shape)
+    unknown, known = fit_peaks(data, f), fit_peaks(data, f, variance=variance)
+    for without, peak in zip(unknown, known, strict=True):
+        assert without.frequency_std_hz < 1e-3 * peak.frequency_std_hz
+        assert 1e-5 < peak.frequency_std_hz / peak.frequency_hz < 1e-3
 
 
 def test_a_mode_that_drifts_while_a_hammer_roves_is_one_peak():

@@ -271,7 +271,7 @@ def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
 def _modes(pairs: Sequence[tuple[Frf, Frf]], notes: list[str], peaks: _Fit) -> list[dict[str, Any]]:
     """Peaks of the measured FRFs refitted (by ``peaks``), and the model's; runs on other lines than the first are left out."""
     f = pairs[0][1].frequencies_hz
-    model, measured = [], []
+    model, measured, variance = [], [], []
     for made, ref in pairs:
         if ref.frequencies_hz.shape != f.shape or not np.allclose(ref.frequencies_hz, f):
             notes.append("by_mode uses the runs on the lines of the first only")
@@ -280,25 +280,28 @@ def _modes(pairs: Sequence[tuple[Frf, Frf]], notes: list[str], peaks: _Fit) -> l
         good = np.all(np.isfinite(a), axis=1) & np.all(np.isfinite(b), axis=1)
         model.append(a[good])
         measured.append(b[good])
-    y, h = np.concatenate(measured), np.concatenate(model)
+        variance.append(np.full((int(good.sum()), f.size), np.nan) if ref.variance is None else ref.variance.reshape(-1, f.size)[good])
+    y, h, known = (np.concatenate(parts) for parts in (measured, model, variance))
     if y.size == 0:
         return []
     size = np.sqrt(np.mean(np.abs(y) ** 2, axis=1))
     weight = np.divide(1, size, out=np.zeros_like(size), where=size > 0)
-    return by_mode(peaks(y, f, weight), fit_peaks(h, f, weight))
+    return by_mode(peaks(y, f, weight, known), fit_peaks(h, f, weight))
 
 
-_Fit = Callable[[NDArray[Any], NDArray[np.float64], NDArray[np.float64] | None], list[Peak]]
+_Fit = Callable[[NDArray[Any], NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64] | None], list[Peak]]
 
 
 def _fit_once() -> _Fit:
     """:func:`fit_peaks` that fits a measurement once, however many models are compared with it; its values say whether it is the same."""
     known: dict[tuple[bytes, ...], list[Peak]] = {}
 
-    def fit(y: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None) -> list[Peak]:
+    def fit(
+        y: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None, variance: NDArray[np.float64] | None
+    ) -> list[Peak]:
         key = (y.tobytes(), f.tobytes(), b"" if weight is None else weight.tobytes())
         if key not in known:
-            known[key] = fit_peaks(y, f, weight)
+            known[key] = fit_peaks(y, f, weight, variance)
         return known[key]
 
     return fit

@@ -86,7 +86,9 @@ def _half_width(level_db: NDArray[np.float64], f: NDArray[np.float64], k: int) -
     return max(min(sides) if sides else step, 0.5 * step)
 
 
-def fit_peaks(data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None = None) -> list[Peak]:
+def fit_peaks(
+    data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.float64] | None = None, variance: NDArray[np.float64] | None = None
+) -> list[Peak]:
     """Find the peaks of all pairs together and fit each with its near neighbours.
 
     In the window of a group of peaks H ≈ Σ R/(iω − λ) + a + bω + cω² for each pair, poles common to all pairs; the poles
@@ -99,6 +101,8 @@ def fit_peaks(data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.flo
     f : (n_lines,) array [Hz]
     weight : (n_pairs,) array, optional
         Factor of each pair in the curve and the fit; default 1/rms.
+    variance : (n_pairs, n_lines) array, optional
+        E|ΔH|², for the standard deviations alone; without, they are of what the fit leaves.
 
     Returns
     -------
@@ -110,6 +114,7 @@ def fit_peaks(data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.flo
     size = np.sqrt(np.mean(np.abs(data) ** 2, axis=1))
     w = np.divide(1, size, out=np.zeros_like(size), where=size > 0) if weight is None else weight
     y = data * w[:, None]
+    known = None if variance is None else np.nan_to_num(variance * w[:, None] ** 2, nan=0.0, posinf=0.0)
     level = 10 * np.log10(np.maximum(np.mean(np.abs(y) ** 2, axis=0), 1e-300))
     tops = find_peaks(level)
     widths = [_half_width(level, f, k) for k in tops]
@@ -134,7 +139,7 @@ def fit_peaks(data: NDArray[Any], f: NDArray[np.float64], weight: NDArray[np.flo
             a = max(int(tops[first]) - (need - 1) // 2, 0)
             lines = np.arange(a, min(max(a + need, int(tops[last]) + 3), f.size))
         start = [complex(-2 * np.pi * widths[i], 2 * np.pi * f[tops[i]]) for i in group]
-        peaks += _fit_window(y[:, lines], f[lines], np.array(start), w)
+        peaks += _fit_window(y[:, lines], f[lines], np.array(start), w, None if known is None else known[:, lines])
     return sorted(peaks, key=lambda p: p.frequency_hz)
 
 
@@ -154,7 +159,9 @@ def _rest(poles: NDArray[np.complex128], f: NDArray[np.float64], y: NDArray[Any]
     return np.asarray(y - q @ (q.conj().swapaxes(-1, -2) @ y))
 
 
-def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128], w: NDArray[np.float64]) -> list[Peak]:
+def _fit_window(
+    y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.complex128], w: NDArray[np.float64], variance: NDArray[np.float64] | None
+) -> list[Peak]:
     """Peaks of one window; one peak may turn out to be two close modes, or one mode that drifts from pair to pair."""
     poles, cost = _fit_poles(y, f, start)
     drift = 0.0
@@ -171,7 +178,9 @@ def _fit_window(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.compl
                 drift = float(np.std(np.abs(own)) / 2 / np.pi)
             else:
                 poles = pair
-    return _peaks_of(y, f, _improves(y, f, poles), w, drift)
+    poles = _improves(y, f, poles)
+    std = np.hypot(_frequency_std(y, f, poles, variance), drift) if poles.size else np.zeros(0)
+    return _peaks_of(y, f, poles, w, std)
 
 
 def _own_poles(y: NDArray[Any], f: NDArray[np.float64], start: complex) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
@@ -240,14 +249,13 @@ def _fit_poles(y: NDArray[Any], f: NDArray[np.float64], start: NDArray[np.comple
 
 
 def _peaks_of(
-    y: NDArray[Any], f: NDArray[np.float64], final: NDArray[np.complex128], w: NDArray[np.float64], drift: float = 0.0
+    y: NDArray[Any], f: NDArray[np.float64], final: NDArray[np.complex128], w: NDArray[np.float64], std: NDArray[np.float64]
 ) -> list[Peak]:
-    """Peaks at given poles; a pole that left the window is dropped. ``drift``: by what pairs differ in frequency [Hz]."""
+    """Peaks at given poles, with the standard deviations of their frequencies; a pole that left the window is dropped."""
     columns = y.T
     n = final.size
     solution = np.linalg.lstsq(_basis(final, f), columns, rcond=None)[0]
     half = 2 * np.pi * (f[-1] - f[0]) / 2
-    std = np.hypot(_frequency_std(y, f, final), drift) if n else np.zeros(0)
     out = []
     for k in range(n):
         hz = abs(final[k]) / 2 / np.pi
@@ -259,12 +267,15 @@ def _peaks_of(
     return out
 
 
-def _frequency_std(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Standard deviation of each pole's frequency [Hz], from what the fit leaves.
+def _frequency_std(
+    y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.complex128], variance: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Standard deviation of each pole's frequency [Hz], from what the fit leaves, and from the variance of the FRFs where that is more.
 
     Pairs share noise (that of the force), and lines near a peak may have more of it (noise in proportion to the FRF): lines alone
     are taken as independent, each with what it leaves over one minus its leverage. The variance of few lines is itself uncertain: that
-    of Student's distribution.
+    of Student's distribution. An error that is smooth over the lines goes into the residues and leaves nothing: of it the variance alone
+    knows. What the rest has along the FRFs (beyond what chance has) is the part of it that all pairs share.
     """
     n = poles.size
     free = 2 * (f.size - n - 3) - 2 * n
@@ -279,9 +290,23 @@ def _frequency_std(y: NDArray[Any], f: NDArray[np.float64], poles: NDArray[np.co
     gram = np.einsum("alp,blp->ab", slope.conj(), slope).real
     by_line = np.einsum("alp,lp->al", slope.conj(), rest).real / share
     inverse = np.linalg.pinv(gram)
-    covariance = inverse @ (by_line @ by_line.T) @ inverse * free / (free - 2)
+    middle = [by_line @ by_line.T * free / (free - 2)]
+    if variance is not None:
+        middle.append(_of_variance(columns, slope, rest, variance.T))
     gradient = np.concatenate([np.diag(poles.real * scale), np.diag(poles.imag * scale)]) / np.abs(poles)
-    return np.asarray(np.sqrt(np.einsum("ak,ab,bk->k", gradient, covariance, gradient)) / 2 / np.pi)
+    each = [np.einsum("ak,ab,bk->k", gradient, inverse @ m @ inverse, gradient) for m in middle]
+    return np.asarray(np.sqrt(np.max(each, axis=0)) / 2 / np.pi)
+
+
+def _of_variance(y: NDArray[Any], slope: NDArray[Any], rest: NDArray[Any], variance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance of the slopes' products with noise of a variance (lines, pairs), a part of it the same share of all FRFs of a line."""
+    alone = np.einsum("alp,blp,lp->ab", slope.conj(), slope, variance / 2).real
+    size, pairs = np.maximum(power_of(y), 1e-300), y.shape[1]
+    along = power_of(np.sum(y.conj() * rest, axis=1)) / size.sum(axis=1)
+    share = (along.sum() / max(float(power_of(rest).sum()), 1e-300) - 1 / pairs) / (1 - 1 / pairs) if pairs > 1 else 0.0
+    shared = np.einsum("alp,lp->al", slope.conj(), y) * np.sqrt(np.median(variance / size, axis=1) / 2)
+    share = min(max(float(share), 0.0), 1.0)
+    return np.asarray((1 - share) * alone + share * (shared @ shared.conj().T).real)
 
 
 def match_peaks(measured: list[Peak], model: list[Peak]) -> list[int | None]:

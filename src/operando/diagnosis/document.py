@@ -187,9 +187,7 @@ def _special_case(term: Term, best: State) -> str:
     held = [t for t in best.terms if t.places == term.places and t.kind in term.definition.contains]
     if not held:
         return ""
-    return (
-        f"; it contains the effect found ({held[0].definition.plain}) as a special case: what it has beyond improves too little"
-    )
+    return f"; it contains the effect found ({held[0].definition.plain}) as a special case: what it has beyond improves too little"
 
 
 def picture(state: State) -> dict[str, Any]:
