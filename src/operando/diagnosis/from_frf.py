@@ -304,7 +304,7 @@ def told(
     name, why = said.name, said.why
     if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""
-    notes = notes_of(check, run, found, rest, one_set_up)
+    notes = notes_of(idle, check, run, found, rest, one_set_up)
     if levels_disagree(check, case.band) and name in ("explained", "no_misfit", "ambiguous"):
         name, why = ("partial" if said.terms else "unexplained"), "runs of different level disagree: no linear effect explains both"
     floor = floor_db(found.empty)
@@ -340,7 +340,9 @@ def told(
     )
 
 
-def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRest | None, one_set_up: float | None) -> tuple[str, ...]:
+def notes_of(
+    idle: ModalModel, check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRest | None, one_set_up: float | None
+) -> tuple[str, ...]:
     """What was assumed or left out, with its consequence."""
     notes = []
     unused = [r.name for r in check if r is not run]
@@ -353,7 +355,7 @@ def notes_of(check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRes
         notes.append(f"the diagnosis uses {run.name} alone; {', '.join(unused)} stand in the comparison only")
     if rest is None:
         notes.append("there are no idle FRFs: the idle model is taken as it is, and the noise of neighbouring lines as independent")
-    elif rest.again:
+    elif rest.again and idle.coupling is None:  # else the idle model says it itself
         notes.append(
             f"the idle model was fitted to the idle FRFs again, with complex modes; {100 * rest.state.alpha:.2g} % of them stay "
             "unexplained. The FRFs of the model with the effects have what ties the modes to each other; its idle modes alone do not"
