@@ -1,6 +1,7 @@
 """Complex modes in the idle model: told by their poles, against the eigenvalues of the structure's own matrices."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -102,6 +103,22 @@ def test_complex_modes_are_fitted_where_real_ones_do_not_explain_the_idle_frfs()
     assert error < 0.002 < 0.05 < before
     assert any(f.kind == "complex_modes" and "falls from" in f.message for f in model.findings)
     assert with_complex_modes(model, idle_frf()) is model  # once is enough
+
+
+def test_poles_of_a_fit_that_does_not_rest_on_real_modes_stay_with_their_spread():
+    """Those of complex residues, fitted to all lines: the rest of the model goes with them."""
+    form, real = pole_form(whole().terms), real_modes()
+    std = np.concatenate([np.full(N, 1e-4), np.full(N, 2e-6), np.full(N * N, 2e-4)])
+    off = np.random.default_rng(3).standard_normal(2 * N) * std[: 2 * N]
+    hz, zeta = form.frequencies_hz + off[:N], form.damping_ratios + off[N:]
+    known = replace(real, frequencies_hz=hz, damping_ratios=zeta, covariance=np.diag(std**2), details=SimpleNamespace(answer="linear"))
+    model = with_complex_modes(known, idle_frf(noise=1e-2))
+    assert model.coupling is not None
+    np.testing.assert_allclose(model.frequencies_hz, hz, atol=0.1 * std[0])
+    np.testing.assert_allclose(model.damping_ratios, zeta, atol=0.1 * std[N])
+    np.testing.assert_allclose(np.sqrt(np.diag(model.covariance))[: 2 * N], std[: 2 * N], rtol=1e-3)
+    other = with_complex_modes(replace(known, details=None), idle_frf(noise=1e-2))  # real modes: their poles are those of a worse model
+    assert np.abs(other.frequencies_hz - hz).max() > 1e-4
 
 
 def test_intervals_of_the_complex_poles_cover():

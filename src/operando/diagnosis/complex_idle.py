@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, ModalCoupling, ModalModel
-from operando.data.modal_poles import pole_form
+from operando.data.modal_poles import PoleForm, pole_form
+from operando.data.modal_terms import ModalTerms
+from operando.diagnosis.arrow import Factor
 from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.posterior import AtRest, at_rest, left_on, on_idle_frfs
+from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
 from operando.ema.findings import misfit_findings
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
+_STEPS = 3  # of Newton, to poles a few standard deviations away
 _OF_REAL_MODES = ("complex_modes", "misfit")
 
 
@@ -61,32 +64,36 @@ def with_complex_modes(
             progress("complex modes")
         real = known.loose(np.flatnonzero(known.driven), complex_modes=False)
         plain = on_idle_frfs(real, frf, band, REST_LINES, rest.correlated, True)
-        before, after = _errors(model, rest)
-        better = rest.state.log_evidence > plain.log_evidence + EARNED and after < before
-        return _tied(model, rest, before, after) if better else model
+        if rest.state.log_evidence < plain.log_evidence + EARNED:
+            return model
+        idle = rest.idle
+        if getattr(model.details, "answer", None) == "linear" and model.covariance is not None:
+            idle = _with_poles_of(model, idle)
+        found = _tied(model, idle)
+        (before, _), (after, chi) = (_left(m, rest) for m in (model, found))
+        if not after < before:
+            return model
+    kept = tuple(f for f in model.findings if f.kind not in _OF_REAL_MODES)
+    return replace(found, misfit=chi, findings=(*kept, _finding(before, after), *misfit_findings(chi)))
 
 
-def _errors(model: ModalModel, rest: AtRest) -> tuple[float, float]:
-    """Errors of the real and the complex modes on the lines that the latter were not fitted to [dB, rms]."""
-    state = rest.state
-    lines, forward = state.case.lines, state.case.forward
+def _left(model: ModalModel, rest: AtRest) -> tuple[float, float]:
+    """What a model leaves of lines that the complex modes were not fitted to: error [dB, rms], and chi-square per value under noise."""
+    lines, forward, dofs = rest.state.case.lines, rest.state.case.forward, rest.state.case.dofs
     at = lines.validation
-    dofs = state.case.dofs
-    real = model.frf(
-        lines.w[at] / 2 / np.pi, [dofs[i] for i in forward.responses], [dofs[i] for i in forward.references], "receptance", False
-    )
-    return lines.error(np.moveaxis(real.data, 2, 0), at), lines.error(forward.predict(state.x, lines.w[at], derivatives=False).h, at)
+    rows, columns = ([dofs[i] for i in numbers] for numbers in (forward.responses, forward.references))
+    h = np.moveaxis(model.frf(lines.w[at] / 2 / np.pi, rows, columns, "receptance", False).data, 2, 0)
+    chi = np.abs(h - lines.h[at])[:, lines.there] ** 2 / lines.variance[at][:, lines.there]
+    return lines.error(h, at), float(chi.mean())
 
 
-def _tied(model: ModalModel, rest: AtRest, before: float, after: float) -> ModalModel:
-    """The model as the fit with complex modes has it, told by its poles."""
-    idle, n, m = rest.idle, model.terms.n, len(model.dofs)
-    modes, (first, second) = idle.modes, np.triu_indices(idle.modes.size, 1)
-    first, second = modes[first], modes[second]
-    loss = 2 * idle.zeta * 2 * np.pi * idle.f
+def _terms(model: ModalModel, idle: Idle) -> tuple[ModalTerms, Array]:
+    """Terms of an idle model, told by the diagonals of the modal matrices; and how g moves the damping of its pairs of modes [1/s]."""
+    n, modes, (first, second) = idle.f.size, idle.modes, np.triu_indices(idle.modes.size, 1)
+    loss = 4 * np.pi * (idle.zeta * idle.f)[modes]
     scale = np.sqrt(loss[first] * loss[second])
-    damping, lag = np.zeros((n, n)), np.zeros((m, n))
-    damping[first, second] = idle.between * scale
+    damping, lag = np.zeros((n, n)), np.zeros((len(idle.dofs), n))
+    damping[modes[first], modes[second]] = idle.between * scale
     lag[:, modes] = idle.lag
     terms = replace(
         model.terms,
@@ -97,17 +104,54 @@ def _tied(model: ModalModel, rest: AtRest, before: float, after: float) -> Modal
         std=None,
         coupling=ModalCoupling(damping + damping.T, lag),
     )
+    return terms, scale[:, None] * idle.between_root
+
+
+def _poles(model: ModalModel, idle: Idle) -> tuple[PoleForm, Array]:
+    """The poles of an idle model, and how g moves their frequencies [Hz] and damping ratios, (2n, g)."""
+    terms, ties = _terms(model, idle)
     form = pole_form(terms)
     assert form is not None
-    by_between = 2 * form.by_damping[:, first, second] * scale  # both triangles
-    poles = form.by_terms @ np.concatenate([idle.f_root, idle.zeta_root]) + by_between @ idle.between_root
+    modes, (first, second) = idle.modes, np.triu_indices(idle.modes.size, 1)
+    by_ties = 2 * form.by_damping[:, modes[first], modes[second]]  # both triangles
+    return form, form.by_terms @ np.concatenate([idle.f_root, idle.zeta_root]) + by_ties @ ties
+
+
+def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
+    """With the poles of a model and their covariance, and everything else as it goes with them.
+
+    Poles of residues of any phase do not rest on real modes, and were fitted to all lines: they are known better than by this fit. What
+    the fit says is what else there is, given the poles (Jeffrey, The Logic of Decision, 1965, ch. 11).
+    """
+    terms, n = model.terms, model.terms.n
+    proper = np.flatnonzero(~terms.residual)
+    rows = np.concatenate([proper, n + proper])
+    wanted = np.concatenate([terms.frequencies_hz, terms.damping_ratios])[rows]
+    assert model.covariance is not None
+    known = model.covariance[np.ix_(rows, rows)]
+    std = np.maximum(np.sqrt(np.diag(known)), 1e-12 * np.abs(wanted))
+    spread = std[:, None] * np.linalg.cholesky(known / np.outer(std, std) + 1e-9 * np.eye(rows.size))
+    size, extra = idle.f_root.shape[1], idle.shapes.own.shape[2]
+    still = Factor(np.tile(np.eye(extra), (len(idle.dofs), 1, 1)), np.zeros((len(idle.dofs), extra, size)), np.eye(size))
+    for _ in range(_STEPS):
+        form, slopes = _poles(model, idle)
+        move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
+        off = wanted - np.concatenate([form.frequencies_hz, form.damping_ratios])[rows]
+        idle = idle.moved(move @ off, np.zeros((len(idle.dofs), extra)), still)
+    _, slopes = _poles(model, idle)
+    move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
+    return idle.along(np.concatenate([np.eye(size) - move @ slopes[rows], move @ spread], axis=1), still.inverse)
+
+
+def _tied(model: ModalModel, idle: Idle) -> ModalModel:
+    """The model as an idle model has it, told by its poles, with its covariance."""
+    n, m = model.terms.n, len(model.dofs)
+    form, poles = _poles(model, idle)
     shared = np.concatenate([poles, np.swapaxes(idle.shapes.shared, 0, 1).reshape(n * m, -1)])
     covariance = shared @ shared.T
     at = 2 * n + np.arange(n) * m
     for dof, own in enumerate(idle.shapes.own):
         covariance[np.ix_(at + dof, at + dof)] += own @ own.T
-    chi = left_on(rest.state.case, rest.state.x, 0.0, rest.state.case.lines.validation)[0]
-    kept = tuple(f for f in model.findings if f.kind not in _OF_REAL_MODES)
     return model.with_terms(
         frequencies_hz=form.frequencies_hz,
         damping_ratios=form.damping_ratios,
@@ -115,8 +159,6 @@ def _tied(model: ModalModel, rest: AtRest, before: float, after: float) -> Modal
         covariance=covariance,
         std=None,
         coupling=form.coupling,
-        misfit=chi,
-        findings=(*kept, _finding(before, after), *misfit_findings(chi)),
     )
 
 
