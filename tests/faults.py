@@ -167,7 +167,10 @@ def hold_results() -> None:
 
     def write(path, objects, real=files.write_hdf5):
         flat = objects.get("result", objects)
-        key = path.name, *((repr(v) if name in ("name", "settings", "findings", "left_out") else id(v)) for name, v in flat.items())
+        key = (
+            path.name,
+            *((repr(v) if name in ("name", "settings", "findings", "left_out", "stages") else id(v)) for name, v in flat.items()),
+        )
         if key in kept:
             with files.hdf5.replacing(path) as stream:
                 stream.write(kept[key][0])
@@ -211,7 +214,8 @@ def after_a_clean_run(status: int, out: Path, new: dict[str, bytes], stages: dic
     wrong = [
         f"{name} differs from that of an undisturbed run" for name in sorted(found.keys() | new.keys()) if found.get(name) != new.get(name)
     ]
-    wrong += [f"stage {name} differs from that of an undisturbed run" for name in sorted(stages) if kept.get(name) != stages[name]]
+    differing = [name for name in sorted(kept.keys() | stages.keys()) if kept.get(name) != stages.get(name)]
+    wrong += [f"stage {name} differs from that of an undisturbed run" for name in differing]
     wrong += [f"{p} was left behind" for p in (*out.glob(".*.part"), *(out / ".stages").glob(".*"), *(out / ".stages/new").iterdir())]
     return wrong + ([f"the clean run ended with {status}"] if status else [])
 

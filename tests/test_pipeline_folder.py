@@ -63,11 +63,11 @@ def test_stages_come_back_as_they_were_kept(tmp_path):
     frf: Frf = models.measured(running_chain())
     with results_folder(tmp_path, "test") as folder:
         kept = save_stage(folder, "frf", "key", {"idle_frf": frf, "findings": [Finding("x", "y")]}, 1.5)
-        np.testing.assert_array_equal(kept["idle_frf"].data, frf.data)
+        np.testing.assert_array_equal(kept.found["idle_frf"].data, frf.data)
     with results_folder(tmp_path, "test") as folder:
-        found, seconds = load_stage(folder, "frf", "key")
-        np.testing.assert_array_equal(found["idle_frf"].data, frf.data)
-        assert (found["findings"], seconds) == ([Finding("x", "y")], 1.5)
+        kept = load_stage(folder, "frf", "key")
+        np.testing.assert_array_equal(kept.found["idle_frf"].data, frf.data)
+        assert (kept.found["findings"], kept.seconds) == ([Finding("x", "y")], 1.5)
         assert load_stage(folder, "frf", "other") is None
         assert load_stage(folder, "ema", "key") is None
         file = tmp_path / ".stages/frf.h5"
@@ -308,7 +308,7 @@ LIBRARIES = ("idle_libraries", "operating_libraries")
     [
         ("oma/fit.py", {"oma", *LIBRARIES}),
         ("ema/fit.py", {"automatic", "ema", *LIBRARIES}),
-        ("structure/effects/hysteresis.py", {"diagnose", *LIBRARIES}),  # through the package `contrib`
+        ("structure/effects/hysteresis.py", {"automatic", "ema", "diagnose", *LIBRARIES}),  # through the package `diagnosis`
         ("values.py", set()),
         ("io/detect.py", {step.name for step in STEPS}),
     ],

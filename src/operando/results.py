@@ -75,6 +75,9 @@ class Results(Short):
         Other libraries on the same data, where asked for: ``LibraryComparison.to_dict()`` of ``operando.contrib``.
     left_out : dict
         Stage name → reason why it was left out.
+    stages : dict
+        Step of the pipeline → what it found that stands nowhere else here, for the next run: its own findings, and what a later step put
+        something else in place of.
     timings_s : dict
         Stage name → wall seconds; in ``timings.json``, not in ``model.h5``.
 
@@ -105,6 +108,7 @@ class Results(Short):
     idle_libraries: list[dict[str, Any]] = field(default_factory=list)
     operating_libraries: list[dict[str, Any]] = field(default_factory=list)
     raw: list[Any] = field(default_factory=list)
+    stages: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def libraries(self) -> list[dict[str, Any]]:

@@ -1,10 +1,12 @@
 """The results folder: what each of its files was made of and holds, and changes that happen as one.
 
 Every file that operando makes there has an entry in ``.stages/manifest.json``: the key of what it was made of and the hash of its
-content. A file counts as unchanged when both still fit; a missing, cut or altered one is made again. New files are written aside, in
+content. A file counts as unchanged when both still fit; a missing, cut or altered one is made again. The result of a stage has a file of
+its own until a ``model.h5`` holds it; from then on its entry names that ``model.h5`` by its hash. New files are written aside, in
 ``.stages/new``, and take their names together: first the files they stand in for go, then the new ones come, then the manifest. So
 a process that ends at any moment leaves whole files, and never old ones beside new ones: the old results, unless it ends in the
-fraction of a millisecond in which they go; and an entry never speaks for a file that is not there.
+fraction of a millisecond in which they go; and an entry never speaks for a file that is not there. A ``model.h5`` that entries of stages
+name does not go: while they do, it lies in ``.stages``.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from operando.jsonable import jsonable
 from operando.pipeline.lock import exclusive
 
 HIDDEN = ".stages"
+MODEL = "model.h5"
 SCHEMA = "operando/manifest/1"
 
 Made = TypeVar("Made")
@@ -45,6 +48,8 @@ class ResultsFolder:
         self._aside = self.hidden / "new"
         self._entries = _read(self.hidden / "manifest.json")
         self._staged: dict[str, dict[str, Any]] = {}
+        self._older_model = self.hidden / MODEL
+        self._known: dict[tuple[int, ...], str] = {}
 
     def clear(self) -> None:
         """Remove what an earlier process began to write, or this one did and dropped."""
@@ -52,6 +57,7 @@ class ResultsFolder:
         begun = list(self._aside.iterdir()) if self._aside.is_dir() else []
         for file in (*begun, *left_behind(self.path), *left_behind(self.hidden)):
             file.unlink(missing_ok=True)
+        self._drop_doubles()
 
     @property
     def holds_results(self) -> bool:
@@ -70,7 +76,7 @@ class ResultsFolder:
 
     def hashes(self, *but: str) -> dict[str, str]:
         """Hash of each file that runs made here, but for some."""
-        return {name: entry["sha256"] for name, entry in self._entries.items() if name not in but}
+        return {name: entry["sha256"] for name, entry in self._entries.items() if name not in but and "sha256" in entry}
 
     def holds(self, hashes: Mapping[str, str]) -> bool:
         """Whether all these files are there, with this content."""
@@ -79,9 +85,56 @@ class ResultsFolder:
         except OSError:
             return False
 
+    def standing(self, name: str, key: str) -> tuple[dict[str, Any], Path] | None:
+        """What the manifest says of a result under this key that stands in a ``model.h5``, and where that lies; None if it does not."""
+        entry = self._entries.get(name)
+        if entry is None or entry.get("key") != key or "model" not in entry:
+            return None
+        model = self._model(entry["model"])
+        return None if model is None else (entry, model)
+
+    def all_standing(self) -> dict[str, dict[str, Any]]:
+        """The entries of all results that stand in a ``model.h5``."""
+        return {name: entry for name, entry in self._entries.items() if "model" in entry}
+
+    def model_hash(self) -> str | None:
+        """Hash of ``model.h5``, as it is after the next :meth:`commit`."""
+        entry = self._staged.get(MODEL) or self._entries.get(MODEL) or {}
+        return entry.get("sha256")
+
+    def _model(self, sha: str) -> Path | None:
+        """Where the ``model.h5`` of this hash lies."""
+        return next((path for path in (self.path / MODEL, self._older_model) if self._hash(path) == sha), None)
+
+    def _hash(self, path: Path) -> str | None:
+        """Hash of a file, None where there is none; taken once while the file is not written to."""
+        try:
+            state = path.stat()
+            stamp = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)
+            if stamp not in self._known:
+                self._known[stamp] = file_hash(path)
+        except OSError:
+            return None
+        return self._known[stamp]
+
+    def _drop_doubles(self) -> None:
+        """Remove a ``model.h5`` in ``.stages`` that no entry needs, and files of stages that stand in one."""
+        standing = self.all_standing()
+        if self._older_model.exists():
+            named = {entry["model"] for entry in standing.values()}
+            if self._hash(self.path / MODEL) in named or self._hash(self._older_model) not in named:
+                self._older_model.unlink(missing_ok=True)
+        for name in standing:
+            (self.path / name).unlink(missing_ok=True)
+
+    def key(self, name: str) -> str | None:
+        """The key under which a file was made, whatever has become of it."""
+        key: str | None = self._entries.get(name, {}).get("key")
+        return key
+
     def made_before(self, name: str, key: str) -> bool:
         """Whether a file was made under this key, whatever has become of it."""
-        return self._entries.get(name, {}).get("key") == key
+        return self.key(name) == key
 
     def stage(self, name: str, key: str | None, write: Callable[[Path], Made], **more: Any) -> Made:
         """Write a file aside; :meth:`commit` gives it its name.
@@ -107,24 +160,41 @@ class ResultsFolder:
         """Add to the entry of a file that was staged."""
         self._staged[name] |= more
 
-    def commit(self, drop: Iterable[str] = ()) -> None:
-        """Let the files written aside take their names, and those named in ``drop`` go."""
+    def commit(self, drop: Iterable[str] = (), standing: Mapping[str, dict[str, Any]] | None = None) -> None:
+        """Let the files written aside take their names, and those named in ``drop`` go.
+
+        Parameters
+        ----------
+        drop : iterable of str
+        standing : mapping, optional
+            File of a stage → entry (``key``, ``model``: hash of the ``model.h5`` in which its result stands from here on, and more). Its
+            own file goes.
+        """
         gone = [name for name in drop if name in self._entries or (self.path / name).exists()]
-        if not self._staged and not gone:
+        moved = {name: entry for name, entry in (standing or {}).items() if self._entries.get(name) != entry}
+        if not self._staged and not gone and not moved:
             return
         with writing(self.path):
             for name in reversed((*gone, *self._staged)):  # those that tell of the others go first
-                (self.path / name).unlink(missing_ok=True)
+                self._remove(name)
             sync_folder(self.path)
             for name in self._staged:
                 os.replace(self._aside / Path(name).name, self.path / name)
             sync_folder(self.path)
             sync_folder(self.hidden)
-        for name in gone:
-            self._entries.pop(name, None)
-        self._entries |= {name: entry for name, entry in self._staged.items() if entry["key"] is not None}
-        self._staged = {}
-        write_json(self.hidden / "manifest.json", {"schema": SCHEMA, "files": dict(sorted(self._entries.items()))})
+        entries = {name: entry for name, entry in self._entries.items() if name not in gone}
+        entries |= {name: entry for name, entry in self._staged.items() if entry["key"] is not None} | moved
+        write_json(self.hidden / "manifest.json", {"schema": SCHEMA, "files": dict(sorted(entries.items()))})
+        self._entries, self._staged = entries, {}
+        with writing(self.path):
+            self._drop_doubles()
+
+    def _remove(self, name: str) -> None:
+        """Remove a file; a ``model.h5`` that entries name goes to ``.stages``."""
+        if name == MODEL and self._hash(self.path / MODEL) in {entry["model"] for entry in self.all_standing().values()}:
+            os.replace(self.path / MODEL, self._older_model)
+        else:
+            (self.path / name).unlink(missing_ok=True)
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
@@ -189,18 +259,24 @@ def adopt(source: str | Path, target: str | Path, stages: Iterable[str]) -> None
         Results folders; where ``source`` has no such stage, or it is damaged, it is made in ``target``.
     stages : iterable of str
     """
-    source = Path(source)
-    entries = _read(source / HIDDEN / "manifest.json")
+    other = ResultsFolder(Path(source))
     with results_folder(target, "campaign", make=True) as folder:
         if folder.holds_results:
             return
+        standing: dict[str, dict[str, Any]] = {}
         for name in (f"{HIDDEN}/{stage}.h5" for stage in stages):
-            entry = entries.get(name)
+            key = other.key(name)
+            if key is None:
+                continue
             with suppress(OSError):
-                if entry is not None and file_hash(source / name) == entry.get("sha256"):
-                    more = {key: value for key, value in entry.items() if key not in ("key", "sha256")}
-                    folder.stage(name, entry["key"], partial(_same_file, source / name), **more)
-        folder.commit()
+                if (whole := other.entry(name, key)) is not None:
+                    more = {what: value for what, value in whole.items() if what not in ("key", "sha256")}
+                    folder.stage(name, key, partial(_same_file, other.path / name), **more)
+                elif (found := other.standing(name, key)) is not None:
+                    if not standing:
+                        _same_file(found[1], folder.hidden / MODEL)
+                    standing[name] = found[0]
+        folder.commit(standing=standing)
 
 
 def _same_file(source: Path, target: Path) -> None:

@@ -17,9 +17,9 @@ from operando.own_effects import effects_hash
 from operando.paths import path_of
 from operando.pipeline import STAGES
 from operando.pipeline.again import Progress, results_go_to
-from operando.pipeline.cache import load_stage, save_stage, stage_file
+from operando.pipeline.cache import Kept, apart, in_model, load_stage, save_stage, stage_file
 from operando.pipeline.code import code_hash
-from operando.pipeline.folder import ResultsFolder, default_folder, key_of, results_folder
+from operando.pipeline.folder import MODEL, ResultsFolder, default_folder, key_of, results_folder
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.names import UnfitTest
 from operando.pipeline.outputs import OUTPUTS, Output
@@ -139,7 +139,7 @@ class _Run:
         self.test, self.folder, self.progress = test, folder, progress
         self.work = Work(test, Inputs(test), Results(test.name, settings=test.settings()))
         self.keys: dict[str, str] = {}
-        self.done: set[str] = set()
+        self.kept: dict[str, Kept] = {}
         self.own_findings: list[Finding] = []
         self.said: list[tuple[str, str]] = []  # what a run says that finds nothing changed
         self.unfinished = False  # whether the next run tries something again
@@ -173,8 +173,8 @@ class _Run:
             files.append((name, self.work.inputs.hashes(state)))
         reading = (test.units, test.channels, test.geometry_units, test.directions) if stage.states else ()
         spans = {name: [repr(span) for span in getattr(test, name).spans] for name in stage.states if name != "geometry"}
-        upstream = [self.keys[name] if name in self.done else None for name in stage.upstream]
-        if stage.name == "oma" and test.analysis.band is None and "ema" in self.done:
+        upstream = [self.keys[name] if name in self.kept else None for name in stage.upstream]
+        if stage.name == "oma" and test.analysis.band is None and "ema" in self.kept:
             upstream.append(self.keys["ema"])  # its band is that of the idle modes
         if stage.name == "oma" and test.idle and not test.check:
             upstream.append("halves")  # for the diagnosis from operating modes alone
@@ -190,7 +190,7 @@ class _Run:
             return
         kept = load_stage(self.folder, stage.name, self.keys[stage.name])
         if kept is not None:
-            self._take(stage, *kept)
+            self._take(stage, kept)
             if asked:
                 self.said.append((stage.part_of, UNCHANGED + stage.which))
                 self.progress(*self.said[-1])
@@ -208,7 +208,7 @@ class _Run:
         try:
             found = stage.does(self.work)
             seconds = time.perf_counter() - started
-            found = save_stage(self.folder, stage.name, self.keys[stage.name], found, seconds)
+            kept = save_stage(self.folder, stage.name, self.keys[stage.name], found, seconds)
         except Lacking as error:
             reason = error.message + (f" ({error.hint})" if error.hint else "")
             self.results.left_out[stage.part_of] = reason
@@ -221,14 +221,14 @@ class _Run:
         except (MemoryError, Exception) as error:  # one failing part must not lose the rest
             self._failed(stage.part_of, self._unexpected(stage.name, error))
         else:
-            self._take(stage, found, seconds)
+            self._take(stage, kept)
             self.said.append((stage.part_of, UNCHANGED + stage.which))
             self.progress(stage.part_of, f"done in {seconds:.1f} s")
 
     def _upstream_missing(self, stage: Stage) -> str | None:
         # the comparison judges whatever model there is
         needed = {"compare": ("ema", "check"), "diagnose": ("ema",)}.get(stage.name, stage.upstream)
-        missing = [name for name in needed if name not in self.done]
+        missing = [name for name in needed if name not in self.kept]
         words = {
             "frf": "idle FRFs",
             "automatic": "idle modes",
@@ -239,17 +239,17 @@ class _Run:
         }
         return f"it needs the {' and the '.join(words[m] for m in missing)}" if missing else None
 
-    def _take(self, stage: Stage, found: dict[str, Any], seconds: float) -> None:
+    def _take(self, stage: Stage, kept: Kept) -> None:
         names = {f.name for f in fields(Results)} - {"findings"}
-        for name, value in found.items():
+        for name, value in kept.found.items():
             if name in names:
                 setattr(self.results, name, value)
-        self.results.timings_s[stage.part_of] = self.results.timings_s.get(stage.part_of, 0.0) + seconds
-        self.own_findings += found.get("findings", [])
+        self.results.timings_s[stage.part_of] = self.results.timings_s.get(stage.part_of, 0.0) + kept.seconds
+        self.own_findings += kept.found.get("findings", [])
         used = used_settings(stage.name, self.results)
         if used:
             self.results.settings.setdefault("used", {})[stage.name] = used
-        self.done.add(stage.name)
+        self.kept[stage.name] = kept
         self._gather_findings()  # later stages say by them why they lack something
 
     def _failed(self, part: str, error: OperandoError, file: str | None = None) -> None:
@@ -285,8 +285,9 @@ class _Run:
     def _write_outputs(self, report: bool) -> None:
         """Make the files that are missing, or not of these results; then all of them take their places at once."""
         drop = [] if self.log else ["errors.log"]
+        self.results.stages = {name: kept.rest(self.results) for name, kept in self.kept.items()}
         for output in OUTPUTS:
-            if output.stage is not None and output.stage not in self.done:
+            if output.stage is not None and output.stage not in self.kept:
                 drop.append(output.name)
                 continue
             self._gather_findings()
@@ -300,9 +301,19 @@ class _Run:
                 drop.append(output.name)  # it would show results that no longer hold
             else:
                 self._write(output, key, drop)
-        self.folder.commit(drop)
+        self.folder.commit(drop, self._in_model(drop))
         if report:
             self.said.append(("report", UNCHANGED))
+
+    def _in_model(self, drop: list[str]) -> dict[str, dict[str, Any]]:
+        """Entries of the stages done, which stand in ``model.h5`` with the next commit; those of others that stood in it get files."""
+        model = self.folder.model_hash()
+        if model is None or MODEL in drop:
+            return {}
+        standing = in_model(self.kept, self.keys, self.results, model)
+        if any(entry["model"] != model for entry in self.folder.all_standing().values()):
+            apart(self.folder, self.kept)
+        return standing
 
     def _write(self, output: Output, key: str, drop: list[str]) -> None:
         part = "report" if output.name == "report.html" else "store"
@@ -337,5 +348,5 @@ class _Run:
         if output.name == "timings.json":
             return key_of(r.timings_s)
         told = (r.settings, r.left_out, [f.to_dict() for f in r.findings]) if output.whole else ()
-        made = {name: self.keys[name] for name in sorted(self.done)}  # all: the diagnosis may add nodes to the geometry of every file
+        made = {name: self.keys[name] for name in sorted(self.kept)}  # all: the diagnosis may add nodes to the geometry of every file
         return key_of(output.name, r.name, made, told, code_hash("operando.pipeline.outputs"))
