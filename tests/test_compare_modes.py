@@ -218,3 +218,16 @@ def test_frf_against_frf_on_common_lines():
     assert c.n_lines == 25 * 550
     assert c.relative_error < 1e-9
     assert any("not in the model FRFs" in n for n in c.notes)
+
+
+def test_a_measurement_of_the_opposite_sense_is_noted_once_with_its_consequence():
+    chain = Chain(5)
+    idle, measured = model(chain.hz, chain.zeta, chain.phi), truth(chain)
+    other = Frf(-measured.data, F, LABELS, LABELS)
+    assert compare(idle, measured).notes == ()
+    one = compare(idle, Frf(-measured.data[:, :1], F, LABELS, LABELS[:1]))
+    [note] = one.notes
+    assert note.startswith("force and accelerometer have opposite senses at the measured drive point 1+Z")
+    assert "relative error and chi-square cannot" in note
+    assert one.relative_error == pytest.approx(2, rel=1e-3)
+    assert compare(other, other).notes == ()

@@ -194,8 +194,12 @@ def findings_text(results: Results, most: int = 12) -> str:
     ranked = sorted((f for f in results.findings if f.severity != "info"), key=lambda f: f.severity != "error")
     if not results.findings:
         return "Findings: none"
-    lines = [f"  {f.severity}: {'' if f.file is None else f.file + ': '}{f.message}" for f in ranked[:most]]
-    rest = len(results.findings) - len(lines)
+    lines = []
+    for f in ranked[:most]:
+        lines.append(f"  {f.severity}: {'' if f.file is None else f.file + ': '}{f.message}")
+        if f.severity == "error":  # what it does to the results, and what to do, stand beside it
+            lines += [f"    {text}" for text in (f.consequence, f.action) if text]
+    rest = len(results.findings) - len(ranked[:most])
     if rest:
         lines.append(
             f"  and {rest} more in the report and in summary.json" if lines else f"  {rest} remarks in the report and in summary.json"

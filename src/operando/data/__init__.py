@@ -2,7 +2,7 @@
 
 from operando.data.arrays import complex_of
 from operando.data.coupling import ModalCoupling
-from operando.data.findings import Finding, group_findings
+from operando.data.findings import Finding, group_findings, once_of_a_sense
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
@@ -49,6 +49,7 @@ __all__ = [
     "mapped_rows",
     "names_text",
     "node_motion",
+    "once_of_a_sense",
     "one_level",
     "phase_collinearity",
     "pieces",

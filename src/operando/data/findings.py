@@ -85,6 +85,30 @@ SHOWN = 3
 """Names shown of a group."""
 
 
+def once_of_a_sense(findings: Iterable[Finding]) -> list[Finding]:
+    """The findings without what each file says again of a drive point whose polarity the fit of the modes reversed.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Findings of all states of a test.
+
+    Returns
+    -------
+    list of Finding
+
+    Examples
+    --------
+    >>> said = Finding("drive_point_sign", "negative residues", "error", dof="30+Z")
+    >>> again = Finding("inverted", "drive point 30+Z/30+Z: 90 % of the dissipated power is negative", "error", dof="30+Z")
+    >>> [f.message for f in once_of_a_sense([said, again])]
+    ['negative residues']
+    """
+    found = list(findings)
+    reversed_at = {f.dof for f in found if f.kind == "drive_point_sign" and f.severity == "error"}
+    return [f for f in found if not (f.kind == "inverted" and f.dof in reversed_at and "drive point" in f.message)]
+
+
 def group_findings(findings: Iterable[Finding]) -> list[Finding]:
     """The findings in their order, each once, with those that are alike (but for files, DOFs and numbers) as one that counts them.
 

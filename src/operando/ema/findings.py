@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf
+from operando.dof import Dof
 from operando.ema.answers import LinearModes
 from operando.ema.linear import LinearFit
 from operando.ema.unit_mass import SEEN, UnitMassShapes
+from operando.frf import reversing
 
 NOTABLE_DRIFT = 5e-4
 """Twice the drift that a day in a laboratory makes of itself (1–3·10⁻⁴ on seven states of a plate)."""
@@ -33,8 +35,9 @@ def turned_finding(dof: str) -> Finding:
         f"the drive-point residues at {dof} are negative: force and accelerometer there have opposite senses",
         "error",
         dof=dof,
-        consequence="the fit used the opposite sense for the one of the two that stays; idle_frf.uff keeps the measured one",
-        action="check the direction of the force sensor and of the accelerometer at this DOF, and correct the label or the polarity",
+        consequence="modes and their scale are right: the fit reversed the polarity of the one of the two that stays. Measured FRFs keep "
+        "theirs, so relative errors and chi-squares of the models, and a diagnosis from them, compare FRFs of opposite sign",
+        action=reversing(Dof.parse(dof)),
     )
 
 

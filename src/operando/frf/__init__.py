@@ -1,6 +1,6 @@
 """FRF estimation: H1, H2, Hv, several references, hammer hits, local rational models, checks."""
 
-from operando.frf.checks import check_drive_points, check_frf, power_signs, reciprocity_error
+from operando.frf.checks import check_drive_points, check_frf, power_signs, reciprocity_error, reversing
 from operando.frf.estimate import estimate_frf
 from operando.frf.excitation import is_periodic
 from operando.frf.given import merge_frfs
@@ -40,6 +40,7 @@ __all__ = [
     "power_signs",
     "reciprocity_error",
     "resonance_peaks",
+    "reversing",
     "steady_periods",
     "trimmed",
     "usable_channels",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import QUANTITIES, Finding, Frf
+from operando.dof import Dof
 from operando.frf.leakage import resonance_peaks
 
 Array = NDArray[Any]
@@ -85,6 +86,26 @@ def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
     return float(np.mean(dissipated > limit)), float(np.mean(dissipated < -limit))
 
 
+def reversing(reference: Dof) -> str:
+    """What to write where the force at a DOF has the sense opposite to the accelerometer's.
+
+    Parameters
+    ----------
+    reference : Dof
+        Where the force acts.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> reversing(Dof.parse("30+Z"))
+    'reverse the one that is wrong; the force, for example, by [channels] "30+Z:force" = {dof = "30-Z"}'
+    """
+    return f'reverse the one that is wrong; the force, for example, by [channels] "{reference}:force" = {{dof = "{reference.opposite}"}}'
+
+
 def check_drive_points(frf: Frf) -> list[Finding]:
     """Sign and phase of every drive-point FRF, and references without one.
 
@@ -130,8 +151,9 @@ def check_drive_points(frf: Frf) -> list[Finding]:
                     "error",
                     file=frf.name or None,
                     dof=str(frf.responses[i]),
-                    consequence="negative modal masses: the force or the response channel has the wrong sign",
-                    action="turn the sign of one of the two in [channels] (write the DOF in its other sense)",
+                    consequence="force and accelerometer have opposite senses there: modal masses would be negative, and FRFs of models "
+                    "differ from these by their sign",
+                    action=reversing(reference),
                 )
             )
         elif share < SIGN_SHARE:

@@ -10,7 +10,7 @@ from typing import Any
 
 from operando.atomic import replacing
 from operando.config import Test, load_test
-from operando.data import Finding, group_findings
+from operando.data import Finding, group_findings, once_of_a_sense
 from operando.errors import ConfigError, OperandoError, WriteError
 from operando.jsonable import jsonable
 from operando.own_effects import effects_hash
@@ -280,7 +280,7 @@ class _Run:
         r = self.results
         carried = [o.findings for o in (r.idle_frf, r.idle, r.operating, r.hybrid) if o is not None]
         carried += [run.frf.findings for run in r.check]
-        r.findings = group_findings([*self.own_findings, *(f for group in carried for f in group)])
+        r.findings = group_findings(once_of_a_sense([*self.own_findings, *(f for group in carried for f in group)]))
 
     def _write_outputs(self, report: bool) -> None:
         """Make the files that are missing, or not of these results; then all of them take their places at once."""
