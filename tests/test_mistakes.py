@@ -16,7 +16,7 @@ import operando
 from operando.cli import main
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
-from operando.errors import ConfigError, MissingError, ObjectError
+from operando.errors import ConfigError, MissingError, ObjectError, OperandoError
 from operando.io import write_uff
 from operando.results import CheckRun, Results
 from operando.store import save_results
@@ -348,6 +348,24 @@ def test_changes_need_a_test_file(home, monkeypatch):
 def test_an_object_of_another_kind_is_an_error_of_the_package_with_advice(call, said):
     with pytest.raises(ObjectError, match=said) as error:
         call()
+    assert error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda frf, model: operando.fit_ema(frf, band=5), "band 5 is no pair of frequencies"),
+        (lambda frf, model: operando.fit_ema(frf, band=("a", "b")), "no numbers"),
+        (lambda frf, model: operando.fit_ema(frf, band=(10, 70), modes_hz="ab"), "no numbers"),
+        (lambda frf, model: model.frf("a"), "frequencies 'a': no numbers"),
+        (lambda frf, model: model.save(3), "an object is saved to a path, not int"),
+        (lambda frf, model: frf.plot(3), "a figure is drawn on matplotlib Axes, not int"),
+    ],
+)
+def test_what_is_no_number_path_or_axes_is_an_error_of_the_package_with_advice(call, said):
+    model = ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    with pytest.raises(OperandoError, match=re.escape(said)) as error:
+        call(model.frf(np.arange(5, 80, 0.1), references="1+Z"), model)
     assert error.value.hint
 
 

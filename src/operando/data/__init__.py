@@ -1,6 +1,6 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
-from operando.data.arrays import complex_of
+from operando.data.arrays import band_limits, complex_of, numbers_of
 from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding, group_findings, once_of_a_sense
 from operando.data.frf import FrequencyAxis, Frf
@@ -39,6 +39,7 @@ __all__ = [
     "StoredFile",
     "StoredRow",
     "TimeRecord",
+    "band_limits",
     "complex_of",
     "counted",
     "direction_of",
@@ -49,6 +50,7 @@ __all__ = [
     "mapped_rows",
     "names_text",
     "node_motion",
+    "numbers_of",
     "once_of_a_sense",
     "one_level",
     "phase_collinearity",

@@ -49,3 +49,63 @@ def complex_of(real: ArrayLike, imaginary: ArrayLike) -> NDArray[np.complex128]:
     out = np.empty(first.shape, complex)
     out.real, out.imag = first, imaginary
     return out
+
+
+def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
+    """Numbers as they are given, or an error that says what they are for.
+
+    Parameters
+    ----------
+    values : number or array_like
+        What was given.
+    what : str
+        What it is, in words.
+    hint : str
+        What to give instead.
+
+    Returns
+    -------
+    float array
+
+    Raises
+    ------
+    DataError
+        If they are none.
+
+    Examples
+    --------
+    >>> numbers_of([5, 70], "band", "give [low, high] in Hz")
+    array([ 5., 70.])
+    """
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{what} {values!r}: no numbers", hint=hint) from error
+
+
+def band_limits(band: Any) -> tuple[float, float]:
+    """Both limits of a band [Hz], whatever their order.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Band.
+
+    Returns
+    -------
+    (float, float)
+
+    Raises
+    ------
+    DataError
+        If it is no pair of numbers.
+
+    Examples
+    --------
+    >>> band_limits([5, 70])
+    (5.0, 70.0)
+    """
+    limits = numbers_of(band, "band", "give [low, high] in Hz")
+    if limits.shape != (2,):
+        raise DataError(f"band {band!r} is no pair of frequencies", hint="give [low, high] in Hz")
+    return float(limits[0]), float(limits[1])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen
+from operando.data.arrays import frozen, numbers_of
 from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
@@ -368,7 +368,7 @@ class ModalModel(ModalFigures, Noun):
         quantity = quantity_named(quantity, reciprocals=False)
         resp = self.dofs if responses is None else parse_dofs(responses)
         refs = self.dofs if references is None else parse_dofs(references)
-        axis = FrequencyAxis(np.atleast_1d(np.asarray(frequencies, float)))
+        axis = FrequencyAxis(np.atleast_1d(numbers_of(frequencies, "frequencies", "give an array in Hz, as numpy.arange(5, 145, 0.1)")))
         terms = self.terms
         if self.coupling is None:
             data = synthesise(axis.values, terms.frequencies_hz, terms.damping_ratios, terms.rows(resp), terms.rows(refs), quantity)

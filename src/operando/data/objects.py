@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from operando.errors import ObjectError
+from operando.paths import path_of
 from operando.printable import printable
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class Saved(Short):
         FormatError
             If the name tells no format, or the format cannot take such an object.
         """
-        importlib.import_module("operando.io.objects").save(self, path)
+        importlib.import_module("operando.io.objects").save(self, path_of(path, "an object is saved to a path"))
 
 
 class Noun(Saved):

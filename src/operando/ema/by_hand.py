@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel
+from operando.data import ModalModel, numbers_of
 from operando.ema.answers import LinearModes
 from operando.ema.linear import LinearFit
 from operando.ema.pairs import Real
@@ -54,6 +54,8 @@ def modes_by_hand(
     # a candidate within a few half bandwidths of a pole that the answer has is that pole, less exactly
     apart = lambda c: all(abs(c.frequency_hz - h) > NEAR_WIDTHS * z * h for h, z, _ in known)  # noqa: E731
     pool = known + [(c.frequency_hz, c.damping_ratio, -1) for c in details.candidates if apart(c)]
+    for name, given in (("modes_hz", modes_hz), ("select_hz", select_hz), ("reject_hz", reject_hz)):
+        numbers_of(list(given), name, "give frequencies in Hz, as [12.1, 15.5]")
     chosen = [] if modes_hz else known[:n]
     for wanted in (*modes_hz, *select_hz):
         near = _nearest(pool, wanted)

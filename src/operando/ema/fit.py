@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord, expect
+from operando.data import Finding, Frf, ModalModel, TimeRecord, band_limits, expect
 from operando.dof import Dof, DofIndex
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
 from operando.ema.by_hand import AddModes, modes_by_hand
@@ -214,7 +214,7 @@ def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, f
     if band is None:
         margin = 0.02 * (f[-1] - f[0])
         return float(max(f[0] + margin, f[f > 0][0])), float(f[-1] - margin)
-    low, high = float(band[0]), float(band[1])
+    low, high = band_limits(band)
     if not 0 <= low < high:
         raise DataError(f"band {low:g}-{high:g} Hz is empty", hint="give [low, high] in Hz")
     count = int(np.sum((f > 0) & (f >= low) & (f <= high)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from operando.data import ModalModel, TimeRecord, several
+from operando.data import ModalModel, TimeRecord, band_limits, several
 from operando.errors import ConfigError
 from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
@@ -138,7 +138,7 @@ def checked_band(band: Band, records: Sequence[TimeRecord]) -> Band:
         If it is empty or reaches half the sampling rate of a record.
     """
     rate = min(r.sampling_hz for r in records)
-    low, high = float(band[0]), float(band[1])
+    low, high = band_limits(band)
     if not 0 <= low < high:
         raise ConfigError(f"band {band} Hz is empty", hint="give [low, high] in Hz")
     if high >= rate / 2:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.errors import ObjectError
 from operando.printable import printable
 
 if TYPE_CHECKING:
@@ -111,6 +112,8 @@ def new_stack(heights: Sequence[float], labels: Sequence[str], width: float = 8.
 
 def stack_of(axes: Axes, labels: Sequence[str]) -> dict[str, Axes]:
     """The axes that :func:`new_stack` made together with these, by their labels; these alone where it did not."""
+    if not callable(getattr(axes, "get_figure", None)):
+        raise ObjectError(f"a figure is drawn on matplotlib Axes, not {type(axes).__name__}", hint="leave them out, or axes = other.plot()")
     figure: Figure | None = axes.get_figure(root=True)
     top = str(axes.get_label())
     if figure is None or top not in labels:
