@@ -241,6 +241,8 @@ def test_tables_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):
         ("idle records", "1 force and 1 response channels, 400 samples without a sampling rate; named 'idle'")
     ]
     assert "hits.csv: no sampling rate is stated: give [units] sampling_hz, nothing runs without" in made.notes
+    said = CliRunner().invoke(main, ["init", str(tmp_path), "-o", str(tmp_path / "other.toml")]).stdout
+    assert "Next: write what" in said
     assert "[channels]" not in made.text  # the heads of the columns say where they were measured
     write_test(made, tmp_path / "test.toml")
     text = (tmp_path / "test.toml").read_text()

@@ -25,5 +25,6 @@ def init(folder: str, output: str | None, force: bool) -> Answer:
     parts = [f"{target} written.", table(rows, ["file", "taken as", "because"])]
     if made.notes:
         parts.append("To look at:\n" + "\n".join(f"  {note}" for note in made.notes))
-    parts.append(f"Next: operando run {target}")
+    first = f"write what {target} asks for, then " if any("nothing runs without" in note for note in made.notes) else ""
+    parts.append(f"Next: {first}operando run {target}")
     return Answer({"schema": "operando/init/1", "test": str(target), **made.to_dict()}, "\n\n".join(parts))

@@ -49,4 +49,6 @@ def proposed_band(taken: Sequence[Taken], seen: Seen) -> Band | None:
         return None
     low, high = max(seen.bands[str(f)][0] for f in files), min(seen.bands[str(f)][1] for f in files)
     what = "the forces" if raw else "the lines"
-    return Band(low, high, f"{what} of {len(files)} idle files reach over it") if low < high else None
+    from operando.data import counted
+
+    return Band(low, high, f"{what} of {counted(len(files), 'idle file')} reach over it") if low < high else None

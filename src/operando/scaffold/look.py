@@ -269,12 +269,14 @@ def _state(file: Path, folder: Path, default: str) -> tuple[str, str, bool]:
 
 
 def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
+    from operando.data import counted
+
     notes = [f"guessed: {guess}" for guess in seen.guesses]
     notes += [f"guessed: columns of {names[0].name} are {', '.join(columns)}" for columns, names in seen.columns.items()]
     notes += [f"unsure: {t.file.name} taken as {t.role}: {t.reason}" for t in taken if not t.sure]
     for quantity, files in sorted(seen.unitless.items()):
         notes.append(
-            f"no unit of {quantity} in {len(files)} files: give it in [units]; without it there is no mass scaling and no FRF in SI"
+            f"no unit of {quantity} in {counted(len(files), 'file')}: give it in [units]; without it there is no mass scaling, no FRF in SI"
         )
     if seen.lineless:
         notes.append(f"{', '.join(seen.lineless)}: the file states no frequencies: give [units] frequency_step_hz, nothing runs without")
