@@ -160,11 +160,14 @@ def with_mode(state: State, again: Callable[[Idle], Sequence[Case]], bar: float,
     if grown is None:
         return None
     say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
-    starts = [fit(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1], 0.03) for c in again(grown)]
+    ways = [(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1]) for c in again(grown)]
+    starts = [fit(c, x, 0.03, floor=bar) for c, x in ways]
     first = max(starts, key=score)
     say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
     if score(first) <= bar or not _apart(first):
         return None
+    # the fit of one hypothesis may have been left off, far below the bar; the odds ask for its end
+    starts = [s if score(s) > bar else fit(c, x, 0.03) for s, (c, x) in zip(starts, ways, strict=True)]
     empty = fit(first.case, first.case.forward.start, 0.1)
     return Lacking(first, empty, {s.key: s for s in (empty, first)}, None if len(starts) < 2 else score(starts[1]) - score(starts[0]))
 
