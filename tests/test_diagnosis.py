@@ -238,6 +238,30 @@ def test_derivatives_are_those_of_the_frfs(responses):
         np.testing.assert_allclose(exact.own[:, row, :, k], wanted[:, row], rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17)
 
 
+def test_derivatives_as_rows_are_those_of_each_line_combined_and_weighted():
+    from operando.diagnosis.problem import Problem
+    from operando.diagnosis.products import Rows
+
+    one = case(lag=0.1)
+    forward, rng = one.forward, np.random.default_rng(2)
+    shared = (0.3 * rng.standard_normal(n) for n in (forward.n_g, forward.n_d))
+    x = Point(*shared, 0.3 * rng.standard_normal((N, forward.n_own)), np.zeros(len(forward.outside(EVERY))), tuple(EVERY))
+    problem = Problem(one, EVERY, one.lines.fit[::9])
+    packed = problem.packed(x)
+    exact = problem.predict(packed)
+    made = problem.derived(packed)
+    for rows, wanted in zip(made, (exact.shared, exact.own, (problem.measured - exact.h)[..., None]), strict=True):
+        wanted = problem.rows(wanted)
+        np.testing.assert_allclose(rows.reshape(wanted.shape), wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
+    weighted = Rows(weights=rng.uniform(0.5, 2, exact.h.shape))
+    made = forward.derived(problem.point(packed), problem.w, weighted)
+    for rows, values in ((made.shared, exact.shared), (made.own, exact.own)):
+        wanted = np.moveaxis(values * weighted.weights[..., None], 0, 2)  # (responses, references, lines, k)
+        wanted = np.stack([wanted.real, wanted.imag], 3).reshape(rows.shape)
+        np.testing.assert_allclose(rows, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
+        np.testing.assert_allclose(weighted.flat(values), wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
+
+
 def test_frfs_with_effects_are_those_of_the_matrices():
     def change(m, c, k):
         m[1, 1] += 0.4

@@ -16,7 +16,8 @@ from operando.diagnosis.criteria import CHANGES_DB, CORRELATED_LINES, FIT_LINES,
 from operando.diagnosis.forward import Forward, Scannable
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lines import Lines
-from operando.diagnosis.terms import SEARCHED, Term, added, candidates
+from operando.diagnosis.products import Rows
+from operando.diagnosis.terms import SEARCHED, Term, added, candidates, changes_by
 from operando.errors import DofError
 from operando.structure.effects import kind_of
 
@@ -129,15 +130,16 @@ class Case:
         for columns in np.array_split(taken, -(-taken.size // _AT_ONCE)):
             plain = Between(idle, columns, self.band, {})
             some = Forward(idle, plain, np.arange(dofs), columns, self.band)
-            made = some.predict(replace(some.start, terms=idle.lacking_term), w)
-            whole += _power((made.shared[..., :g] / noise[:, None, None, None]).reshape(1, made.h.size, g))[0]
+            alike = np.broadcast_to(1 / noise[:, None, None], (w.size, dofs, columns.size))
+            made = some.derived(replace(some.start, terms=idle.lacking_term), w, Rows(weights=alike))
+            by_g = made.shared[..., :g].reshape(-1, g)
+            whole += by_g.T @ by_g
             # of a driven DOF its shape stands among what reaches all channels; each pair counts once more as its mirror
-            mine = np.swapaxes(made.own / noise[:, None, None, None], 0, 1)
-            each += 2 * _power(mine.reshape(dofs, -1, forward.n_shape))
+            each += 2 * np.swapaxes(made.own, 1, 2) @ made.own
             for number, dof in enumerate(some.reaching_dofs(())):
                 start = g + number * forward.n_shape
-                far = made.shared[:, dof, :, start : start + forward.n_shape] / noise[:, None, None]
-                each[dof] += _power(far.reshape(1, -1, forward.n_shape))[0]
+                far = made.shared[dof, :, start : start + forward.n_shape]
+                each[dof] += far.T @ far
         values, vectors = np.linalg.eigh(whole * dofs / taken.size)
         values_own, vectors_own = np.linalg.eigh(each * dofs / taken.size)
         own = vectors_own * (values_own > LEAST_MOVE)[:, None, :]
@@ -188,12 +190,11 @@ class Case:
             unit = added(trial, w, self.band)
             own = np.mean([np.abs(base.columns[:, i, i]) for i in places], axis=0)
             grid = np.log(1 / np.median(np.abs(unit).max(axis=(1, 2)) * own)) + np.log(10) * _DECADES
-            b = list(places)
-            inner = np.linalg.solve(np.eye(len(b)) + np.exp(grid)[:, None, None, None] * (unit @ base.columns[:, b][:, :, b]), unit)
-            h = base.structure - base.columns[:, :, b] @ (np.exp(grid)[:, None, None, None] * inner @ base.structure[:, b])
-            level = 20 * np.log10(np.abs(h) / np.abs(base.structure))
-            changes = np.sqrt(np.mean(level**2, axis=(1, 2, 3)))
-            db = np.maximum.accumulate(changes)
+            patterns, factors = changes_by(base.columns, base.structure, trial, unit[..., None] * np.exp(grid))
+            relative = (patterns / base.structure[..., None]).reshape(w.size, -1, patterns.shape[-1]) @ factors
+            relative += 1
+            level = np.log(relative.real**2 + relative.imag**2)
+            db = 10 / np.log(10) * np.maximum.accumulate(np.sqrt(np.mean(level**2, axis=(0, 1))))
             low, high = (np.interp(np.log(v), np.log(db), grid) for v in (CHANGES_DB[0], min(CHANGES_DB[1], 0.9 * db[-1])))
             self._ranges[key] = float(low), float(max(high, low + 2))
         return self._ranges[key]
@@ -259,9 +260,3 @@ class Case:
             elif first.definition.removable:
                 value += np.log(np.where([term.sign > 0 for term in terms], 1 - REMOVED, REMOVED))
         return value
-
-
-def _power(rows: Array) -> Array:
-    """Real part of rowsᴴ rows, (blocks, rows, k) → (blocks, k, k)."""
-    laid = np.concatenate([rows.real, rows.imag], axis=1)
-    return np.asarray(np.swapaxes(laid, 1, 2) @ laid)

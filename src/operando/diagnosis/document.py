@@ -282,10 +282,10 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
     if verdict.name == "inconclusive":
         at = case.lines.fit
         problem = best.problem
-        prediction = problem.predict(problem.packed(best.x))
+        shared, mine, _ = problem.derived(problem.packed(best.x))
         g, shape = case.forward.n_g, case.forward.n_shape
-        own = float(np.mean(2 * np.sum(problem.rows(prediction.shared[..., :g]) ** 2, 2)))
-        own += float(np.mean(2 * np.sum(problem.rows(prediction.own[..., :shape]) ** 2, 2)))
+        own = float(np.mean(2 * np.sum(shared[..., :g] ** 2, 2)))
+        own += float(np.mean(2 * np.sum(mine[..., :shape] ** 2, 2)))
         alone = float(np.mean(problem.variance(best.alpha)))
         if own > alone:
             return "what is not known of the idle model hides it: measure the idle FRFs again with more averages and force at more points"

@@ -14,6 +14,7 @@ from operando.diagnosis.between import OF_A_CHANNEL, channel_laws
 from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial
 from operando.diagnosis.forward import Forward, Point, Prediction
 from operando.diagnosis.operating_modes import OperatingModes
+from operando.diagnosis.products import Rows
 from operando.diagnosis.terms import Term, added, slopes
 
 Array = NDArray[Any]
@@ -83,6 +84,13 @@ class Eigenmodes(Forward):
             return Prediction(h[:, None, None], none, none)
         shared = self._derivatives(system, solved, used, channel)[w]
         return Prediction(h[:, None, None], shared[:, None, None], np.zeros((w.size, 1, 1, self.n_own)))
+
+    def derived(self, x: Point, w: Array, rows: Rows) -> Prediction:
+        """Values of the measured modes, and their derivatives as rows (1, rows, n)."""
+        made = self.predict(x, w)
+        if rows.basis is None:
+            return Prediction(made.h, rows.flat(made.shared), rows.flat(made.own))
+        return Prediction(made.h, *((rows.basis @ v[:, 0, 0])[None] for v in (made.shared, made.own)))
 
     def scannable(self, x: Point, w: Array) -> ScannableModes:  # type: ignore[override]
         """A state to which effects are added one at a time."""

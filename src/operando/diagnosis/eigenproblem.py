@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.forward import Forward, Moved, Outside, Point
+from operando.diagnosis.derivatives import Moved, Outside
+from operando.diagnosis.forward import Forward, Point
 from operando.diagnosis.idle import Moves
 from operando.diagnosis.terms import Term, added, touched
 

@@ -10,21 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, channel_laws
-from operando.diagnosis.idle import Idle, Moves
-from operando.diagnosis.products import Compliance, each_dof, laid, motion, through, times
+from operando.diagnosis.derivatives import Derivatives, Moved, Outside, Parts
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.products import Compliance, Rows, laid
 from operando.diagnosis.terms import Term, added, slopes, touched
 
 Array = NDArray[Any]
-
-
-@dataclass(frozen=True)
-class Outside:
-    """What lies outside the band between an undriven place of an effect and an undriven DOF: no column of the test tells it."""
-
-    place: int
-    other: int
-    below: bool
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -81,36 +72,6 @@ class Scannable:
     def measured(self, structure: Array) -> Array:
         """What the channels make of FRFs of the structure (lines, DOFs, references, …)."""
         return structure[:, self.order] * self.channel.reshape(*self.channel.shape, *[1] * (structure.ndim - 3))
-
-
-@dataclass
-class Moved:
-    """An idle model at a point.
-
-    Attributes
-    ----------
-    f, zeta : (terms,) arrays
-        Hz, ratio.
-    phi : (DOFs, terms) array
-    shapes : Moves
-        How they move from there.
-    root, more : float
-        Factors on all frequencies and on all damping.
-    whole : float
-        Relative change of the stiffness of the whole.
-    by_mode, by_damping : (terms,) arrays
-        Further factors on each frequency; all factors on each damping.
-    """
-
-    f: Array
-    zeta: Array
-    phi: Array
-    shapes: Moves
-    root: float
-    more: float
-    whole: float
-    by_mode: Array
-    by_damping: Array
 
 
 @dataclass
@@ -186,13 +147,26 @@ class Forward:
 
     def predict(self, x: Point, w: Array, *, derivatives: bool = True) -> Prediction:
         """FRFs and derivatives on the lines w [rad/s]; what a sensor shows beside its place enters the others' at first order only."""
-        return self._forward(x, w, derivatives, False)[0]
+        parts = self._parts(x, w)
+        if not derivatives:
+            none = np.zeros((*parts.h.shape, 0), complex)
+            return Prediction(parts.h, none, none)
+        made = Derivatives(parts, Rows()).all()
+        lay = lambda v: np.moveaxis(v[..., 0, :] + 1j * v[..., 1, :], 2, 0)  # noqa: E731
+        return Prediction(parts.h, *(lay(v) for v in made))
+
+    def derived(self, x: Point, w: Array, rows: Rows) -> Prediction:
+        """FRFs (lines, responses, references), and their derivatives as rows (responses, rows, n)."""
+        parts = self._parts(x, w)
+        shared, own = Derivatives(parts, rows).all()
+        return Prediction(parts.h, *(v.reshape(v.shape[0], -1, v.shape[-1]) for v in (shared, own)))
 
     def scannable(self, x: Point, w: Array) -> Scannable:
         """FRFs with all columns of the structure."""
-        found = self._forward(x, w, False, True)[1]
-        assert found is not None
-        return found
+        made = self._parts(x, w)
+        every = made.shape_k @ np.swapaxes(made.phi, -1, -2)
+        every = every - made.columns @ (made.inner @ every[:, made.here])
+        return Scannable(made.h, every, made.structure, made.factor, made.order)
 
     def moved(self, x: Point) -> Moved:
         """Idle model, stiffness and damping of the whole, frequencies and damping mode by mode."""
@@ -215,22 +189,22 @@ class Forward:
                 f[idle.lacking], zeta[idle.lacking] = own_f * root * by_mode[-1], own_zeta / root * by_damping[-1]
         return Moved(f, zeta, phi, shapes, float(root), float(more), whole, by_mode, by_damping)
 
-    def _forward(self, x: Point, w: Array, derivatives: bool, every: bool) -> tuple[Prediction, Scannable | None]:
+    def _parts(self, x: Point, w: Array) -> Parts:
+        """FRFs at a point, and what they are made of."""
         idle, known, n, m, nd, refs = self.idle, self.between, w.size, self.modes, self.n_dofs, self.references
         shape_own, rest = x.own[:, : self.n_shape], x.own[:, self.n_shape :]
         part, own = known.shared_parts(x.d), known.own_parts(rest)
         terms, line = x.terms, w[:, None]
-        made = self.moved(x)
-        f, zeta, phi, shapes, root, more, whole = made.f, made.zeta, made.phi, made.shapes, made.root, made.more, made.whole
-        by_mode, by_damping = made.by_mode, made.by_damping
+        made, lags = self.moved(x), None
+        phi = made.phi
         if idle.complex:
             lag, lags = idle.late(x.g, shape_own)
             phi = np.broadcast_to(phi, (n, nd, self.n_terms)).astype(complex)
             phi[:, :, m] -= 1j * w[:, None, None] * lag
-        wr = 2 * np.pi * f
-        own_dynamic = wr**2 - line**2 + 2j * zeta * wr * line
+        wr = 2 * np.pi * made.f
+        own_dynamic = wr**2 - line**2 + 2j * made.zeta * wr * line
         damping_between = idle.between + idle.between_root @ x.g + part["damping_between"]
-        damping_scale = known.damping_scale * more
+        damping_scale = known.damping_scale * made.more
         coupled = part["stiffness_between"] * known.stiffness_scale + 1j * line * damping_between * damping_scale
         k = Compliance(1 / own_dynamic)
         if coupled.any():
@@ -257,155 +231,19 @@ class Forward:
             if row.other in here and row.other != row.place:
                 columns[:, row.place, here.index(row.other)] += change
         inner = np.linalg.solve(np.eye(len(here)) + stiff @ columns[:, here], stiff)
-        structure = h0 - columns @ (inner @ h0[:, here])
-        touched_columns = columns - columns @ (inner @ columns[:, here])
-        force = stiff @ structure[:, here]
-        psi = phi - touched_columns @ (stiff @ phi_here)
+        acting = h0 - columns @ (inner @ h0[:, here])
+        force = stiff @ acting[:, here]
         kx = k.before(phi_f - np.swapaxes(phi_here, -1, -2) @ force)
-        beside = seen @ kx
-        structure = structure + beside
+        structure = acting + seen @ kx
         order = self.order(terms)
         laws = channel_laws(w / 2 / np.pi, self.band)
         sensors, forces = self._channels(terms, part, own, laws, w)
         factor = sensors[:, order, None] * forces[:, None]
-        h = structure[:, order] * factor
-        none = np.zeros((*h.shape, 0), complex)
-        scannable = None
-        if every:
-            all_columns = shape_k @ np.swapaxes(phi, -1, -2)
-            scannable = Scannable(h, all_columns - columns @ (inner @ all_columns[:, here]), structure, factor, order)
-        if not derivatives:
-            return Prediction(h, none, none), scannable
-
-        pk, kt = k.after(psi), np.swapaxes(kx, 1, 2)
-        reached = -touched_columns @ stiff  # what forces at the touched DOFs do elsewhere: passive = 1 + reached
-        core = -pk[:, :, None, :] * kt[:, None]
-        by_f = core * ((2 * wr + 2j * zeta * line) * 2 * np.pi)[:, None, None]
-        by_zeta = core * (2j * wr * line)[:, None, None]
-
-        blocks: list[Array] = []
-        # g: poles, shapes
-        scale = root * by_mode
-        by_poles = np.concatenate([idle.f_root * scale[:, None], idle.zeta_root * (by_damping / root)[:, None]])
-        by_g = times(np.concatenate([by_f, by_zeta], -1), by_poles)
-        at_sensors = each_dof(kt, shapes.shared)
-        if idle.complex:
-            late = -1j * w[:, None, None, None]
-            at_sensors = at_sensors + late * each_dof(kt[:, :, m], lags.shared)
-        by_g = by_g + through(at_sensors, reached, at_sensors[:, here])
-        # a unit motion of a driven DOF, and of a touched one against the force there
-        for j, ref in enumerate(refs):
-            by_g[:, :, j] += times(pk, shapes.shared[ref])
-            if idle.complex:
-                by_g[:, :, j] += late[..., 0] * times(pk[:, :, m], lags.shared[ref])
-        for i, dof in enumerate(here):
-            by_shape = times(pk, shapes.shared[dof])
-            if idle.complex:
-                by_shape += late[..., 0] * times(pk[:, :, m], lags.shared[dof])
-            by_g -= by_shape[:, :, None] * force[:, None, i, :, None]
-        pairs = any(known.shared[name].stop > known.shared[name].start for name in ("damping_between", "damping_local"))
-        if pairs or idle.between_root.any() or idle.between.any():
-            both = pk[:, :, None, known.first] * kt[:, None, :, known.second] + pk[:, :, None, known.second] * kt[:, None, :, known.first]
-            by_between = both * (-1j * w[:, None, None, None] * damping_scale)
-            if idle.between_root.any():
-                by_g = by_g + times(by_between, idle.between_root)
-        else:
-            both = by_between = np.zeros((n, nd, refs.size, known.first.size), complex)
-        blocks.append(by_g)
-        # d
-        by_whole = by_f @ (f / 2 / (1 + whole)) - by_zeta @ (zeta / 2 / (1 + whole))
-        by_more = by_zeta @ zeta + by_between @ damping_between
-        unlike = np.zeros((n, nd, refs.size, refs.size * m.size), complex)
-        column = np.zeros((refs.size, *structure.shape, 1), complex)
-        for j in range(refs.size):
-            unlike[:, :, j, j * m.size : (j + 1) * m.size] = known.across(pk[:, :, m], refs[j])
-            column[j, :, :, j, 0] = structure[:, :, j]
-        of_force = np.concatenate(list(column), -1)
-        by_name = {
-            "stiffness": lambda: by_whole[..., None],
-            "damping": lambda: by_zeta[..., m] * zeta[m],
-            "damping_whole": lambda: by_more[..., None],
-            "damping_local": lambda: times(by_zeta[..., m] * zeta[m], known.local_modes) + times(by_between, known.local_pairs),
-            "mode": lambda: by_f[..., m] * f[m],
-            "driven": lambda: unlike,
-            "force": lambda: of_force,
-            "force_slope": lambda: of_force * laws["_slope"][:, None, None, None],
-            "force_corner": lambda: of_force * laws["_corner"][:, None, None, None],
-            "force_late": lambda: of_force * laws["_late"][:, None, None, None],
-            "late": lambda: (-1j * w[:, None, None] * structure)[..., None],
-            "stiffness_between": lambda: -both * known.stiffness_scale,
-            "damping_between": lambda: by_between,
-        }
-        for name, where in known.shared.items():
-            if where.stop > where.start:
-                blocks.append(by_name[name]() * known.shared_spread[where])
-        # u
-        for row in outside:
-            slope = (-1 / w**2 if row.below else np.ones(n)) * row.spread
-            by_row = -motion(reached, here, row.other, nd)[:, :, None] * force[:, here.index(row.place), None]
-            if row.other in here and row.other != row.place:
-                by_row = by_row - motion(reached, here, row.place, nd)[:, :, None] * force[:, here.index(row.other), None]
-            blocks.append((by_row * slope[:, None, None])[..., None])
-        # effects
-        for term, laws_of in zip(terms, by_values, strict=True):
-            if term.structural:
-                acted = (structure - beside)[:, here]
-                blocks += [(-touched_columns @ (slope @ acted))[..., None] for slope in laws_of]
-            elif term.kind == "global_stiffness":
-                blocks.append(by_whole[..., None] * (term.size or 0.0))
-            elif term.kind == "global_damping":
-                blocks.append(by_more[..., None])
-            elif term.kind == "missing_mode":
-                blocks += [(v[..., idle.lacking] * of[idle.lacking])[..., None] for v, of in ((by_f, f), (by_zeta, zeta))]
-            elif term.values:
-                only = np.zeros((*structure.shape, 1), complex)
-                by_value = -1j * w if term.kind.endswith("_delay") else np.ones(n)
-                if term.definition.group == "force":
-                    j = int(np.flatnonzero(refs == term.places[0])[0])
-                    only[:, :, j, 0] = -structure[:, :, j] * by_value[:, None]
-                else:
-                    only[:, term.places[0], :, 0] = structure[:, term.places[0]] * by_value[:, None]
-                blocks.append(only)
-        # own unknowns of each DOF
-        mine = np.zeros((n, nd, refs.size, self.n_own), complex)
-        mine[..., : self.n_shape] = each_dof(kt, shapes.own)
-        if idle.complex:
-            mine[..., : self.n_shape] += late * each_dof(kt[:, :, m], lags.own)
-        for name, where in known.own.items():
-            if where.stop == where.start:
-                continue
-            at = slice(self.n_shape + where.start, self.n_shape + where.stop)
-            if name in OF_A_CHANNEL:
-                mine[..., at] = structure[..., None] * laws[name.removeprefix("sensor")][:, None, None, None]
-            elif name == "seen":
-                mine[..., at] = known.across(kt[:, None, :, m], (slice(None), None))
-            else:
-                slope = np.ones(n) if name == "rest_above" else -1 / w**2
-                for j in range(refs.size):
-                    mine[:, :, j, at.start + j] = slope[:, None]
-            mine[..., at] *= known.own_spread[:, None, where]
-        for dof in self.reaching_dofs(terms):
-            column_of = motion(reached, here, dof, nd)[:, :, None, None]
-            far = column_of * mine[:, dof][:, None, :, self.reaching]
-            active = np.zeros((n, refs.size), complex)
-            active[:, refs == dof] = 1
-            if dof in here:
-                active -= force[:, here.index(dof)]
-            by_shape = pk @ shapes.own[dof]
-            if idle.complex:
-                by_shape = by_shape - 1j * w[:, None, None] * (pk[:, :, m] @ lags.own[dof])
-            far[..., : self.n_shape] += by_shape[:, :, None] * active[:, None, :, None]
-            blocks.append(far)
-        for dof in self.reaching_dofs(terms):
-            mine[:, dof][..., self.reaching] = 0
-        measured = factor[..., None]
-        shared = np.empty((*h.shape, sum(block.shape[-1] for block in blocks)), complex)
-        start = 0
-        for block in blocks:
-            stop = start + block.shape[-1]
-            np.multiply(block[:, order], measured, out=shared[..., start:stop])
-            start = stop
-        return Prediction(h, shared, mine[:, order] * measured), scannable
+        return Parts(
+            idle, known, refs, terms, self.reaching, self.reaching_dofs(terms), w, made, lags, k, phi, shape_k, columns, inner, stiff,
+            force, kx, acting, structure, here, outside, by_values, order, laws, sensors, forces, factor, structure[:, order] * factor,
+            damping_between, damping_scale,
+        )  # fmt: skip
 
     def _added(self, terms: Sequence[Term], w: Array) -> tuple[list[int], Array, list[list[Array]]]:
         """Touched DOFs, the dynamic stiffness over them (lines, k, k), and its derivatives for each term."""

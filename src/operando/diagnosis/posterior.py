@@ -17,6 +17,7 @@ from operando.diagnosis.descent import Descent
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.problem import Problem, Step
+from operando.diagnosis.products import Rows
 from operando.diagnosis.spreads import WIDER, likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
 
@@ -156,8 +157,7 @@ def fit(
     last, most = np.zeros(case.between.log_factors.size), WIDER  # of the spreads: the step before, and how far the next may go
     outside = 0
     for turn in range(turns):
-        prediction = problem.predict(x)
-        shared, own, residual = problem.rows(prediction.shared), problem.rows(prediction.own), problem.residual(prediction.h)
+        shared, own, residual = problem.derived(x)
         evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
         if done or outside == _OUTSIDE or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
             break
@@ -193,15 +193,11 @@ def with_discrepancy(state: State, alpha: float) -> State:
     """The same state where the discrepancy is known from elsewhere: its unknowns, and what they leave open, under it."""
     problem = state.problem
 
-    def rows(x: Step) -> tuple[Array, Array, Array]:
-        made = problem.predict(x)
-        return problem.rows(made.shared), problem.rows(made.own), problem.residual(made.h)
-
     x = problem.packed(state.x)
-    shared, own, residual = rows(x)
+    shared, own, residual = problem.derived(x)
     factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
     x = Descent().turn(problem, x, (shared, own, residual), alpha, factor)[0]
-    shared, own, residual = rows(x)
+    shared, own, residual = problem.derived(x)
     factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
     return replace(state, x=problem.point(x), alpha=alpha, factor=factor)
 
@@ -217,35 +213,28 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
         def cost(h: Array, x: Step, noise: Array = noise) -> float:
             return float(np.sum(np.log1p(np.abs(problem.measured - h) ** 2 / noise))) + problem.penalty(x)
 
-        if not np.isfinite(problem.tried(x, cost)[1]):
+        h, now = problem.tried(x, cost)
+        if not np.isfinite(now):
             return np.inf, start  # no such structure can be
         for _ in range(turns):
-            prediction = problem.predict(x)
-            residual = problem.measured - prediction.h
-            weights = np.sqrt(2 / (noise + np.abs(residual) ** 2))[..., None]
-            shared, own = _flat(prediction.shared * weights), _flat(prediction.own * weights)
-            information = Information.of(shared, own)
-            gradient = problem.gradient(shared, own, _flat(residual[..., None] * weights)[..., 0], x)
-            now = cost(prediction.h, x)
+            residual = problem.measured - h
+            rows = Rows(weights=np.sqrt(2 / (noise + np.abs(residual) ** 2)))
+            made = case.forward.derived(problem.point(x), problem.w, rows)
+            information = Information.of(made.shared, made.own)
+            gradient = problem.gradient(made.shared, made.own, rows.flat(residual[..., None])[..., 0], x)
             for _ in range(9):
                 factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
                 there = x + problem.limited(problem.solved(factor, gradient))
-                new = problem.tried(there, cost)[1]
+                ahead, new = problem.tried(there, cost)
                 if new < now:
                     break
                 damping = max(damping, 0.1) * 10
             else:
                 break
-            x, damping = there, damping / 10
-            if now - new < 1e-3 * abs(now):
+            x, h, damping, gain, now = there, ahead, damping / 10, now - new, new
+            if gain < 1e-3 * abs(now + gain):
                 break
-    return cost(problem.predict(x, False).h, x), problem.point(x)
-
-
-def _flat(values: Array) -> Array:
-    """Values (lines, responses, references, k) as real rows (responses, rows, k)."""
-    laid = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1, values.shape[3])
-    return np.concatenate([laid.real, laid.imag], 1)
+    return now, problem.point(x)
 
 
 def on_validation_lines(state: State) -> tuple[float, float]:
@@ -262,20 +251,19 @@ def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float
     """
     problem, known_at = Problem(case, x.terms, at), case.lines.known
     packed = problem.packed(x)
-    prediction = problem.predict(packed)
-    root = np.sqrt(2 / problem.variance(alpha))
-    residual = problem.residual(prediction.h) * root
+    root, h = np.sqrt(2 / problem.variance(alpha)), problem.predict(packed, False).h
+    residual = problem.residual(h) * root
     chi = np.sum(residual**2)
     if at is not case.lines.fit:
         fitted = Problem(case, x.terms, known_at)
-        made, weights = fitted.predict(packed), np.sqrt(2 / fitted.variance(alpha))
-        rows = [fitted.rows(v) * weights[..., None] for v in (made.shared, made.own)]
+        weights, (*its, left) = np.sqrt(2 / fitted.variance(alpha)), fitted.derived(packed)
+        rows = [v * weights[..., None] for v in its]
         known = Information.of(*rows)
-        shared, own = (problem.rows(v) * root[..., None] for v in (prediction.shared, prediction.own))
+        shared, own = (v * root[..., None] for v in problem.derived(packed)[:2])
         if known_at is not case.lines.fit:  # the point is that of other values: as these alone have it, at first order
             step = fitted.solved(
                 Factor.of(known, fitted.precision, fitted.own_precision),
-                fitted.gradient(rows[0], rows[1], fitted.residual(made.h) * weights, packed),
+                fitted.gradient(rows[0], rows[1], left * weights, packed),
             )
             residual = residual - problem.spread(shared, own, step)
             chi = np.sum(residual**2)
@@ -283,7 +271,7 @@ def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float
         along = np.tensordot(shared, residual, ((0, 1), (0, 1)))
         a, b = factor.whitened(along[:, None], np.swapaxes(own, 1, 2) @ residual[..., None])
         chi -= np.sum(a**2) + np.sum(b**2)
-    return float(chi / (residual.size * case.lines.there.mean())), case.lines.error(prediction.h, at)
+    return float(chi / (residual.size * case.lines.there.mean())), case.lines.error(h, at)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.forward import Point, Prediction
+from operando.diagnosis.products import Rows
 from operando.diagnosis.terms import Term, moved, touched
 
 Array = NDArray[Any]
@@ -90,6 +91,11 @@ class Problem:
 
     def predict(self, x: Step, derivatives: bool = True) -> Prediction:
         return self.forward.predict(self.point(x), self.w, derivatives=derivatives)
+
+    def derived(self, x: Step) -> tuple[Array, Array, Array]:
+        """Derivatives by what reaches all channels and by each DOF's own, and the residual, as independent rows."""
+        made = self.forward.derived(self.point(x), self.w, Rows(self.case.lines.basis(self.at)[0]))
+        return made.shared, made.own, self.residual(made.h)
 
     def rows(self, values: Array) -> Array:
         """Values (lines, responses, references, k) as independent rows (responses, rows, k)."""

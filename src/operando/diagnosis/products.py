@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -39,33 +38,26 @@ def laid(value: Array, b: list[int], size: int) -> Array:
     return full
 
 
-def times(values: Array, real: Array) -> Array:
-    """Values (…, k) by a real matrix (k, q)."""
-    flat = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
-    out = np.empty((len(flat), real.shape[1]), complex)
-    out.real, out.imag = flat.real @ real, flat.imag @ real
-    return out.reshape(*values.shape[:-1], real.shape[1])
+class Rows:
+    """How values of all pairs on the lines become independent rows: combinations of lines, or each line by a weight.
 
+    Parameters
+    ----------
+    basis : (responses, references, rows, lines) array, optional
+    weights : (lines, responses, references) array, optional
+    """
 
-def through(at: Array, reached: Array, there: Array) -> Array:
-    """What shows at each DOF (lines, DOFs, references, n), and through the effects what shows at the touched ones."""
-    if not reached.shape[2]:
-        return at
-    n, dofs = reached.shape[:2]
-    return at + (reached @ there.reshape(n, there.shape[1], -1)).reshape(n, dofs, *at.shape[2:])
+    def __init__(self, basis: Array | None = None, weights: Array | None = None) -> None:
+        self.basis, self.weights = basis, weights
 
+    def of(self, planes: Array) -> Array:
+        """Of real and imaginary parts (responses, references, 2, lines, k), which may be changed: (responses, references, 2, rows, k)."""
+        if self.weights is not None:
+            planes *= np.moveaxis(self.weights, 0, 2)[:, :, None, :, None]
+        return planes if self.basis is None else np.asarray(self.basis[:, :, None] @ planes)
 
-def motion(reached: Array, here: list[int], dof: int, dofs: int) -> Array:
-    """Motion (lines, DOFs) that a unit motion of one DOF brings about."""
-    out = np.zeros((reached.shape[0], dofs), complex)
-    out[:, dof] = 1
-    if dof in here:
-        out += reached[:, :, here.index(dof)]
-    return out
-
-
-def each_dof(kt: Array, own: Array) -> Array:
-    """kt (lines, references, terms) by own (DOFs, terms, k): (lines, DOFs, references, k)."""
-    dofs, terms, k = own.shape
-    by_dof = times(kt, np.swapaxes(own, 0, 1).reshape(terms, dofs * k))
-    return np.swapaxes(by_dof.reshape(*kt.shape[:2], dofs, k), 1, 2)
+    def flat(self, values: Array) -> Array:
+        """Values (lines, responses, references, k) as rows (responses, rows, k), real and imaginary parts side by side."""
+        laid = np.moveaxis(values, 0, 2)
+        made = np.moveaxis(self.of(np.stack([laid.real, laid.imag], 2)), 2, 3)
+        return made.reshape(len(made), -1, values.shape[3])

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ROBUST
+from operando.diagnosis.derivatives import Outside
 from operando.diagnosis.eigenmodes import ScannableModes
-from operando.diagnosis.forward import Outside, Point, Scannable
+from operando.diagnosis.forward import Point, Scannable
 from operando.diagnosis.posterior import State, linear_evidence
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.terms import Term, added, changes
@@ -21,7 +22,7 @@ from operando.threads import each
 
 Array = NDArray[Any]
 
-_AT_ONCE = 128  # responses to trial effects at a time
+_AT_ONCE, _PLACES = 128, 8  # responses to trial effects at a time; places whose trial effects are looked at together
 _SIZES, _FREQUENCIES = 8, 40  # trial sizes; trial frequencies of an absorber
 _DAMPING = (0.01, 0.04, 0.1)  # trial damping ratios of an absorber
 _OTHER_FREQUENCY = 0.1  # of an absorber, as a logarithm: another start
@@ -139,7 +140,10 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
             else:
                 h = responses(case, x, state, columns, some, at)
                 error = (measured[..., None] - h) * root[..., None]
-            cost = np.sum(np.log1p(error.real**2 + error.imag**2), axis=tuple(range(error.ndim - 1)), dtype=float)
+            power = error.real**2
+            power += error.imag**2
+            power += 1  # its logarithm is four times as fast as log1p, and the power is no more exact
+            cost = np.sum(np.log(power), axis=tuple(range(error.ndim - 1)), dtype=float)
             cost = np.nan_to_num(cost, nan=np.inf)
         first = int(np.argmin(cost))
         return -float(cost[first]), some[first], cut
@@ -171,10 +175,10 @@ class LinearScan:
         self.w = case.lines.w[self.at]
         problem = self.problem = Problem(case, self.x.terms, self.at)
         packed = self.packed = problem.packed(self.x)
-        prediction = problem.predict(packed)
+        shared, own, _ = problem.derived(packed)
         self.state = case.forward.scannable(self.x, self.w)
         self.weights = np.sqrt(2 * case.lines.stride / problem.variance(state.alpha))[..., None]
-        self.shared, self.own = problem.rows(prediction.shared) * self.weights, problem.rows(prediction.own) * self.weights
+        self.shared, self.own = shared * self.weights, own * self.weights
         precision = np.array(problem.precision)
         values = slice(problem.values_at, problem.values_at + problem.n_values)
         precision[values] = [_HELD if t is held else _LOOSE_VALUE for t in self.x.terms for _ in t.values]
@@ -196,9 +200,8 @@ class LinearScan:
         a, b = self.factor.whitened(shared, np.swapaxes(self.own, 1, 2) @ rows)
         return np.concatenate([a, b.reshape(b.shape[0] * b.shape[1], b.shape[2])])
 
-    def costs(self, terms: Sequence[Term]) -> Array:
-        """½ of what the unknowns leave of the squares, for each term."""
-        r = self.residuals(terms)
+    def costs(self, r: Array) -> Array:
+        """½ of what the unknowns leave of the squares of each residual (responses, rows, n)."""
         return np.nan_to_num(0.5 * (np.sum(r**2, (0, 1)) - np.sum(self.whitened(r) ** 2, 0)), nan=np.inf)
 
     def run(self) -> tuple[list[Candidate], float]:
@@ -232,8 +235,7 @@ class LinearScan:
         packed = problem.packed(x)
         try:
             with np.errstate(all="ignore"):
-                made = problem.predict(packed)
-                shared, own, residual = problem.rows(made.shared), problem.rows(made.own), problem.residual(made.h)
+                shared, own, residual = problem.derived(packed)
                 evidence = linear_evidence(problem, residual, shared, own, packed, self.fitted.alpha)[0]
         except np.linalg.LinAlgError:
             return -np.inf
@@ -265,17 +267,23 @@ class LinearScan:
     def _by_trials(self, places: Sequence[Term]) -> list[Candidate]:
         case = self.case
 
-        def best(place: Term) -> list[tuple[float, Term]]:
-            some = trials(case, place, _SIZES)
-            score = case.log_priors(some) - self.costs(some)
-            order = np.argsort(-score)
+        def best(some: Sequence[Term], score: Array) -> list[tuple[float, Term]]:
+            place, order = some[0], np.argsort(-score)
             rows = [(float(score[order[0]]), some[order[0]])]
             if place.kind == "tuned_absorber":  # a second start at another frequency
                 far = [j for j in order[1:40] if abs(some[j].values[1] - some[order[0]].values[1]) > _OTHER_FREQUENCY][:1]
                 rows += [(float(score[j]), some[j]) for j in far]
             return rows
 
-        found = [row for rows in each(best, places) for row in rows]
+        def best_of(places: Sequence[Term]) -> list[tuple[float, Term]]:
+            tried = [trials(case, place, _SIZES) for place in places]
+            left = [self.residuals(some) for some in tried]
+            ends = np.cumsum([0, *(len(some) for some in tried)])
+            costs = self.costs(np.concatenate(left, -1)) if left else np.zeros(0)
+            scores = (case.log_priors(some) - costs[a:b] for some, a, b in zip(tried, ends[:-1], ends[1:], strict=True))
+            return [row for some, score in zip(tried, scores, strict=True) for row in best(some, score)]
+
+        found = [row for rows in each(best_of, [places[i : i + _PLACES] for i in range(0, len(places), _PLACES)]) for row in rows]
         found.sort(key=lambda row: -row[0])
         chosen: list[Term] = []
         of_kind: dict[str, int] = {}

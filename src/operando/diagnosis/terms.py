@@ -89,8 +89,10 @@ class Term:
 
     def moved(self, values: Iterable[float]) -> Term:
         """With other values, but for those that no fit moves."""
-        new = (float(v) for v in values)
-        return replace(self, values=tuple(self.values[i] if i in self.fixed else v for i, v in enumerate(new)))
+        new = tuple(float(v) for v in values)
+        if self.fixed:
+            new = tuple(self.values[i] if i in self.fixed else v for i, v in enumerate(new))
+        return Term(self.kind, self.places, new, self.sign, self.fixed)
 
     @property
     def size(self) -> float | None:
@@ -217,8 +219,13 @@ def changes(columns: Array, h: Array, terms: Sequence[Term], w: Array, band: tup
     -------
     (lines, DOFs, references, p) and (lines, p, n) arrays
     """
-    b, z = list(terms[0].places), added_by_each(terms, w, band)
-    if terms[0].definition.coordinates == "difference":
+    return changes_by(columns, h, terms[0], added_by_each(terms, w, band))
+
+
+def changes_by(columns: Array, h: Array, term: Term, z: Array) -> tuple[Array, Array]:
+    """The same by the dynamic stiffness that each adds at the places of a term, (n_lines, places, places, n)."""
+    b = list(term.places)
+    if term.definition.coordinates == "difference":
         along = columns[:, :, b[0]] - columns[:, :, b[1]] if len(b) == 2 else columns[:, :, b[0]]
         own = along[:, b[0]] - along[:, b[1]] if len(b) == 2 else along[:, b[0]]
         at = h[:, b[0]] - h[:, b[1]] if len(b) == 2 else h[:, b[0]]
@@ -227,7 +234,7 @@ def changes(columns: Array, h: Array, terms: Sequence[Term], w: Array, band: tup
     z = np.moveaxis(z, -1, 1)
     inner = np.linalg.solve(np.eye(len(b)) + z @ columns[:, None, b][..., b], z)
     patterns = -columns[:, :, None, b, None] * np.swapaxes(h[:, b], 1, 2)[:, None, :, None]
-    return patterns.reshape(*h.shape, len(b) ** 2), np.swapaxes(inner.reshape(len(w), len(terms), -1), 1, 2)
+    return patterns.reshape(*h.shape, len(b) ** 2), np.swapaxes(inner.reshape(*inner.shape[:2], -1), 1, 2)
 
 
 def candidates(nodes: Sequence[tuple[int, ...]], terms: Iterable[Term], kinds: Iterable[str], allowed: Iterable[int]) -> Iterator[Term]:

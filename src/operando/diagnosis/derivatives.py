@@ -1,0 +1,425 @@
+"""Derivatives of FRFs as rows of a least-squares problem: few products over lines, then how each unknown moves these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, Between
+from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.products import Compliance, Rows
+from operando.diagnosis.terms import Term
+
+Array = NDArray[Any]
+_LAWS = ("", "_slope", "_corner", "_late")
+
+
+@dataclass(frozen=True)
+class Outside:
+    """What lies outside the band between an undriven place of an effect and an undriven DOF: no column of the test tells it."""
+
+    place: int
+    other: int
+    below: bool
+    spread: float
+
+
+@dataclass
+class Moved:
+    """An idle model at a point.
+
+    Attributes
+    ----------
+    f, zeta : (terms,) arrays
+        Hz, ratio.
+    phi : (DOFs, terms) array
+    shapes : Moves
+        How they move from there.
+    root, more : float
+        Factors on all frequencies and on all damping.
+    whole : float
+        Relative change of the stiffness of the whole.
+    by_mode, by_damping : (terms,) arrays
+        Further factors on each frequency; all factors on each damping.
+    """
+
+    f: Array
+    zeta: Array
+    phi: Array
+    shapes: Moves
+    root: float
+    more: float
+    whole: float
+    by_mode: Array
+    by_damping: Array
+
+
+@dataclass
+class Parts:
+    """FRFs of a point (lines, responses, references) and the products that they and their derivatives are made of."""
+
+    idle: Idle
+    between: Between
+    references: Array
+    terms: tuple[Term, ...]
+    reaching: Array  # own unknowns of a touched or driven DOF that reach all channels
+    reaching_dofs: list[int]
+    w: Array
+    moved: Moved
+    lags: Moves | None
+    k: Compliance
+    phi: Array
+    shape_k: Array
+    columns: Array  # of the structure without effects, at the touched DOFs
+    inner: Array
+    stiff: Array
+    force: Array  # at the touched DOFs
+    kx: Array  # (lines, terms, references)
+    acting: Array  # (lines, DOFs, references): of the structure at its places
+    structure: Array  # as the sensors show it
+    here: list[int]
+    outside: list[Outside]
+    by_values: list[list[Array]]
+    order: Array
+    laws: dict[str, Array]
+    sensors: Array
+    forces: Array
+    factor: Array
+    h: Array
+    damping_between: Array
+    damping_scale: Array
+
+
+class Derivatives:
+    """By all unknowns at a point.
+
+    A change of pole r moves an FRF by ψ_r k_r (…) of two factors, and so do changes of shapes; what depends on the lines are only these
+    products, some five for each mode. They are brought to rows once, and each unknown is a real combination of them.
+
+    Parameters
+    ----------
+    parts : Parts
+    rows : Rows
+    """
+
+    def __init__(self, parts: Parts, rows: Rows) -> None:
+        self.of, self.rows = parts, rows
+        self.modes = parts.idle.modes
+        self.n_shape = parts.idle.shapes.own.shape[2]
+        self.n_terms = parts.moved.f.size
+        by_g = np.flatnonzero((parts.idle.f_root != 0).any(axis=1) | (parts.idle.zeta_root != 0).any(axis=1))
+        self.moving = np.union1d(by_g, self.modes)  # terms whose poles move by themselves
+        self.dofs = parts.order.tolist()
+
+    def all(self) -> tuple[Array, Array]:
+        """By what reaches all channels, and by the unknowns of the response's own DOF (zero where these reach all channels).
+
+        Returns
+        -------
+        (responses, references, rows, 2, n) and (responses, references, rows, 2, k) arrays
+            Real and imaginary parts side by side.
+        """
+        p = self.of
+        self._made()
+        known = p.between
+        n_g, n_d = p.idle.f_root.shape[1], known.shared_spread.size
+        values = [len(laws) if term.structural else len(term.values) for term, laws in zip(p.terms, p.by_values, strict=True)]
+        starts = np.cumsum([0, n_g, n_d, len(p.outside), *values])
+        n = int(starts[-1]) + len(p.reaching_dofs) * p.reaching.size
+        responses, references, _, count, _ = self.poles.shape
+        shared = np.zeros((responses, references, count, 2, n))
+        own = np.zeros((responses, references, count, 2, self.n_shape + known.own_spread.shape[1]))
+        by_part, own_by_part = (np.moveaxis(v, 3, 2) for v in (shared, own))
+        self._by_g(by_part[..., :n_g])
+        self._by_d(by_part[..., n_g : n_g + n_d])
+        self._by_direct(by_part[..., n_g + n_d : starts[-1]])
+        for term, start, stop in zip(p.terms, starts[3:-1], starts[4:], strict=True):
+            self._by_values(term, by_part[..., start:stop])
+        self._own(own_by_part)
+        start = int(starts[-1])
+        for dof in p.reaching_dofs:
+            self._far(dof, by_part[..., start : start + p.reaching.size])
+            start += p.reaching.size
+        for row, dof in enumerate(self.dofs):
+            if dof in p.reaching_dofs:
+                own[row][..., p.reaching] = 0
+        return shared, own
+
+    def _made(self) -> None:
+        """The products over lines, as rows (responses, references, part, rows, k)."""
+        p, m, w = self.of, self.modes, self.of.w[:, None]
+        here = p.here
+        touched_columns = p.columns - p.columns @ (p.inner @ p.columns[:, here])
+        psi = p.phi - touched_columns @ (p.stiff @ p.phi[..., here, :])
+        self.touched_columns = touched_columns
+        self.reached = -touched_columns @ p.stiff  # what forces at the touched DOFs do elsewhere: passive = 1 + reached
+        sensors = p.sensors[:, p.order].T[:, None, :, None]
+        forces = p.forces.T[None, :, :, None]
+        pk = np.moveaxis(p.k.after(psi)[:, p.order], 0, 1)[:, None]  # (responses, 1, lines, terms)
+        kt = np.moveaxis(p.kx, 2, 0)[None]
+        at_sensor, at_force = sensors * pk, forces * kt
+        core = -at_sensor[..., self.moving] * at_force[..., self.moving]
+        response, driven = sensors * at_force, forces * at_sensor
+        reached = np.swapaxes(self.reached[:, p.order], 0, 1)[:, None]  # (responses, 1, lines, touched)
+        force = np.transpose(p.force, (2, 0, 1))[None]  # (1, references, lines, touched)
+        touched = [reached[..., i : i + 1] * response - force[..., i : i + 1] * driven for i in range(len(here))]
+        groups = [[core, 1j * w * core, self._still(at_sensor[:, 0], at_force[0])], *([v] for v in (response, driven, *touched))]
+        if p.lags is not None:
+            groups[1:] = [[v, -1j * w * v[..., m]] for (v,) in groups[1:]]
+        self.poles, self.response, self.driven, *self.touched = self._as_rows(groups)
+        factor = sensors * forces
+        seen = factor * np.transpose(p.structure[:, p.order], (1, 2, 0))[..., None]
+        laws = np.stack([np.broadcast_to(p.laws[name], p.w.size) for name in _LAWS], -1)
+        plain = factor * np.concatenate([np.ones_like(w), -1 / w**2], 1)
+        self.channel, self.plain, *self.plain_reached = self._as_rows(
+            [[seen * laws], [plain], *([reached[..., i : i + 1] * plain] for i in range(len(here)))]
+        )
+        self.pairs = np.zeros(0)
+        self.between: Array | None = None
+        shared = p.between.shared
+        asked = any(shared[name].stop > shared[name].start for name in ("stiffness_between", "damping_between", "damping_local"))
+        if asked or p.idle.between_root.any() or p.idle.between.any():
+            self.pairs, self.between = self._of_pairs(at_sensor, at_force)
+
+    def _of_pairs(self, at_sensor: Array, at_force: Array) -> tuple[Array, Array]:
+        """Rows by a stiffness and by a damping between two modes, of unit size."""
+        known, w = self.of.between, self.of.w[:, None]
+        both = at_sensor[..., known.first] * at_force[..., known.second]
+        both += at_sensor[..., known.second] * at_force[..., known.first]
+        n = known.first.size
+        planes = np.empty((*both.shape[:2], 2, both.shape[2], 2 * n))
+        stiffness, damping = planes[..., :n], planes[..., n:]
+        np.negative(both.real, out=stiffness[:, :, 0])
+        np.negative(both.imag, out=stiffness[:, :, 1])
+        np.multiply(both.imag, w, out=damping[:, :, 0])
+        np.multiply(both.real, -w, out=damping[:, :, 1])
+        made = self.rows.of(planes)
+        return made[..., :n], made[..., n:]
+
+    def _still(self, at_sensor: Array, at_force: Array) -> Array:
+        """What terms add whose poles move only with those of the whole: by the whole stiffness, and by all damping."""
+        made, still, w = self.of.moved, np.setdiff1d(np.arange(self.n_terms), self.moving), self.of.w
+        f, damping, none = made.f[still, None], made.zeta[still, None], np.zeros((still.size, 1))
+        change = 1 / (2 * (1 + made.whole))
+        out = []
+        for factors in (self._by_pole(f * change, -damping * change, still), self._by_pole(none, damping, still)):
+            by_line = factors[: still.size, 0] + 1j * w[:, None] * factors[still.size : 2 * still.size, 0]
+            left = np.swapaxes(at_sensor[..., still], 0, 1) * by_line[:, None]  # (lines, responses, terms)
+            out.append(-np.transpose(left @ np.moveaxis(at_force[..., still], 0, 2), (1, 2, 0)))
+        return np.stack(out, -1)
+
+    def _as_rows(self, groups: list[list[Array]]) -> list[Array]:
+        """Complex values (responses, references, lines, k) as rows, those of one group side by side."""
+        sizes = [sum(v.shape[-1] for v in group) for group in groups]
+        values = [v for group in groups for v in group]
+        shape = np.broadcast_shapes(*(v.shape[:-1] for v in values))
+        planes = np.empty((*shape[:2], 2, shape[2], sum(sizes)))
+        start = 0
+        for v in values:
+            stop = start + v.shape[-1]
+            planes[:, :, 0, :, start:stop], planes[:, :, 1, :, start:stop] = v.real, v.imag
+            start = stop
+        ends = np.cumsum([0, *sizes])
+        made = self.rows.of(planes)
+        return [made[..., a:b] for a, b in pairwise(ends)]
+
+    def _moves(self, of: str) -> Array:
+        """How shapes move, and how they lag, below each other: (DOFs, terms + modes, unknowns)."""
+        p = self.of
+        shapes = getattr(p.moved.shapes, of)
+        return shapes if p.lags is None else np.concatenate([shapes, getattr(p.lags, of)], 1)
+
+    def _by_pole(self, by_f: Array, by_zeta: Array, terms: Array | None = None) -> Array:
+        """Factors on the products of poles, from changes of f [Hz] and ζ of those that move by themselves, (products, k)."""
+        made, terms = self.of.moved, self.moving if terms is None else terms
+        wr = (2 * np.pi * made.f[terms])[:, None]
+        parts = [4 * np.pi * wr * by_f, 4 * np.pi * made.zeta[terms, None] * by_f + 2 * wr * by_zeta]
+        return np.concatenate([*parts, np.zeros((2, by_f.shape[1]))])
+
+    def _by_g(self, out: Array) -> None:
+        p, made = self.of, self.of.moved
+        root, damping = (made.root * made.by_mode)[:, None], (made.by_damping / made.root)[:, None]
+        by_poles = self._by_pole((p.idle.f_root * root)[self.moving], (p.idle.zeta_root * damping)[self.moving])
+        moves = self._moves("shared")
+        k, size = by_poles.shape[0], moves.shape[1]
+        products = np.concatenate([self.poles, self.response, self.driven, *self.touched], -1)
+        factors = np.empty((len(self.dofs), p.references.size, products.shape[-1], out.shape[-1]))
+        factors[:, :, :k] = by_poles
+        factors[:, :, k : k + size] = moves[p.order][:, None]
+        factors[:, :, k + size : k + 2 * size] = moves[p.references]
+        for number, dof in enumerate(p.here):
+            start = k + (2 + number) * size
+            factors[:, :, start : start + size] = moves[dof]
+        np.matmul(products, factors[:, :, None], out=out)
+        if self.between is not None and p.idle.between_root.any():
+            out += self.between @ (p.damping_scale[:, None] * p.idle.between_root)
+
+    def _by_whole(self) -> Array:
+        """Factors on the products of poles, by the relative stiffness of the whole."""
+        made = self.of.moved
+        change = 1 / (2 * (1 + made.whole))
+        out = self._by_pole(made.f[self.moving, None] * change, -made.zeta[self.moving, None] * change)
+        out[-2] = 1
+        return out
+
+    def _by_all_damping(self) -> Array:
+        """Rows by the logarithm of all damping."""
+        made = self.of.moved
+        factors = self._by_pole(np.zeros((self.moving.size, 1)), made.zeta[self.moving, None])
+        factors[-1] = 1
+        out = np.asarray(self.poles @ factors)
+        return out if self.between is None else out + self.between @ (self.of.damping_scale * self.of.damping_between)[:, None]
+
+    def _by_d(self, out: Array) -> None:
+        p, m, made = self.of, self.modes, self.of.moved
+        known = p.between
+        each = (self.moving[:, None] == m).astype(float)
+        none, f, zeta = np.zeros_like(each), made.f[self.moving, None], made.zeta[self.moving, None]
+
+        def laws_of_force(law: str) -> Array:
+            column = np.zeros((*self.channel.shape[:-1], p.references.size))
+            for j in range(p.references.size):
+                column[:, j, ..., j] = self.channel[:, j, ..., _LAWS.index(law)]
+            return column
+
+        def driven() -> Array:
+            unlike = np.zeros((*self.driven.shape[:-1], p.references.size * m.size))
+            for j, dof in enumerate(p.references):
+                unlike[:, j, ..., j * m.size : (j + 1) * m.size] = self.driven[:, j][..., m] @ self._across(dof)
+            return unlike
+
+        def local() -> Array:
+            assert self.between is not None
+            damping = self._by_pole(none, each * zeta) @ known.local_modes
+            return self.poles @ damping + self.between @ (p.damping_scale[:, None] * known.local_pairs)
+
+        by_name: dict[str, Callable[[], Array]] = {
+            "stiffness": lambda: self.poles @ self._by_whole(),
+            "damping": lambda: self.poles @ self._by_pole(none, each * zeta),
+            "damping_whole": self._by_all_damping,
+            "damping_local": local,
+            "mode": lambda: self.poles @ self._by_pole(each * f, none),
+            "driven": driven,
+            "late": lambda: 2 * np.pi * self._upper * self.channel[..., 3:],
+            **{name: partial(laws_of_force, name.removeprefix("force")) for name in OF_A_FORCE},
+        }
+        for name, where in known.shared.items():
+            if where.stop == where.start:
+                continue
+            if name == "stiffness_between":
+                np.multiply(self.pairs, known.stiffness_scale * known.shared_spread[where], out=out[..., where])
+            elif name == "damping_between":
+                assert self.between is not None
+                np.multiply(self.between, p.damping_scale * known.shared_spread[where], out=out[..., where])
+            else:
+                np.multiply(by_name[name](), known.shared_spread[where], out=out[..., where])
+
+    @property
+    def _upper(self) -> float:
+        """Upper end of the band [Hz]: of the delay that the law of a channel has."""
+        return self.of.between.band[1]
+
+    def _across(self, dof: int) -> Array:
+        """What of a change of a DOF's shape is across its shape at rest, (modes, modes)."""
+        return self.of.between.across(np.eye(self.modes.size), np.full(self.modes.size, dof))
+
+    def _by_direct(self, out: Array) -> None:
+        """By what lies outside the band at the places of effects, and by the values of structural effects: each has a law of its own."""
+        p, w = self.of, self.of.w
+        columns, at = [], []
+        for number, row in enumerate(p.outside):
+            slope = (-1 / w**2 if row.below else np.ones(w.size)) * row.spread
+            by_row = -self._motion(row.other)[:, :, None] * p.force[:, p.here.index(row.place), None]
+            if row.other in p.here and row.other != row.place:
+                by_row = by_row - self._motion(row.place)[:, :, None] * p.force[:, p.here.index(row.other), None]
+            columns.append(by_row * slope[:, None, None])
+            at.append(number)
+        start = len(p.outside)
+        for term, laws_of in zip(p.terms, p.by_values, strict=True):
+            if term.structural:
+                columns += [(-self.touched_columns @ (slope @ p.acting[:, p.here]))[:, p.order] for slope in laws_of]
+                at += range(start, start + len(laws_of))
+                start += len(laws_of)
+            else:
+                start += len(term.values)
+        if columns:
+            values = np.stack([np.transpose(v * p.factor, (1, 2, 0)) for v in columns], -1)
+            out[..., at] = self._as_rows([[values]])[0]
+
+    def _motion(self, dof: int) -> Array:
+        """Motion (lines, responses) that a unit motion of one DOF brings about."""
+        p = self.of
+        out = np.zeros((p.w.size, len(self.dofs)), complex)
+        out[:, p.order == dof] = 1
+        return out + self.reached[:, p.order, p.here.index(dof)] if dof in p.here else out
+
+    def _by_values(self, term: Term, out: Array) -> None:
+        """By the values of an effect that adds no dynamic stiffness."""
+        p, made = self.of, self.of.moved
+        if term.structural or not term.values:
+            return
+        if term.kind == "global_stiffness":
+            out[...] = self.poles @ self._by_whole() * (term.size or 0.0)
+        elif term.kind == "global_damping":
+            out[...] = self._by_all_damping()
+        elif p.idle.lacking is not None and term.kind == "missing_mode":
+            alone = (self.moving == p.idle.lacking).astype(float)[:, None]
+            f, zeta = made.f[self.moving, None], made.zeta[self.moving, None]
+            none = np.zeros_like(alone)
+            by = [self._by_pole(alone * f, none), self._by_pole(none, alone * zeta)]
+            out[...] = self.poles @ np.concatenate(by, 1)
+        else:
+            late = term.kind.endswith("_delay")
+            by_value = 2 * np.pi * self._upper * self.channel[..., 3] if late else self.channel[..., 0]
+            if term.definition.group == "force":
+                mine = p.references == term.places[0]
+                out[..., 0][:, mine] = -by_value[:, mine]
+            else:
+                mine = p.order == term.places[0]
+                out[..., 0][mine] = by_value[mine]
+
+    def _own(self, out: Array) -> None:
+        p, known = self.of, self.of.between
+        np.matmul(self.response, self._moves("own")[p.order][:, None, None], out=out[..., : self.n_shape])
+        for name, where in known.own.items():
+            if where.stop == where.start:
+                continue
+            spread = known.own_spread[p.order, where]
+            mine = out[..., self.n_shape + where.start : self.n_shape + where.stop]
+            if name in OF_A_CHANNEL:
+                law = _LAWS.index(name.removeprefix("sensor"))
+                np.multiply(self.channel[..., law : law + 1], spread[:, None, None, None], out=mine)
+            elif name == "seen":
+                across = np.stack([self._across(dof) for dof in self.dofs]) * spread[:, None]
+                np.matmul(self.response[..., self.modes], across[:, None, None], out=mine)
+            else:
+                plain = self.plain[..., int(name == "rest_below")]
+                for j in range(p.references.size):
+                    mine[:, j, ..., j] = plain[:, j] * spread[:, j, None, None]
+
+    def _far(self, dof: int, out: Array) -> None:
+        """By the unknowns of one DOF that reach all channels: as a response, as a driven DOF and through an effect there."""
+        p, known = self.of, self.of.between
+        own, shape = self._moves("own")[dof], out[..., : self.n_shape]
+        rows, driven = np.flatnonzero(p.order == dof), np.flatnonzero(p.references == dof)
+        number = p.here.index(dof) if dof in p.here else None
+        if number is not None:
+            np.matmul(self.touched[number], own, out=shape)
+        shape[rows] += self.response[rows] @ own
+        shape[:, driven] += self.driven[:, driven] @ own
+        start = self.n_shape
+        for name in ("rest_above", "rest_below"):
+            spread = known.own_spread[dof, known.own[name]]
+            law = int(name == "rest_below")
+            for j in range(spread.size):
+                column = out[:, j, ..., start + j]
+                if number is not None:
+                    column += self.plain_reached[number][:, j, ..., law] * spread[j]
+                column[rows] += self.plain[rows, j][..., law] * spread[j]
+            start += spread.size
