@@ -320,6 +320,24 @@ def test_a_fit_ends_at_the_effect_it_starts_from():
     assert state.alpha < 0.002
 
 
+def test_forces_of_the_opposite_sense_in_both_states_change_nothing():
+    mass, stiff = matrices()
+    loaded = mass.copy()
+    loaded[1, 1] += 0.4
+    rest, running = (measured(m, modes()[3], stiff, (0, 3), 2e-4, seed) for m, seed in ((mass, 0), (loaded, 1)))
+    found, turned = (
+        diagnose_frf(
+            identified(),
+            [CheckRun("run", "1 N", replace(running, data=sign * running.data))],
+            idle_frf=replace(rest, data=sign * rest.data),
+            kinds=["point_mass"],
+        )
+        for sign in (1, -1)
+    )
+    assert found.verdict == turned.verdict == "explained"
+    assert [str(e) for e in turned.effects] == [str(e) for e in found.effects]
+
+
 def test_a_mass_is_found_through_complex_modes_at_rest():
     mass, stiff = matrices()
     w, _, phi, _ = modes()

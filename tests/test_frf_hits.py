@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,16 @@ import pytest
 
 from operando.data import Frf
 from operando.errors import DataError
-from operando.frf import check_drive_points, check_frf, estimate_frf, find_hits, is_impact, reciprocity_error
+from operando.frf import (
+    check_drive_points,
+    check_frf,
+    estimate_frf,
+    find_hits,
+    in_one_sense,
+    is_impact,
+    opposed_dofs,
+    reciprocity_error,
+)
 from operando.frf.impact import impact_blocks
 from structures import Chain
 from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
@@ -194,6 +204,19 @@ def chain_frf(**changes):
     for (i, j), factor in changes.pop("factors", {}).items():
         h[i, j] = h[i, j] * factor(f) if callable(factor) else h[i, j] * factor
     return Frf(h, f, tuple(f"{n}+Z" for n in range(1, 5)), ("1+Z", "3+Z"), **changes)
+
+
+def test_what_stays_is_reversed_where_a_drive_point_dissipates_negative_power():
+    """The force of a shaker with all of its responses; the accelerometer of a roving hammer with all of its references."""
+    right = chain_frf()
+    shaker = replace(right, data=right.data * np.array([-1.0, 1.0])[:, None])
+    assert [str(d) for d in opposed_dofs(shaker)] == ["1+Z"]
+    np.testing.assert_array_equal(in_one_sense(shaker, opposed_dofs(shaker)).data, right.data)
+    assert in_one_sense(right, opposed_dofs(right)) is right
+    roving = Frf(-np.swapaxes(right.data, 0, 1), right.axis, right.references, right.responses)
+    both = in_one_sense(roving, opposed_dofs(roving))
+    assert {str(d) for d in opposed_dofs(roving)} == {"1+Z", "3+Z"}
+    np.testing.assert_array_equal(both.data, -roving.data)
 
 
 def test_drive_points():

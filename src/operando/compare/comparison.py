@@ -15,7 +15,7 @@ from operando.compare.peaks import Peak, by_mode, fit_peaks
 from operando.data import FrequencyAxis, Frf, ModalModel, Saved, expect, plots
 from operando.dof import Dof, DofIndex
 from operando.errors import DataError, ObjectError
-from operando.frf import check_drive_points
+from operando.frf import in_one_sense, opposed_dofs
 from operando.results import CheckRun
 from operando.scaling import HybridModel
 from operando.threads import one_blas_thread
@@ -176,7 +176,7 @@ def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float
     labels: list[Dof] = []
     notes: list[str] = []
     pairs = [common_frfs(model, run, band_hz, notes) for run in runs]
-    notes += dict.fromkeys(note for made, ref in pairs for note in _opposite(made, ref))
+    pairs = [(made, _in_the_sense_of(made, ref, notes)) for made, ref in pairs]
     lines = pool([collect(made, ref, labels, notes) for made, ref in pairs])
     if lines.model.size == 0:
         raise DataError("model and measurement share no finite line")
@@ -243,14 +243,16 @@ def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, floa
     return made, measured
 
 
-def _opposite(made: Frf, ref: Frf) -> list[str]:
-    """Drive points at which the measurement absorbs power in the one sense and the model in the other."""
-    measured, model = ({f.dof for f in check_drive_points(h) if f.kind == "inverted"} for h in (ref, made))
-    return [
-        f"force and accelerometer have opposite senses at the measured drive point {dof}, and not in the model: levels in dB can be "
-        "compared, relative error and chi-square cannot"
-        for dof in sorted(d for d in measured ^ model if d is not None)
+def _in_the_sense_of(made: Frf, ref: Frf, notes: list[str]) -> Frf:
+    """The measurement, with force and accelerometer in one sense at drive points where they are in the model."""
+    already = {d.key for d in opposed_dofs(made)}
+    opposed = [d for d in opposed_dofs(ref) if d.key not in already]
+    notes += [
+        f"force and accelerometer have opposite senses at the measured drive point {dof}, and not in the model: compared are FRFs with "
+        "one of the two reversed"
+        for dof in opposed
     ]
+    return in_one_sense(ref, opposed)
 
 
 def _available(model: FrfModel | Frf) -> tuple[DofIndex | None, DofIndex | None]:

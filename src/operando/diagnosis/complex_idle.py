@@ -17,6 +17,7 @@ from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
 from operando.ema.findings import misfit_findings
+from operando.frf import in_one_sense, opposed_dofs
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
@@ -56,6 +57,7 @@ def with_complex_modes(
     if model.scaling != "unit_modal_mass" or not model.si or model.coupling is not None or band is None or not model.n_modes:
         return model
     with one_blas_thread():
+        frf = in_one_sense(frf, opposed_dofs(frf))
         known = Idle.of(model, band, frf.references)
         rest = at_rest(known, frf, band)
         if not rest.again or rest.state.alpha > EXPLAINED:

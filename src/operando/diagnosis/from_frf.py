@@ -44,6 +44,7 @@ from operando.diagnosis.verdict import (
 )
 from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
+from operando.frf import in_one_sense, opposed_dofs
 from operando.results import CheckRun
 from operando.threads import one_blas_thread
 
@@ -110,6 +111,10 @@ def diagnose_frf(
     say = progress or (lambda text: None)
     with one_blas_thread():
         run = chosen_run(check)
+        frf = run.frf
+        if idle_frf is not None and (opposed := opposed_dofs(idle_frf)):  # the idle model has them in one sense
+            frf = in_one_sense(frf, [d for d in opposed_dofs(frf) if any(d.same_axis(o) for o in opposed)])
+            idle_frf = in_one_sense(idle_frf, opposed)
         band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
         driven = run.frf.references if idle_frf is None else idle_frf.references
         rest = None
@@ -126,8 +131,8 @@ def diagnose_frf(
 
         def cases(model: Idle) -> list[Case]:
             """Two days in a laboratory and one set-up, or what the test states."""
-            days = Case(model, run.frf, band, spreads_of(between or {}), **asked)
-            return [days] if between else [days, Case(model, run.frf, band, SAME_SET_UP, like=days, **asked)]
+            days = Case(model, frf, band, spreads_of(between or {}), **asked)
+            return [days] if between else [days, Case(model, frf, band, SAME_SET_UP, like=days, **asked)]
 
         both, odds, asked_for_all = cases(model), None, kinds is None and places is None
         if between:

@@ -35,8 +35,8 @@ def turned_finding(dof: str) -> Finding:
         f"the drive-point residues at {dof} are negative: force and accelerometer there have opposite senses",
         "error",
         dof=dof,
-        consequence="modes and their scale are right: the fit reversed the polarity of the one of the two that stays. Measured FRFs keep "
-        "theirs, so relative errors and chi-squares of the models, and a diagnosis from them, compare FRFs of opposite sign",
+        consequence="modes and their scale are right: the fit reversed the polarity of the one of the two that stays, and so do "
+        "comparisons with measured FRFs; idle_frf.uff keeps the measured one",
         action=reversing(Dof.parse(dof)),
     )
 

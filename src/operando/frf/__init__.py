@@ -1,6 +1,14 @@
 """FRF estimation: H1, H2, Hv, several references, hammer hits, local rational models, checks."""
 
-from operando.frf.checks import check_drive_points, check_frf, power_signs, reciprocity_error, reversing
+from operando.frf.checks import (
+    check_drive_points,
+    check_frf,
+    in_one_sense,
+    opposed_dofs,
+    power_signs,
+    reciprocity_error,
+    reversing,
+)
 from operando.frf.estimate import estimate_frf
 from operando.frf.excitation import is_periodic
 from operando.frf.given import merge_frfs
@@ -31,11 +39,13 @@ __all__ = [
     "estimate_frf",
     "find_hits",
     "hits_of",
+    "in_one_sense",
     "is_impact",
     "is_periodic",
     "local_rational",
     "merge_frfs",
     "merge_runs",
+    "opposed_dofs",
     "periodic_frf",
     "power_signs",
     "reciprocity_error",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -151,8 +152,7 @@ def check_drive_points(frf: Frf) -> list[Finding]:
                     "error",
                     file=frf.name or None,
                     dof=str(frf.responses[i]),
-                    consequence="force and accelerometer have opposite senses there: modal masses would be negative, and FRFs of models "
-                    "differ from these by their sign",
+                    consequence="force and accelerometer have opposite senses there: fits and comparisons reverse one of the two",
                     action=reversing(reference),
                 )
             )
@@ -169,6 +169,63 @@ def check_drive_points(frf: Frf) -> list[Finding]:
                 )
             )
     return out
+
+
+def opposed_dofs(frf: Frf) -> tuple[Dof, ...]:
+    """References whose force and accelerometer have opposite senses: nearly all power dissipated at the drive point is negative.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+
+    Returns
+    -------
+    tuple of Dof
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> from operando.frf import opposed_dofs
+    >>> opposed_dofs(idle.frf(np.arange(5, 80, 0.1)))
+    ()
+    """
+    pairs = [(i, j) for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()]
+    return tuple(frf.references[j] for i, j in pairs if power_share(frf, i, j) < 1 - SIGN_SHARE)
+
+
+def in_one_sense(frf: Frf, opposed: Sequence[Dof]) -> Frf:
+    """The FRFs with the polarity reversed of what stays at some DOFs: the accelerometer of a roving hammer, else the force.
+
+    The EMA does the same to FRFs whose drive points absorb no power, so models have this sense.
+
+    Parameters
+    ----------
+    frf : Frf
+        FRFs.
+    opposed : sequence of Dof
+        Where force and accelerometer have opposite senses (:func:`opposed_dofs`).
+
+    Returns
+    -------
+    Frf
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> frf = idle.frf(np.arange(5, 80, 0.1))
+    >>> from operando.frf import in_one_sense
+    >>> bool(np.all(in_one_sense(frf, frf.references[:1])["1+Z", "1+Z"].data == -frf["1+Z", "1+Z"].data))
+    True
+    """
+    if not opposed:
+        return frf
+    there = [np.array([any(d.same_axis(o) for o in opposed) for d in dofs]) for dofs in (frf.responses, frf.references)]
+    hammer_roves = len({d.key for d in frf.references}) > len({d.key for d in frf.responses})
+    sign = np.where(there[0][:, None], -1.0, 1.0) if hammer_roves else np.where(there[1][None, :], -1.0, 1.0)
+    return replace(frf, data=frf.data * np.broadcast_to(sign, frf.data.shape[:2])[..., None])
 
 
 def check_rigid_body_signs(frf: Frf) -> list[Finding]:
