@@ -262,3 +262,12 @@ def test_a_dof_in_the_head_of_a_column_is_read(tmp_path):
     (tmp_path / "a.csv").write_text(f"time [s],{','.join(heads)}\n" + "".join(f"{i / 100}{',1.0' * len(heads)}\n" for i in range(9)))
     [record] = operando.read(tmp_path / "a.csv").records
     assert [None if c.dof is None else str(c.dof) for c in record.channels] == list(heads.values())
+
+
+def test_files_in_doubt_for_one_reason_are_said_in_one_line(folder, tmp_path):
+    flat = tmp_path / "flat"
+    flat.mkdir()
+    for i in range(5):
+        (flat / f"m{i}.uff").write_bytes((folder / "idle/run1.uff").read_bytes())
+    [line] = [note for note in scaffold(flat).notes if note.startswith("unsure")]
+    assert line.startswith("unsure: m0.uff, m1.uff, m2.uff, … (5) taken as idle records:")

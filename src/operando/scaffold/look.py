@@ -269,11 +269,15 @@ def _state(file: Path, folder: Path, default: str) -> tuple[str, str, bool]:
 
 
 def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
-    from operando.data import counted
+    from operando.data import counted, names_text
 
     notes = [f"guessed: {guess}" for guess in seen.guesses]
     notes += [f"guessed: columns of {names[0].name} are {', '.join(columns)}" for columns, names in seen.columns.items()]
-    notes += [f"unsure: {t.file.name} taken as {t.role}: {t.reason}" for t in taken if not t.sure]
+    unsure: dict[tuple[str, str], list[str]] = {}
+    for one in taken:
+        if not one.sure:
+            unsure.setdefault((one.role, one.reason), []).append(one.file.name)
+    notes += [f"unsure: {names_text(names)} taken as {role}: {reason}" for (role, reason), names in unsure.items()]
     for quantity, files in sorted(seen.unitless.items()):
         notes.append(
             f"no unit of {quantity} in {counted(len(files), 'file')}: give it in [units]; without it there is no mass scaling, no FRF in SI"
