@@ -121,6 +121,17 @@ def test_poles_of_a_fit_that_does_not_rest_on_real_modes_stay_with_their_spread(
     assert np.abs(other.frequencies_hz - hz).max() > 1e-4
 
 
+def test_modes_outside_the_band_stay_as_they_were_known():
+    band = BAND[0], 46.0
+    real = replace(real_modes(), band_hz=band, in_band=np.arange(N) < N - 1)
+    model = with_complex_modes(real, idle_frf())
+    assert model.coupling is not None
+    held = Idle.of(model, band, DOFS[:1])  # its own value; the pole has what ties it to the others
+    assert held.f[-1] == pytest.approx(real.frequencies_hz[-1], rel=1e-9)
+    assert model.frequency_std_hz[-1] >= real.frequency_std_hz[-1]
+    assert model.damping_ratio_std[-1] >= real.damping_ratio_std[-1]
+
+
 def test_intervals_of_the_complex_poles_cover():
     """With noise above the least discrepancy a model is allowed (0.05 % of the FRFs, at a peak 1 % of their rms)."""
     poles, _ = eigen()

@@ -64,7 +64,7 @@ def with_complex_modes(
             return model
         if progress is not None:
             progress("complex modes")
-        real = known.loose(np.flatnonzero(known.driven), complex_modes=False)
+        real = known.loose(np.flatnonzero(known.driven), band, complex_modes=False)
         plain = on_idle_frfs(real, frf, band, REST_LINES, rest.correlated, True)
         if rest.state.log_evidence < plain.log_evidence + EARNED:
             return model
@@ -120,13 +120,13 @@ def _poles(model: ModalModel, idle: Idle) -> tuple[PoleForm, Array]:
 
 
 def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
-    """With the poles of a model and their covariance, and everything else as it goes with them.
+    """With the poles of the modes in band of a model and their covariance, and everything else as it goes with them.
 
     Poles of residues of any phase do not rest on real modes, and were fitted to all lines: they are known better than by this fit. What
     the fit says is what else there is, given the poles (Jeffrey, The Logic of Decision, 1965, ch. 11).
     """
     terms, n = model.terms, model.terms.n
-    proper = np.flatnonzero(~terms.residual)
+    proper = np.flatnonzero(terms.in_band)
     rows = np.concatenate([proper, n + proper])
     wanted = np.concatenate([terms.frequencies_hz, terms.damping_ratios])[rows]
     assert model.covariance is not None
@@ -154,6 +154,10 @@ def _tied(model: ModalModel, idle: Idle) -> ModalModel:
     at = 2 * n + np.arange(n) * m
     for dof, own in enumerate(idle.shapes.own):
         covariance[np.ix_(at + dof, at + dof)] += own @ own.T
+    if model.covariance is not None:  # poles outside the band were held where they were
+        held = np.flatnonzero(~model.terms.residual & ~model.terms.in_band)
+        held = np.concatenate([held, n + held])
+        covariance[np.ix_(held, held)] += model.covariance[np.ix_(held, held)]
     return model.with_terms(
         frequencies_hz=form.frequencies_hz,
         damping_ratios=form.damping_ratios,

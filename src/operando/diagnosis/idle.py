@@ -185,10 +185,11 @@ class Idle:
         scale = self.shapes.scale(self.phi, self.driven)[self.modes]
         return self.lags.at(self.lag, scale, g, own)
 
-    def loose(self, driven: Array, complex_modes: bool = True) -> Idle:
+    def loose(self, driven: Array, band: tuple[float, float], complex_modes: bool = True) -> Idle:
         """With variances that only say of which order the parameters are; ``driven`` are numbers of DOFs.
 
-        What makes modes complex stays as it is where ``complex_modes`` is False.
+        Poles outside the band [Hz] stay: only flanks are seen of them, which shapes can follow. What makes modes complex stays as it is
+        where ``complex_modes`` is False.
         """
         rms = np.sqrt(np.mean(self.phi**2, axis=0))
         modes, t, d, pairs = self.modes, self.f.size, len(self.dofs), self.between.size
@@ -196,9 +197,10 @@ class Idle:
         shape = np.where(self.residual, 1.0, SHAPE_LOOSE) * rms
         ties = 1.0 if complex_modes else 0.0
         lag = ties * LAG_LOOSE * rms[modes] / (2 * np.pi * self.f[modes])
+        stays = self.residual | (self.f < band[0]) | (self.f > band[1])
         std = [
-            np.where(self.residual, 0, FREQUENCY_LOOSE * self.f),
-            np.where(self.residual, 0, DAMPING_LOOSE * self.zeta),
+            np.where(stays, 0, FREQUENCY_LOOSE * self.f),
+            np.where(stays, 0, DAMPING_LOOSE * self.zeta),
             np.full(pairs, ties * BETWEEN_LOOSE),
             np.tile(shape, driven.size),
             np.tile(lag, driven.size),

@@ -304,7 +304,7 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
         state = on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False, REST_DISCREPANCY)
         if state.alpha < REST_DISCREPANCY:
             return AtRest(idle, state, _correlated(state), False)
-    loose = idle.loose(np.flatnonzero(idle.driven))
+    loose = idle.loose(np.flatnonzero(idle.driven), band)
     state = on_idle_frfs(loose, frf, band, REST_LINES, CORRELATED_LINES, True)
     correlated = _correlated(state)
     if correlated > 1.5 * CORRELATED_LINES:
