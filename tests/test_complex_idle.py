@@ -11,6 +11,7 @@ from operando.data.modal_poles import pole_form
 from operando.diagnosis import with_complex_modes
 from operando.diagnosis.complex_idle import EARNED
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.lines import Lines
 from test_coupling import HZ, chain, whole
 from test_diagnosis import BAND, DOFS, N, identified, matrices, measured, modes
 
@@ -153,6 +154,29 @@ def test_real_modes_stay_real(off):
     model = identified()
     model = model.with_terms(frequencies_hz=model.frequencies_hz * (1 + off))
     assert with_complex_modes(model, measured(mass, modes()[3], stiff, REFERENCES, 2e-4, 0)) is model
+
+
+def test_real_modes_stand_where_complex_ones_cannot_be_looked_for():
+    """Every line lacks a pair: nothing can be fitted to all pairs at once."""
+    frf = idle_frf()
+    data = frf.data.copy()
+    lines = np.arange(data.shape[2])
+    for response in range(N):
+        data[response, :, lines % N == response] = np.nan
+    model = with_complex_modes(real_modes(), replace(frf, data=data))
+    assert model.coupling is None
+    assert any(f.kind == "complex_modes" and f.consequence == "the idle model has real modes" for f in model.findings)
+
+
+def test_a_line_that_is_exactly_zero_leaves_the_variance_of_the_others():
+    frf = idle_frf()
+    silent = frf.data.copy()
+    silent[0, :, 3] = 0
+    one, other = (
+        Lines(replace(frf, data=d, variance=None).to_quantity("receptance"), np.array([20.0]), np.array([0.01])) for d in (frf.data, silent)
+    )
+    assert np.isfinite(other.variance).all()
+    assert other.variance[-1] == pytest.approx(one.variance[-1], rel=1e-3)
 
 
 def test_a_model_without_scale_stays_as_it_is():

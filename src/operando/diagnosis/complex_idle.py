@@ -17,6 +17,7 @@ from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
 from operando.ema.findings import misfit_findings
+from operando.errors import DataError, DofError
 from operando.frf import in_one_sense, opposed_dofs
 from operando.threads import one_blas_thread
 
@@ -59,7 +60,10 @@ def with_complex_modes(
     with one_blas_thread():
         frf = in_one_sense(frf, opposed_dofs(frf))
         known = Idle.of(model, band, frf.references)
-        rest = at_rest(known, frf, band)
+        try:
+            rest = at_rest(known, frf, band)
+        except (DataError, DofError, np.linalg.LinAlgError) as error:  # the real modes stand without it
+            return replace(model, findings=(*model.findings, _not_tried(error)))
         if not rest.again or rest.state.alpha > EXPLAINED:
             return model
         if progress is not None:
@@ -165,6 +169,16 @@ def _tied(model: ModalModel, idle: Idle) -> ModalModel:
         covariance=covariance,
         std=None,
         coupling=form.coupling,
+    )
+
+
+def _not_tried(error: Exception) -> Finding:
+    return Finding(
+        "complex_modes",
+        f"whether damping ties modes to each other cannot be seen in these idle FRFs: {str(error).split(' (')[0]}",
+        "info",
+        consequence="the idle model has real modes",
+        action="measure all pairs on the same lines",
     )
 
 

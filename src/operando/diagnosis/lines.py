@@ -13,6 +13,7 @@ from operando.errors import DataError
 
 Array = NDArray[Any]
 _FLOOR_LINES = 25  # to each side, for the floor of the noise: wider than any peak
+_LEAST_VARIANCE = 1e-12  # of the mean of a pair: sums of its inverse keep four digits
 _NOTHING = 1e12  # variance of a pair that was not measured, over the mean square of those that were
 
 
@@ -186,8 +187,9 @@ def _pooled(variance: Array, power: Array) -> Array:
     plain mean would take it from the peaks to their flanks.
     """
     count = len(variance)
-    # a harmonic mean over a wide stretch is the floor beside the peaks
-    floor = 1 / _mean(1 / np.maximum(variance, 1e-300), np.full(count, _FLOOR_LINES))
+    # a harmonic mean over a wide stretch is the floor beside the peaks; a line that is exactly zero would swallow the sums of all others
+    least = np.maximum(_LEAST_VARIANCE * variance.mean(axis=0), 1e-300)
+    floor = 1 / _mean(1 / np.maximum(variance, least), np.full(count, _FLOOR_LINES))
     loud = power > 10 * np.median(power, axis=0)
     share = np.sum(np.where(loud, variance - floor, 0), axis=0) / np.maximum(np.sum(np.where(loud, power, 0), axis=0), 1e-300)
     shape = floor + np.maximum(share, 0) * power
