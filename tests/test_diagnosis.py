@@ -16,7 +16,7 @@ from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_o
 from operando.diagnosis.case import COLUMNS, Case
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.descent import Descent
-from operando.diagnosis.document import between_rows, candidate_rows, odds_text
+from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
 from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle, Moves
@@ -544,7 +544,7 @@ def test_rows_of_candidates_say_what_is_beyond_words_and_what_contains_the_effec
     assert rows[0]["log_odds"] == pytest.approx(score(simple) - max(score(empty), score(near)))
     assert rows[1]["log_odds"] == pytest.approx(-12.3)
     assert rows[1]["evidence"].startswith("log odds 12.3 against it; it contains the effect found (a mass) as a special case")
-    assert (odds_text(39.94), odds_text(703.0)) == ("log odds 39.9", "log odds above 40")
+    assert (odds_text(MOST_ODDS - 0.06), odds_text(703.0)) == ("log odds 39.9", "log odds above 40")
 
 
 def test_nothing_is_searched_where_the_idle_model_misses_rest_and_check_alike():
