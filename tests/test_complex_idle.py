@@ -168,6 +168,16 @@ def test_real_modes_stand_where_complex_ones_cannot_be_looked_for():
     assert any(f.kind == "complex_modes" and f.consequence == "the idle model has real modes" for f in model.findings)
 
 
+def test_real_modes_stand_where_the_way_to_complex_poles_fails(monkeypatch):
+    """A covariance without a root, for example."""
+    covariance = -np.eye(2 * N + N * N)
+    known = replace(real_modes(), details=SimpleNamespace(answer="linear"))
+    monkeypatch.setattr("operando.diagnosis.complex_idle._with_poles_of", lambda model, idle: np.linalg.cholesky(covariance))
+    model = with_complex_modes(known, idle_frf())
+    assert model.coupling is None
+    assert [f.kind for f in model.findings] == ["complex_modes"]
+
+
 def test_a_line_that_is_exactly_zero_leaves_the_variance_of_the_others():
     frf = idle_frf()
     silent = frf.data.copy()

@@ -58,27 +58,31 @@ def with_complex_modes(
     if model.scaling != "unit_modal_mass" or not model.si or model.coupling is not None or band is None or not model.n_modes:
         return model
     with one_blas_thread():
-        frf = in_one_sense(frf, opposed_dofs(frf))
-        known = Idle.of(model, band, frf.references)
         try:
-            rest = at_rest(known, frf, band)
+            return _fitted(model, in_one_sense(frf, opposed_dofs(frf)), band, progress)
         except (DataError, DofError, np.linalg.LinAlgError) as error:  # the real modes stand without it
             return replace(model, findings=(*model.findings, _not_tried(error)))
-        if not rest.again or rest.state.alpha > EXPLAINED:
-            return model
-        if progress is not None:
-            progress("complex modes")
-        real = known.loose(np.flatnonzero(known.driven), band, complex_modes=False)
-        plain = on_idle_frfs(real, frf, band, REST_LINES, rest.correlated, True)
-        if rest.state.log_evidence < plain.log_evidence + EARNED:
-            return model
-        idle = rest.idle
-        if getattr(model.details, "answer", None) == "linear" and model.covariance is not None:
-            idle = _with_poles_of(model, idle)
-        found = _tied(model, idle)
-        (before, _), (after, chi) = (_left(m, rest) for m in (model, found))
-        if not after < before:
-            return model
+
+
+def _fitted(model: ModalModel, frf: Frf, band: tuple[float, float], progress: Callable[[str], None] | None) -> ModalModel:
+    """The model with complex modes where they are better, else as it was."""
+    known = Idle.of(model, band, frf.references)
+    rest = at_rest(known, frf, band)
+    if not rest.again or rest.state.alpha > EXPLAINED:
+        return model
+    if progress is not None:
+        progress("complex modes")
+    real = known.loose(np.flatnonzero(known.driven), band, complex_modes=False)
+    plain = on_idle_frfs(real, frf, band, REST_LINES, rest.correlated, True)
+    if rest.state.log_evidence < plain.log_evidence + EARNED:
+        return model
+    idle = rest.idle
+    if getattr(model.details, "answer", None) == "linear" and model.covariance is not None:
+        idle = _with_poles_of(model, idle)
+    found = _tied(model, idle)
+    (before, _), (after, chi) = (_left(m, rest) for m in (model, found))
+    if not after < before:
+        return model
     kept = tuple(f for f in model.findings if f.kind not in _OF_REAL_MODES)
     return replace(found, misfit=chi, findings=(*kept, _finding(before, after), *misfit_findings(chi)))
 
@@ -175,10 +179,10 @@ def _tied(model: ModalModel, idle: Idle) -> ModalModel:
 def _not_tried(error: Exception) -> Finding:
     return Finding(
         "complex_modes",
-        f"whether damping ties modes to each other cannot be seen in these idle FRFs: {str(error).split(' (')[0]}",
+        f"complex modes cannot be fitted to these idle FRFs: {str(error).split(' (')[0]}",
         "info",
         consequence="the idle model has real modes",
-        action="measure all pairs on the same lines",
+        action="measure all pairs on the same lines, if modes may be complex",
     )
 
 

@@ -36,7 +36,7 @@ def turned_finding(dof: str) -> Finding:
         "error",
         dof=dof,
         consequence="modes and their scale are right: the fit reversed the polarity of the one of the two that stays, and so do "
-        "comparisons with measured FRFs; idle_frf.uff keeps the measured one",
+        "comparison and diagnosis with measured FRFs; idle_frf.uff keeps the measured one",
         action=reversing(Dof.parse(dof)),
     )
 
