@@ -10,7 +10,8 @@ from operando.data import Frf, TimeRecord
 from operando.data.time import Channel
 from operando.dof import Dof
 from operando.ema import fit_ema
-from operando.ema.polish import normal_equations, polish, residual, start_parameters
+from operando.ema.normal import linearised, normal_equations, residual
+from operando.ema.polish import polish, start_parameters
 from operando.ema.polish_model import run_model, transfer
 from operando.ema.spectra import excited_limits, noise_from_spectra, record_spectra
 from operando.errors import DataError, IdentificationError
@@ -234,8 +235,41 @@ def test_normal_equations_are_those_of_the_whole_noise_covariance(fitted, monkey
     at = 2 * n + mode * m + rows[other]
     np.testing.assert_allclose(normal[np.ix_(at, at)], expected, rtol=1e-6)
     assert abs(expected[0, 1]) > 1e-3 * expected[0, 0]  # through the noise of the force
-    monkeypatch.setattr("operando.ema.polish._COMMON_VALUES", 1)
+    monkeypatch.setattr("operando.ema.normal._COMMON_VALUES", 1)
     np.testing.assert_allclose(normal_equations(run, theta, 0, state)[0], normal, rtol=1e-9, atol=1e-12 * np.abs(normal).max())
+
+
+def test_a_normal_matrix_serves_for_more_than_one_step(fitted, monkeypatch):
+    """REUSED, NEAR and SAME: few matrices are made; modes and deviations are those of a fit that makes one for each step and at its end."""
+    from operando.ema import polish as module
+
+    chain, records, _, _ = fitted
+    runs = [record_spectra(record, DOFS, (15, 130)) for record in records]
+    start = start_parameters(runs, HZ * 1.0003, np.full(HZ.size, 0.008), 0.9 * chain.phi, np.array([150.0, 300.0]))
+    made = []
+    monkeypatch.setattr(module, "linearised", lambda *given: made.append(1) or linearised(*given))
+    fit = polish(runs, start)
+    few, lines = len(made), [np.arange(run.frequencies_hz.size) % 3 == 0 for run in runs]
+    monkeypatch.setattr(module, "REUSED", 0.0)
+    polish(runs, start)
+    assert few < len(made) - few
+    monkeypatch.setattr(module, "SAME", 0.0)
+    exact = polish(runs, start, tolerance=1e-6, apart=lines)
+    assert fit.converged
+    assert exact.converged
+    std, moved = (np.sqrt(np.diag(f.covariance)) for f in (exact, fit))
+    values = [np.r_[np.log(f.parameters.hz), np.log(f.parameters.zeta), f.parameters.shapes.T.ravel()] for f in (exact, fit)]
+    assert np.max(np.abs(values[1] - values[0]) / std) < 2e-3
+    np.testing.assert_allclose(moved, std, rtol=5e-3)
+    assert fit.cost - exact.cost < 1e-5  # far below the tolerance of 0.05
+    kept = [run.lines(~part) for run, part in zip(runs, lines, strict=True)]
+    alone = linearised(kept, exact.parameters, [residual(run, exact.parameters, i) for i, run in enumerate(kept)])[0].normal
+    assert np.max(np.abs(exact.without.normal - alone) / np.sqrt(np.outer(np.diag(alone), np.diag(alone)))) < 1e-5
+    known = polish(kept, exact.parameters, known=exact.without)
+    fresh = polish(kept, exact.parameters, tolerance=1e-6)
+    assert (known.iterations, known.converged) == (0, True)
+    assert abs(known.cost - fresh.cost) < 1e-5
+    assert known.cost < sum(residual(run, exact.parameters, i).cost for i, run in enumerate(kept)) - 1
 
 
 def test_modes_added_to_a_fit_keep_what_it_has(fitted):
@@ -271,13 +305,14 @@ def test_a_fit_that_cannot_reach_what_is_needed_is_given_up():
     chain, rng = plate_like(), np.random.default_rng(5)
     runs = [record_spectra(steady_record(chain, 0, rng), DOFS, (15, 130))]
     start = start_parameters(runs, HZ * 1.002, np.full(HZ.size, 0.02), 0.3 * chain.phi, np.array([150.0]))
-    whole = polish(runs, start, tolerance=1e-3)
+    steps = []
+    whole = polish(runs, start, tolerance=1e-3, progress=steps.append)
     assert whole.converged
-    reached = polish(runs, start, tolerance=1e-3, needed_cost=1.01 * whole.cost)
+    reached, of_all = polish(runs, start, tolerance=1e-3, needed_cost=1.01 * whole.cost), len(steps)
     assert (reached.cost, reached.iterations) == (whole.cost, whole.iterations)
-    lost = polish(runs, start, tolerance=1e-3, needed_cost=0.5 * whole.cost)
+    lost = polish(runs, start, tolerance=1e-3, needed_cost=0.5 * whole.cost, progress=steps.append)
     assert not lost.converged
-    assert lost.iterations < whole.iterations
+    assert len(steps) - of_all < of_all
 
 
 def test_kernels_below_the_band_are_asked_for_where_a_mode_lies_there():

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.ema.normal import Information
 from operando.ema.order import refine
 from operando.ema.polish import Polished, run_misfit
 from operando.ema.polish_model import Real
@@ -30,8 +31,12 @@ def hold_out_masks(runs: Sequence[RunSpectra]) -> list[NDArray[np.bool_]]:
     return masks
 
 
-def heldout_misfit(runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band: tuple[float, float]) -> tuple[float, Real]:
+def heldout_misfit(
+    runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band: tuple[float, float], known: Information | None = None
+) -> tuple[float, Real]:
     """Refit without the hold-out lines, from the final values, and evaluate it there by the measurement variance alone.
+
+    ``known`` is the normal matrix of the fit without the hold-out lines, where it is that of these runs.
 
     Returns
     -------
@@ -42,6 +47,6 @@ def heldout_misfit(runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band:
     masks = hold_out_masks(runs)
     kept = [run.lines(~mask) for run, mask in zip(runs, masks, strict=True)]
     theta = fit.parameters
-    partial = refine(kept, n_dofs, theta.hz, theta.zeta, lower=False, start=theta, max_iterations=6, tolerance=0.5)
+    partial = refine(kept, n_dofs, theta.hz, theta.zeta, lower=False, start=theta, max_iterations=6, tolerance=0.5, known=known)
     seen = [mask & (run.frequencies_hz >= band[0]) & (run.frequencies_hz <= band[1]) for run, mask in zip(runs, masks, strict=True)]
     return run_misfit(runs, partial.parameters, seen)

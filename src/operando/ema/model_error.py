@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from operando.ema.polish import residual
+from operando.ema.normal import residual
 from operando.ema.polish_model import Parameters, Real, run_model
 from operando.ema.spectra import RunSpectra
 from operando.synthesis import combined, power_of

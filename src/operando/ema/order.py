@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.polish import Polished, polish, residual, start_parameters
+from operando.ema.normal import Information, residual
+from operando.ema.polish import Polished, polish, start_parameters
 from operando.ema.polish_model import Parameters, Real, run_model
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import linear_residues, mode_gain, outside_kernels, rank_one
@@ -72,6 +73,8 @@ def refine(
     progress: Callable[[str], None] | None = None,
     hold_poles: bool = False,
     needed_cost: float = np.inf,
+    known: Information | None = None,
+    apart: Sequence[NDArray[np.bool_]] | None = None,
 ) -> Polished:
     """Linear start (unless ``start`` is given) and maximum-likelihood fit of the given modes."""
     if start is None:
@@ -94,6 +97,8 @@ def refine(
         want_covariance=want_covariance,
         progress=progress,
         needed_cost=needed_cost,
+        known=known,
+        apart=apart,
     )
 
 

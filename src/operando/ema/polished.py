@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Frf, TimeRecord
 from operando.dof import Dof
-from operando.ema.hold_out import heldout_misfit
+from operando.ema.hold_out import heldout_misfit, hold_out_masks
 from operando.ema.model_error import relative_model_error, with_model_error
 from operando.ema.order import OrderLog, complete_start, refine, search_order, thin_lines, uncertain_modes, weak_modes
 from operando.ema.outside import OutsideModes, make_up, outside_modes, without_modes
@@ -91,7 +91,7 @@ def polished_answer(
     first = None if lower or share > 0 else free  # of other kernels or weights
     fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, first=first, log=log, progress=progress, unseen=unseen)
     final = _final(weighted, n_dofs, fit, lower, log, progress)
-    misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band)
+    misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band, final.without if share <= 0 else None)
     gone = make_up(core_runs, final)
     outside = outside_modes(core_runs, final, band, lower, gone=gone)
     if gone.size:
@@ -177,7 +177,7 @@ def _final(
     progress: Callable[[str], None] | None,
 ) -> Polished:
     """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out."""
-    theta = fit.parameters.modes(np.argsort(fit.parameters.hz))
+    theta, masks = fit.parameters.modes(np.argsort(fit.parameters.hz)), hold_out_masks(runs)
     for _ in range(4):
         final = refine(
             runs,
@@ -190,6 +190,7 @@ def _final(
             tolerance=0.05,
             want_covariance=True,
             progress=progress,
+            apart=masks,
         )
         out = np.union1d(weak_modes(runs, final, log), uncertain_modes(runs, final, log)).astype(int)
         if not out.size or out.size == final.parameters.hz.size:
