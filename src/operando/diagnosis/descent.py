@@ -29,9 +29,9 @@ class Descent:
         self.damping = 0.0
 
     def turn(
-        self, problem: Problem, x: Step, rows: tuple[Array, Array, Array], alpha: float, factor: Factor
+        self, problem: Problem, x: Step, rows: tuple[Array, Array, Array], alpha: float, factor: Factor, information: Information
     ) -> tuple[Step, Array, float, float]:
-        """From a point with its derivatives and residual: where it leads, the residual there, the objective there and the gain."""
+        """From a point with its derivatives, residual and information: where it leads, the residual and the objective there, the gain."""
         shared, own, left = rows
         variance = problem.variance(alpha)
         weights = 2 / variance
@@ -45,7 +45,7 @@ class Descent:
         for _ in range(_TRIES):
             if self.damping:
                 if metric is None:
-                    metric, information = problem.bends(x), problem.information(shared, own, weights)
+                    metric = problem.bends(x)
                 there = Information(information.shared + self.damping * metric, information.across, information.own)
                 more = 1 + _ALIKE * self.damping
                 damped = Factor.of(there, more * problem.precision, more * problem.own_precision)

@@ -61,11 +61,13 @@ def search_both(
         odds = score(best) - rival.asked(sorted(sets, key=len), best.alpha, best.log_evidence)
         if odds > EARNED:
             return same, odds
-    lacking = None if again is None or alone.alpha < LOOSE else with_mode(alone, again, max(rival.score, score(best)), say)
+    lacking = None
+    if again is not None and alone.alpha >= LOOSE and (grown := grown_by_a_mode([alone])):
+        lacking = with_mode(grown[0], again, max(rival.score, score(best)), say)
     if lacking is not None and lacking.best.alpha < LOOSE:
         return search(lacking.best.case, say, start=lacking), lacking.odds or 0.0
     say("on another day:")
-    found = search(days, say, depth=depth)
+    found = search(days, say, depth=depth, empty=alone)
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
     there = [found.best.terms, *(x.terms for x in promotions(found.best, _SOME))]
     floor = max(found.best.log_evidence, best.log_evidence)
@@ -129,8 +131,8 @@ def search_elsewhere(
     if modes:
         # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most
         empty = found.empty
-        for state in (replace(empty, x=empty.case.forward.start), empty):
-            lacking = with_mode(state, again, score(best.best), say)
+        for grown in grown_by_a_mode([replace(empty, x=empty.case.forward.start), empty]):
+            lacking = with_mode(grown, again, score(best.best), say)
             if lacking is not None:
                 best, odds, known = search(lacking.best.case, say, start=lacking), lacking.odds, geometry
                 break
@@ -144,21 +146,34 @@ class Lacking(Found):
     odds: float | None = None
 
 
-def with_mode(state: State, again: Callable[[Idle], Sequence[Case]], bar: float, say: Say) -> Lacking | None:
+def grown_by_a_mode(states: Sequence[State]) -> list[Idle]:
+    """Idle models with a mode more, each at the pole that takes most from what a state leaves; one for states that agree on it."""
+    out: list[Idle] = []
+    for state in states:
+        grown = None if state.case.idle.lacking is not None else with_lacking(state)
+        if grown is not None and not any(_same_pole(grown, other) for other in out):
+            out.append(grown)
+    return out
+
+
+def _same_pole(grown: Idle, other: Idle) -> bool:
+    """Whether the modes that two models have more are within their half-power width."""
+    (f, zeta), (its, its_zeta) = ((float(m.f[m.lacking]), float(m.zeta[m.lacking])) for m in (grown, other))
+    return abs(f / its - 1) < zeta + its_zeta
+
+
+def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, say: Say) -> Lacking | None:
     """States of an idle model with the mode that it lacks, where one lifts the score above a bar.
 
     Parameters
     ----------
-    state : State
-        Without such a mode.
+    grown : Idle
+        With a mode more, ``lacking``.
     again : callable
         The same check with another idle model.
     bar : float
     say : callable
     """
-    grown = None if state.case.idle.lacking is not None else with_lacking(state)
-    if grown is None:
-        return None
     say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
     ways = [(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1]) for c in again(grown)]
     starts = [fit(c, x, 0.03, floor=bar) for c, x in ways]

@@ -92,11 +92,15 @@ class State:
             yield name, shared, values[where].ravel(), std[where].ravel(), where
 
 
-def linear_evidence(problem: Problem, residual: Array, shared: Array, own: Array, x: Step, alpha: float) -> tuple[float, Step, Factor]:
-    """Log evidence of the model r(x + s) = r − J s, where its maximum lies, and the factor of its information."""
+def linear_evidence(
+    problem: Problem, residual: Array, shared: Array, own: Array, x: Step, alpha: float, information: Information | None = None
+) -> tuple[float, Step, Factor]:
+    """Log evidence of the model r(x + s) = r − J s, where its maximum lies, and its factor (of an information made here if not given)."""
     variance = problem.variance(alpha)
-    weights = 2 / variance
-    factor = Factor.of(problem.information(shared, own, weights), problem.precision, problem.own_precision)
+    weights = problem.stands_for * 2 / variance
+    if information is None:
+        information = problem.information(shared, own, weights)
+    factor = Factor.of(information, problem.precision, problem.own_precision)
     step = problem.solved(factor, problem.gradient(shared, own, residual * weights, x))
     best = x + step
     left = residual - problem.spread(shared, own, step)
@@ -158,15 +162,17 @@ def fit(
     outside = 0
     for turn in range(turns):
         shared, own, residual = problem.derived(x)
-        evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
+        information = problem.information(shared, own, 2 / problem.variance(alpha))
+        evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha, information)
         if done or outside == _OUTSIDE or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
             break
         reached = evidence
         if turn == 0 and alpha > 0.02:  # nothing is known of the discrepancy yet: from the linear model
             left = residual - problem.spread(shared, own, linear + x * -1)
             alpha = max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 4)
-            evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha)
-        x, left, now, gain = descent.turn(problem, x, (shared, own, residual), alpha, factor)
+            information = problem.information(shared, own, 2 / problem.variance(alpha))
+            evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha, information)
+        x, left, now, gain = descent.turn(problem, x, (shared, own, residual), alpha, factor, information)
         before = alpha
         alpha = min(max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 5, LEAST_DISCREPANCY), MOST_DISCREPANCY)
         change = abs(np.log(alpha / before))
@@ -195,8 +201,9 @@ def with_discrepancy(state: State, alpha: float) -> State:
 
     x = problem.packed(state.x)
     shared, own, residual = problem.derived(x)
-    factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
-    x = Descent().turn(problem, x, (shared, own, residual), alpha, factor)[0]
+    information = problem.information(shared, own, 2 / problem.variance(alpha))
+    factor = Factor.of(information, problem.precision, problem.own_precision)
+    x = Descent().turn(problem, x, (shared, own, residual), alpha, factor, information)[0]
     shared, own, residual = problem.derived(x)
     factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
     return replace(state, x=problem.point(x), alpha=alpha, factor=factor)

@@ -41,8 +41,9 @@ class Problem:
     Shared unknowns are g, d, u, the values, and those of touched DOFs that reach all channels; the latter are zero among the own ones.
     """
 
-    def __init__(self, case: Case, terms: Sequence[Term], at: Array) -> None:
+    def __init__(self, case: Case, terms: Sequence[Term], at: Array, stands_for: float = 1.0) -> None:
         self.case, self.at, self.forward = case, at, case.forward
+        self.stands_for = stands_for  # so many lines as each of these
         self.terms = tuple(terms)
         self.w = case.lines.w[at]
         self.measured = case.lines.h[at]

@@ -230,8 +230,8 @@ class LinearScan:
         return [replace(row, evidence=max(row.evidence, none + at - before)) for row, at in zip(rows, each(there, rows), strict=True)]
 
     def _about(self, x: Point) -> float:
-        """Evidence of the model that is linear about a point."""
-        problem = Problem(self.case, x.terms, self.case.lines.fit)
+        """Evidence of the model that is linear about a point, but for a constant."""
+        problem = Problem(self.case, x.terms, self.at, self.case.lines.stride)
         packed = problem.packed(x)
         try:
             with np.errstate(all="ignore"):
@@ -253,12 +253,20 @@ class LinearScan:
         float
             What the effect itself is worth, at first order [nats].
         """
-        at = self.problem.values_at + sum(len(t.values) for t in self.x.terms[: self.x.terms.index(term)])
-        r = self.shared[..., at : at + 1] * (term.values[0] if term.linear else 1.0)
-        rq = self.whitened(r)
+        r = self._of(term)
         rest = [t for t in self.x.terms if t is not term]
         places = [p for p in self.case.candidates(rest) if p.key != term.key]
-        return self._by_slope(places, r, rq, 0.0, term), 0.5 * float(np.sum(r**2) - np.sum(rq**2))
+        return self._by_slope(places, r, self.whitened(r), 0.0, term), self.worth(term)
+
+    def worth(self, term: Term) -> float:
+        """What an effect that is there and ``held`` takes off ½ of the squares, at first order and once all unknowns follow [nats]."""
+        r = self._of(term)
+        return 0.5 * float(np.sum(r**2) - np.sum(self.whitened(r) ** 2))
+
+    def _of(self, term: Term) -> Array:
+        """What an effect that is there does to the rows, by its slope, (responses, rows, 1)."""
+        at = self.problem.values_at + sum(len(t.values) for t in self.x.terms[: self.x.terms.index(term)])
+        return np.asarray(self.shared[..., at : at + 1] * (term.values[0] if term.linear else 1.0))
 
     def exchanged(self) -> list[Candidate]:
         """Candidates about a state that was not fitted, as one with an effect taken out: by their responses to trial sizes."""

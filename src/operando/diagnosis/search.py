@@ -71,6 +71,7 @@ def search(
     start: Found | None = None,
     depth: int = DEPTH,
     own_spreads: bool = False,
+    empty: State | None = None,
 ) -> Found:
     """To the first state that explains the lines; then with spreads estimated in each state.
 
@@ -88,10 +89,15 @@ def search(
     own_spreads : bool
         Whether spreads are estimated from the first state on: where they are far from what days in a laboratory have, no state without
         that explains the lines, and effects would be found in their place.
+    empty : State, optional
+        The state without effects, where it is known.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
-    found = Search(case, say, start, rival, depth=depth).run()
+    run = Search(case, say, start, rival, depth=depth)
+    if empty is not None:
+        run.pool[empty.key] = empty
+    found = run.run()
     best = found.best
     behind = rival is not None and (score(best) < rival.score - EARNED or remounted(best))
     if behind or best.alpha >= EXPLAINED:
@@ -257,7 +263,8 @@ class Search:
 
     def run(self) -> Found:
         if self.start is None:
-            self.fitted([Start(self.case.forward.start, 0.1, self.case)])
+            if () not in self.pool:
+                self.fitted([Start(self.case.forward.start, 0.1, self.case)])
         else:
             first = self.start
             near = leaders(first.pool, RIVALS, _BEAM)
@@ -369,18 +376,21 @@ class Search:
                 self.given_up = True
                 return
             # about a state that explains the lines what one effect more changes is small, and the first order tells its evidence
-            short = _SHORT if state.alpha > LOOSE else EARNED
+            explained = state.alpha <= LOOSE
+            short = 0.0 if explained else _SHORT
             tested = found[: _FITTED if rank == 0 else 1]
             # where nothing is found, the best candidate is told with the rest
             rows = [row for row in tested if row.evidence > none - short] or ([] if state.terms else tested[:1])
             rows = [row for row in rows if self.once([*state.terms, row.term])]
             ended = self.fitted([Start(state.carried([*state.terms, row.term], row.start), state.alpha, state.case) for row in rows])
-            best = self.best().log_evidence
+            if explained and self.own_spreads:
+                self._bounded_beside(state, [(row.term, after) for row, after in zip(rows, ended, strict=True) if after is not None])
+            best = self.best().log_evidence + (EARNED if explained else -_SHORT)
             promised = [state.log_evidence + row.evidence - none for row in rows]
             lost = [
                 row.term
                 for row, after, hoped in zip(rows, ended, promised, strict=True)
-                if hoped > best - _SHORT and (after is None or after.log_evidence < hoped - _SHORT)
+                if hoped > best and (after is None or after.log_evidence < hoped - _SHORT)
             ]
             self._approached(state, lost)
 
@@ -433,6 +443,14 @@ class Search:
                 able = [row for row in found[:_OTHERS] if row.evidence > whole - max(RIVALS, replaceable(term, row.term) * whole)]
                 starts += [best.carried([*rest, row.term], row.start) for row in able if self.once([*rest, row.term])]
             self.fitted([Start(x, best.alpha, best.case) for x in starts])
+
+    def _bounded_beside(self, state: State, grown: Sequence[tuple[Term, State]]) -> None:
+        """Fits with one effect more than a state that explains the lines: what it cannot add is the difference of their ways."""
+        for one_more, after in grown:
+            term = next(t for t in after.terms if t.key == one_more.key)
+            if term.values and self.pool.get(after.key) is after and after.log_evidence > state.log_evidence:
+                rest = [t for t in after.terms if t is not term]
+                self.bounded(after, term, rest, LinearScan(after, held=term).worth(term))
 
     def bounded(self, state: State, term: Term, rest: Sequence[Term], worth: float) -> None:
         """Evidence of a state no larger than an effect can make it.
