@@ -1,6 +1,7 @@
 """Error measures against values worked out by hand."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,18 @@ def test_misfit_of_the_truth_is_one():
     c = compare(chain_model(chain), chain_frf(chain, f, variance=sd**2, level_noise=noise))
     assert c.misfit == pytest.approx(1, abs=0.05)
     assert c.model_share == 0
+
+
+def test_pairs_of_a_model_without_a_standard_deviation_are_compared_by_that_of_the_measurement():
+    chain, f = Chain(4), np.linspace(5, 150, 50)
+    measured = chain_frf(chain, f, 0.5, variance=1e-6)
+    stated = np.full(measured.data.shape, np.nan)
+    stated[:, 0] = 0.0
+    made = replace(chain_frf(chain, f), variance=stated)
+    c = compare(made, measured)
+    assert c.n_lines == compare(replace(made, variance=None), measured).n_lines
+    assert c.misfit == pytest.approx(c.misfit_meas)
+    assert any("no variance on 600 of 800 lines" in n for n in c.notes)
 
 
 def test_senses_and_missing_dofs():

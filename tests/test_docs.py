@@ -69,6 +69,7 @@ def test_tutorials_of_the_whole_chain_and_readme_run(tmp_path, monkeypatch, own_
     assert (again / "pair.uff").exists()
     demo = again / "demo-results"
     assert (demo / "report.html").stat().st_size > 100_000
+    assert sum(file.stat().st_size for file in demo.rglob("*") if file.is_file()) < 40e6
     asked = CliRunner().invoke(main, ["demo", "-o", str(demo), "--json"])
     errors = json.loads(asked.stdout)["comparison"]["models"]
     assert errors["ofrf"]["error_db"] < errors["idle"]["error_db"]

@@ -119,6 +119,14 @@ def test_ofrf_file_holds_all_pairs_on_the_lines_of_the_idle_frf(finished):
     assert error < 0.15
 
 
+def test_frfs_estimated_in_a_run_have_seven_digits(finished):
+    _, out, results = finished
+    for frf in (results.idle_frf, results.check[0].frf):
+        for values, single in ((frf.data, np.complex64), (frf.variance, np.float32), (frf.coherence, np.float32)):
+            np.testing.assert_array_equal(values, values.astype(single))
+    np.testing.assert_array_equal(operando.read(out / "idle_frf.uff").frfs[0].data, results.idle_frf.data)
+
+
 def test_second_run_takes_everything_from_the_first(again):
     path, out = again
     before = {p.name: p.stat().st_mtime_ns for p in out.iterdir() if p.name in CONTRACT_FILES}

@@ -273,12 +273,15 @@ def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
     shape = ref.data.shape
     zero = np.zeros(shape)
     var_meas = zero if ref.variance is None else ref.variance
-    own = zero if made.variance is None else made.variance
+    own = zero if made.variance is None else np.nan_to_num(made.variance, posinf=np.inf)
     good = np.isfinite(made.data) & np.isfinite(ref.data) & np.isfinite(var_meas) & np.isfinite(own)
     response = np.broadcast_to(which[:, None, None], shape)
     f = np.broadcast_to(ref.frequencies_hz, shape)
     if not np.all(good):
         notes.append(f"{int(np.sum(~good))} lines are not finite, left out")
+    unstated = 0 if made.variance is None else int(np.sum(np.isnan(made.variance) & good))
+    if unstated:
+        notes.append(f"the model states no variance on {unstated} of {int(good.sum())} lines: that of the measurement alone counts there")
     return Lines(made.data[good], ref.data[good], var_meas[good], own[good], response[good], f[good])
 
 

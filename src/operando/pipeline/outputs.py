@@ -28,10 +28,6 @@ MAX_BYTES = 1_000_000_000
 """Beyond this size ``ofrf.uff`` holds the columns of the measured references only."""
 
 
-MAX_BAND_VALUES = 2_000_000
-"""Pairs times lines up to which ``ofrf.uff`` holds the standard deviation of all of them: measured on the example, 1.2 million take 4 s."""
-
-
 @dataclass(frozen=True)
 class Output:
     """A file of the results folder.
@@ -58,7 +54,8 @@ class Output:
 
 
 def _idle_frf(path: Path, results: Results) -> list[Finding]:
-    return _uff(path, results, results.idle_frf)
+    frf = results.idle_frf
+    return _uff(path, results, frf, single=None if frf is None else np.array_equal(frf.data, frf.data.astype(np.complex64), equal_nan=True))
 
 
 def _idle_modes(path: Path, results: Results) -> list[Finding]:
@@ -144,7 +141,8 @@ STEP_OUTPUTS = tuple(o for o in OUTPUTS if o.stage == "diagnose" or o.name in ("
 def _uff(path: Path, results: Results, content: Any, node_set: int = 2411, single: bool | None = None) -> list[Finding]:
     """One UFF file: what it holds in words (set 151), the geometry, the content.
 
-    What was measured keeps all its digits. What a model says line by line has seven (``single``), which is far below its own deviation.
+    What was measured keeps all its digits: seven where a run estimated it. So many has what a model says line by line (``single``), which
+    is far below its own deviation.
     """
     from operando.io import FileHeader, write_uff
 
@@ -258,23 +256,14 @@ def ofrf(results: Results, findings: list[Finding]) -> Frf:
         )
     modal = results.hybrid.modal
     frf: Frf = modal.frf(lines, None, references, "accelerance", variance=False)
-    return frf if modal.covariance is None else replace(frf, variance=_band(modal, frf, results, findings))
+    return frf if modal.covariance is None else replace(frf, variance=_variance(modal, frf, results))
 
 
-def _band(modal: ModalModel, frf: Frf, results: Results, findings: list[Finding]) -> Any:
-    """Variance of each line; where all pairs would take long, of the columns of the measured references, NaN elsewhere."""
-    known = DofIndex(() if results.idle_frf is None else results.idle_frf.references)
-    columns = list(range(len(frf.references)))
-    if frf.data.size > MAX_BAND_VALUES:
-        columns = [j for j, d in enumerate(frf.references) if d in known]
-        findings.append(
-            Finding(
-                "partial_output",
-                f"ofrf.uff holds the standard deviation of {len(columns)} of {len(frf.references)} columns: those of the idle forces",
-                "info",
-                action="`operando ofrf DIR --references DOFS` makes it for any column",
-            )
-        )
+def _variance(modal: ModalModel, frf: Frf, results: Results) -> Any:
+    """Variance of each line in the columns of the measured references, NaN elsewhere: of all pairs it is half as much again as the FRFs."""
+    runs = [*(run.frf for run in results.check or ()), *(() if results.idle_frf is None else (results.idle_frf,))]
+    known = DofIndex([d for run in runs for d in run.references])
+    columns = [j for j, d in enumerate(frf.references) if d in known]
     variance = np.full(frf.data.shape, np.nan)
     if columns:
         some = modal.frf(frf.frequencies_hz, None, tuple(frf.references[j] for j in columns), "accelerance")

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from operando.config import Analysis, State
 from operando.data import Finding, Frf, TimeRecord
@@ -10,7 +15,10 @@ from operando.pipeline.stages.work import Work, offered
 
 
 def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Finding], rejected: Sequence[str] = ()) -> Frf:
-    """``estimate_frf`` with the settings of the test; of the hits rejected by hand those in these records."""
+    """``estimate_frf`` with the settings of the test; of the hits rejected by hand those in these records.
+
+    Kept to seven digits: measured FRFs have four, and more digits of noise would double the size of the results.
+    """
     from operando.frf import estimate_frf
 
     keywords = offered(
@@ -24,7 +32,15 @@ def estimate(records: list[TimeRecord], analysis: Analysis, findings: list[Findi
         hits=analysis.hits,
         hits_reject=of_records(rejected, records),
     )
-    return estimate_frf(records, **keywords)
+    frf = estimate_frf(records, **keywords)
+    variance, coherence = (None if part is None else _seven_digits(part) for part in (frf.variance, frf.coherence))
+    return replace(frf, data=_seven_digits(frf.data), variance=variance, coherence=coherence)
+
+
+def _seven_digits(values: NDArray[Any]) -> NDArray[Any]:
+    """Values, or both parts of complex ones, rounded to the 24 bits of single precision, whatever their size."""
+    parts, exponents = np.frexp(np.ascontiguousarray(values).view(float))
+    return np.ldexp(parts.astype(np.float32).astype(float), exponents).view(values.dtype)
 
 
 def of_records(rejected: Sequence[str], records: Sequence[TimeRecord]) -> tuple[str, ...]:
