@@ -191,20 +191,22 @@ def _weightings(
         yield None, "highest"
 
 
-def _table(orders: Sequence[OrderPoles], tolerances: Tolerances, physical: bool) -> PoleTable:
-    keep = [o.physical if physical else np.ones(o.poles.size, bool) for o in orders]
-    return classify(
-        [o.order for o in orders],
-        [o.frequency_hz[k] for o, k in zip(orders, keep, strict=True)],
-        [o.damping_ratio[k] for o, k in zip(orders, keep, strict=True)],
-        [o.vectors[:, k] for o, k in zip(orders, keep, strict=True)],
-        tolerances,
+def _physical(orders: Sequence[OrderPoles]) -> PoleTable:
+    """The physical poles of all orders, by frequency within each; what is followed through the orders needs no status."""
+    hz = [o.frequency_hz[o.physical] for o in orders]
+    rank = [np.flatnonzero(o.physical)[np.argsort(f)] for o, f in zip(orders, hz, strict=True)]
+    return PoleTable(
+        np.repeat([o.order for o in orders], [r.size for r in rank]),
+        np.concatenate([np.sort(f) for f in hz]),
+        np.concatenate([o.damping_ratio[r] for o, r in zip(orders, rank, strict=True)]),
+        np.concatenate([o.vectors[:, r] for o, r in zip(orders, rank, strict=True)], axis=1),
+        np.zeros(sum(r.size for r in rank), int),
     )
 
 
 def _chains(orders: Sequence[OrderPoles], fit: int, max_damping: float) -> list[_Chain]:
     """Poles of one fit followed through its orders; the values come from the upper half of the chain."""
-    table = _table(orders, _TOLERANCES, True)
+    table = _physical(orders)
     n_orders = len(orders)
     out = []
     for rows in track_poles(table, _TOLERANCES, max_gap=3):
@@ -340,7 +342,13 @@ def stabilization_diagram(
     orders = plscf(f, H, max_order=max_order, weights=weights, frequency_range=(low, high), window_rate=window_rate)
     part = (f >= low) & (f <= high)
     return select_modes(
-        _table(orders, tolerances or Tolerances(), False),
+        classify(
+            [o.order for o in orders],
+            [o.frequency_hz for o in orders],
+            [o.damping_ratio for o in orders],
+            [o.vectors for o in orders],
+            tolerances or Tolerances(),
+        ),
         band=(low, high),
         tolerances=tolerances,
         select_hz=select_hz,

@@ -224,15 +224,15 @@ def _nonlinear(
     psi = 0.3 * std * rng.standard_normal((m, n_p))
     gw = g * weight
     tw = target * weight
+    gram = gw @ gw.T
     use = known[:, :, None]
 
     def rest(p: Real) -> Real:
-        model = np.einsum("kp,jp,pl->kjl", p[refs], p, gw, optimize=True)
-        return np.concatenate([np.where(use, model - tw, 0).ravel(), (p / std).ravel()])
+        model = (p[refs][:, None] * p).reshape(-1, n_p) @ gw
+        return np.concatenate([np.where(use, model.reshape(target.shape) - tw, 0).ravel(), (p / std).ravel()])
 
     def normal(p: Real, r: Real) -> tuple[Real, Real]:
         # Each residual (k, j) touches only rows j and k of ψ: build the normal matrix from p×p blocks.
-        gram = gw @ gw.T
         data = r[: known.size * gw.shape[1]].reshape(known.shape[0], m, -1)
         through = data @ gw.T  # (k, j, p)
         matrix = np.zeros((m, n_p, m, n_p))
@@ -241,11 +241,10 @@ def _nonlinear(
             a = p[row]
             js = np.flatnonzero(known[k])
             matrix[js, :, js, :] += gram * np.outer(a, a)
-            matrix[row, :, row, :] += np.einsum("pq,jp,jq->pq", gram, p[js], p[js], optimize=True)
-            for j in js:
-                cross = gram * np.outer(a, p[j])
-                matrix[j, :, row, :] += cross
-                matrix[row, :, j, :] += cross.T
+            matrix[row, :, row, :] += gram * (p[js].T @ p[js])
+            cross = gram * (a[:, None] * p[js, None, :])
+            matrix[js, :, row, :] += cross
+            matrix[row, :, js, :] += cross.swapaxes(1, 2)
             gradient[js] += through[k, js] * a
             gradient[row] += np.sum(through[k, js] * p[js], axis=0)
         flat = matrix.reshape(m * n_p, m * n_p)

@@ -130,21 +130,22 @@ def _rank_one_mode(columns: list[tuple[int, NDArray[np.int_], Real]], n_dofs: in
     row, rows, value = best
     phi[rows] = value / np.sqrt(scale)
     known = {c[0] for c in columns}
+    # of each reference DOF: the columns it drives, with the other rows there, and its place as a response of the other columns
+    driven = {k: [(rows[rows != k], value[rows != k]) for row, rows, value in columns if row == k] for k in known}
+    seen_in = {k: [(row, value[rows == k][0]) for row, rows, value in columns if row != k and np.any(rows == k)] for k in known}
+    own = {k: [float(value[rows == k][0]) for row, rows, value in columns if row == k and np.any(rows == k)] for k in known}
+    other = ~np.isin(np.arange(n_dofs), list(known))
     for _ in range(rounds):
         for k in known:
-            # Reference DOFs: from their own column and as responses of the other columns.
             top = bottom = 0.0
-            for row, rows, value in columns:
-                if row == k:
-                    others = rows != k
-                    top += float(phi[rows[others]] @ value[others])
-                    bottom += float(phi[rows[others]] @ phi[rows[others]])
-                elif (at := np.flatnonzero(rows == k)).size:
-                    top += float(phi[row] * value[at[0]])
-                    bottom += float(phi[row] ** 2)
-            own = [float(v[np.flatnonzero(rows == k)[0]]) for row, rows, v in columns if row == k and np.any(rows == k)]
-            if own and max(own) > 0:
-                guess = np.sqrt(max(own)) * (np.sign(phi[k]) or np.sign(top) or 1.0)
+            for rows, value in driven[k]:
+                top += float(phi[rows] @ value)
+                bottom += float(phi[rows] @ phi[rows])
+            for row, residue in seen_in[k]:
+                top += float(phi[row] * residue)
+                bottom += float(phi[row] ** 2)
+            if own[k] and max(own[k]) > 0:
+                guess = np.sqrt(max(own[k])) * (np.sign(phi[k]) or np.sign(top) or 1.0)
                 weight = phi[k] ** 2 + 1e-30
                 top += weight * guess
                 bottom += weight
@@ -154,7 +155,7 @@ def _rank_one_mode(columns: list[tuple[int, NDArray[np.int_], Real]], n_dofs: in
         for row, rows, value in columns:
             np.add.at(top_all, rows, phi[row] * value)
             np.add.at(bottom_all, rows, phi[row] ** 2)
-        free = (bottom_all > 0) & ~np.isin(np.arange(n_dofs), list(known))
+        free = (bottom_all > 0) & other
         phi[free] = top_all[free] / bottom_all[free]
     return phi, True
 
