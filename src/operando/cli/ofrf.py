@@ -65,6 +65,7 @@ def ofrf(
     """
     import numpy as np
 
+    from operando.atomic import writing
     from operando.compare import recommended
     from operando.errors import DataError, MissingError
     from operando.store import load_results
@@ -133,7 +134,9 @@ def ofrf(
         "findings": [f.to_dict() for f in (*own, *frf.findings)],
     }
     if output is not None:
-        write_frf(frf, Path(output))
+        with writing(output):
+            Path(output).parent.mkdir(parents=True, exist_ok=True)
+        frf.save(output)
     elif frf.data.size > MOST_VALUES:
         raise DataError(f"{frf.data.size} values are too many to print", hint="name a file with -o, or ask for fewer pairs or lines")
     else:
@@ -236,27 +239,6 @@ def check_dofs(wanted: Any, known: Any, where: str) -> None:
         match_dofs(wanted, known)
     except DofError as error:
         raise DofError(error.message, where=where, hint=error.hint) from None
-
-
-def write_frf(frf: Frf, path: Path) -> None:
-    """Write FRFs in the format of the file's ending."""
-    from operando.atomic import writing
-    from operando.io import convert, write_hdf5, write_uff
-
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    ending = path.suffix.lower()
-    if ending in (".h5", ".hdf5"):
-        write_hdf5(path, {"ofrf": frf})
-    elif ending in (".uff", ".unv", ".uf", ".bunv", ".asc"):
-        write_uff(path, frf)
-    else:
-        import tempfile
-
-        with tempfile.TemporaryDirectory() as folder:
-            between = Path(folder) / "ofrf.h5"
-            write_hdf5(between, {"ofrf": frf})
-            convert(between, path)
 
 
 def _text(frf: Frf, method: str, output: str | None) -> str:

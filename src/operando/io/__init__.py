@@ -5,7 +5,7 @@ from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
 from operando.io.detect import detect_format, read
-from operando.io.hdf5 import UNREADABLE, check_objects, read_hdf5, read_object, read_objects, write_hdf5, write_object
+from operando.io.hdf5 import UNREADABLE, check_objects, read_hdf5, read_objects, write_hdf5
 from operando.io.hints import check_fields
 from operando.io.inspect import inspect_content, inspect_files
 from operando.io.matlab import read_matlab, write_matlab
@@ -37,7 +37,6 @@ __all__ = [
     "read_csv",
     "read_hdf5",
     "read_matlab",
-    "read_object",
     "read_objects",
     "read_uff",
     "read_uff_sets",
@@ -45,6 +44,5 @@ __all__ = [
     "write_csv",
     "write_hdf5",
     "write_matlab",
-    "write_object",
     "write_uff",
 ]

@@ -16,8 +16,8 @@ from operando.io.quantities import ChannelSpecs, Units
 from operando.printable import printable
 
 _SUFFIXES = {
-    ".uff": "uff", ".unv": "uff", ".uf": "uff", ".bunv": "uff", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab",
-    ".csv": "csv", ".txt": "csv",
+    ".uff": "uff", ".unv": "uff", ".uf": "uff", ".bunv": "uff", ".asc": "uff", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
+    ".mat": "matlab", ".csv": "csv", ".txt": "csv",
 }  # fmt: skip
 
 

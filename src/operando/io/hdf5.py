@@ -41,71 +41,16 @@ UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeE
 """What h5py and the description of an object raise where a file is damaged."""
 
 
-def write_object(group: h5py.Group, obj: Any) -> None:
-    """Write an operando object into an (empty) HDF5 group.
-
-    Parameters
-    ----------
-    group : h5py.Group
-        Where to write; what it holds already is kept, name clashes are errors.
-    obj : object
-        Any dataclass defined in operando (``TimeRecord``, ``Frf``, ``ModalModel``, ``Geometry``, ``Stabilization``, …, nested as deep
-        as wanted), or a dict, list, tuple, array, number, text or None made of such.
-
-    Raises
-    ------
-    DataError
-        If the object holds something that has no lasting form (a function, a foreign object).
-
-    Examples
-    --------
-    >>> import h5py
-    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
-    ...     write_object(file.create_group("numbers"), {"f": [1.0, 2.0]})
-    ...     read_object(file["numbers"])
-    {'f': [1.0, 2.0]}
-    """
-    _write(Target(group, {}), obj)
-
-
 def _write(target: Target, obj: Any) -> None:
     text = json.dumps(encode(obj, target, ""), ensure_ascii=False, allow_nan=False)
     write_dataset(target.group, TREE, text)
     target.group.attrs[HASH] = hash_of(text)
 
 
-def read_object(group: h5py.Group) -> Any:
-    """Read what :func:`write_object` wrote.
-
-    Fields that this version of operando does not know are left out; fields the file lacks take their defaults.
-
-    Parameters
-    ----------
-    group : h5py Group
-        Group of the object.
-
-    Returns
-    -------
-    object
-
-    Raises
-    ------
-    FormatError
-        If the group does not hold an operando object, names a class that does not exist, or holds something else than was written.
-
-    Examples
-    --------
-    >>> import h5py
-    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
-    ...     write_object(file.create_group("text"), "a note")
-    ...     read_object(file["text"])
-    'a note'
-    """
-    return _read(group, _Repeated(group.file))
-
-
 def read_objects(file: h5py.File, names: Iterable[str]) -> dict[str, Any]:
     """Objects of an open file by the names of their groups; what they share is counted over all of them.
+
+    Fields that this version of operando does not know are left out; fields the file lacks take their defaults.
 
     Parameters
     ----------
@@ -121,14 +66,16 @@ def read_objects(file: h5py.File, names: Iterable[str]) -> dict[str, Any]:
     Raises
     ------
     FormatError
-        As for :func:`read_object`.
+        If a group does not hold an operando object, names a class that does not exist, or holds something else than was written.
 
     Examples
     --------
     >>> import h5py
-    >>> with h5py.File("memory.h5", "w", driver="core", backing_store=False) as file:
-    ...     write_object(file.create_group("text"), "a note")
-    ...     read_objects(file, ["text"])
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_hdf5(f"{folder}/a.h5", {"text": "a note", "numbers": [1.0, 2.0]})
+    ...     with h5py.File(f"{folder}/a.h5") as file:
+    ...         read_objects(file, ["text"])
     {'text': 'a note'}
     """
     repeated = _Repeated(file)
@@ -158,7 +105,13 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any]) -> None:
     path : path
         File.
     objects : mapping of name to object
-        See :func:`write_object`.
+        Any dataclass defined in operando (``TimeRecord``, ``Frf``, ``ModalModel``, ``Geometry``, ``Stabilization``, …, nested as deep as
+        wanted), or a dict, list, tuple, array, number, text or None made of such.
+
+    Raises
+    ------
+    DataError
+        If an object holds something that has no lasting form (a function, a foreign object).
 
     Examples
     --------

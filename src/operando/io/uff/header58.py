@@ -49,8 +49,6 @@ class Header58:
     Parameters
     ----------
     binary, big_endian : bool
-    float_format : int
-        1 VAX, 2 IEEE 754, 3 IBM (58b only).
     stated_bytes : int
         Byte count of the 58b header.
     ids : tuple of str
@@ -62,13 +60,11 @@ class Header58:
     points : int
     start, step : float
         First abscissa and increment of an even axis, restored from the printed digits.
-    abscissa, ordinate, denominator, z_axis : Axis
-    z_value : float
+    abscissa, ordinate, denominator : Axis
     """
 
     binary: bool
     big_endian: bool
-    float_format: int
     stated_bytes: int
     ids: tuple[str, ...]
     function_type: int
@@ -85,8 +81,6 @@ class Header58:
     abscissa: Axis
     ordinate: Axis
     denominator: Axis
-    z_axis: Axis
-    z_value: float
 
     @property
     def numbers_per_point(self) -> int:
@@ -130,12 +124,12 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
     lines, data = _lines(buffer, at, 12)
     if len(lines) < 12:
         raise FormatError(f"the header of the function ends after {len(lines)} of 12 lines")
-    binary, big_endian, float_format, stated = _first_line(lines[0])
-    kind, points, even, step_text, start_text, z_text = _record7(lines[7])
+    binary, big_endian, stated = _first_line(lines[0])
+    kind, points, even, step_text, start_text = _record7(lines[7])
     function_type, response, reference, response_name, reference_name = _record6(lines[6])
     ids = tuple(_id_text(line) for line in lines[1:6])
     try:
-        axes = [_axis(line) for line in lines[8:12]]
+        axes = [_axis(line) for line in lines[8:11]]
         spectral = function_type != 1 and axes[0].code != 17
         step = restore_step(step_text, points, spectral) if even else 0.0
         exact = _exact(ids, "step")
@@ -145,14 +139,13 @@ def parse_header58(buffer: Buffer, at: int) -> tuple[Header58, int]:
         exact = _exact(ids, "start")
         if exact is not None and even and math.isclose(exact, start, rel_tol=1e-5, abs_tol=1e-5 * step):
             start = exact
-        z_value = parse_float(z_text) if z_text.strip() else 0.0
     except (ValueError, OverflowError) as error:
         raise FormatError(f"the abscissa of the function cannot be read: {lines[7][:80]!r}") from error
     if even and not (math.isfinite(step) and step > 0 and math.isfinite(start)):
         raise FormatError(f"the abscissa increment {step_text.strip()[:80]!r} is not positive")
     header = Header58(
-        binary, big_endian, float_format, stated, ids, function_type, response, reference, response_name, reference_name,
-        kind in _COMPLEX, kind in _DOUBLE, even, points, start, step, axes[0], axes[1], axes[2], axes[3], z_value,
+        binary, big_endian, stated, ids, function_type, response, reference, response_name, reference_name,
+        kind in _COMPLEX, kind in _DOUBLE, even, points, start, step, *axes,
     )  # fmt: skip
     return header, data
 
@@ -175,11 +168,11 @@ def _lines(buffer: Buffer, at: int, count: int) -> tuple[list[bytes], int]:
 
 
 @lru_cache(maxsize=256)
-def _first_line(line: bytes) -> tuple[bool, bool, int, int]:
+def _first_line(line: bytes) -> tuple[bool, bool, int]:
     text = line.decode("latin-1")
     match = re.match(r"\s*58\s*[bB]\b(.*)$", text)
     if match is None:
-        return False, False, 2, 0
+        return False, False, 0
     tokens = match[1].split()
     try:
         # Some programs shift the columns: the fields are taken in their order.
@@ -191,11 +184,11 @@ def _first_line(line: bytes) -> tuple[bool, bool, int, int]:
         raise FormatError(f"binary data in {name} floating point are not supported", hint="export them as IEEE 754 or ASCII")
     if float_format != 2 or byte_order not in (1, 2):
         raise FormatError(f"byte order {byte_order} and floating-point format {float_format} of the 58b set are unknown")
-    return True, byte_order == 2, float_format, stated
+    return True, byte_order == 2, stated
 
 
 @lru_cache(maxsize=256)
-def _record7(line: bytes) -> tuple[int, int, bool, str, str, str]:
+def _record7(line: bytes) -> tuple[int, int, bool, str, str]:
     text = line.decode("latin-1")
     tokens = re.sub(r"(?<=\d)(?=[+-]\d*\.)", " ", text).split()
     choices = [tokens, [text[a:b] for a, b in ((0, 10), (10, 20), (20, 30), (30, 43), (43, 56), (56, 69))]]
@@ -210,7 +203,7 @@ def _record7(line: bytes) -> tuple[int, int, bool, str, str, str]:
             raise FormatError(f"ordinate data type {kind} is none of 2 (real single), 4 (real double), 5, 6 (complex)")
         if not 0 < points < _MAX_POINTS:
             raise FormatError(f"the function declares {points} points")
-        return kind, points, spacing != 0, step, start, fields[5] if len(fields) > 5 else ""
+        return kind, points, spacing != 0, step, start
     raise FormatError(f"record 7 of the function (type, points, abscissa) cannot be read: {text.strip()[:80]!r}")
 
 

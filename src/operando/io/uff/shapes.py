@@ -31,7 +31,6 @@ class ModeSet:
     frequency_hz: float
     damping_ratio: float
     mode: int
-    quantity_code: int
     ids: tuple[str, ...]
     extra: dict[str, complex] = field(default_factory=dict)
 
@@ -48,7 +47,7 @@ def read_mode(raw: bytes) -> ModeSet:
     if len(lines) < 8:
         raise FormatError(f"set 55 has {len(lines)} lines, its header alone has 8")
     ids = tuple(said(line) for line in lines[:5])
-    _, kind, _, code, data_type, per_node = ints_of(lines[5], 6, "record 6 of set 55")
+    _, kind, _, _, data_type, per_node = ints_of(lines[5], 6, "record 6 of set 55")
     number = ints_of(lines[6], 4, "record 7 of set 55")[3]
     numbers = _floats(lines[7], "record 8 of set 55")
     _check_kind(55, kind, data_type, per_node)
@@ -60,7 +59,7 @@ def read_mode(raw: bytes) -> ModeSet:
     else:
         frequency, damping, extra = _of_pole(complex(numbers[0], numbers[1]))
     frequency, damping = _exact_pole(ids, frequency, damping)
-    return _mode(55, lines[8:], kind, data_type, per_node, frequency, damping, number, code, ids, extra)
+    return _mode(55, lines[8:], kind, data_type, per_node, frequency, damping, number, ids, extra)
 
 
 def read_analysis(raw: bytes) -> ModeSet:
@@ -77,7 +76,7 @@ def read_analysis(raw: bytes) -> ModeSet:
     if ints_of(lines[2], 1, "record 3 of set 2414")[0] != 1:
         raise FormatError("set 2414 holds data that are not at nodes")
     ids = (said(lines[1]), *(said(line) for line in lines[3:7]))
-    _, kind, _, code, data_type, per_node = ints_of(lines[8], 6, "record 9 of set 2414")
+    _, kind, _, _, data_type, per_node = ints_of(lines[8], 6, "record 9 of set 2414")
     _check_kind(2414, kind, data_type, per_node)
     number = ints_of(lines[9], 6, "record 10 of set 2414")[5]
     numbers = [*_floats(lines[11], "record 12 of set 2414"), *_floats(lines[12], "record 13 of set 2414")]
@@ -87,7 +86,7 @@ def read_analysis(raw: bytes) -> ModeSet:
         frequency, damping, extra = numbers[1], numbers[4], {"modal_mass": complex(numbers[3])}
     else:
         frequency, damping, extra = _of_pole(complex(numbers[6], numbers[7]))
-    return _mode(2414, lines[13:], kind, data_type, per_node, frequency, damping, number, code, ids, extra)
+    return _mode(2414, lines[13:], kind, data_type, per_node, frequency, damping, number, ids, extra)
 
 
 def _check_kind(name: int, kind: int, data_type: int, per_node: int) -> None:
@@ -109,7 +108,7 @@ def _of_pole(pole: complex) -> tuple[float, float, dict[str, complex]]:
 
 
 def _mode(
-    name: int, rows: list[str], kind: int, data_type: int, per_node: int, frequency: float, damping: float, number: int, code: int,
+    name: int, rows: list[str], kind: int, data_type: int, per_node: int, frequency: float, damping: float, number: int,
     ids: tuple[str, ...], extra: dict[str, complex],
 ) -> ModeSet:  # fmt: skip
     is_complex = data_type in _COMPLEX_DATA
@@ -119,7 +118,7 @@ def _mode(
     table: NDArray[Any] = complex_of(values[:, 0::2], values[:, 1::2]) if is_complex else values
     if not (np.isfinite(frequency) and frequency >= 0 and np.isfinite(damping)):
         raise FormatError(f"set {name} states a frequency of {frequency} Hz and a damping ratio of {damping}")
-    return ModeSet(kind, nodes, table, float(frequency), float(damping), number, code, ids, extra)
+    return ModeSet(kind, nodes, table, float(frequency), float(damping), number, ids, extra)
 
 
 def _node_values(lines: list[str], per_node: int, name: int = 55) -> tuple[tuple[int, ...], NDArray[np.float64]]:
