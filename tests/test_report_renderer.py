@@ -7,9 +7,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from operando.report import renderer
+from operando.report.renderer import _polygons
 from operando.report.sheet import Sheet
 from operando.report.svg import to_svg
 
@@ -94,6 +97,8 @@ def test_axes_with_one_tick_show_what_matplotlib_shows():
         right.set_ylabel("right")
         axes = figure.add_axes((0.6, 0.6, 0.35, 0.3))
         axes.loglog([1, 1000], [1, 20])  # with minor ticks
+        axes.grid(True, which="both")
+        axes.tick_params(which="minor", length=5, color="red")
         axes = figure.add_axes((0.1, 0.1, 0.35, 0.3))
         axes.bar([0, 1, 2], [3, 4, 5])
         axes.set_xticks([0, 1, 2], ["a", "b", "c"], rotation=90)
@@ -107,3 +112,38 @@ def test_axes_with_one_tick_show_what_matplotlib_shows():
 
     assert drawn(Sheet(figsize=(8, 6))) == drawn(Figure(figsize=(8, 6)))
     assert len(Sheet().add_axes((0.1, 0.1, 0.8, 0.8)).xaxis.majorTicks) == 1
+    axis = Sheet().add_axes((0.1, 0.1, 0.8, 0.8)).xaxis
+    assert "minorTicks" not in vars(axis)
+
+
+def test_areas_drawn_at_once_are_those_drawn_one_by_one(monkeypatch):
+    def drawn():
+        figure = Figure(figsize=(6, 4))
+        axes = figure.add_subplot(1, 2, 1)
+        axes.pcolormesh(np.arange(6.0).reshape(2, 3), edgecolors="white", cmap="viridis")
+        axes = figure.add_subplot(1, 2, 2)
+        rng = np.random.default_rng(1)
+        triangles = rng.uniform(size=(20, 3, 2))
+        axes.add_collection(PolyCollection(list(triangles), facecolors=rng.uniform(size=(20, 4)), linewidths=0))
+        triangles[3, 1] = np.nan  # a corner that is not there
+        axes.add_collection(PolyCollection(list(triangles), facecolors="none", edgecolors=rng.uniform(size=(20, 3))))
+        axes.add_collection(PolyCollection([triangles[0], rng.uniform(size=(5, 2))], facecolors=["red", "blue"]))  # of unlike corners
+        axes.add_collection(PolyCollection(list(triangles[:2]), offsets=[(0.1, 0.2), (0.3, 0.1)], facecolors=["red", "blue"]))
+        return to_svg(figure, "words")
+
+    once, made = drawn(), []
+    monkeypatch.setattr(renderer, "_polygons", lambda *given: made.append(_polygons(*given)) or [])
+    assert drawn() == once
+    assert [len(m) for m in made] == [6, 20, 0, 0]
+
+
+def test_the_height_of_letters_is_what_matplotlib_looks_up(monkeypatch):
+    def drawn():
+        figure = Figure(figsize=(6, 4))
+        for k, family in enumerate(("DejaVu Sans", "DejaVu Serif", "DejaVu Sans Mono")):
+            figure.text(0.1, 0.2 + 0.2 * k, "one\ntwo gym", family=family, size=7 + 3 * k, rotation=40 * k, va="center_baseline")
+        return to_svg(figure, "words")
+
+    own = drawn()
+    monkeypatch.delattr(renderer.SmallSvg, "_get_font_height_metrics")
+    assert drawn() == own

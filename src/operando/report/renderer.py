@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from matplotlib.backend_bases import RendererBase
-from matplotlib.font_manager import weight_dict
+from matplotlib.font_manager import findfont, get_font, weight_dict
 from matplotlib.path import Path
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import Affine2D
@@ -56,6 +56,8 @@ class SmallSvg(RendererBase):
         self._body: list[str] = []
         self._shared: dict[str, str] = {}
         self._many = False
+        self._ready: Iterator[str] = iter(())
+        self._heights: dict[Any, tuple[float | None, ...]] = {}
 
     def text(self) -> str:
         """All that was drawn, with ids that hold for this content alone."""
@@ -79,6 +81,12 @@ class SmallSvg(RendererBase):
         """Size of a text [pt], unhinted: the browser scales it."""
         return text_to_path.get_text_width_height_descent(s, prop, ismath)
 
+    def _get_font_height_metrics(self, prop: Any) -> tuple[float | None, ...]:
+        """Ascent, descent and gap between lines of a font [pt], which matplotlib (from 3.11 on) looks up for each text otherwise."""
+        if prop not in self._heights:
+            self._heights[prop.copy()] = _height_metrics(prop)
+        return self._heights[prop]
+
     def option_scale_image(self) -> bool:
         """Images are scaled by the browser."""
         return True
@@ -98,6 +106,9 @@ class SmallSvg(RendererBase):
             self.draw_markers(
                 gc, path, Affine2D.from_values(a[0, 0], a[1, 0], a[0, 1], a[1, 1], 0, 0), Path(a[None, :2, 2]), Affine2D(), rgbFace
             )
+            return
+        if d := next(self._ready, ""):
+            self._body.append(f'<path d="{d}"{self._look(gc, rgbFace)}/>')
             return
         line = rgbFace is None and gc.get_hatch_path() is None
         clip = (0.0, 0.0, self.width, self.height) if line else None
@@ -123,8 +134,10 @@ class SmallSvg(RendererBase):
     ) -> None:
         """Lines, areas or one mark in many places."""
         self._many = len(paths) == 1 < len(offsets)
+        if len(paths) > 1 == len(offsets) and not len(all_transforms) and not np.any(offsets) and gc.get_sketch_params() is None:
+            self._ready = iter(_polygons(paths, master_transform, self.height))
         super().draw_path_collection(gc, master_transform, paths, all_transforms, offsets, *rest, **more)
-        self._many = False
+        self._many, self._ready = False, iter(())
 
     def draw_gouraud_triangles(self, gc: Any, triangles_array: Any, colors_array: Any, transform: Any) -> None:
         """Triangles, each in the mean of its colours."""
@@ -223,6 +236,40 @@ class SmallSvg(RendererBase):
 
 def _css(style: dict[str, str]) -> str:
     return ";".join(f"{name}:{value}" for name, value in style.items() if value)
+
+
+def _polygons(paths: Sequence[Any], transform: Any, top: float) -> list[str]:
+    """Path data as :func:`_outline` makes it for areas of the same few straight sides, all at once; nothing for others."""
+    first = paths[0].codes
+    codes = None if first is None else first.tobytes()
+    corners = len(paths[0].vertices)
+    alike = all(len(p.vertices) == corners and codes == (None if p.codes is None else p.codes.tobytes()) for p in paths)
+    letters = [Path.MOVETO] + [Path.LINETO] * (corners - 1) if first is None else first.tolist()
+    closed = letters[-1] == Path.CLOSEPOLY
+    sides = letters[1:-1] if closed else letters[1:]
+    if not alike or corners >= LONG_PATH or letters[0] != Path.MOVETO or set(sides) != {Path.LINETO}:
+        return []
+    points = np.array([p.vertices[: 1 + len(sides)] for p in paths], float)
+    if np.ma.isMaskedArray(paths[0].vertices) or not np.all(np.isfinite(points)):
+        return []
+    a = transform.get_matrix()
+    x, y = (points[..., 0] * a[i, 0] + points[..., 1] * a[i, 1] + a[i, 2] for i in (0, 1))
+    placed = np.round(np.stack([x, y], axis=-1) * (1, -1) + (0, top), 2) + 0.0  # no −0
+    form = "M%.7g %.7g" + " %.7g %.7g" * len(sides) + ("z" if closed else "")
+    return [form % tuple(row) for row in placed.reshape(len(paths), -1).tolist()]
+
+
+def _height_metrics(prop: Any) -> tuple[float | None, ...]:
+    """What the font says of itself, in its size, or nothing."""
+    font: Any = get_font(findfont(prop))
+    for name, gap, ascent, descent in (
+        ("OS/2", "sTypoLineGap", "sTypoAscender", "sTypoDescender"),
+        ("hhea", "lineGap", "ascent", "descent"),
+    ):
+        if (table := font.get_sfnt_table(name)) is not None:
+            scale = 1 / font.get_sfnt_table("head")["unitsPerEm"] * prop.get_size_in_points()
+            return table[ascent] * scale, -table[descent] * scale, table[gap] * scale
+    return None, None, None
 
 
 def _outline(

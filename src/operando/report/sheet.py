@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -26,6 +27,51 @@ class _Moving:
 
 
 class _OneTick(Axis):
+    _boxes: list[Any] | None = None  # of the labels of the ticks, while the axis is drawn
+
+    def draw(self, *args: Any, **kwargs: Any) -> None:
+        """Draw the axis; matplotlib measures the labels of its ticks twice for it, which do not move in between."""
+        self._boxes = []
+        with self._no_minor_made() if isinstance(self.get_minor_locator(), NullLocator) else nullcontext():
+            super().draw(*args, **kwargs)
+        self._boxes = None
+
+    def _get_ticklabel_bboxes(self, ticks: Any, renderer: Any) -> Any:
+        made: Any = super()
+        if self._boxes is None:
+            return made._get_ticklabel_bboxes(ticks, renderer)
+        if not self._boxes:
+            self._boxes.append(made._get_ticklabel_bboxes(ticks, renderer))
+        return self._boxes[0]
+
+    def set_clip_path(self, path: Any, transform: Any = None) -> None:
+        """Clip the axis and its ticks."""
+        with self._no_minor_made():
+            super().set_clip_path(path, transform)
+
+    def set_tick_params(self, *args: Any, **kwargs: Any) -> None:
+        """Set the look of ticks, of those that are there and of later ones."""
+        with self._no_minor_made():
+            super().set_tick_params(*args, **kwargs)
+
+    @contextmanager
+    def _no_minor_made(self) -> Iterator[None]:
+        """Minor ticks, which few axes have, are made where they are drawn, and not to be asked or set a look."""
+        if "minorTicks" in self.__dict__:
+            yield
+            return
+        self.minorTicks: list[Any] = []
+        yield
+        if not self.__dict__.get("minorTicks"):
+            self.__dict__.pop("minorTicks", None)  # the first tick of the axis that is made resets both kinds
+
+    def _get_tick(self, major: bool) -> Any:
+        made: Any = super()
+        tick = made._get_tick(major)
+        if not major:
+            tick.set_clip_path(self.axes.patch)
+        return tick
+
     def _update_ticks(self) -> Any:
         """The ticks as matplotlib asks for them to draw and to measure; all of them where they were touched one by one."""
         made: Any = super()
