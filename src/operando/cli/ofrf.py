@@ -63,6 +63,8 @@ def ofrf(
 
     DIR is a results folder or its model.h5. A DOF asked for in the other sense (12-Z) changes sign.
     """
+    import warnings
+
     import numpy as np
 
     from operando.atomic import writing
@@ -136,7 +138,8 @@ def ofrf(
     if output is not None:
         with writing(output):
             Path(output).parent.mkdir(parents=True, exist_ok=True)
-        frf.save(output)
+        with warnings.catch_warnings(action="ignore"):  # of findings and provenance: the answer has them
+            frf.save(output)
     elif frf.data.size > MOST_VALUES:
         raise DataError(f"{frf.data.size} values are too many to print", hint="name a file with -o, or ask for fewer pairs or lines")
     else:
