@@ -16,6 +16,7 @@ _ACTS = (
 )
 _ACTIVE = re.compile(f"[{_ACTS}]")
 _ACTIVE_IN_LINES = re.compile(f"(?![\\n\\t])[{_ACTS}]")
+_UNUSUAL = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\U0010ffff]")  # what may be active; two ranges are found several times as fast
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
@@ -43,7 +44,7 @@ def printable(text: object, lines: bool = False) -> str:
 
 def without_active(text: str) -> str:
     """A finished page with every active character shown (no words are cut: drawings hold long ones)."""
-    return _ACTIVE_IN_LINES.sub(lambda m: escaped(m[0]), text)
+    return _UNUSUAL.sub(lambda m: escaped(m[0]) if _ACTIVE.match(m[0]) else m[0], text)
 
 
 def json_escaped(text: str) -> str:

@@ -131,7 +131,7 @@ def complete_start(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real
     for _ in range(3):
         held = refine(thinned, n_dofs, hz, zeta, lower=False, hold_poles=True, max_iterations=4)
         near = [h + k * z * h for h, z in zip(hz, zeta, strict=True) for k in (-3, 0, 3)]
-        new = _missing_modes(thinned, held, near, held.cost / held.n_data)[:1]
+        new = _missing_modes(thinned, held, near, _scanned(thinned, held))[:1]
         if not new:
             break
         log.rounds.append(f"start: {bent.sum()} poles would bend; a mode near {new[0][0]:.4g} Hz added first")
@@ -191,6 +191,8 @@ def search_order(
     thinned = thin_lines(runs, hz, zeta)
     fit = refine(thinned, n_dofs, hz, zeta, lower=lower, log=log) if first is None else first
     tried: list[float] = []
+    scan: list[tuple[float, float, float]] = []
+    scanned: Polished | None = None
     for number in range(max_rounds):
         misfit = fit.cost / fit.n_data
         out = weak_modes(thinned, fit, log)
@@ -200,7 +202,9 @@ def search_order(
             log.rounds.append(f"round {number}: reduced chi-square {misfit:.3g}, {out.size} modes taken out")
             fit = refine(thinned, n_dofs, fit.parameters.hz[keep], fit.parameters.zeta[keep], lower=lower)
             misfit = fit.cost / fit.n_data
-        new = _missing_modes(thinned, fit, tried, misfit)
+        if scanned is not fit:  # of a fit that stays, because what was tried did not help, the scan does
+            scan, scanned = _scanned(thinned, fit), fit
+        new = _missing_modes(thinned, fit, tried, scan)
         if progress is not None:
             progress(f"EMA order search: {fit.parameters.hz.size} modes, normalised error {misfit:.3g}")
         if not new or fit.parameters.hz.size + len(new) > max_modes:
@@ -305,14 +309,28 @@ def _alike(theta: Parameters, i: int, j: int) -> bool:
     return norm > 0 and float(a @ b) ** 2 / norm > 0.95
 
 
-def _missing_modes(runs: Sequence[RunSpectra], fit: Polished, tried: Sequence[float], misfit: float) -> list[tuple[float, float]]:
-    """Places where one more mode would lower the cost most; at most three a round, apart from each other."""
+def _missing_modes(
+    runs: Sequence[RunSpectra], fit: Polished, tried: Sequence[float], scan: Sequence[tuple[float, float, float]]
+) -> list[tuple[float, float]]:
+    """Places of a scan where one more mode would lower the cost most; at most three a round, apart from each other."""
+    price = _price(runs) * max(1.0, fit.cost / fit.n_data) * 2
+    out: list[tuple[float, float]] = []
+    for rise, h, z in scan:
+        if rise < price or len(out) == 3:
+            break
+        near = [abs(h - t) < max(3 * z * h, 0.004 * h) for t in [*tried, *(o for o, _ in out)]]
+        if not any(near) and (not out or rise > 0.1 * scan[0][0]):
+            out.append((h, z))
+    return out
+
+
+def _scanned(runs: Sequence[RunSpectra], fit: Polished) -> list[tuple[float, float, float]]:
+    """Fall of the cost by one more mode, its frequency [Hz] and damping, on a grid over the lines of the runs; the greatest first."""
     theta = fit.parameters
-    n = theta.hz.size
     states = [residual(run, theta, i) for i, run in enumerate(runs)]
     f0 = min(float(r.frequencies_hz[0]) for r in runs)
     f1 = max(float(r.frequencies_hz[-1]) for r in runs)
-    typical = float(np.median(theta.zeta)) if n else 0.01
+    typical = float(np.median(theta.zeta)) if theta.hz.size else 0.01
     found: list[tuple[float, float, float]] = []
     inflated = [
         replace(
@@ -326,16 +344,7 @@ def _missing_modes(runs: Sequence[RunSpectra], fit: Polished, tried: Sequence[fl
         grid = _grid(f0, f1, z)
         gain = mode_gain(inflated, [s.error for s in states], grid, z)
         found += [(float(g), float(h), z) for g, h in zip(gain, grid, strict=True)]
-    found.sort(reverse=True)
-    price = _price(runs) * max(1.0, misfit) * 2
-    out: list[tuple[float, float]] = []
-    for rise, h, z in found:
-        if rise < price or len(out) == 3:
-            break
-        near = [abs(h - t) < max(3 * z * h, 0.004 * h) for t in [*tried, *(o for o, _ in out)]]
-        if not any(near) and (not out or rise > 0.1 * found[0][0]):
-            out.append((h, z))
-    return out
+    return sorted(found, reverse=True)
 
 
 def _grid(f0: float, f1: float, zeta: float) -> Real:

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import io
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
@@ -26,6 +27,7 @@ HATCH = 72
 """Side of the square of a hatch [pt]."""
 
 _LETTERS: dict[int, str] = {int(Path.MOVETO): "M", int(Path.LINETO): "L", int(Path.CURVE3): "Q", int(Path.CURVE4): "C"}
+_STRAIGHT = {int(Path.MOVETO): "M%.7g %.7g", int(Path.LINETO): " %.7g %.7g", int(Path.CLOSEPOLY): "z", int(Path.STOP): ""}
 _ANCHORS = {"left": "start", "center": "middle", "right": "end"}
 _MARK = "\0"  # stands for the drawing's own prefix in its ids until the prefix, made of the content, is known
 
@@ -281,6 +283,9 @@ def _outline(
     round_parts = {int(Path.CURVE3), int(Path.CURVE4)} & set(codes)  # letters and marks have them, curves of data do not
     digits = 1 if len(codes) > LONG_PATH and not round_parts else 2
     points = np.round(clean.vertices * (1, -1) + (0, top), digits) + 0.0  # no −0
+    if not round_parts and not any(b == Path.LINETO for a, b in pairwise(codes) if a == Path.CLOSEPOLY):
+        form = "".join(map(_STRAIGHT.__getitem__, codes))
+        return form % tuple(points[np.isin(clean.codes, (Path.MOVETO, Path.LINETO))].ravel().tolist())
     pieces, taken, last = [], [], 0
     for k, code in enumerate(codes):
         if code in _LETTERS:  # the letter stands once for a run, and M is followed by lines
