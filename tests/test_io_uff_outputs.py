@@ -160,9 +160,12 @@ def pair_of(text):
 def wanted_functions(results):
     """Kind and pair of DOFs → the numbers that a file should hold."""
     frf, ofrf = results.idle_frf, results.hybrid.modal.frf(results.idle_frf.frequencies_hz)
+    single = np.array_equal(frf.data, frf.data.astype(np.complex64))  # then the file is
     out = {"idle_frf.uff": {}, "ofrf.uff": {}}
     for name, h in (("idle_frf.uff", frf), ("ofrf.uff", ofrf)):
         arrays = {4: h.data, 6: h.coherence, 0: None if h.variance is None else np.sqrt(h.variance)}
+        if single and h is frf:
+            arrays[0] = arrays[0].astype(np.float32)
         for kind, array in arrays.items():
             if array is not None:
                 driven = [c for c in h.references if kind != 0 or c in frf.references]
