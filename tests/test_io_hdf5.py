@@ -114,6 +114,10 @@ def test_large_arrays_are_compressed_and_small_ones_are_not(tmp_path):
     back = read_hdf5(tmp_path / "a.h5")["arrays"]
     assert back["smooth"].tobytes() == smooth.tobytes()
     assert equal(back["few"], few)
+    write_hdf5(tmp_path / "b.h5", {"arrays": {"smooth": smooth}}, packed=False)
+    with h5py.File(tmp_path / "b.h5") as file:
+        assert file["arrays/smooth"].compression is None
+    assert equal(read_hdf5(tmp_path / "b.h5")["arrays"]["smooth"], smooth)
 
 
 def test_a_large_array_of_several_objects_stands_once(tmp_path):

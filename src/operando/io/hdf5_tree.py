@@ -42,24 +42,25 @@ def hash_of(value: str | np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Target:
-    """The group an object is written to, and where in the file each large array stands, by its hash."""
+    """The group an object is written to, where in the file each large array stands, by its hash, and whether they are compressed."""
 
     group: h5py.Group
     standing: dict[str, Any]
+    packed: bool = True
 
     def put(self, name: str, value: np.ndarray, stated: str) -> dict[str, str]:
         """Write an array; give back what the tree says of it."""
-        write_dataset(self.group, name, value)
+        write_dataset(self.group, name, value, self.packed)
         return {"__array__": name, HASH: stated}
 
 
-def write_dataset(group: h5py.Group, path: str, value: Any) -> None:
-    """Write a text or an array, without loss in less room: bytes of one weight stand together, and then compress."""
+def write_dataset(group: h5py.Group, path: str, value: Any, packed: bool = True) -> None:
+    """Write a text or an array; ``packed``, without loss in less room: bytes of one weight stand together, and then compress."""
     import h5py
 
     if isinstance(value, str) or (isinstance(value, np.ndarray) and value.dtype.kind in "UO"):
         group.create_dataset(path, data=value, dtype=h5py.string_dtype("utf-8"))
-    elif PACKED_FROM <= getattr(value, "nbytes", 0) < mapped.MAPPED_FROM:
+    elif packed and PACKED_FROM <= getattr(value, "nbytes", 0) < mapped.MAPPED_FROM:
         group.create_dataset(path, data=value, chunks=value.shape, compression="gzip", compression_opts=1, shuffle=True)
     else:
         group.create_dataset(path, data=value)

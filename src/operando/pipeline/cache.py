@@ -63,7 +63,7 @@ def load_stage(folder: ResultsFolder, stage: str, key: str) -> Kept | None:
 
 def save_stage(folder: ResultsFolder, stage: str, key: str, result: Mapping[str, Any], seconds: float) -> Kept:
     """Keep the result of a stage and give it back as it was kept, so that later stages see the same whether it is new or not."""
-    _write(folder, stage, key, Kept(dict(result), seconds))
+    _write(folder, stage, key, Kept(dict(result), seconds), packed=False)  # it goes when the run is done
     folder.commit()
     return Kept(_read(folder.path / stage_file(stage)), seconds)
 
@@ -100,10 +100,10 @@ def stage_file(stage: str) -> str:
     return f"{HIDDEN}/{stage}.h5"
 
 
-def _write(folder: ResultsFolder, stage: str, key: str, kept: Kept) -> None:
+def _write(folder: ResultsFolder, stage: str, key: str, kept: Kept, packed: bool = True) -> None:
     from operando.io import write_hdf5
 
-    folder.stage(stage_file(stage), key, lambda path: write_hdf5(path, {"result": kept.found}), seconds=kept.seconds)
+    folder.stage(stage_file(stage), key, lambda path: write_hdf5(path, {"result": kept.found}, packed=packed), seconds=kept.seconds)
 
 
 def _read(path: Path) -> dict[str, Any]:
