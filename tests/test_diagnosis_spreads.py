@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from operando.diagnosis import posterior
 from operando.diagnosis.between import SPREAD_FACTOR, STATED
-from operando.diagnosis.criteria import UNUSUAL
-from operando.diagnosis.posterior import fit, linear_evidence, names
+from operando.diagnosis.criteria import LEAST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.search import search, unlike_days
@@ -137,3 +138,55 @@ def test_an_effect_is_told_from_days_that_learn_to_differ():
     assert [text.split("=")[0] for text in names(best.case, best.terms)] == ["point_mass@2+Z"]
     assert np.exp(best.terms[0].values[0]) == pytest.approx(0.4, abs=3 * np.sqrt(best.covariance[0, 0]) * 0.4)
     assert found.empty.log_evidence < best.log_evidence - 100
+
+
+def test_the_way_to_a_fit_ends_where_its_turns_no_longer_tell_ways_apart(monkeypatch):
+    """What is left to gain when a turn gains less than ``NEAR`` is far below the 20 nats by which ways are told apart."""
+    one = case(add_mass, gains=1 + 0.02 * np.random.default_rng(3).standard_normal(N), warmer=0.004)
+    start = started(one, Term("point_mass", (1,), (np.log(0.2),)))
+    cost, there = approach(one, start)
+    monkeypatch.setattr(posterior, "NEAR", 0.0)
+    least = approach(one, start, turns=40)[0]
+    assert abs(cost - least) < NEAR
+    assert np.exp(there.terms[0].values[0]) == pytest.approx(0.4, rel=0.05)
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 0.03, 0.4])
+def test_the_discrepancy_is_that_of_the_least_cost_on_its_whole_grid(alpha):
+    one = case(add_mass)
+    problem = Problem(one, (), one.lines.fit)
+    x = problem.packed(one.forward.start)
+    shared, own, residual = problem.derived(x)
+    factor = linear_evidence(problem, residual, shared, own, x, alpha)[2]
+    for size in (1e-3, 0.1, 1.0):
+        left = size * residual
+        some = one.lines.telling(left.shape[1])
+        power = left[:, some] ** 2 + factor.of_rows(shared[:, some], own[:, some])
+        spread = one.lines.spread(one.lines.fit)[:, some]
+        grid = np.exp(np.linspace(np.log(LEAST_DISCREPANCY), 0, 80))
+        cost = [np.sum(power / (1 + a**2 * spread) + 0.5 * np.log(1 + a**2 * spread)) for a in grid]
+        least = grid[int(np.argmin(cost))]
+        expected = least * min(1, least / alpha) if least < alpha else least
+        assert likely_alpha(problem, left, shared, own, factor, alpha) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_state_that_is_known_begins_a_search_as_it_is():
+    one = case(warmer=0.001)
+    alone = fit(one, one.forward.start)
+    for empty in (None, alone):
+        said = []
+        search(one, said.append, empty=empty)
+        assert said[0].startswith("  []") == (empty is None)  # that state's fit is told first
+
+
+def test_a_candidate_is_looked_at_on_fewer_lines_that_stand_for_all():
+    one = case(add_mass)
+    state = fit(one, started(one, Term("point_mass", (1,), (np.log(0.4),))), 0.01)
+    whole, part = (
+        Problem(one, state.terms, at, n) for at, n in ((one.lines.fit, 1), (one.lines.fit[:: one.lines.stride], one.lines.stride))
+    )
+    made = [
+        linear_evidence(p, *(p.derived(p.packed(state.x))[i] for i in (2, 0, 1)), p.packed(state.x), state.alpha)[2] for p in (whole, part)
+    ]
+    all_lines, fewer = (np.sqrt(np.diag(f.shared_covariance(whole.values_at))[0]) for f in made)
+    assert fewer == pytest.approx(all_lines, rel=0.3)

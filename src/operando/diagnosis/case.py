@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
@@ -105,7 +106,7 @@ class Case:
         self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
         self.at_rest: dict[str, Any] = {} if like is None else like.at_rest  # scans about the model as it is, whatever the spreads
         self._base: tuple[Array, Scannable] | None = None
-        self._places: dict[str, int] = {}
+        self._places: Counter[str] = Counter()
 
     @property
     def idle(self) -> Idle:
@@ -235,8 +236,8 @@ class Case:
 
     def places(self, kind: str) -> int:
         """Number of places where a kind may be."""
-        if kind not in self._places:
-            self._places[kind] = sum(1 for t in self.candidates(()) if t.kind == kind)
+        if not self._places:
+            self._places = Counter(t.kind for t in self.candidates(()))
         return self._places[kind]
 
     def log_place(self, term: Term) -> float:

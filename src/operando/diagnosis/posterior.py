@@ -25,7 +25,9 @@ Array = NDArray[Any]
 
 _TURNS = 18  # of a fit; twice as many where spreads are estimated, and again where it goes on closely
 _GAIN = 0.3  # nats that a turn takes off the objective, below which a fit ends; a tenth of them closely
+_COARSE = 8  # steps of the grid of discrepancies (a factor of 2.2) that are skipped at first
 _APPROACH = (0.1, 0.05, 0.02)  # discrepancies of the robust way to a state
+NEAR = 2.0  # nats that a turn of that way takes off its cost, below which it ends: a fit goes on, and ways are told apart by ten times that
 _SETTLED = 1.0  # nats that a turn takes off the objective, below which its unknowns tell how wide their spreads are
 _SPREADS_AT = 0.2  # nats that a further turn promises, below which spreads are estimated
 _OUTSIDE = 3  # turns in a row that end with values of an effect out of their range, after which they do not come back
@@ -115,8 +117,13 @@ def likely_alpha(problem: Problem, residual: Array, shared: Array, own: Array, f
     power = residual[:, some] ** 2 + factor.of_rows(shared[:, some], own[:, some])
     spread = problem.case.lines.spread(problem.at)[:, some]
     grid = np.exp(np.linspace(np.log(LEAST_DISCREPANCY), 0, 80))
-    cost = [np.sum(power / v + 0.5 * np.log(v)) for v in (1 + a**2 * spread for a in grid)]
-    new = float(grid[int(np.argmin(cost))])
+
+    def least(some: Array) -> int:
+        variances = (1 + grid[i] ** 2 * spread for i in some)
+        return int(some[np.argmin([np.sum(power / v + 0.5 * np.log(v)) for v in variances])])
+
+    rough = least(np.arange(0, grid.size, _COARSE))  # between two of these it has one minimum: λ of the rows is spread over decades
+    new = float(grid[least(np.arange(max(0, rough - _COARSE + 1), min(grid.size, rough + _COARSE)))])
     return new * min(1, new / now) if new < now else new
 
 
@@ -239,7 +246,7 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
             else:
                 break
             x, h, damping, gain, now = there, ahead, damping / 10, now - new, new
-            if gain < 1e-3 * abs(now + gain):
+            if gain < max(NEAR, 1e-3 * abs(now + gain)):
                 break
     return now, problem.point(x)
 
