@@ -633,6 +633,21 @@ def test_values_out_of_the_range_of_a_kind_are_told_by_a_simpler_one():
     assert [t.kind for t in run.best().terms] == ["point_mass"]
 
 
+def test_an_effect_at_the_wrong_place_is_exchanged_once_the_other_is_there():
+    def both(m, c, k):
+        add_mass(m, c, k)
+        add_damper(m, c, k)
+
+    run = Search(case(both), lambda text: None)
+    mass, damper = Term("point_mass", (2,), (float(np.log(0.4)),)), Term("ground_damper", (3,), (float(np.log(40.0)),))
+    run.fitted([Start(started(run.case, (mass, damper)), 0.1, run.case)])
+    wrong = run.best()
+    assert wrong.alpha > LOOSE
+    run.exchange(wrong)
+    assert {t.key for t in run.best().terms} == {("point_mass", (1,)), ("ground_damper", (3,))}
+    assert run.best().alpha < EXPLAINED
+
+
 def test_a_weak_effect_adds_no_more_than_it_is_worth():
     run = Search(case(), lambda text: None)
     mass = Term("point_mass", (1,), (float(np.log(1e-4)),))

@@ -296,6 +296,8 @@ class Search:
             if len(now.terms) > 1:
                 rests = [[t for t in now.terms if t is not term] for term in now.terms]
                 self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
+                if self.best().alpha > LOOSE:
+                    self.exchange(self.best())
             best = self.best()
             if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
                 break
@@ -393,6 +395,20 @@ class Search:
                 if hoped > best and (after is None or after.log_evidence < hoped - _SHORT)
             ]
             self._approached(state, lost)
+
+    def exchange(self, state: State) -> None:
+        """Another effect in the place of each one, where several leave much: the first was chosen when the others were not there."""
+        for term in state.terms:
+            if self.best().alpha <= LOOSE:
+                return
+            rest = [t for t in state.terms if t is not term]
+            about = state.carried(rest)
+            found = LinearScan(state, about).exchanged()
+            self.say(f"scan in the place of {names(self.case, [term])[0]}: {self._listed(found[:6], found[0].evidence)}")
+            rows = [row.term for row in found[:_APPROACHED] if self.once([*rest, row.term])]
+            ways = each(lambda t, rest=rest, about=about: approach(state.case, state.carried([*rest, t], about)), rows)
+            near = sorted(ways, key=lambda row: row[0])[:_FITTED]
+            self.fitted([Start(x, 0.03, state.case) for cost, x in near if cost < 1.5 * near[0][0] + _SHORT])
 
     def _approached(self, state: State, terms: Sequence[Term]) -> None:
         """Fits that ended far below what their scan promises, again: robustly from the idle model."""
