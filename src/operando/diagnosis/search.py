@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -406,9 +407,12 @@ class Search:
             found = LinearScan(state, about).exchanged()
             self.say(f"scan in the place of {names(self.case, [term])[0]}: {self._listed(found[:6], found[0].evidence)}")
             rows = [row.term for row in found[:_APPROACHED] if self.once([*rest, row.term])]
-            ways = each(lambda t, rest=rest, about=about: approach(state.case, state.carried([*rest, t], about)), rows)
-            near = sorted(ways, key=lambda row: row[0])[:_FITTED]
-            self.fitted([Start(x, 0.03, state.case) for cost, x in near if cost < 1.5 * near[0][0] + _SHORT])
+            self._nearest(state.case, [state.carried([*rest, t], about) for t in rows])
+
+    def _nearest(self, case: Case, starts: Sequence[Point]) -> None:
+        """The neighbourhoods of some starts; the nearest are fitted."""
+        near = sorted(each(partial(approach, case), starts), key=lambda row: row[0])
+        self.fitted([Start(x, 0.03, case) for cost, x in near[:_FITTED] if cost < 1.5 * near[0][0] + _SHORT])
 
     def _approached(self, state: State, terms: Sequence[Term]) -> None:
         """Fits that ended far below what their scan promises, again: robustly from the idle model."""
@@ -439,13 +443,11 @@ class Search:
         cost = -free[0].evidence
         places += [(c.term, False) for c in free[:_APPROACHED] if c.term.key not in there and -c.evidence < _WORSE * cost + _SHORT]
 
-        def way(place: tuple[Term, bool]) -> tuple[float, Point]:
-            term, cut = place
+        starts = []
+        for term, cut in places:
             x = state.carried([*state.terms, term], about)
-            return approach(case, replace(x, u=x.u + without_rest(case, x.terms, term.places)) if cut else x)
-
-        near = sorted(each(way, places), key=lambda row: row[0])
-        self.fitted([Start(x, 0.03, case) for cost, x in near[:_FITTED] if cost < 1.5 * near[0][0] + _SHORT])
+            starts.append(replace(x, u=x.u + without_rest(case, x.terms, term.places)) if cut else x)
+        self._nearest(case, starts)
 
     def _others(self, best: State) -> None:
         """What could stand in the place of each effect: simpler kinds that it contains, and what changes the FRFs as it does."""
