@@ -297,7 +297,8 @@ class Search:
             if len(now.terms) > 1:
                 rests = [[t for t in now.terms if t is not term] for term in now.terms]
                 self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
-                if self.best().alpha > LOOSE:
+                # effects that leave more than half of the discrepancy are not known well enough to be exchanged one by one
+                if LOOSE < self.best().alpha < 0.5 * empty.alpha:
                     self.exchange(self.best())
             best = self.best()
             if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
