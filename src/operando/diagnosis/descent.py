@@ -14,9 +14,7 @@ Array = NDArray[Any]
 
 _TRIES, _CHORDS = 12, 5  # steps tried in a turn, and further ones with the same factor
 _DAMPING, _PART = 3.0, 0.2  # by how much the damping grows, and falls at most; the part of a step along which its bend is measured
-_ALIKE = (
-    0.01  # share of the damping that all unknowns get, in units of their priors; with 0.1 fits of the example took a quarter more turns
-)
+_ALIKE = 0.1  # share of the damping that all unknowns get, in units of their priors; with 0.01 a hopeless fit ends farther off
 
 
 class Descent:
