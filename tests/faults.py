@@ -165,7 +165,7 @@ def hold_results() -> None:
     def held(does):
         return functools.wraps(does)(lambda work: dict(once((does.__name__, repr(work.analysis)), lambda: does(work))))
 
-    def write(path, objects, real=files.write_hdf5):
+    def write(path, objects, real=files.write_hdf5, **how):
         flat = objects.get("result", objects)
         key = (
             path.name,
@@ -175,7 +175,7 @@ def hold_results() -> None:
             with files.hdf5.replacing(path) as stream:
                 stream.write(kept[key][0])
         else:
-            real(path, objects)
+            real(path, objects, **how)
             kept[key] = path.read_bytes(), flat  # held on to: no other object gets its id
 
     render, read = page.render_report, cache._read
