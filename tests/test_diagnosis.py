@@ -25,6 +25,7 @@ from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.search import (
+    HALVED,
     MOST_SETTLED,
     RIVALS,
     WAYS,
@@ -32,6 +33,7 @@ from operando.diagnosis.search import (
     Search,
     Start,
     contained,
+    exchangeable,
     leaders,
     replaceable,
     search,
@@ -643,6 +645,9 @@ def test_an_effect_at_the_wrong_place_is_exchanged_once_the_other_is_there():
     run.fitted([Start(started(run.case, (mass, damper)), 0.1, run.case)])
     wrong = run.best()
     assert wrong.alpha > LOOSE
+    assert exchangeable(wrong, replace(wrong, alpha=1.01 * wrong.alpha / HALVED))
+    assert not exchangeable(wrong, replace(wrong, alpha=0.99 * wrong.alpha / HALVED))
+    assert not exchangeable(replace(wrong, alpha=LOOSE), replace(wrong, alpha=1.0))
     run.exchange(wrong)
     assert {t.key for t in run.best().terms} == {("point_mass", (1,)), ("ground_damper", (3,))}
     assert run.best().alpha < EXPLAINED

@@ -237,7 +237,7 @@ class Case:
     def places(self, kind: str) -> int:
         """Number of places where a kind may be."""
         if not self._places:
-            self._places = Counter(t.kind for t in self.candidates(()))
+            self._places.update(t.kind for t in self.candidates(()))  # shared with copies of other spreads
         return self._places[kind]
 
     def log_place(self, term: Term) -> float:

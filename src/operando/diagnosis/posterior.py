@@ -98,8 +98,7 @@ def linear_evidence(
     problem: Problem, residual: Array, shared: Array, own: Array, x: Step, alpha: float, information: Information | None = None
 ) -> tuple[float, Step, Factor]:
     """Log evidence of the model r(x + s) = r − J s, where its maximum lies, and its factor (of an information made here if not given)."""
-    variance = problem.variance(alpha)
-    weights = problem.stands_for * 2 / variance
+    weights = problem.weights(alpha)
     if information is None:
         information = problem.information(shared, own, weights)
     factor = Factor.of(information, problem.precision, problem.own_precision)
@@ -107,7 +106,7 @@ def linear_evidence(
     best = x + step
     left = residual - problem.spread(shared, own, step)
     evidence = -0.5 * np.sum(left**2 * weights) - problem.penalty(best) - factor.half_log_determinant
-    evidence += 0.5 * problem.n_values * np.log(2 * np.pi) - 0.5 * np.sum(np.log(variance))
+    evidence += 0.5 * problem.n_values * np.log(2 * np.pi) - 0.5 * np.sum(np.log(problem.variance(alpha)))
     return float(evidence), best, factor
 
 
@@ -169,7 +168,7 @@ def fit(
     outside = 0
     for turn in range(turns):
         shared, own, residual = problem.derived(x)
-        information = problem.information(shared, own, 2 / problem.variance(alpha))
+        information = problem.information(shared, own, problem.weights(alpha))
         evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha, information)
         if done or outside == _OUTSIDE or (turn >= 2 and evidence < floor - _FAR and evidence - reached < 0.25 * (floor - evidence)):
             break
@@ -177,7 +176,7 @@ def fit(
         if turn == 0 and alpha > 0.02:  # nothing is known of the discrepancy yet: from the linear model
             left = residual - problem.spread(shared, own, linear + x * -1)
             alpha = max(likely_alpha(problem, left, shared, own, factor, alpha), alpha / 4)
-            information = problem.information(shared, own, 2 / problem.variance(alpha))
+            information = problem.information(shared, own, problem.weights(alpha))
             evidence, linear, factor = linear_evidence(problem, residual, shared, own, x, alpha, information)
         x, left, now, gain = descent.turn(problem, x, (shared, own, residual), alpha, factor, information)
         before = alpha
@@ -208,7 +207,7 @@ def with_discrepancy(state: State, alpha: float) -> State:
 
     x = problem.packed(state.x)
     shared, own, residual = problem.derived(x)
-    information = problem.information(shared, own, 2 / problem.variance(alpha))
+    information = problem.information(shared, own, problem.weights(alpha))
     factor = Factor.of(information, problem.precision, problem.own_precision)
     x = Descent().turn(problem, x, (shared, own, residual), alpha, factor, information)[0]
     shared, own, residual = problem.derived(x)

@@ -109,6 +109,10 @@ class Problem:
         """Of the rows, times two."""
         return self.case.lines.rows_variance(alpha, self.at)
 
+    def weights(self, alpha: float) -> Array:
+        """Of the squares of the rows, twice as large as in the objective."""
+        return np.asarray(2 * self.stands_for / self.variance(alpha))
+
     def penalty(self, x: Step) -> float:
         values = slice(self.values_at, self.values_at + self.n_values)
         known = x.shared @ x.shared - x.shared[values] @ x.shared[values] + np.sum(x.own**2)

@@ -173,11 +173,11 @@ class LinearScan:
         self.x = state.x if x is None else x
         self.at = case.lines.fit[:: case.lines.stride]
         self.w = case.lines.w[self.at]
-        problem = self.problem = Problem(case, self.x.terms, self.at)
+        problem = self.problem = Problem(case, self.x.terms, self.at, case.lines.stride)
         packed = self.packed = problem.packed(self.x)
         shared, own, _ = problem.derived(packed)
         self.state = case.forward.scannable(self.x, self.w)
-        self.weights = np.sqrt(2 * case.lines.stride / problem.variance(state.alpha))[..., None]
+        self.weights = np.sqrt(problem.weights(state.alpha))[..., None]
         self.shared, self.own = shared * self.weights, own * self.weights
         precision = np.array(problem.precision)
         values = slice(problem.values_at, problem.values_at + problem.n_values)
@@ -254,9 +254,10 @@ class LinearScan:
             What the effect itself is worth, at first order [nats].
         """
         r = self._of(term)
+        rq = self.whitened(r)
         rest = [t for t in self.x.terms if t is not term]
         places = [p for p in self.case.candidates(rest) if p.key != term.key]
-        return self._by_slope(places, r, self.whitened(r), 0.0, term), self.worth(term)
+        return self._by_slope(places, r, rq, 0.0, term), 0.5 * float(np.sum(r**2) - np.sum(rq**2))
 
     def worth(self, term: Term) -> float:
         """What an effect that is there and ``held`` takes off ½ of the squares, at first order and once all unknowns follow [nats]."""

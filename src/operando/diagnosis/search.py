@@ -35,6 +35,7 @@ MOST_SETTLED = 6  # states to the end of their fit, and searches for what could 
 WAYS = 30.0  # nats by which two ways to one state differ: 4 to 20 in what was run of plan ``days`` (``benchmarks/hidden_effects``);
 # a state so far below the best may be the better one at its end, and is scanned for one effect more as well
 _WORSE = 3.0  # times the cost of the best place of a scan, up to which others are approached
+HALVED = 0.5  # of the discrepancy without effects, above which these are no basis to exchange one: 1 on the plate, 0.2 where one was wrong
 LACKING = (0.2, 0.05)  # part of what an effect is worth that one at the same place, or elsewhere, may lack at first order to be fitted
 
 
@@ -91,7 +92,7 @@ def search(
         Whether spreads are estimated from the first state on: where they are far from what days in a laboratory have, no state without
         that explains the lines, and effects would be found in their place.
     empty : State, optional
-        The state without effects, where it is known.
+        The state without effects, where it is known; a search with spreads estimated makes its own.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
@@ -200,6 +201,11 @@ def leaders(pool: Mapping[Key, State], within: float, count: int) -> list[State]
     return near[:count]
 
 
+def exchangeable(state: State, empty: State) -> bool:
+    """Whether effects leave much, and yet enough less than none do that one of them may be exchanged beside the others."""
+    return LOOSE < state.alpha < HALVED * empty.alpha
+
+
 def replaceable(term: Term, other: Term) -> float:
     """Part of what an effect is worth that another may lack: at the same place its further values still move."""
     return LACKING[set(term.places) != set(other.places)]
@@ -297,8 +303,7 @@ class Search:
             if len(now.terms) > 1:
                 rests = [[t for t in now.terms if t is not term] for term in now.terms]
                 self.fitted([Start(now.carried(rest), now.alpha, now.case) for rest in rests if self.once(rest)])
-                # effects that leave more than half of the discrepancy are not known well enough to be exchanged one by one
-                if LOOSE < self.best().alpha < 0.5 * empty.alpha:
+                if exchangeable(self.best(), empty):
                     self.exchange(self.best())
             best = self.best()
             if not self._enough() and (self._behind(was, 0.5, best.terms) or (self.rival is not None and remounted(best))):
