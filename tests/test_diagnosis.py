@@ -80,25 +80,26 @@ def measured(mass, damping, stiff, references, noise, seed, gains=None, response
     return Frf(h, HZ, dofs, tuple(DOFS[i] for i in references), variance=np.full(h.shape, size**2))
 
 
-def identified(references=(0, 3)):
-    """The chain at rest, known to 1e-4 or so; what is not known of an undriven DOF is its own."""
+def identified(references=(0, 3), residual=0):
+    """The chain at rest, known to 1e-4 or so; what is not known of an undriven DOF is its own. The last modes may be residual terms."""
     w, zeta, phi, _ = modes()
     std = np.concatenate([1e-5 * w / 2 / np.pi, 1e-3 * zeta, np.tile(2e-4 * np.abs(phi).max(), N * N)])
     start = np.concatenate([w / 2 / np.pi, zeta, phi.T.ravel()]) + std * np.random.default_rng(7).standard_normal(std.size)
-    return ModalModel(
-        start[:N], start[N : 2 * N], start[2 * N :].reshape(N, N).T, DOFS, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND
-    )
+    values = start[:N], start[N : 2 * N], start[2 * N :].reshape(N, N).T
+    known = {"scaling": "unit_modal_mass", "covariance": np.diag(std**2), "band_hz": BAND}
+    return ModalModel.from_terms(*values, DOFS, residual=np.arange(N) >= N - residual, **known)
 
 
-def case(change=None, gains=None, warmer=0.0, noise=2e-4, references=(0, 3), seed=0, lag=0.0, responses=range(N), **more):
+def case(change=None, gains=None, warmer=0.0, noise=2e-4, references=(0, 3), seed=0, lag=0.0, responses=range(N), residual=0, **more):
     """Check FRFs of what ``change(mass, damping, stiffness)`` leaves of the chain, and its model at rest."""
     mass, stiff = matrices()
     m, c, k = mass.copy(), modes()[3].copy(), stiff * (1 + warmer)
     if change is not None:
         change(m, c, k)
     frf = measured(m, c, k, references, noise, seed, gains, responses)
-    idle = Idle.of(identified(), BAND, [DOFS[i] for i in references])
-    return Case(complex_modes(idle, lag) if lag else idle, frf, BAND, correlated=1.0, **more)
+    band = (BAND[0], float(modes()[0][N - residual] / 2 / np.pi) - 1) if residual else BAND
+    idle = Idle.of(identified(residual=residual), band, [DOFS[i] for i in references])
+    return Case(complex_modes(idle, lag) if lag else idle, frf, band, correlated=1.0, **more)
 
 
 def complex_modes(idle, std):
@@ -193,9 +194,9 @@ EVERY = [
 ]
 
 
-@pytest.mark.parametrize("responses", [range(N), (0, 1, 3)])
-def test_derivatives_are_those_of_the_frfs(responses):
-    one = case(lag=0.1, responses=responses)
+@pytest.mark.parametrize(("responses", "residual"), [(range(N), 0), ((0, 1, 3), 0), (range(N), 2)])
+def test_derivatives_are_those_of_the_frfs(responses, residual):
+    one = case(lag=0.1, responses=responses, residual=residual)
     forward = one.forward
     terms = [t for t in EVERY if len(responses) == N or t.kind not in ("channel_swap",)]
     rng = np.random.default_rng(1)
@@ -224,8 +225,9 @@ def test_derivatives_are_those_of_the_frfs(responses):
         move = Step(np.eye(problem.n_shared)[i], np.zeros_like(packed.own))
         width = 1e-8 if abs(packed.shared[i]) == 1e-4 else 1e-5
         wanted = numbers(move, width)
+        rounding = 1e-15 * np.abs(exact.h).max() / width  # of the differences
         np.testing.assert_allclose(
-            exact.shared[..., i], wanted, rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17, err_msg=f"{names_of[i]} {i}"
+            exact.shared[..., i], wanted, rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + rounding, err_msg=f"{names_of[i]} {i}"
         )
     order = forward.order(terms)
     reaching = {dof: set(at.tolist()) for dof, at in problem.reaching}
@@ -238,6 +240,32 @@ def test_derivatives_are_those_of_the_frfs(responses):
         own[dof, k] = 1
         wanted = numbers(Step(np.zeros(problem.n_shared), own), 1e-5)
         np.testing.assert_allclose(exact.own[:, row, :, k], wanted[:, row], rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17)
+
+
+def test_residual_terms_are_linear_in_the_changes_of_their_shapes_until_they_are_handed_out():
+    one = case(residual=2)
+    forward, w, rng = one.forward, one.lines.w[one.lines.fit], np.random.default_rng(3)
+    idle, residual = forward.idle, forward.idle.residual
+    assert residual.sum() == 2
+    # shapes of the residual terms alone move
+    alone = replace(
+        idle, f_root=0 * idle.f_root, zeta_root=0 * idle.zeta_root, between_root=0 * idle.between_root,
+        shapes=Moves(idle.shapes.shared * residual[:, None], idle.shapes.own * residual[:, None]),
+    )  # fmt: skip
+    g, own = 1e3 * rng.standard_normal(forward.n_g), 1e3 * rng.standard_normal((N, forward.n_own))
+    own[:, forward.n_shape :] = 0
+
+    def moved(model, share):
+        start = forward.start
+        return replace(forward, idle=model).predict(replace(start, g=share * g, own=share * own), w, derivatives=False).h
+
+    at_rest, half, whole = (moved(alone, share) for share in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(whole - half, half - at_rest, rtol=1e-9, atol=1e-12 * np.abs(at_rest).max())
+    squares = replace(alone, first_order=one.of_shapes().idle.first_order)
+    there = replace(
+        squares, phi=squares.shape(g, own[:, : forward.n_shape])[0], shapes=Moves(0 * alone.shapes.shared, 0 * alone.shapes.own)
+    )
+    np.testing.assert_allclose(moved(squares, 1.0), moved(there, 0.0), rtol=1e-12)
 
 
 def test_derivatives_as_rows_are_those_of_each_line_combined_and_weighted():

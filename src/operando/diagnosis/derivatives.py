@@ -60,6 +60,40 @@ class Moved:
     by_damping: Array
 
 
+@dataclass(frozen=True)
+class FirstOrder:
+    """Terms that are linear in the change δ of their shape b: they add k (b bᵀ + b δᵀ + δ bᵀ) = k ((b + δ) bᵀ + b δᵀ).
+
+    Parameters
+    ----------
+    terms : (l,) int array
+    base, shapes : (DOFs, l) arrays
+        b and b + δ.
+    k : (lines, l) array
+    """
+
+    terms: Array
+    base: Array
+    shapes: Array
+    k: Array
+
+    def started(self, phi: Array) -> Array:
+        """Shapes (…, DOFs, all terms) with b for these terms."""
+        if not self.terms.size:
+            return phi
+        out = np.array(phi)
+        out[..., self.terms] = self.base
+        return out
+
+    @property
+    def change(self) -> Array:
+        return self.shapes - self.base
+
+    def rest(self, columns: Array | list[int]) -> Array:
+        """k b δᵀ at some DOFs, (lines, DOFs, columns)."""
+        return np.asarray((self.base * self.k[:, None]) @ self.change[columns].T)
+
+
 @dataclass
 class Parts:
     """FRFs of a point (lines, responses, references) and the products that they and their derivatives are made of."""
@@ -74,8 +108,9 @@ class Parts:
     moved: Moved
     lags: Moves | None
     k: Compliance
-    phi: Array
-    shape_k: Array
+    first_order: FirstOrder
+    phi: Array  # b of terms that are linear in the change of their shape
+    shape_k: Array  # of all shapes as they are
     columns: Array  # of the structure without effects, at the touched DOFs
     inner: Array
     stiff: Array
@@ -165,11 +200,16 @@ class Derivatives:
         kt = np.moveaxis(p.kx, 2, 0)[None]
         at_sensor, at_force = sensors * pk, forces * kt
         core = -at_sensor[..., self.moving] * at_force[..., self.moving]
+        sensor_change, force_change = (v * side for v, side in zip(self._changes(), (sensors, forces), strict=True))
+        if np.isin(self.moving, p.first_order.terms).any():
+            core -= at_sensor[..., self.moving] * force_change[..., self.moving]
+            core -= sensor_change[..., self.moving] * at_force[..., self.moving]
         response, driven = sensors * at_force, forces * at_sensor
         reached = np.swapaxes(self.reached[:, p.order], 0, 1)[:, None]  # (responses, 1, lines, touched)
         force = np.transpose(p.force, (2, 0, 1))[None]  # (1, references, lines, touched)
         touched = [reached[..., i : i + 1] * response - force[..., i : i + 1] * driven for i in range(len(here))]
-        groups = [[core, 1j * w * core, self._still(at_sensor[:, 0], at_force[0])], *([v] for v in (response, driven, *touched))]
+        still = self._still([at_sensor[:, 0], sensor_change[:, 0]], [(at_force + force_change)[0], at_force[0]])
+        groups = [[core, 1j * w * core, still], *([v] for v in (response, driven, *touched))]
         if p.lags is not None:
             groups[1:] = [[v, -1j * w * v[..., m]] for (v,) in groups[1:]]
         self.poles, self.response, self.driven, *self.touched = self._as_rows(groups)
@@ -202,16 +242,31 @@ class Derivatives:
         made = self.rows.of(planes)
         return made[..., :n], made[..., n:]
 
-    def _still(self, at_sensor: Array, at_force: Array) -> Array:
-        """What terms add whose poles move only with those of the whole: by the whole stiffness, and by all damping."""
+    def _changes(self) -> tuple[Array, Array]:
+        """What the changes of terms that are linear in them do at the sensors, and at the forces: zero for all others."""
+        p, first = self.of, self.of.first_order
+        psi = first.change - self.touched_columns @ (p.stiff @ first.change[p.here])
+        driven = first.change[p.references].T - first.change[p.here].T @ p.force
+        at_sensor = np.zeros((len(self.dofs), 1, p.w.size, self.n_terms), complex)
+        at_force = np.zeros((1, p.references.size, p.w.size, self.n_terms), complex)
+        at_sensor[:, 0, :, first.terms] = np.transpose(psi[:, p.order] * first.k[:, None], (2, 1, 0))
+        at_force[0, :, :, first.terms] = np.transpose(driven * first.k[:, :, None], (1, 2, 0))
+        return at_sensor, at_force
+
+    def _still(self, at_sensor: list[Array], at_force: list[Array]) -> Array:
+        """What terms add whose poles move only with those of the whole: by the whole stiffness, and by all damping.
+
+        Of FRFs that are sums of products of factors at the sensors (responses, lines, terms) and at the forces (references, lines, terms).
+        """
         made, still, w = self.of.moved, np.setdiff1d(np.arange(self.n_terms), self.moving), self.of.w
         f, damping, none = made.f[still, None], made.zeta[still, None], np.zeros((still.size, 1))
         change = 1 / (2 * (1 + made.whole))
+        right = np.concatenate([v[..., still] for v in at_force], -1)
         out = []
         for factors in (self._by_pole(f * change, -damping * change, still), self._by_pole(none, damping, still)):
             by_line = factors[: still.size, 0] + 1j * w[:, None] * factors[still.size : 2 * still.size, 0]
-            left = np.swapaxes(at_sensor[..., still], 0, 1) * by_line[:, None]  # (lines, responses, terms)
-            out.append(-np.transpose(left @ np.moveaxis(at_force[..., still], 0, 2), (1, 2, 0)))
+            left = np.concatenate([v[..., still] * by_line for v in at_sensor], -1)
+            out.append(-np.transpose(np.swapaxes(left, 0, 1) @ np.moveaxis(right, 0, 2), (1, 2, 0)))
         return np.stack(out, -1)
 
     def _as_rows(self, groups: list[list[Array]]) -> list[Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, channel_laws
-from operando.diagnosis.derivatives import Derivatives, Moved, Outside, Parts
+from operando.diagnosis.derivatives import Derivatives, FirstOrder, Moved, Outside, Parts
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.products import Compliance, Rows, laid
 from operando.diagnosis.terms import Term, added, slopes, touched
@@ -164,7 +164,7 @@ class Forward:
     def scannable(self, x: Point, w: Array) -> Scannable:
         """FRFs with all columns of the structure."""
         made = self._parts(x, w)
-        every = made.shape_k @ np.swapaxes(made.phi, -1, -2)
+        every = made.shape_k @ np.swapaxes(made.phi, -1, -2) + made.first_order.rest(np.arange(self.n_dofs))
         every = every - made.columns @ (made.inner @ every[:, made.here])
         return Scannable(made.h, every, made.structure, made.factor, made.order)
 
@@ -217,13 +217,15 @@ class Forward:
         seen[:, m] = known.across(own["seen"])
         there = np.abs(phi).any(axis=tuple(range(phi.ndim - 1)))
         driven, seen = driven * there, seen * there
-        phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
         shape_k = k.after(phi)
-        h0 = shape_k @ phi_f + own["rest_above"] - own["rest_below"] / line[:, :, None] ** 2
+        first = FirstOrder(idle.linear, idle.phi[:, idle.linear], made.phi[:, idle.linear], k.diagonal[:, idle.linear])
+        phi = first.started(phi)
+        phi_f = np.swapaxes(phi[..., refs, :] + driven, -1, -2)
+        h0 = shape_k @ phi_f + first.rest(refs) + own["rest_above"] - own["rest_below"] / line[:, :, None] ** 2
         # structural effects: a low-rank update in the DOFs they touch
         here, stiff, by_values = self._added(terms, w)
         phi_here = phi[..., here, :]
-        columns = shape_k @ np.swapaxes(phi_here, -1, -2)
+        columns = shape_k @ np.swapaxes(phi_here, -1, -2) + first.rest(here)
         outside = self.outside(terms)
         for row, value in zip(outside, x.u * np.array([row.spread for row in outside]), strict=True):
             change = -value / w**2 if row.below else np.full(n, value)
@@ -240,9 +242,9 @@ class Forward:
         sensors, forces = self._channels(terms, part, own, laws, w)
         factor = sensors[:, order, None] * forces[:, None]
         return Parts(
-            idle, known, refs, terms, self.reaching, self.reaching_dofs(terms), w, made, lags, k, phi, shape_k, columns, inner, stiff,
-            force, kx, acting, structure, here, outside, by_values, order, laws, sensors, forces, factor, structure[:, order] * factor,
-            damping_between, damping_scale,
+            idle, known, refs, terms, self.reaching, self.reaching_dofs(terms), w, made, lags, k, first, phi, shape_k, columns, inner,
+            stiff, force, kx, acting, structure, here, outside, by_values, order, laws, sensors, forces, factor,
+            structure[:, order] * factor, damping_between, damping_scale,
         )  # fmt: skip
 
     def _added(self, terms: Sequence[Term], w: Array) -> tuple[list[int], Array, list[list[Array]]]:

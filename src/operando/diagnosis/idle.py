@@ -84,6 +84,9 @@ class Idle:
         DOF between sensors → its position [m].
     lacking : int, optional
         A mode that the idle model lacks, there only with an effect of that kind.
+    first_order : bool
+        Whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and are known well,
+        where the shapes b are not, and the squares of these make a valley that fits crawl along.
     """
 
     f: Array
@@ -101,6 +104,7 @@ class Idle:
     driven: Array
     midway: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     lacking: int | None = None
+    first_order: bool = True
 
     @property
     def modes(self) -> Array:
@@ -178,7 +182,14 @@ class Idle:
 
     def shape(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Shapes at g and own (DOFs, e), and how they move from there."""
-        return self.shapes.at(self.phi, self.shapes.scale(self.phi, self.driven), g, own)
+        scale = self.shapes.scale(self.phi, self.driven)
+        scale[self.linear] = 0
+        return self.shapes.at(self.phi, scale, g, own)
+
+    @property
+    def linear(self) -> Array:
+        """Numbers of the terms that are linear in their changes."""
+        return np.flatnonzero(self.residual) if self.first_order else np.zeros(0, int)
 
     def late(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Lags of shapes, which scale as these do."""
@@ -213,7 +224,13 @@ class Idle:
         passive = np.setdiff1d(np.arange(d), driven)
         shape_own[passive, :, :t], lag_own[passive, :, t:] = np.diag(shape), np.diag(lag)
         return replace(
-            self, f_root=f, zeta_root=zeta, between_root=between, shapes=Moves(shape_shared, shape_own), lags=Moves(lag_shared, lag_own)
+            self,
+            f_root=f,
+            zeta_root=zeta,
+            between_root=between,
+            shapes=Moves(shape_shared, shape_own),
+            lags=Moves(lag_shared, lag_own),
+            first_order=False,
         )
 
     def along(self, shared: Array, own: Array) -> Idle:
@@ -258,6 +275,7 @@ class Idle:
             between_root=scale[:, None] * (self.between_root @ root),
             shapes=after(shapes),
             lags=after(lags),
+            first_order=True,
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,6 +51,7 @@ class ModesCase(Case):
         places: Sequence[int] | None = None,
         like: Case | None = None,
     ) -> None:
+        idle = replace(idle, first_order=False)  # residual terms stand in the eigenproblem, as shapes
         self.dofs, self.uncompressed, self.lines, self.band = idle.dofs, idle, lines, band
         self._look_for(kinds, places, like)
         none = np.zeros(0, int)

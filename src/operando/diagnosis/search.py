@@ -291,7 +291,7 @@ class Search:
         empty.robustly = self.start is not None
         for _ in range(self.depth):
             was = self.best()
-            if (was.alpha > LOOSE or strained(was)) and not was.robustly:
+            if was.alpha > LOOSE and not was.robustly:  # else a scan about it, of first order in all unknowns, sees what can be seen
                 was.robustly = True
                 self._robust_stage(was)
                 if self._enough() or self._behind(was, _LITTLE, ()):
