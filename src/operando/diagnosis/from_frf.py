@@ -36,7 +36,6 @@ from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
 from operando.diagnosis.verdict import (
     moved_peaks,
     no_other_answer,
-    others,
     peaks_text,
     verdict,
     verdict_and_reason,
@@ -304,8 +303,7 @@ def told(
     """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
     case = found.best.case
     said = verdict(found, None if rest is None else rest.state)
-    best = found.best
-    rivals = others(found)[0]
+    best, rivals = found.best, said.rivals
     name, why = said.name, said.why
     if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""

@@ -19,7 +19,7 @@ from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.posterior import AtRest, State, at_rest
 from operando.diagnosis.result import Diagnosis
 from operando.diagnosis.search import Found, search
-from operando.diagnosis.verdict import no_other_answer, others, verdict, with_validation
+from operando.diagnosis.verdict import no_other_answer, verdict, with_validation
 from operando.dof import Dof, parse_dofs
 from operando.errors import ConfigError, DataError
 from operando.structure.effects import Effect
@@ -134,8 +134,8 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
     """The diagnosis of a search; ``one_set_up`` are the log odds that nothing was touched between the measurements."""
     best = found.best
     lines: OperatingModes = best.case.lines  # type: ignore[assignment]
-    said, rivals = verdict(found, None if rest is None else rest.state), others(found)[0]
-    name, why = said.name, said.why
+    said = verdict(found, None if rest is None else rest.state)
+    name, why, rivals = said.name, said.why, said.rivals
     if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""
     shown = best.terms if said.terms and name != "unexplained" else ()

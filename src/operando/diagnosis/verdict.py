@@ -42,16 +42,8 @@ class Verdict:
         Empty where nothing stands in the way.
     terms : tuple of Term
         Supported effects.
-    others : tuple of tuples of Term
-        Sets that may stand in the place of the effects.
-    probability : float
-        Of the effects, among these sets.
-    chi_square : float
-        Reduced, of the validation lines.
-    error_db : float
-        Of the validation lines.
-    unseen_hz : tuple of float
-        Modes that could move by a half-power width without being seen.
+    rivals : list of State
+        States that may stand in the place of the best.
     least : dict
         Smallest size of each kind at each place that would have been found in 95 % of tests like this one, SI units.
     """
@@ -59,16 +51,12 @@ class Verdict:
     name: str
     why: str
     terms: tuple[Term, ...]
-    others: tuple[tuple[Term, ...], ...]
-    probability: float
-    chi_square: float
-    error_db: float
-    unseen_hz: tuple[float, ...]
+    rivals: list[State]
     least: dict[tuple[str, tuple[int, ...]], float]
 
 
-def others(found: Found) -> tuple[list[State], float]:
-    """States beside the best that make up the 95 % set, without those that only add to it; the probability of the best."""
+def others(found: Found) -> list[State]:
+    """States beside the best that make up the 95 % set, without those that only add to it."""
     best = found.best
     rivals = [s for s in found.pool.values() if not set(best.key) < set(s.key)]
     weights = np.exp([score(s) - score(best) for s in rivals])
@@ -78,7 +66,7 @@ def others(found: Found) -> tuple[list[State], float]:
         if total < SET and rivals[i] is not best:
             out.append(rivals[i])
         total += weights[i]
-    return out, float(weights[next(i for i, s in enumerate(rivals) if s is best)])
+    return out
 
 
 def detectable(state: State) -> dict[tuple[str, tuple[int, ...]], float]:
@@ -166,12 +154,9 @@ def verdict(found: Found, rest: State | None) -> Verdict:
         The idle model on the idle FRFs, where there are any.
     """
     best = found.best
-    chi, db = on_validation_lines(best)
-    rivals, probability = others(found)
-    blind = unseen(best)
-    name, why = verdict_and_reason(found, rest, blind)
+    name, why = verdict_and_reason(found, rest, unseen(best))
     terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
-    return Verdict(name, why, terms, tuple(s.terms for s in rivals), probability, chi, db, tuple(blind), detectable(best))
+    return Verdict(name, why, terms, others(found), detectable(best))
 
 
 def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] = ()) -> tuple[str, str]:
@@ -199,7 +184,7 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
         if far and not best.terms:
             return "inconclusive", far
         return "unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
-    sets = [s.terms for s in others(found)[0]]
+    sets = [s.terms for s in others(found)]
     if not best.terms:
         if any(sets):
             return "inconclusive", "nothing and an effect are as likely"
