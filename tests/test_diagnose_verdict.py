@@ -216,6 +216,11 @@ def test_a_map_that_gets_worse_is_found():
     assert "2+Z (0.50 → 0.90 dB)" in gets_worse({"idle": before, "effect": after})
     after["by_dof"][1]["error_db"] = 0.69  # within the noise floor of 0.2 dB
     assert gets_worse({"idle": before, "effect": after}) is None
+    # as far off as the noise of an antiresonance makes it
+    after["by_dof"][1] |= {"error_db": 0.9, "misfit": 0.99 * GOOD}
+    assert gets_worse({"idle": before, "effect": after}) is None
+    after["by_dof"][1]["misfit"] = 1.01 * GOOD
+    assert gets_worse({"idle": before, "effect": after}) is not None
 
 
 def test_the_true_cause_of_a_missing_scale():

@@ -88,7 +88,8 @@ def gets_worse(models: Mapping[str, Any]) -> str | None:
     worse = []
     for row in (row for key in ("by_dof", "by_band") for row in effect.get(key) or []):
         then, now = before.get(_where(row)), row["error_db"]
-        if then is not None and now is not None and now > then + floor:
+        seen = row.get("misfit") is None or row["misfit"] > GOOD  # at an antiresonance noise alone makes some dB
+        if then is not None and now is not None and now > then + floor and seen:
             worse.append(f"{_where(row)} ({then:.2f} → {now:.2f} dB)")
     return f"with the effects the model is farther off at {', '.join(worse[:4])}" if worse else None
 
