@@ -14,6 +14,7 @@ from operando.diagnosis import Diagnosis, diagnose_frf, from_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import COLUMNS, Case
+from operando.diagnosis.corrected import model_of
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
@@ -22,7 +23,8 @@ from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
-from operando.diagnosis.posterior import at_rest, fit, names, on_validation_lines
+from operando.diagnosis.posterior import State, at_rest, fit, names, on_validation_lines
+from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.search import (
     HALVED,
@@ -242,7 +244,7 @@ def test_derivatives_are_those_of_the_frfs(responses, residual):
         np.testing.assert_allclose(exact.own[:, row, :, k], wanted[:, row], rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17)
 
 
-def test_residual_terms_are_linear_in_the_changes_of_their_shapes_until_they_are_handed_out():
+def test_residual_terms_are_linear_in_the_changes_of_their_shapes():
     one = case(residual=2)
     forward, w, rng = one.forward, one.lines.w[one.lines.fit], np.random.default_rng(3)
     idle, residual = forward.idle, forward.idle.residual
@@ -261,11 +263,43 @@ def test_residual_terms_are_linear_in_the_changes_of_their_shapes_until_they_are
 
     at_rest, half, whole = (moved(alone, share) for share in (0.0, 0.5, 1.0))
     np.testing.assert_allclose(whole - half, half - at_rest, rtol=1e-9, atol=1e-12 * np.abs(at_rest).max())
-    squares = replace(alone, first_order=one.of_shapes().idle.first_order)
-    there = replace(
-        squares, phi=squares.shape(g, own[:, : forward.n_shape])[0], shapes=Moves(0 * alone.shapes.shared, 0 * alone.shapes.own)
-    )
-    np.testing.assert_allclose(moved(squares, 1.0), moved(there, 0.0), rtol=1e-12)
+
+
+def test_the_model_handed_out_is_the_one_that_was_fitted():
+    """Corrected residual terms, and what lies outside the band at the location of an effect, with what is not known of both."""
+    one = case(residual=2, seed=3)
+    forward, rng = one.forward, np.random.default_rng(5)
+    terms = (Term("ground_spring", (2,), (np.log(3e3),)), Term("coupling_spring", (1, 4), (np.log(2e3),)))
+    idle = replace(forward.idle, shapes=Moves(300 * forward.idle.shapes.shared, 300 * forward.idle.shapes.own))  # far from the start
+    one.forward = forward = replace(forward, idle=idle)
+    between = np.zeros(forward.n_d)
+    own = 0.3 * rng.standard_normal((N, forward.n_own))
+    own[:, forward.n_shape :] = 0
+    x = Point(0.3 * rng.standard_normal(forward.n_g), between, own, rng.standard_normal(len(forward.outside(terms))), terms)
+    problem = Problem(one, terms, one.lines.fit)
+    shared, own_rows, _ = problem.derived(problem.packed(x))
+    factor = Factor.of(problem.information(shared, own_rows, problem.weights(0.01)), problem.precision, problem.own_precision)
+    state = State(x, 0.01, 0.0, factor, problem)
+    found = model_of(identified(residual=2), state)
+    assert (found.idle.terms.signs < 0).sum() > 2
+    lines = one.lines.w[one.lines.fit] / 2 / np.pi
+    got = found.frf(lines, [DOFS[i] for i in forward.responses], [DOFS[i] for i in forward.references], "receptance")
+    # what differs between the days stays out: the structure alone
+    wanted = np.moveaxis(forward.predict(x, one.lines.w[one.lines.fit], derivatives=False).h, 0, 2)
+    np.testing.assert_allclose(got.data, wanted, rtol=3e-3, atol=2e-3 * np.abs(wanted).max())
+    # its variance is that of the fit, by what reaches the structure
+    structure = np.ones(problem.n_shared, bool)
+    structure[forward.n_g : forward.n_g + forward.n_d] = False
+    root = factor.root()
+    made = forward.predict(x, one.lines.w[one.lines.fit])
+    variance = np.zeros(wanted.shape)
+    for row in range(N):
+        mine = slice(problem.n_shared + row * forward.n_own, problem.n_shared + (row + 1) * forward.n_own)
+        of_shape = (np.arange(forward.n_own) < forward.n_shape).astype(float)
+        along = made.shared[:, row] * structure @ root[: problem.n_shared] + made.own[:, row] * of_shape @ root[mine]
+        variance[row] = np.sum(np.abs(along) ** 2, axis=-1).T
+    ratio = got.variance / variance
+    assert 0.5 < np.median(ratio) < 2
 
 
 def test_derivatives_as_rows_are_those_of_each_line_combined_and_weighted():

@@ -8,9 +8,10 @@ import pytest
 
 from effect_truth import chain_and_idle, receptance
 from operando.data import Frf, ModalModel, ResidualTerms
+from operando.diagnosis.idle import Idle
 from operando.ema import fit_ema
 from operando.errors import DataError
-from operando.io import read_hdf5, write_hdf5
+from operando.io import read_hdf5, write_hdf5, write_uff
 from operando.structure import Model
 from operando.structure.effects import Effect
 from operando.synthesis import synthesis_variance, synthesise
@@ -138,6 +139,82 @@ def test_selections():
     np.testing.assert_array_equal(moved.frequencies_hz, 2 * model.frequencies_hz)
     np.testing.assert_array_equal(moved.residuals.frequencies_hz, 2 * model.residuals.frequencies_hz)
     np.testing.assert_array_equal(moved.covariance, model.covariance)
+
+
+def signed():
+    """Two modes, two residual terms, and one that is taken away; and what its FRFs are, summed by hand."""
+    rng = np.random.default_rng(6)
+    hz, zeta, shapes = np.array([11.0, 23.0, 0.5, 60.0, 60.0]), np.full(5, 0.01), rng.normal(size=(3, 5))
+    signs = np.array([1.0, 1.0, 1.0, 1.0, -1.0])
+    half = 1e-4 * rng.normal(size=(25, 25))
+    model = ModalModel.from_terms(
+        hz, zeta, shapes, DOFS, "unit_modal_mass", residual=hz > 50, covariance=half @ half.T, signs=signs, band_hz=(5.0, 40.0)
+    )
+
+    def by_hand(theta, w):
+        f, z, phi = theta[:5], theta[5:10], theta[10:].reshape(5, 3).T
+        k = signs[:, None] / ((2 * np.pi * f[:, None]) ** 2 - w**2 + 4j * np.pi * (z * f)[:, None] * w)
+        return np.einsum("it,jt,tl->ijl", phi, phi, k)
+
+    return model, by_hand, np.concatenate([hz, zeta, shapes.T.ravel()]), half
+
+
+def test_terms_that_are_taken_away_count_with_their_sign(tmp_path):
+    model, by_hand, theta, half = signed()
+    lines = np.array([6.0, 10.9, 17.0, 35.0])
+    own = [model.dofs[0], model.dofs[2]]
+    made = model.frf(lines, own, own, "receptance")
+    exact = by_hand(theta, 2 * np.pi * lines)[np.ix_([0, 2], [0, 2])]
+    np.testing.assert_allclose(made.data, exact, rtol=1e-10)
+    rng = np.random.default_rng(7)
+    draws = [by_hand(theta + half @ rng.normal(size=25), 2 * np.pi * lines)[np.ix_([0, 2], [0, 2])] - exact for _ in range(4000)]
+    np.testing.assert_allclose(made.variance, np.mean(np.abs(draws) ** 2, axis=0), rtol=0.15)
+    # selected, moved, stored and read, the signs stay
+    np.testing.assert_array_equal(model.select_terms([4, 0, 1]).terms.signs, [1, 1, -1])
+    np.testing.assert_array_equal(model.with_terms(damping_ratios=2 * model.terms.damping_ratios).terms.signs, model.terms.signs)
+    write_hdf5(tmp_path / "signed.h5", {"idle": model})
+    np.testing.assert_array_equal(read_hdf5(tmp_path / "signed.h5")["idle"].terms.signs, model.terms.signs)
+
+
+def test_effects_act_on_a_model_with_terms_that_are_taken_away():
+    model, by_hand, theta, half = signed()
+    lines = np.array([6.0, 10.9, 17.0, 35.0])
+    spring = 50.0
+    running = Model(model, (Effect("ground_spring", ("3+Z",), {"stiffness": spring}),))
+
+    def changed(theta):
+        h = by_hand(theta, 2 * np.pi * lines)
+        return h - h[:, 2:] * h[2] * spring / (1 + spring * h[2, 2])
+
+    got, exact = running.frf(lines, quantity="receptance"), changed(theta)
+    np.testing.assert_allclose(got.data, exact, rtol=1e-9)
+    rng = np.random.default_rng(8)
+    draws = [changed(theta + half @ rng.normal(size=25)) - exact for _ in range(4000)]
+    np.testing.assert_allclose(got.variance, np.mean(np.abs(draws) ** 2, axis=0), rtol=0.2)
+    # its poles are those at which the determinant vanishes, and their slopes those of the poles
+    modes = running.modes(variance=True)
+    for pole in modes.terms.poles[:2]:
+        k = model.terms.signs / ((2 * np.pi * theta[:5]) ** 2 + pole**2 + 4 * np.pi * theta[5:10] * theta[:5] * pole)
+        assert abs(1 + spring * np.sum(k * model.terms.shapes[2] ** 2)) < 1e-9
+    # and their standard deviations those of the scatter
+    scatter = []
+    for _ in range(300):
+        t = theta + half @ rng.normal(size=25)
+        drawn = model.with_terms(frequencies_hz=t[:5], damping_ratios=t[5:10], shapes=t[10:].reshape(5, 3).T, covariance=None)
+        scatter.append(Model(drawn, running.effects).modes().frequencies_hz[:3] - modes.frequencies_hz[:3])
+    np.testing.assert_allclose(modes.frequency_std_hz[:3], np.std(scatter, axis=0), rtol=0.2)
+
+
+def test_terms_that_are_taken_away_are_refused_where_only_squares_can_be(tmp_path):
+    model = signed()[0]
+    with pytest.raises(DataError, match="UFF 55 takes no residual terms that are taken away"):
+        write_uff(tmp_path / "modes.uff", model)
+    with pytest.raises(DataError, match="a diagnosis takes no residual terms that are taken away"):
+        Idle.of(model, (5.0, 40.0), (model.dofs[0],))
+    with pytest.raises(DataError, match="1 and −1"):
+        ResidualTerms([0.1], [0.01], np.ones((3, 1)), [0.5])
+    with pytest.raises(DataError, match="only residual terms have signs"):
+        ModalModel.from_terms([1.0], [0.01], np.ones((3, 1)), DOFS, signs=[-1.0])
 
 
 def test_what_does_not_belong_together_is_refused():

@@ -158,6 +158,7 @@ def synthesis_variance(
     responses: ArrayLike,
     references: ArrayLike,
     quantity: str = "accelerance",
+    signs: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Variance E|ΔH|² of synthesised FRFs, to first order in the modal parameters.
 
@@ -171,6 +172,8 @@ def synthesis_variance(
     responses, references : int arrays
         Rows of ``shapes``.
     quantity : {"accelerance", "mobility", "receptance"}
+    signs : (n_modes,) array, optional
+        −1 for terms that are taken away.
 
     Returns
     -------
@@ -185,6 +188,8 @@ def synthesis_variance(
     # ∂/∂p of (iω)^a/D is −kernel/D·∂D/∂p.
     over = -kernel * modal_kernel(frequencies_hz, mode_hz, damping_ratios, "receptance")
     base = np.concatenate([over * (2 * wr + 2j * z * w) * 2 * np.pi, over * 2j * wr * w, kernel])
+    if signs is not None:
+        base *= np.tile(signs, 3)[:, None]
     # H of two DOFs is the same both ways
     pairs = np.sort(np.stack(np.meshgrid(out_rows, in_rows, indexing="ij"), axis=-1).reshape(-1, 2), axis=1)
     keys, index = np.unique(pairs, axis=0, return_inverse=True)

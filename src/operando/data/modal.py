@@ -16,7 +16,7 @@ from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.modal_figures import ModalFigures
 from operando.data.modal_poles import pole_form
-from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_terms, shape_rows
+from operando.data.modal_terms import ModalTerms, ResidualTerms, checked_signs, checked_terms, shape_rows
 from operando.data.objects import Noun, counted, names_text
 from operando.data.provenance import Provenance
 from operando.data.quantities import quantity_named
@@ -140,6 +140,7 @@ class ModalModel(ModalFigures, Noun):
         covariance: ArrayLike | None = None,
         std: dict[str, NDArray[np.float64]] | None = None,
         coupling: ModalCoupling | None = None,
+        signs: ArrayLike | None = None,
         **others: Any,
     ) -> ModalModel:
         """A model from arrays over modes and residual terms in any order: the modes come first, both kinds keep their order.
@@ -160,6 +161,8 @@ class ModalModel(ModalFigures, Noun):
             In the order given, too.
         coupling : ModalCoupling, optional
             In the order given, too.
+        signs : (n_terms,) array, optional
+            −1 for residual terms that are taken away (:class:`ResidualTerms`).
         **others
             As for :class:`ModalModel`.
 
@@ -175,13 +178,15 @@ class ModalModel(ModalFigures, Noun):
         if mask.shape != hz.shape or inside.shape != hz.shape:
             raise DataError("residual and in_band need one entry a term")
         given = None if covariance is None else frozen(covariance, float, 2, "covariance")
-        terms = ModalTerms(hz, zeta, values, labels, mask, inside, given, std, coupling)
+        terms = ModalTerms(hz, zeta, values, labels, mask, inside, given, std, coupling, checked_signs(signs, hz.size))
+        if np.any(terms.signs[~mask] < 0):
+            raise DataError("modes are never taken away, only residual terms have signs")
         if given is not None and given.shape != (terms.n_parameters,) * 2:
             raise DataError(f"covariance has shape {given.shape}, expected {(terms.n_parameters,) * 2}")
         if np.any(mask[:-1] & ~mask[1:]):
             terms = terms.select(np.argsort(mask, kind="stable"))
         n = int(np.sum(~mask))
-        rest = ResidualTerms(terms.frequencies_hz[n:], terms.damping_ratios[n:], terms.shapes[:, n:])
+        rest = ResidualTerms(terms.frequencies_hz[n:], terms.damping_ratios[n:], terms.shapes[:, n:], terms.signs[n:])
         return cls(
             terms.frequencies_hz[:n], terms.damping_ratios[:n], terms.shapes[:, :n], labels, scaling,
             residuals=rest, in_band=terms.in_band[:n], covariance=terms.covariance, std=terms.std, coupling=terms.coupling, **others,
@@ -258,7 +263,8 @@ class ModalModel(ModalFigures, Noun):
             shapes = np.concatenate([shapes, rest.shapes], axis=1)
         residual = np.arange(hz.size) >= self.n_modes
         in_band = np.concatenate([np.asarray(self.in_band, bool), np.zeros(self.n_residuals, bool)])
-        return ModalTerms(hz, zeta, shapes, self.dofs, residual, in_band, self.covariance, self.std, self.coupling)
+        signs = np.concatenate([np.ones(self.n_modes), np.zeros(0) if self.residuals is None else self.residuals.signs])
+        return ModalTerms(hz, zeta, shapes, self.dofs, residual, in_band, self.covariance, self.std, self.coupling, signs)
 
     @property
     def n_parameters(self) -> int:
@@ -298,8 +304,23 @@ class ModalModel(ModalFigures, Noun):
         others = {name: getattr(self, name) for name in ("scaling", "band_hz", "misfit", "si", "findings", "provenance", "details")}
         return ModalModel.from_terms(
             some.frequencies_hz, some.damping_ratios, some.shapes, self.dofs,
-            residual=some.residual, in_band=some.in_band, covariance=some.covariance, std=some.std, coupling=some.coupling, **others,
+            residual=some.residual, in_band=some.in_band, covariance=some.covariance, std=some.std, coupling=some.coupling,
+            signs=some.signs, **others,
         )  # fmt: skip
+
+    def sums_of_squares(self, what: str) -> None:
+        """Refuse a model with residual terms that are taken away, for what only sums of squares can do.
+
+        Raises
+        ------
+        DataError
+            If there are some.
+        """
+        if np.any(self.terms.signs < 0):
+            raise DataError(
+                f"{what} takes no residual terms that are taken away",
+                hint="that is the idle model as a diagnosis has corrected it: give the idle model of the EMA, or use its FRFs",
+            )
 
     def without_residuals(self) -> ModalModel:
         """The modes alone: what it synthesises lacks all that lies outside the band."""
@@ -311,14 +332,17 @@ class ModalModel(ModalFigures, Noun):
         frequencies_hz: ArrayLike | None = None,
         damping_ratios: ArrayLike | None = None,
         shapes: ArrayLike | None = None,
+        signs: ArrayLike | None = None,
         **others: Any,
     ) -> ModalModel:
-        """The same modes and residual terms with other values, each array over all ``terms``; ``others`` as for :class:`ModalModel`."""
+        """The same modes with other values and residual terms, each array over all ``terms``; ``others`` as for :class:`ModalModel`."""
         old, n = self.terms, self.n_modes
         hz = old.frequencies_hz if frequencies_hz is None else np.asarray(frequencies_hz)
         zeta = old.damping_ratios if damping_ratios is None else np.asarray(damping_ratios)
         values = old.shapes if shapes is None else np.asarray(shapes)
-        rest = ResidualTerms(hz[n:], zeta[n:], values[:, n:])
+        if signs is None:  # what is put behind them is added
+            signs = np.concatenate([old.signs, np.ones(max(hz.size - old.n, 0))])
+        rest = ResidualTerms(hz[n:], zeta[n:], values[:, n:], np.asarray(signs)[n:])
         return replace(self, frequencies_hz=hz[:n], damping_ratios=zeta[:n], shapes=values[:, :n], residuals=rest, **others)
 
     @cached_property
@@ -371,16 +395,16 @@ class ModalModel(ModalFigures, Noun):
         axis = FrequencyAxis(np.atleast_1d(numbers_of(frequencies, "frequencies", "give an array in Hz, as numpy.arange(5, 145, 0.1)")))
         terms = self.terms
         if self.coupling is None:
-            data = synthesise(axis.values, terms.frequencies_hz, terms.damping_ratios, terms.rows(resp), terms.rows(refs), quantity)
+            signed = terms.rows(refs) * terms.signs
+            data = synthesise(axis.values, terms.frequencies_hz, terms.damping_ratios, terms.rows(resp), signed, quantity)
         else:
             tied = Receptances(terms, axis.values)
             data = tied.between(tied.rows(resp), tied.rows(refs)) * (2j * np.pi * axis.values) ** POWER[quantity]
         own = None
         if variance and self.covariance is not None:
             rows, columns = match_dofs(resp, self.dofs)[0], match_dofs(refs, self.dofs)[0]
-            own = synthesis_variance(
-                axis.values, terms.frequencies_hz, terms.damping_ratios, terms.shapes, self.covariance, rows, columns, quantity
-            )
+            poles = terms.frequencies_hz, terms.damping_ratios
+            own = synthesis_variance(axis.values, *poles, terms.shapes, self.covariance, rows, columns, quantity, terms.signs)
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.si, provenance=self.provenance.then("ModalModel.frf"))
 
     def mode_dict(self, i: int) -> dict[str, Any]:

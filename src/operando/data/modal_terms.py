@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,8 @@ class ResidualTerms:
     damping_ratios : (k,) array
     shapes : (n_dofs, k) array
         Scaled as the modes of the model are.
+    signs : (k,) array, optional
+        1, or −1 for a term that is taken away (default: 1): a residual matrix that was corrected need not be a sum of squares.
 
     Raises
     ------
@@ -42,10 +44,12 @@ class ResidualTerms:
     frequencies_hz: NDArray[np.float64]
     damping_ratios: NDArray[np.float64]
     shapes: NDArray[Any]
+    signs: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         arrays = checked_terms(self.frequencies_hz, self.damping_ratios, self.shapes, "residual terms")
-        for name, value in zip(("frequencies_hz", "damping_ratios", "shapes"), arrays, strict=True):
+        signs = checked_signs(self.signs, arrays[0].size)
+        for name, value in zip(("frequencies_hz", "damping_ratios", "shapes", "signs"), (*arrays, signs), strict=True):
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -74,6 +78,8 @@ class ModalTerms:
         Standard deviations ``{"frequencies_hz", "damping_ratios", "shapes"}`` of all terms, where no full covariance is kept.
     coupling : ModalCoupling or None
         Damping that ties them to each other.
+    signs : (n_terms,) array
+        −1 for residual terms that are taken away, 1 for all others.
     """
 
     frequencies_hz: NDArray[np.float64]
@@ -85,6 +91,11 @@ class ModalTerms:
     covariance: NDArray[np.float64] | None = None
     std: dict[str, NDArray[np.float64]] | None = None
     coupling: ModalCoupling | None = None
+    signs: NDArray[np.float64] = field(default_factory=lambda: np.ones(1))
+
+    def __post_init__(self) -> None:
+        if self.signs.size == 1:
+            object.__setattr__(self, "signs", np.full(self.n, self.signs.item()))
 
     @property
     def n(self) -> int:
@@ -154,7 +165,8 @@ class ModalTerms:
             std = {k: np.asarray(v)[..., index] for k, v in self.std.items() if v is not None}
         hz, zeta, shapes = self.frequencies_hz[index], self.damping_ratios[index], self.shapes[:, index]
         coupling = None if self.coupling is None else self.coupling.select(index)
-        return ModalTerms(hz, zeta, shapes, self.dofs, self.residual[index], self.in_band[index], covariance, std, coupling)
+        flags = self.residual[index], self.in_band[index]
+        return ModalTerms(hz, zeta, shapes, self.dofs, *flags, covariance, std, coupling, self.signs[index])
 
 
 def checked_terms(
@@ -179,6 +191,20 @@ def checked_terms(
     if not (np.all(np.isfinite(hz)) and np.all(hz >= 0)):
         raise DataError(f"{what}: frequencies must be finite and not negative")
     return hz, zeta, values
+
+
+def checked_signs(signs: ArrayLike | None, n: int) -> NDArray[np.float64]:
+    """One sign a term, read-only.
+
+    Raises
+    ------
+    DataError
+        If there are more or fewer, or they are not 1 and −1.
+    """
+    values = frozen(np.ones(n) if signs is None else signs, float, 1, "signs")
+    if values.size != n or not np.all(np.abs(values) == 1):
+        raise DataError(f"signs of residual terms are 1 and −1, one a term: {values.size} for {n} terms")
+    return values
 
 
 def shape_rows(shapes: NDArray[Any], own: tuple[Dof, ...], wanted: object) -> NDArray[Any]:

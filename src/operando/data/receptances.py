@@ -29,9 +29,11 @@ class Receptances:
         self._terms, coupling = terms, terms.coupling
         self._coordinates = terms.shapes if coupling is None else np.concatenate([terms.shapes, coupling.lag], axis=1)
         if coupling is None:
-            self._kernel = modal_kernel(frequencies_hz, terms.frequencies_hz, terms.damping_ratios, "receptance")
+            kernel = modal_kernel(frequencies_hz, terms.frequencies_hz, terms.damping_ratios, "receptance")
+            self._kernel = kernel * terms.signs[:, None]
         else:
-            self._poles, self._right, self._left = second_order_poles(np.eye(terms.n), *terms.quadratic)
+            self._poles, self._right, left = second_order_poles(np.eye(terms.n), *terms.quadratic)
+            self._left = left * terms.signs[:, None]  # terms that are taken away are tied to no other
             self._kernel = 1 / (2j * np.pi * np.asarray(frequencies_hz, float) - self._poles[:, None])
 
     def rows(self, dofs: object) -> Array:

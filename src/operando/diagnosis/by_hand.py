@@ -18,7 +18,7 @@ from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, with_midway
-from operando.diagnosis.posterior import State, approach, at_rest, fit, of_shapes
+from operando.diagnosis.posterior import State, approach, at_rest, fit
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.search import strained
 from operando.diagnosis.terms import SEARCHED, Term
@@ -122,7 +122,6 @@ def apply_effects(
         final = states[-1]
         if final.alpha < EXPLAINED:
             final = fit(final.case, final.x, final.alpha, own_spreads=True)
-        final = of_shapes(final)
         rows = ladder(final)
         words = []
         for k, state in enumerate(states[1:], 1):

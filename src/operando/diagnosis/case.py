@@ -119,12 +119,6 @@ class Case:
         case.forward = replace(self.forward, between=case.between)
         return case
 
-    def of_shapes(self) -> Case:
-        """The same case with residual terms as a model holds them: as shapes, whose squares count."""
-        case = copy(self)
-        case.forward = replace(self.forward, idle=replace(self.idle, first_order=False))
-        return case
-
     def _compressed(self, forward: Forward) -> Idle:
         """Directions of the idle model that the FRFs of all pairs, driven or not, could tell: effects see places that were not driven."""
         idle, lines = forward.idle, self.lines

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalCoupling, ModalModel
 from operando.data.modal_poles import pole_form
+from operando.diagnosis.derivatives import Outside
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
 from operando.structure import Model
 from operando.structure.effects import Effect
 
 Array = NDArray[np.float64]
+
+_FAR, _FAR_DAMPING = 30.0, 0.01
+"""Where terms stand that are constant or fall with 1/f² in band (to 1/900 of themselves): so many times beyond its ends."""
 
 
 def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effect, ...]:
@@ -52,6 +56,43 @@ def coupling_of(state: State, more: float) -> ModalCoupling | None:
     return ModalCoupling(damping + damping.T, lag)
 
 
+@dataclass(frozen=True)
+class _Signed:
+    """Residual terms, with signs, and how their shapes move by the unknowns u (u, DOFs, terms)."""
+
+    hz: Array
+    shapes: Array
+    signs: Array
+    by_u: Array
+
+
+def _at_places(state: State) -> _Signed:
+    """What lies outside the band at undriven locations of effects, as residual terms.
+
+    Of a location i with the values v to all DOFs (half of its own) the receptance has e vᵀ + v eᵀ = ½ (a aᵀ − b bᵀ), with a, b = s e ± v/s.
+    """
+    forward, x, (low, high) = state.case.forward, state.x, state.case.band
+    dofs = len(forward.idle.dofs)
+    groups: dict[tuple[int, bool], list[tuple[int, Outside]]] = {}
+    for number, row in enumerate(forward.outside(x.terms)):
+        if row.spread > 0:
+            groups.setdefault((row.place, row.below), []).append((number, row))
+    hz, shapes, signs, by_u = np.zeros(2 * len(groups)), np.zeros((dofs, 2 * len(groups))), np.ones(2 * len(groups)), []
+    signs[1::2] = -1
+    for k, ((place, below), rows) in enumerate(groups.items()):
+        by = np.zeros((x.u.size, dofs))
+        for number, row in rows:
+            by[number, row.other] = row.spread / (2 if row.other == place else 1)
+        size = float(np.linalg.norm(by)) ** 0.5
+        hz[2 * k : 2 * k + 2] = low / _FAR if below else high * _FAR
+        unit = (1.0 if below else 2 * np.pi * high * _FAR) / np.sqrt(2)
+        for term, sign in ((2 * k, 1), (2 * k + 1, -1)):
+            shapes[:, term] = unit * sign * (x.u @ by) / size
+            shapes[place, term] += unit * size
+            by_u.append(unit * sign * by / size)
+    return _Signed(hz, shapes, signs, np.stack(by_u, -1) if by_u else np.zeros((x.u.size, dofs, 0)))
+
+
 def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -> Model:
     """Idle model moved by what the check taught of it, with stiffness and damping of that day, and the effects.
 
@@ -81,14 +122,23 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     kept = np.array([i for i in range(dofs) if i not in moved.midway or i in used])
     at_rest = np.array([r for r in range(n) if r != moved.lacking])
     coupling = coupling_of(state, more)
+    # b bᵀ + b δᵀ + δ bᵀ = (b + δ)(b + δ)ᵀ − δ δᵀ
+    change = phi[:, moved.linear] - moved.phi[:, moved.linear]
+    taken, change = moved.linear[change.any(axis=0)], change[:, change.any(axis=0)]
+    every, beside = np.concatenate([at_rest, taken]), _at_places(state)
+    if coupling is not None:
+        coupling = coupling.select(every).at(kept, np.ones(kept.size))
+        for _ in beside.hz:
+            coupling = coupling.with_term(len(coupling.beside))
     updated = idle.with_terms(
-        frequencies_hz=f[at_rest],
-        damping_ratios=zeta[at_rest],
-        shapes=phi[np.ix_(kept, at_rest)],
+        frequencies_hz=np.concatenate([f[every], beside.hz]),
+        damping_ratios=np.concatenate([zeta[every], np.full(beside.hz.size, _FAR_DAMPING)]),
+        shapes=np.concatenate([phi[:, at_rest], change, beside.shapes], axis=1)[kept],
+        signs=np.concatenate([np.ones(at_rest.size), -np.ones(taken.size), beside.signs]),
         dofs=tuple(moved.dofs[i] for i in kept),
         covariance=None,
         std=None,
-        coupling=None if coupling is None else coupling.select(at_rest).at(kept, np.ones(kept.size)),
+        coupling=coupling,
     )
     if geometry is not None:
         gone = {moved.dofs[i].node for i in moved.midway if i not in used}
@@ -101,7 +151,9 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     # θ and the values as linear in the unknowns: rows of a matrix whose product with the posterior covariance is theirs
     problem = state.problem
     sizes = [len(e.definition.parameters) for e in effects]
-    rows = 2 * n + n * dofs + sum(sizes)
+    # behind the shapes of the terms those at the locations, one number that is known, and the values
+    count, first_value = beside.hz.size, 2 * n + n * dofs + beside.hz.size * dofs + 1
+    rows = first_value + sum(sizes)
     shared = np.zeros((problem.n_shared, rows))
     own = np.zeros((dofs, forward.n_own, rows))
     g = slice(0, forward.n_g)
@@ -124,8 +176,9 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         at_shape = 2 * n + np.arange(n) * dofs + i  # θ has shapes term by term
         shared[g, at_shape] = shapes.shared[i].T
         own[i][: forward.n_shape, at_shape] = shapes.own[i].T
-    column = 2 * n + n * dofs
-    row = problem.values_at
+    u = slice(problem.values_at - problem.n_u, problem.values_at)
+    shared[u, 2 * n + n * dofs : first_value - 1] = np.swapaxes(beside.by_u, 1, 2).reshape(problem.n_u, count * dofs)
+    row, column = problem.values_at, first_value
     for term, size in zip(state.terms, sizes, strict=True):
         for number in range(size):
             # what was taken away has its size stated positive; a negative coefficient falls as its logarithm grows
@@ -140,8 +193,10 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     by_response = own[problem.order]
     a, b = state.factor.whitened(shared, by_response)
     joint = a.T @ a + np.tensordot(b, b, ((0, 1), (0, 1)))
-    theta = np.r_[at_rest, n + at_rest, (2 * n + at_rest[:, None] * dofs + kept).ravel()]
-    both = np.r_[theta, np.arange(2 * n + n * dofs, rows)]
+    known = np.full(count, first_value - 1)
+    at_shapes = 2 * n + np.concatenate([every, n + np.arange(count)])[:, None] * dofs + kept
+    theta = np.concatenate([every, known, n + every, known, at_shapes.ravel()])
+    both = np.concatenate([theta, np.arange(first_value, rows)])
     updated, turn = _with_poles(updated)
     joint = joint[np.ix_(both, both)]
     joint[: len(turn)] = turn @ joint[: len(turn)]

@@ -28,7 +28,7 @@ from operando.diagnosis.document import (
 )
 from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.posterior import AtRest, at_rest, of_shapes
+from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
@@ -317,7 +317,7 @@ def told(
     if name == "inconclusive" and not best.terms and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
         name, why = "unexplained", f"{why + '; ' if why else ''}{peaks_text(moved)}"
     shown = best.terms if said.terms and name != "unexplained" else ()
-    final = of_shapes(best if shown else found.empty)
+    final = best if shown else found.empty
     rows = ladder(final)  # what was found without support is a candidate, and the ladder ends where the model does
     elsewhere = [t for rival in rivals for t in rival.terms if t.key not in {o.key for o in best.terms}]
     ambiguous = [e for rival in rivals for e in effects_of(rival, [t for t in rival.terms if t in elsewhere])]

@@ -136,12 +136,13 @@ class Idle:
         Parameters
         ----------
         model : ModalModel
-            Unit modal mass; without a covariance it counts as exact.
+            Unit modal mass; without a covariance it counts as exact. No residual terms that are taken away.
         band : (float, float)
             Hz.
         driven : sequence of Dof
             References at rest.
         """
+        model.sums_of_squares("a diagnosis")
         terms = model.terms
         f, zeta, phi = (np.array(v, float) for v in (terms.frequencies_hz, terms.damping_ratios, np.real(terms.shapes)))
         if terms.coupling is not None:

@@ -215,11 +215,6 @@ def with_discrepancy(state: State, alpha: float) -> State:
     return replace(state, x=problem.point(x), alpha=alpha, factor=factor)
 
 
-def of_shapes(state: State) -> State:
-    """The same effects, fitted with residual terms as a model holds them: as shapes, whose squares count."""
-    return fit(state.case.of_shapes(), state.x, state.alpha) if state.case.idle.first_order else state
-
-
 def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
     """Robust way from a start to the neighbourhood of a fit: Student weights, damped steps. Its cost, and where it ends."""
     problem = Problem(case, start.terms, case.lines.fit[:: case.lines.stride])

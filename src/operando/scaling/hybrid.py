@@ -451,6 +451,7 @@ def _assemble(
             terms.frequencies_hz[carried] * shift.factor,
             terms.damping_ratios[carried],
             np.asarray(terms.shapes)[rows][:, carried] * amount,
+            terms.signs[carried],
         ),
         operating.in_band,
         band_hz=operating.band_hz or idle.band_hz,

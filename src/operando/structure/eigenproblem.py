@@ -42,7 +42,8 @@ def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tu
     The effects that say no M, C, K of their own (hysteretic, rubber) stand apart.
     """
     n = base.terms.n
-    mass, (damping, stiffness) = np.eye(n), base.terms.quadratic
+    # a term that is taken away has a negative mass of one, and is tied to no other
+    mass, damping, stiffness = (base.terms.signs[:, None] * a for a in (np.eye(n), *base.terms.quadratic))
     rest = []
     for effect, weights in placed:
         at = np.asarray(weights @ base.terms.shapes)
@@ -266,8 +267,9 @@ def pole_slopes(base: ModalModel, placed: Placed, pole: complex) -> Array:
     n, m = base.terms.n, len(base.dofs)
     w = 2 * np.pi * base.terms.frequencies_hz
     out = np.zeros(n * (2 + m), complex)
-    out[:n] = left * v * (2 * base.terms.damping_ratios * pole + 2 * w) * 2 * np.pi
-    out[n : 2 * n] = left * v * 2 * w * pole
+    both = base.terms.signs * left * v
+    out[:n] = both * (2 * base.terms.damping_ratios * pole + 2 * w) * 2 * np.pi
+    out[n : 2 * n] = both * 2 * w * pole
     shapes = np.zeros((n, m), complex)
     for (effect, weights), (_, own, late) in zip(placed, everything, strict=True):
         at = own - pole * late

@@ -65,8 +65,10 @@ def update_variance(
     w = 2 * np.pi * np.asarray(frequencies_hz, float)[None, :]
     wr, zeta = 2 * np.pi * base.terms.frequencies_hz[:, None], base.terms.damping_ratios[:, None]
     kernel = modal_kernel(frequencies_hz, base.terms.frequencies_hz, base.terms.damping_ratios, "receptance")
-    by_hz = -(kernel**2) * (2 * wr + 2j * zeta * w) * 2 * np.pi
-    by_zeta = -(kernel**2) * 2j * wr * w
+    signs = base.terms.signs[:, None]
+    by_hz = -signs * kernel**2 * (2 * wr + 2j * zeta * w) * 2 * np.pi
+    by_zeta = -signs * kernel**2 * 2j * wr * w
+    kernel = signs * kernel
     at = weights @ phi
     touched = np.flatnonzero(np.any(weights != 0, axis=0))
     mode = np.arange(n)

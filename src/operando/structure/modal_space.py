@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ class Modes:
     phi: Real  # shapes (m, n)
     known_hz: float = 0.0
     low_hz: float = 0.0
+    signs: Real = field(default_factory=lambda: np.ones(1))  # −1 for residual terms that are taken away
 
     @classmethod
     def of(cls, idle: ModalModel) -> Modes:
@@ -47,6 +48,7 @@ class Modes:
             np.asarray(terms.shapes, float),
             known,
             low if np.isfinite(low) else 0.0,
+            terms.signs,
         )
 
     @property
@@ -56,9 +58,9 @@ class Modes:
         return np.asarray(w * (-self.zeta + 1j * np.sqrt(1 - self.zeta**2)))
 
     def receptance_kernel(self, hz: Real) -> Complex:
-        """1/(ω_r² − ω² + 2iζ_r ω_r ω), (n, L)."""
+        """±1/(ω_r² − ω² + 2iζ_r ω_r ω), (n, L)."""
         w, w0 = 2 * np.pi * hz[None, :], 2 * np.pi * self.hz[:, None]
-        return np.asarray(1 / (w0**2 - w**2 + 2j * self.zeta[:, None] * w0 * w))
+        return np.asarray(self.signs[:, None] / (w0**2 - w**2 + 2j * self.zeta[:, None] * w0 * w))
 
     def spurious(self, b: Real, first_hz: float) -> NDArray[np.bool_]:
         """Residual modes below all others that do not prevail across a place b (m,) at the first line, (n,).
@@ -77,9 +79,10 @@ class Modes:
         kernel[spurious] = self.only(spurious).receptance_kernel(np.maximum(hz, first_hz))
         return kernel
 
-    def only(self, keep: NDArray[np.bool_]) -> Modes:
+    def only(self, keep: NDArray[np.bool_] | NDArray[np.int_]) -> Modes:
         """Some of the modes."""
-        return replace(self, hz=self.hz[keep], zeta=self.zeta[keep], phi=self.phi[:, keep])
+        signs = self.signs if self.signs.size == 1 else self.signs[keep]
+        return replace(self, hz=self.hz[keep], zeta=self.zeta[keep], phi=self.phi[:, keep], signs=signs)
 
     def free(self) -> Modes:
         """Those that move under their stiffness."""

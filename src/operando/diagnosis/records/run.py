@@ -205,7 +205,7 @@ def decay_sizes(modes: Modes, ringing: NDArray[np.int_], directions: Real, force
     w0 = 2 * np.pi * modes.hz[ringing]
     keep = hz >= low_hz
     w = 2 * np.pi * hz[keep]
-    here = replace(modes, hz=modes.hz[ringing], zeta=modes.zeta[ringing])
+    here = modes.only(ringing)
     gain = np.abs(here.receptance_kernel(hz[keep])) ** 2 * (w0[:, None] ** 2 + w**2)
     phi = modes.phi[:, ringing]
     usual = np.mean(phi**2, axis=0)

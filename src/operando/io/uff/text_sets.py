@@ -131,6 +131,7 @@ def trace_sets(geometry: Geometry, numbers: NodeNumbers) -> list[tuple[str, int,
 
 def write_modes(stream: IO[bytes], model: ModalModel, numbers: NodeNumbers) -> None:
     """One set 55 a mode, then one a residual term; together they make the FRFs of the model, as the check in the ID lines proves."""
+    model.sums_of_squares("UFF 55")
     nodes, columns, per_node = node_table(model.dofs)
     terms = model.terms
     check = Check.of(model)
