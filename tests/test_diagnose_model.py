@@ -348,6 +348,13 @@ def test_variance_of_the_bare_idle_model_is_that_of_the_modal_model():
 # Adding, removing, other states.
 
 
+def test_what_no_parameter_explains_counts_in_the_variance():
+    idle, _ = _spread_idle(chain_and_idle()[1])
+    plain, less_sure = Model(idle).frf(HZ), Model(idle, discrepancy=0.02).frf(HZ)
+    np.testing.assert_allclose(less_sure.variance, plain.variance + (0.02 * np.abs(plain.data)) ** 2)
+    assert Model(idle, discrepancy=0.02).add("ground_spring@3+Z=stiffness:8e4").discrepancy == 0.02
+
+
 def test_add_remove_and_other_values():
     _, idle = chain_and_idle()
     model = Model(idle).add("point_mass@3+Z=mass:0.7").add("gyroscopic@2+Z,4+Z=coefficient:100")

@@ -146,7 +146,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         if len(there) < len(geometry.nodes):
             geometry = replace(geometry, nodes=tuple(geometry.nodes[k] for k in there), coordinates=geometry.coordinates[there])
     if idle.covariance is None:
-        return Model(_with_poles(updated)[0], effects, geometry)
+        return Model(_with_poles(updated)[0], effects, geometry, discrepancy=state.alpha)
 
     # θ and the values as linear in the unknowns: rows of a matrix whose product with the posterior covariance is theirs
     problem = state.problem
@@ -201,7 +201,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     joint = joint[np.ix_(both, both)]
     joint[: len(turn)] = turn @ joint[: len(turn)]
     joint[:, : len(turn)] = joint[:, : len(turn)] @ turn.T
-    return Model(updated.with_terms(covariance=joint[: theta.size, : theta.size]), effects, geometry, joint)
+    return Model(updated.with_terms(covariance=joint[: theta.size, : theta.size]), effects, geometry, joint, state.alpha)
 
 
 def _with_poles(model: ModalModel) -> tuple[ModalModel, Array]:

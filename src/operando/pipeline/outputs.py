@@ -185,7 +185,7 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
     if results.diagnosis is None or results.idle is None:
         raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
     effects = tuple(standing(results.diagnosis))
-    model = Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance)
+    model = Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance, results.discrepancy)
     for step, name, value in changes:
         model = model.with_values(step, **{name: value})
     return model.structure()

@@ -36,7 +36,7 @@ def effect_model(results: Results) -> Any:
     try:
         effects = tuple(standing(results.diagnosis))
         try:
-            return Model(base, effects, results.geometry, results.effect_covariance)
+            return Model(base, effects, results.geometry, results.effect_covariance, results.discrepancy)
         except OperandoError:  # a covariance of other effects
             return Model(base, effects, results.geometry)
     except (OperandoError, KeyError, TypeError, ValueError):

@@ -36,6 +36,8 @@ class Model:
     covariance : (p, p) array, optional
         Of all values of the effects, one after the other; or joint with the idle parameters θ = [f (Hz), ζ, shapes mode by mode],
         which then come first. Default: the squares of the values' standard deviations.
+    discrepancy : float
+        Share of an FRF that no parameter explains, as a diagnosis found it: counts in the variance of FRFs.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class Model:
     effects: tuple[Effect, ...] = ()
     geometry: Geometry | None = None
     covariance: NDArray[np.float64] | None = None
+    discrepancy: float = 0.0
 
     def __post_init__(self) -> None:
         expect(self.idle, ModalModel, "effects are added to idle modes", "fit_ema(frf) gives them")
@@ -164,7 +167,8 @@ class Model:
             Default: all DOFs of the idle model.
         quantity : {"accelerance", "mobility", "receptance"}
         variance : bool
-            Fill the variance of each line, to first order in the idle parameters and the effects' values, where their spread is known.
+            Fill the variance of each line, to first order in the idle parameters and the effects' values, where their spread is known, with
+            the discrepancy.
 
         Raises
         ------
@@ -187,6 +191,8 @@ class Model:
             data *= factor
             if own is not None:
                 own *= np.abs(factor) ** 2
+        if own is not None:
+            own += (self.discrepancy * np.abs(data)) ** 2
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.idle.si, provenance=self.idle.provenance.then("Model.frf"))
 
     def modes(self, variance: bool = False) -> ModalModel:
