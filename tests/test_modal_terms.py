@@ -209,6 +209,8 @@ def test_terms_that_are_taken_away_are_refused_where_only_squares_can_be(tmp_pat
     model = signed()[0]
     with pytest.raises(DataError, match="UFF 55 takes no residual terms that are taken away"):
         write_uff(tmp_path / "modes.uff", model)
+    with pytest.raises(DataError, match="UFF 55 takes no residual terms that are taken away"):
+        model.to_pyuff()
     with pytest.raises(DataError, match="a diagnosis takes no residual terms that are taken away"):
         Idle.of(model, (5.0, 40.0), (model.dofs[0],))
     with pytest.raises(DataError, match="1 and −1"):

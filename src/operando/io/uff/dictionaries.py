@@ -77,6 +77,7 @@ def _axis(prefix: str, axis: Axis) -> dict[str, Any]:
 def _modes(model: ModalModel) -> Iterator[dict[str, Any]]:
     import pyuff
 
+    model.sums_of_squares("UFF 55")
     numbers = NodeNumbers.of(numbered_nodes([model]))
     nodes, places, per_node = node_table(model.dofs)
     terms = model.terms
