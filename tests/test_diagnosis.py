@@ -677,6 +677,14 @@ def test_a_damper_within_four_spreads_of_a_joint_is_told_as_a_difference_of_days
         damper = Term("ground_damper", (1,), (float(np.log(size)),))
         assert no_more_than_days(days, damper) == named
         assert not no_more_than_days(same, damper)  # where nothing was touched nothing differs
+    # a larger one whose damping the days take back, mode by mode, is none either; one that they only add to is
+    damping = days.between.shared["damping"]
+    phi, w, zeta = days.idle.phi[1], 2 * np.pi * days.idle.f, days.idle.zeta
+    change = np.exp(damper.values[0]) * phi**2 / (2 * zeta * w)
+    for sign, undone in ((-1.0, True), (1.0, False)):
+        d = np.zeros(days.forward.n_d)
+        d[damping] = sign * change / days.between.shared_spread[damping]
+        assert no_more_than_days(days, damper, d) == undone
     assert not no_more_than_days(days, Term("ground_spring", (1,), (float(np.log(0.01 * 2.5e4)),)))
     for kind in ("gyroscopic", "circulatory"):  # changes no mode at first order, and no joint does it
         assert not no_more_than_days(days, Term(kind, (0, 2), (float(np.log(0.01)),)))

@@ -171,7 +171,7 @@ def candidate_rows(found: Found) -> list[dict[str, Any]]:
                 without = (score(s) for s in (found.empty, *found.pool.values()) if term.key not in s.key)
                 nats = score(best) - max(without, default=score(found.empty))
                 evidence = f"{odds_text(nats)} for it"
-            elif no_more_than_days(state.case, term):
+            elif no_more_than_days(state.case, term, state.x.d):
                 nats, evidence = None, "no more than what a joint loses on another day"
             else:
                 nats = score(state) - score(best)

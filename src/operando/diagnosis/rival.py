@@ -19,7 +19,7 @@ from operando.threads import each
 
 def score(state: State) -> float:
     """Log probability of a state but for a constant: a further effect must be worth it, and more than what days differ by."""
-    if any(no_more_than_days(state.case, t) for t in state.terms):
+    if any(no_more_than_days(state.case, t, state.x.d) for t in state.terms):
         return -np.inf
     # all stiffness or all damping that differs far beyond two days is an effect by another name
     wholes = [state.case.between.shared[name] for name in ("stiffness", "damping_whole")]
@@ -59,7 +59,7 @@ class Rival:
 
         def one(terms: tuple[Term, ...]) -> float:
             state = fitted_if_can_be(self.case, started(self.case, terms), alpha, floor=floor)
-            more = () if state is None else tuple(t for t in state.terms if not no_more_than_days(self.case, t))
+            more = () if state is None else tuple(t for t in state.terms if not no_more_than_days(state.case, t, state.x.d))
             return -np.inf if state is None else score(state) if len(more) == len(terms) else one(more)
 
         self.score = max([self.score, *each(one, sets)])
