@@ -14,7 +14,7 @@ from operando.diagnosis import Diagnosis, diagnose_frf, from_frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import COLUMNS, Case
-from operando.diagnosis.corrected import model_of
+from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
@@ -300,6 +300,16 @@ def test_the_model_handed_out_is_the_one_that_was_fitted():
         variance[row] = np.sum(np.abs(along) ** 2, axis=-1).T
     ratio = got.variance / variance
     assert 0.5 < np.median(ratio) < 2
+
+
+def test_a_size_is_known_no_better_than_the_discrepancy():
+    one = case(add_mass, noise=1e-6)
+    state = fit(one, started(one, (Term("point_mass", (1,), (np.log(0.4),)),)), 0.01)
+    noise_only = float(np.sqrt(state.covariance[0, 0]))
+    state = replace(state, alpha=2 * noise_only)
+    (effect,) = effects_of(state)
+    relative = effect.std["mass"] / effect.values["mass"]
+    assert relative == pytest.approx(np.hypot(noise_only, state.alpha), rel=1e-9)
 
 
 def test_derivatives_as_rows_are_those_of_each_line_combined_and_weighted():

@@ -23,10 +23,16 @@ _FAR, _FAR_DAMPING = 30.0, 0.01
 
 
 def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effect, ...]:
-    """The terms of a state with units and standard deviations; ``terms`` says which of them."""
+    """The terms of a state with units and standard deviations; ``terms`` says which of them.
+
+    A fit takes the discrepancy for independent from line to line. It may as well be one factor on all of them, as that of a calibration:
+    a size is known no better than that.
+    """
     std = np.sqrt(np.diag(state.covariance)) if state.problem.n_values else np.zeros(0)
     out, at = [], 0
     for term in state.terms:
+        if term.structural or term.kind.endswith("_gain"):  # on a logarithmic scale
+            std[at] = np.hypot(std[at], state.alpha)
         if terms is None or term in terms:
             idle = state.case.idle
             effect = term.effect(state.case.dofs, std[at : at + len(term.values)].tolist(), state.case.band, idle.midway)
