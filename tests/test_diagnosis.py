@@ -15,7 +15,18 @@ from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.between import FAMILIES, SAME_SET_UP, SPREADS, spreads_of
 from operando.diagnosis.case import COLUMNS, Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import CONTAINING, EARNED, EXPLAINED, HOPELESS, LOOSE, POOLED_LINES, REST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.criteria import (
+    CONTAINING,
+    EARNED,
+    EXPLAINED,
+    HOPELESS,
+    LEAST_DISCREPANCY,
+    LOOSE,
+    POOLED_LINES,
+    REST_DISCREPANCY,
+    UNUSUAL,
+    tolerated,
+)
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
@@ -309,6 +320,8 @@ def test_a_size_is_known_no_better_than_the_discrepancy():
     state = replace(state, alpha=2 * noise_only)
     (effect,) = effects_of(state)
     relative = effect.std["mass"] / effect.values["mass"]
+    assert tolerated(EXPLAINED) == EXPLAINED
+    assert tolerated(1.01 * EXPLAINED) == LEAST_DISCREPANCY  # how wrong a model is makes it no better
     assert relative == pytest.approx(np.hypot(noise_only, state.alpha), rel=1e-9)
 
 

@@ -111,11 +111,6 @@ class Results(Short):
     stages: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
-    def discrepancy(self) -> float:
-        """Share of an FRF that no parameter explains, as the diagnosis found it; 0 where there is none."""
-        return float(((self.diagnosis or {}).get("discrepancy") or {}).get("value") or 0.0)
-
-    @property
     def libraries(self) -> list[dict[str, Any]]:
         """Other libraries on the data of both states."""
         return [*self.idle_libraries, *self.operating_libraries]

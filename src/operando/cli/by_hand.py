@@ -144,9 +144,8 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     if isinstance(applied, RecordsApplied):
         more["picture"], notes = with_levels(applied, idle, runs, band or idle.band_hz)
         by_hand["words"] = [*done["words"], *notes]
-    left = {"discrepancy": {"value": applied.model.discrepancy, "std": None}}
     results.diagnosis = (
-        before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | left | more
+        before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | more
     )
     results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
     if results.comparison is not None:

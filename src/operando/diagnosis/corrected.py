@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalCoupling, ModalModel
 from operando.data.modal_poles import pole_form
+from operando.diagnosis.criteria import tolerated
 from operando.diagnosis.derivatives import Outside
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
@@ -31,7 +32,8 @@ def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effec
     std = np.sqrt(np.diag(state.covariance)) if state.problem.n_values else np.zeros(0)
     out, at = [], 0
     for term in state.terms:
-        if term.structural or term.kind.endswith("_gain"):  # on a logarithmic scale
+        scaled = term.structural or term.kind.endswith("_gain")  # on a logarithmic scale
+        if scaled and 0 not in term.fixed:
             std[at] = np.hypot(std[at], state.alpha)
         if terms is None or term in terms:
             idle = state.case.idle
@@ -152,7 +154,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         if len(there) < len(geometry.nodes):
             geometry = replace(geometry, nodes=tuple(geometry.nodes[k] for k in there), coordinates=geometry.coordinates[there])
     if idle.covariance is None:
-        return Model(_with_poles(updated)[0], effects, geometry, discrepancy=state.alpha)
+        return Model(_with_poles(updated)[0], effects, geometry, discrepancy=tolerated(state.alpha))
 
     # θ and the values as linear in the unknowns: rows of a matrix whose product with the posterior covariance is theirs
     problem = state.problem
@@ -207,7 +209,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     joint = joint[np.ix_(both, both)]
     joint[: len(turn)] = turn @ joint[: len(turn)]
     joint[:, : len(turn)] = joint[:, : len(turn)] @ turn.T
-    return Model(updated.with_terms(covariance=joint[: theta.size, : theta.size]), effects, geometry, joint, state.alpha)
+    return Model(updated.with_terms(covariance=joint[: theta.size, : theta.size]), effects, geometry, joint, tolerated(state.alpha))
 
 
 def _with_poles(model: ModalModel) -> tuple[ModalModel, Array]:

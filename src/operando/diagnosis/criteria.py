@@ -104,3 +104,8 @@ ASSUMED_MODES = (5e-4, 0.08, 0.01)
 
 PARTNER_LOG_HZ, PARTNER_MAC = 0.03, 0.6
 """A mode of half the record stands for one of the whole if it lies no farther from it, with a MAC above this."""
+
+
+def tolerated(discrepancy: float) -> float:
+    """The discrepancy in the variance of a model: hardly any beyond what an explanation may leave, or no model would be wrong."""
+    return discrepancy if discrepancy <= EXPLAINED else LEAST_DISCREPANCY

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.corrected import effects_of
-from operando.diagnosis.criteria import EXPLAINED, LEAST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.criteria import UNUSUAL, tolerated
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, left_on
 from operando.diagnosis.problem import Problem
@@ -84,6 +84,11 @@ def between_rows(state: State) -> list[dict[str, Any]]:
     return rows
 
 
+def discrepancy_of(document: Mapping[str, Any] | None) -> float:
+    """Discrepancy in the variance of the model with the effects of ``diagnosis.json``; 0 without one."""
+    return tolerated(float(((document or {}).get("discrepancy") or {}).get("value") or 0.0))
+
+
 def ladder(best: State) -> list[dict[str, Any]]:
     """Error and reduced chi-square of each step, with what differs between the days, noise and discrepancy as of the last step.
 
@@ -97,7 +102,7 @@ def step_row(state: State, number: int) -> dict[str, Any]:
     lines = state.case.lines
     share = lines.validation.size / (lines.validation.size + lines.fit.size)
     x = state.carried(state.terms[:number])
-    alpha = state.alpha if state.alpha <= EXPLAINED else LEAST_DISCREPANCY
+    alpha = tolerated(state.alpha)
     (chi, db), (chi_fit, db_fit) = (left_on(state.case, x, alpha, at) for at in (lines.validation, lines.fit))
     return {
         "step": number,

@@ -179,13 +179,16 @@ def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = (
     ConfigError
         If there is no such step or parameter.
     """
+    from operando.diagnosis.document import discrepancy_of
     from operando.diagnosis.from_records import standing
     from operando.structure import Model
 
     if results.diagnosis is None or results.idle is None:
         raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
     effects = tuple(standing(results.diagnosis))
-    model = Model(results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance, results.discrepancy)
+    model = Model(
+        results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance, discrepancy_of(results.diagnosis)
+    )
     for step, name, value in changes:
         model = model.with_values(step, **{name: value})
     return model.structure()

@@ -27,6 +27,7 @@ def effect_model(results: Results) -> Any:
 
     An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
     """
+    from operando.diagnosis.document import discrepancy_of
     from operando.diagnosis.from_records import standing
     from operando.structure import Model
 
@@ -36,7 +37,7 @@ def effect_model(results: Results) -> Any:
     try:
         effects = tuple(standing(results.diagnosis))
         try:
-            return Model(base, effects, results.geometry, results.effect_covariance, results.discrepancy)
+            return Model(base, effects, results.geometry, results.effect_covariance, discrepancy_of(results.diagnosis))
         except OperandoError:  # a covariance of other effects
             return Model(base, effects, results.geometry)
     except (OperandoError, KeyError, TypeError, ValueError):
