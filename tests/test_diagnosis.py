@@ -236,11 +236,11 @@ def test_derivatives_are_those_of_the_frfs(responses, residual):
 
     for i in range(problem.n_shared):
         move = Step(np.eye(problem.n_shared)[i], np.zeros_like(packed.own))
-        width = 1e-8 if abs(packed.shared[i]) == 1e-4 else 1e-5
+        # of the idle model the FRFs move by little more than rounding
+        width = 1e-8 if abs(packed.shared[i]) == 1e-4 else 1e-3 if i < forward.n_g else 1e-5
         wanted = numbers(move, width)
-        rounding = 1e-15 * np.abs(exact.h).max() / width  # of the differences
         np.testing.assert_allclose(
-            exact.shared[..., i], wanted, rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + rounding, err_msg=f"{names_of[i]} {i}"
+            exact.shared[..., i], wanted, rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17, err_msg=f"{names_of[i]} {i}"
         )
     order = forward.order(terms)
     reaching = {dof: set(at.tolist()) for dof, at in problem.reaching}
@@ -278,20 +278,21 @@ def test_residual_terms_are_linear_in_the_changes_of_their_shapes():
 
 def test_the_model_handed_out_is_the_one_that_was_fitted():
     """Corrected residual terms, and what lies outside the band at the location of an effect, with what is not known of both."""
-    one = case(residual=2, seed=3)
+    one = case(residual=2, seed=3, spreads=SAME_SET_UP)
     forward, rng = one.forward, np.random.default_rng(5)
     terms = (Term("ground_spring", (2,), (np.log(3e3),)), Term("coupling_spring", (1, 4), (np.log(2e3),)))
     idle = replace(forward.idle, shapes=Moves(300 * forward.idle.shapes.shared, 300 * forward.idle.shapes.own))  # far from the start
     one.forward = forward = replace(forward, idle=idle)
-    between = np.zeros(forward.n_d)
     own = 0.3 * rng.standard_normal((N, forward.n_own))
     own[:, forward.n_shape :] = 0
-    x = Point(0.3 * rng.standard_normal(forward.n_g), between, own, rng.standard_normal(len(forward.outside(terms))), terms)
+    x = Point(0.3 * rng.standard_normal(forward.n_g), np.zeros(forward.n_d), own, rng.standard_normal(len(forward.outside(terms))), terms)
     problem = Problem(one, terms, one.lines.fit)
     shared, own_rows, _ = problem.derived(problem.packed(x))
     factor = Factor.of(problem.information(shared, own_rows, problem.weights(0.01)), problem.precision, problem.own_precision)
     state = State(x, 0.01, 0.0, factor, problem)
     found = model_of(identified(residual=2), state)
+    assert found.discrepancy == state.alpha
+    found = replace(found, discrepancy=0.0)
     assert (found.idle.terms.signs < 0).sum() > 2
     lines = one.lines.w[one.lines.fit] / 2 / np.pi
     got = found.frf(lines, [DOFS[i] for i in forward.responses], [DOFS[i] for i in forward.references], "receptance")
@@ -301,6 +302,7 @@ def test_the_model_handed_out_is_the_one_that_was_fitted():
     # its variance is that of the fit, by what reaches the structure
     structure = np.ones(problem.n_shared, bool)
     structure[forward.n_g : forward.n_g + forward.n_d] = False
+    structure[problem.values_at + problem.n_values :] = np.concatenate([at < forward.n_shape for _, at in problem.reaching])
     root = factor.root()
     made = forward.predict(x, one.lines.w[one.lines.fit])
     variance = np.zeros(wanted.shape)
@@ -309,8 +311,7 @@ def test_the_model_handed_out_is_the_one_that_was_fitted():
         of_shape = (np.arange(forward.n_own) < forward.n_shape).astype(float)
         along = made.shared[:, row] * structure @ root[: problem.n_shared] + made.own[:, row] * of_shape @ root[mine]
         variance[row] = np.sum(np.abs(along) ** 2, axis=-1).T
-    ratio = got.variance / variance
-    assert 0.5 < np.median(ratio) < 2
+    np.testing.assert_allclose(got.variance, variance, rtol=0.03)
 
 
 def test_a_size_is_known_no_better_than_the_discrepancy():
