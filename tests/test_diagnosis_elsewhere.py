@@ -160,6 +160,26 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
     assert found.model.modes().n_modes == N
 
 
+def test_a_lacking_mode_is_told_as_it_is_in_operation():
+    """No difference between the days moves it: it was seen on one of them alone."""
+    check = check_of(lambda m, c, k: None).frf
+    lacks = Case(Idle.of(without_mode(identified(), 2), BAND, (DOFS[0], DOFS[3])), check, BAND, spreads={}, correlated=1.0)
+    grown = with_lacking(replace(fit(lacks, lacks.forward.start), x=lacks.forward.start))
+    days = Case(grown, check, BAND, correlated=1.0)
+    forward, lines = days.forward, days.lines.w[days.lines.fit[::5]]
+    x = replace(forward.start, d=np.random.default_rng(1).standard_normal(forward.n_d), terms=grown.lacking_term)
+    made = forward.moved(x)
+    np.testing.assert_allclose([made.f[grown.lacking], made.zeta[grown.lacking]], np.exp(x.terms[0].values))
+    assert np.abs(made.f / forward.idle.f - 1)[forward.modes[:-1]].min() > 1e-5
+    exact = forward.predict(x, lines).shared
+    for name in ("stiffness", "damping_whole", "mode", "damping", "damping_local"):
+        for i in range(forward.between.shared[name].start, forward.between.shared[name].stop):
+            step = 1e-4 * np.eye(forward.n_d)[i]
+            up, down = (forward.predict(replace(x, d=x.d + side * step), lines, derivatives=False).h for side in (1, -1))
+            wanted = (up - down) / 2e-4
+            np.testing.assert_allclose(exact[..., forward.n_g + i], wanted, rtol=1e-5, atol=1e-7 * np.abs(up).max(), err_msg=f"{name} {i}")
+
+
 def test_no_mode_is_lacking_where_what_is_left_does_not_add_to_its_drive_points():
     there = rest((0,))
     half = replace(there, data=0.5 * there.data)  # every residue of what is left is negative

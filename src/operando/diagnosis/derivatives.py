@@ -150,6 +150,7 @@ class Derivatives:
         self.n_terms = parts.moved.f.size
         by_g = np.flatnonzero((parts.idle.f_root != 0).any(axis=1) | (parts.idle.zeta_root != 0).any(axis=1))
         self.moving = np.union1d(by_g, self.modes)  # terms whose poles move by themselves
+        self.following = (self.moving != parts.idle.lacking).astype(float)[:, None]  # those that differ with the day
         self.dofs = parts.order.tolist()
 
     def all(self) -> tuple[Array, Array]:
@@ -318,7 +319,7 @@ class Derivatives:
     def _by_whole(self) -> Array:
         """Factors on the products of poles, by the relative stiffness of the whole."""
         made = self.of.moved
-        change = 1 / (2 * (1 + made.whole))
+        change = self.following / (2 * (1 + made.whole))
         out = self._by_pole(made.f[self.moving, None] * change, -made.zeta[self.moving, None] * change)
         out[-2] = 1
         return out
@@ -326,7 +327,7 @@ class Derivatives:
     def _by_all_damping(self) -> Array:
         """Rows by the logarithm of all damping."""
         made = self.of.moved
-        factors = self._by_pole(np.zeros((self.moving.size, 1)), made.zeta[self.moving, None])
+        factors = self._by_pole(np.zeros((self.moving.size, 1)), self.following * made.zeta[self.moving, None])
         factors[-1] = 1
         out = np.asarray(self.poles @ factors)
         return out if self.between is None else out + self.between @ (self.of.damping_scale * self.of.damping_between)[:, None]
@@ -334,7 +335,7 @@ class Derivatives:
     def _by_d(self, out: Array) -> None:
         p, m, made = self.of, self.modes, self.of.moved
         known = p.between
-        each = (self.moving[:, None] == m).astype(float)
+        each = (self.moving[:, None] == m) * self.following
         none, f, zeta = np.zeros_like(each), made.f[self.moving, None], made.zeta[self.moving, None]
 
         def laws_of_force(law: str) -> Array:

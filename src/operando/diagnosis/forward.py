@@ -185,8 +185,8 @@ class Forward:
             if mode is None:
                 phi[:, idle.lacking] = shapes.shared[:, idle.lacking] = shapes.own[:, idle.lacking] = 0
             else:
-                own_f, own_zeta = np.exp(mode.values)
-                f[idle.lacking], zeta[idle.lacking] = own_f * root * by_mode[-1], own_zeta / root * by_damping[-1]
+                # told as it is in operation, so no difference between the days moves it
+                f[idle.lacking], zeta[idle.lacking] = np.exp(mode.values)
         return Moved(f, zeta, phi, shapes, float(root), float(more), whole, by_mode, by_damping)
 
     def _parts(self, x: Point, w: Array) -> Parts:
