@@ -148,10 +148,28 @@ def test_a_symmetric_matrix_is_kept_to_the_bit(tmp_path):
         assert (found.shape, found.tobytes()) == (wanted.shape, wanted.tobytes())
 
 
-def test_files_of_the_second_version_are_read(tmp_path):
+def test_the_block_of_a_matrix_does_not_stand_again(tmp_path):
+    half = np.random.default_rng(1).normal(size=(60, 60))
+    whole = half + half.T
+    block, other = whole[:40, :40].copy(), whole[:40, :40].copy()
+    other[39, 39] += 1e-12
+    objects = {"a": whole, "b": {"block": block, "other": other, "corner": whole[20:, 20:].copy()}, "c": block.copy()}
+    write_hdf5(tmp_path / "a.h5", objects)
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert set(file["b"]) == {"__tree__", "other", "corner"}
+        assert file["c/__tree__"].asstr()[()].count("__block__") == 1
+        assert read_objects(file, ["c"])["c"].tobytes() == block.tobytes()  # also without the object that holds it
+    back = read_hdf5(tmp_path / "a.h5")
+    assert equal(back, objects)
+    assert back["b"]["block"].flags.c_contiguous
+    assert not np.shares_memory(back["b"]["block"], back["a"])
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_files_of_earlier_versions_are_read(tmp_path, version):
     write_hdf5(tmp_path / "a.h5", {"a": np.ones(3)})
     with h5py.File(tmp_path / "a.h5", "r+") as file:
-        file.attrs["schema"] = "operando/hdf5/2"
+        file.attrs["schema"] = f"operando/hdf5/{version}"
     assert equal(read_hdf5(tmp_path / "a.h5")["a"], np.ones(3))
 
 

@@ -66,11 +66,11 @@ class Results(Short):
         ``comparison.json``.
     diagnosis : dict or None
         ``diagnosis.json``.
-    effect_idle : ModalModel or None
-        The idle model as the diagnosis left it (shapes at the effects' places refitted); with the accepted effects it is the second
-        route to the operational FRFs.
     effect_covariance : array or None
-        Joint covariance of that idle model and the effects' values (see ``operando.structure.Model``).
+        Joint covariance of the idle model as the diagnosis left it and the effects' values (see ``operando.structure.Model``).
+    effect_idle : ModalModel or None
+        That idle model (shapes at the effects' places refitted), without ``details``; with the accepted effects it is the second route to
+        the operational FRFs.
     idle_libraries, operating_libraries : list of dict
         Other libraries on the same data, where asked for: ``LibraryComparison.to_dict()`` of ``operando.contrib``.
     left_out : dict
@@ -102,8 +102,8 @@ class Results(Short):
     diagnosis: dict[str, Any] | None = None
     left_out: dict[str, str] = field(default_factory=dict)
     timings_s: dict[str, float] = field(default_factory=dict)
+    effect_covariance: Any = None  # before the model whose covariance is a block of it: model.h5 holds that once
     effect_idle: ModalModel | None = None
-    effect_covariance: Any = None
     automatic: ModalModel | None = None
     idle_libraries: list[dict[str, Any]] = field(default_factory=list)
     operating_libraries: list[dict[str, Any]] = field(default_factory=list)

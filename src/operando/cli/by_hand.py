@@ -147,7 +147,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     results.diagnosis = (
         before | {"effects": done["effects"], "ladder": done["ladder"], "judged_on": done["judged_on"], "by_hand": by_hand} | more
     )
-    results.effect_idle, results.effect_covariance = applied.model.idle, applied.model.covariance
+    results.effect_idle, results.effect_covariance = replace(applied.model.idle, details=None), applied.model.covariance
     if results.comparison is not None:
         shown = applied.model if applied.effects else None
         results.comparison = with_effect(results.comparison, shown, runs, band or idle.band_hz)

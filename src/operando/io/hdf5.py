@@ -5,7 +5,8 @@ A group that holds an object has a dataset ``__tree__`` (JSON, with each array r
 
 HDF5 itself does not notice a changed byte. So the tree holds a hash of each array, the group one of the tree, and the file a list of
 its objects: a damaged file is refused, never read as something else. Files of the first version of the format have no hashes; from
-the third on a large array that several objects hold stands once, where it comes first, and a symmetric matrix as its upper triangle.
+the third on a large array that several objects hold stands once, where it comes first, and a symmetric matrix as its upper triangle;
+from the fourth on one that is the upper left block of another does not stand again.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from operando.io.safe import check_growth, opened_hdf5, trust
 if TYPE_CHECKING:
     import h5py
 
-SCHEMA = "operando/hdf5/3"
-_SCHEMAS = ("operando/hdf5/1", "operando/hdf5/2", SCHEMA)
+SCHEMA = "operando/hdf5/4"
+_SCHEMAS = ("operando/hdf5/1", "operando/hdf5/2", "operando/hdf5/3", SCHEMA)
 _HASHED = _SCHEMAS[1:]
 _CHANGED = "the file is damaged, or was changed after operando wrote it"
 UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError)
@@ -128,11 +129,12 @@ def write_hdf5(path: str | Path, objects: Mapping[str, Any], *, packed: bool = T
 
     # In memory first: the HDF5 library never sees a write that fails, which it would answer by messages of its own.
     content = io.BytesIO()
-    with h5py.File(content, "w") as file:
+    with h5py.File(content, "w", libver=("v108", "v108")) as file:  # the form of HDF5 1.8: many small groups take less room
         file.attrs["schema"], file.attrs["objects"] = SCHEMA, json.dumps(list(objects))
-        standing: dict[str, str] = {}
+        standing: dict[str, Any] = {}
+        matrices: list[tuple[np.ndarray, dict[str, Any]]] = []
         for name, obj in objects.items():
-            _write(Target(file.create_group(name), standing, packed), obj)
+            _write(Target(file.create_group(name), standing, matrices, packed), obj)
     with replacing(path) as stream:
         stream.write(content.getbuffer())
     trust(path, "hdf5")
@@ -310,6 +312,8 @@ def _decode(tree: Any, stored: _Stored) -> Any:
         return _array_of(tree, stored)
     if "__same__" in tree:
         return stored.repeated.array(tree["__same__"])
+    if "__block__" in tree:
+        return stored.repeated.array(tree["__block__"])[: tree["size"], : tree["size"]].copy()
     if "__dofs__" in tree:
         return tuple(Dof.parse(str(text)) for text in stored.array(tree["__dofs__"], tree.get(HASH)))
     if "__list__" in tree:

@@ -42,10 +42,21 @@ def hash_of(value: str | np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Target:
-    """The group an object is written to, where in the file each large array stands, by its hash, and whether they are compressed."""
+    """The group an object is written to, what stands in the file already, and whether large arrays are compressed.
+
+    Parameters
+    ----------
+    group : h5py Group
+    standing : dict
+        Hash of each large array → what a tree says of it.
+    matrices : list
+        Each large symmetric matrix, and what a tree says of it.
+    packed : bool
+    """
 
     group: h5py.Group
     standing: dict[str, Any]
+    matrices: list[tuple[np.ndarray, dict[str, Any]]]
     packed: bool = True
 
     def put(self, name: str, value: np.ndarray, stated: str) -> dict[str, str]:
@@ -104,14 +115,19 @@ def _encode_array(value: np.ndarray, target: Target, path: str) -> Any:
     large = PACKED_FROM <= value.nbytes < mapped.MAPPED_FROM
     if large and stated in target.standing:
         return {"__same__": target.standing[stated]}
+    symmetric = large and _symmetric(value)
+    if symmetric and (whole := next((tree for matrix, tree in target.matrices if _begins(matrix, value)), None)) is not None:
+        return {"__block__": whole, "size": len(value)}
     tree: dict[str, Any]
-    if large and _symmetric(value):
+    if symmetric:
         triangle = value[np.triu_indices(len(value))]
         tree = {"__triangle__": target.put(name, triangle, hash_of(triangle))}
     else:
         tree = target.put(name, value, stated)
     if large:
         target.standing[stated] = _placed(tree, f"{target.group.name.strip('/')}/{name}".strip("/"))
+        if symmetric:
+            target.matrices.append((value, target.standing[stated]))
     return tree
 
 
@@ -126,6 +142,13 @@ def _symmetric(value: np.ndarray) -> bool:
         return False
     bits = np.ascontiguousarray(value).view(np.int64)
     return bool(np.array_equal(bits, bits.T))
+
+
+def _begins(whole: np.ndarray, value: np.ndarray) -> bool:
+    """Whether a symmetric matrix is, to the bit, the upper left block of another: what is known of some parameters, and of more."""
+    n = len(value)
+    first, second = (np.ascontiguousarray(m[:n, :n]).view(np.int64) for m in (whole, value))
+    return n < len(whole) and np.array_equal(first, second)
 
 
 def _encode_sequence(value: tuple[Any, ...] | list[Any], target: Target, path: str) -> Any:

@@ -51,8 +51,8 @@ def missing_physics(work: Work) -> dict[str, Any]:
     made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,
-        "effect_idle": model.idle,
         "effect_covariance": model.covariance,
+        "effect_idle": replace(model.idle, details=None),  # those of the idle model
         "findings": findings,
     }
     # A place between sensors at which an effect was found is a node from here on.
