@@ -6,6 +6,7 @@ import base64
 import hashlib
 import io
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
@@ -22,6 +23,9 @@ LONG_PATH = 17
 
 FONTS = ("DejaVu Sans", "sans-serif", "sans serif", "sans")
 """Families that the page replaces by its own."""
+
+OWN_FONT = ["DejaVu Sans"]
+"""The one that figures of the report are measured with: that of their style, shipped with matplotlib."""
 
 HATCH = 72
 """Side of the square of a hatch [pt]."""
@@ -81,7 +85,7 @@ class SmallSvg(RendererBase):
 
     def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> tuple[float, float, float]:
         """Size of a text [pt], unhinted: the browser scales it."""
-        return text_to_path.get_text_width_height_descent(s, prop, ismath)
+        return _own_text_size(s, prop) if not ismath and prop.get_family() == OWN_FONT else _text_size(s, prop, ismath)
 
     def _get_font_height_metrics(self, prop: Any) -> tuple[float | None, ...]:
         """Ascent, descent and gap between lines of a font [pt], which matplotlib (from 3.11 on) looks up for each text otherwise."""
@@ -236,6 +240,15 @@ class SmallSvg(RendererBase):
         return self._key(f'<pattern patternUnits="userSpaceOnUse" width="{HATCH}" height="{HATCH}">{ground}{lines}</pattern>')
 
 
+_text_size = text_to_path.get_text_width_height_descent
+
+
+@lru_cache(4096)
+def _own_text_size(s: str, prop: Any) -> tuple[float, float, float]:
+    """Size of a text in the font of all figures, in which many show the same numbers."""
+    return _text_size(s, prop, False)
+
+
 def _css(style: dict[str, str]) -> str:
     return ";".join(f"{name}:{value}" for name, value in style.items() if value)
 
@@ -285,7 +298,7 @@ def _outline(
     points = np.round(clean.vertices * (1, -1) + (0, top), digits) + 0.0  # no −0
     if not round_parts and not any(b == Path.LINETO for a, b in pairwise(codes) if a == Path.CLOSEPOLY):
         form = "".join(map(_STRAIGHT.__getitem__, codes))
-        return form % tuple(points[np.isin(clean.codes, (Path.MOVETO, Path.LINETO))].ravel().tolist())
+        return form % tuple(points[(clean.codes == Path.MOVETO) | (clean.codes == Path.LINETO)].ravel().tolist())
     pieces, taken, last = [], [], 0
     for k, code in enumerate(codes):
         if code in _LETTERS:  # the letter stands once for a run, and M is followed by lines

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis, YAxis
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 
@@ -18,31 +20,74 @@ class _Moving:
     def __init__(self, tick: Any, places: list[tuple[float, str]]) -> None:
         self.tick, self.places = tick, places
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[_Moving]:
+        yield self  # to be drawn
+
+    def _each(self) -> Iterator[Any]:
         for place, word in self.places:
             self.tick.update_position(place)
             self.tick.label1.set_text(word)
             self.tick.label2.set_text(word)
             yield self.tick
 
+    def boxes(self, renderer: Any) -> tuple[list[Any], list[Any]]:
+        """Boxes of the labels on either side."""
+        found: tuple[list[Any], list[Any]] = [], []
+        for tick in self._each():
+            for label, boxes in zip((tick.label1, tick.label2), found, strict=True):
+                if label.get_visible() and label.get_in_layout():
+                    boxes.append(label.get_window_extent(renderer))
+        return found
+
+    def draw(self, renderer: Any) -> None:
+        """Draw all lines of the grid as one, all marks of a kind as one, then the labels."""
+        tick = self.tick
+        if not self.places or not tick.get_visible():
+            return
+        for line in (tick.gridline, tick.tick1line, tick.tick2line):
+            if line.get_visible():
+                self._draw_at_all(line, renderer)
+        for each in self._each():
+            each.label1.draw(renderer)
+            each.label2.draw(renderer)
+
+    def _draw_at_all(self, line: Any, renderer: Any) -> None:
+        """Draw what a line is at one place at all places, by one path with gaps."""
+        along, across = (0, 1) if self.tick.__name__ == "xtick" else (1, 0)
+        one = line.get_data(orig=True)
+        part = [*one[across], np.nan] if len(one[across]) > 1 else one[across]
+        data: list[Any] = [None, None]
+        data[along] = np.repeat([place for place, _ in self.places], len(part))
+        data[across] = np.tile(part, len(self.places))
+        line.set_data(*data)
+        line.draw(renderer)
+        line.set_data(*one)
+
 
 class _OneTick(Axis):
-    _boxes: list[Any] | None = None  # of the labels of the ticks, while the axis is drawn
+    _boxes: Any = None  # of the labels of the ticks, while the axis is drawn
 
     def draw(self, *args: Any, **kwargs: Any) -> None:
-        """Draw the axis; matplotlib measures the labels of its ticks twice for it, which do not move in between."""
-        self._boxes = []
+        """Draw the axis; matplotlib measures the labels of its ticks three times for it, which do not move in between."""
+        self._boxes = ()
         with self._no_minor_made() if isinstance(self.get_minor_locator(), NullLocator) else nullcontext():
+            first = self.get_major_ticks(1)[0]
+            labels: list[Any] = [label for label in (first.label1, first.label2) if label.get_visible()]
+            for label in labels:
+                label._get_layout = _known_layout(label)
             super().draw(*args, **kwargs)
+            for label in labels:
+                del label._get_layout
         self._boxes = None
 
     def _get_ticklabel_bboxes(self, ticks: Any, renderer: Any) -> Any:
         made: Any = super()
-        if self._boxes is None:
-            return made._get_ticklabel_bboxes(ticks, renderer)
-        if not self._boxes:
-            self._boxes.append(made._get_ticklabel_bboxes(ticks, renderer))
-        return self._boxes[0]
+        if self._boxes:
+            return self._boxes
+        boxes = ticks.boxes(renderer) if isinstance(ticks, _Moving) else made._get_ticklabel_bboxes(ticks, renderer)
+        if self._boxes is not None:
+            self._boxes = boxes
+        return boxes
 
     def set_clip_path(self, path: Any, transform: Any = None) -> None:
         """Clip the axis and its ticks."""
@@ -117,6 +162,19 @@ class _Axes(Axes):
         self.xaxis, self.yaxis = _X(self, clear=False), _Y(self, clear=False)
         for name, spine in self.spines.items():
             spine.register_axis(self.xaxis if name in ("top", "bottom") else self.yaxis)
+
+
+def _known_layout(label: Any) -> Callable[[Any], Any]:
+    """Where the letters of a label lie about its place, found once for each word it is given."""
+    known: dict[str, Any] = {}
+
+    def layout(renderer: Any) -> Any:
+        word = label.get_text()
+        if word not in known:
+            known[word] = Text._get_layout(label, renderer)  # type: ignore[attr-defined]
+        return known[word]
+
+    return layout
 
 
 class Sheet(Figure):
