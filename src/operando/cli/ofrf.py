@@ -112,9 +112,9 @@ def ofrf(
         model = LevelModel.of(results, level)
         method, own = f"idle model + {', '.join(str(e) for e in model.effects) or 'no effect'} at {level:g} N", ()
     elif route == "effect":
-        from operando.pipeline.outputs import effect_model
+        from operando.diagnosis.stored import effect_model
 
-        model = effect_model(results, values)
+        model = effect_model(results, values).structure()
         method, own = "idle model + " + (", ".join(str(e) for e in model.effects) or "no effect"), ()
     else:
         model, method, own = results.hybrid, results.hybrid.method, results.hybrid.findings

@@ -72,8 +72,10 @@ def _ofrf(path: Path, results: Results) -> list[Finding]:
 
 
 def _ofrf_effect(path: Path, results: Results) -> list[Finding]:
+    from operando.diagnosis.stored import effect_model
+
     dofs = None if results.idle is None else results.idle.dofs
-    frf = effect_model(results).frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)
+    frf = effect_model(results).structure().frf(ofrf_lines(results), dofs, dofs, "accelerance", variance=False)
     return _uff(path, results, frf, single=True)
 
 
@@ -159,39 +161,6 @@ def _modes(path: Path, results: Results, model: ModalModel | None) -> list[Findi
     if model is not None:
         model = along_axes(replace(model, details=None), _directions(results), path.name, findings)
     return _uff(path, results, model, node_set=15) + findings
-
-
-def effect_model(results: Results, changes: Sequence[tuple[int, str, float]] = ()) -> Any:
-    """The second route to the operational FRFs: the idle model with the accepted effects, channel faults left out.
-
-    An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
-
-    Parameters
-    ----------
-    results : Results
-    changes : sequence of (int, str, float), optional
-        Step of the steps, parameter and another value of it [SI]: a state that was not measured.
-
-    Raises
-    ------
-    MissingError
-        If there is no diagnosis.
-    ConfigError
-        If there is no such step or parameter.
-    """
-    from operando.diagnosis.document import discrepancy_of
-    from operando.diagnosis.from_records import standing
-    from operando.structure import Model
-
-    if results.diagnosis is None or results.idle is None:
-        raise MissingError("there is no model with accepted effects", hint="run the test to the stage diagnose")
-    effects = tuple(standing(results.diagnosis))
-    model = Model(
-        results.effect_idle or results.idle, effects, results.geometry, results.effect_covariance, discrepancy_of(results.diagnosis)
-    )
-    for step, name, value in changes:
-        model = model.with_values(step, **{name: value})
-    return model.structure()
 
 
 def _directions(results: Results) -> dict[str, Any]:

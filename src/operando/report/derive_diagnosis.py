@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Frf
-from operando.errors import OperandoError
+from operando.errors import DataError, OperandoError
 from operando.report import derive
 from operando.results import CheckRun, Results
 
@@ -23,23 +23,14 @@ DECIBEL = 8.685889638065035
 
 
 def effect_model(results: Results) -> Any:
-    """The idle model with the effects now in the diagnosis (an ``operando.structure.Model``); None where it cannot be made.
+    """The idle model with the effects now in the diagnosis (:func:`operando.diagnosis.stored.effect_model`); None where there is none."""
+    from operando.diagnosis.stored import effect_model as stored
 
-    An effect that depends on the level stands in it as the spring and damper it is equivalent to at the lowest level measured.
-    """
-    from operando.diagnosis.document import discrepancy_of
-    from operando.diagnosis.from_records import standing
-    from operando.structure import Model
-
-    base = results.effect_idle or derive.scaled_idle(results)
-    if results.diagnosis is None or base is None:
-        return None
     try:
-        effects = tuple(standing(results.diagnosis))
         try:
-            return Model(base, effects, results.geometry, results.effect_covariance, discrepancy_of(results.diagnosis))
-        except OperandoError:  # a covariance of other effects
-            return Model(base, effects, results.geometry)
+            return stored(results)
+        except DataError:  # a covariance of other effects
+            return stored(replace(results, effect_covariance=None))
     except (OperandoError, KeyError, TypeError, ValueError):
         return None
 
