@@ -162,6 +162,34 @@ def test_compare_results_with_a_measurement(folder, tmp_path):
     assert text.startswith("operational FRFs by the hybrid route: error")
 
 
+def test_compare_by_the_other_route(with_effect, folder, tmp_path):
+    from operando.io import write_uff
+    from operando.structure import Model
+
+    spring = Model(models.results().idle).add("ground_spring@3+Z=stiffness:2e4")
+    write_uff(tmp_path / "check.uff", spring.frf(np.arange(12, 88, 0.5), references="1+Z"))
+    document = answer("compare", with_effect, tmp_path / "check.uff", "--route", "effect")
+    assert document["model"]["error_db"] < 1e-3 < answer("compare", with_effect, tmp_path / "check.uff")["model"]["error_db"]
+    assert "ground_spring@3+Z" in document["model_source"]
+    done = call("compare", folder, tmp_path / "check.uff", "--route", "effect")
+    assert done.exit_code == 1
+    assert "no model with accepted effects" in done.stderr
+    done = call("compare", tmp_path / "check.uff", tmp_path / "check.uff", "--route", "effect")
+    assert done.exit_code == 1
+    assert "--route belongs to a results folder" in done.stderr
+
+
+def test_compare_says_which_route_is_recommended(with_effect, tmp_path):
+    from operando.store import load_results
+
+    results = load_results(with_effect)
+    better = {"models": {"ofrf": {"error_db": 0.5}, "effect": {"error_db": 0.1}, "idle": {"error_db": 5.0}}}
+    save_results(replace(results, comparison=better), tmp_path / "model.h5")
+    said = "The results recommend --route effect: idle model + effects: 0.10 dB against 0.50 dB of the hybrid route"
+    assert said in call("compare", tmp_path, tmp_path).stdout
+    assert said not in call("compare", tmp_path, tmp_path, "--route", "hybrid").stdout
+
+
 def test_compare_takes_any_model_and_any_measurement(folder, tmp_path):
     from operando.io import write_uff
 

@@ -396,9 +396,20 @@ def test_diagnosis_names_the_spring_and_hands_it_over(finished, tmp_path):
     assert any("the data speak for another one" in word and "3+Z" in word for word in wrong["words"])
     bad = strict(folder / "comparison.json")
     assert good["models"]["effect"]["misfit"] < 0.1 * bad["models"]["effect"]["misfit"] < bare["models"]["idle"]["misfit"]
+    twice = CliRunner().invoke(main, ["add", str(folder), "point_mass@1+Z=mass:0.5", "--json"])
+    assert twice.exit_code == 1
+    refused = json.loads(twice.stdout)
+    assert refused["error"] == "point_mass at 1+Z would be in the model twice"
+    assert f"operando remove {folder} 1" in refused["hint"]
     call("remove", str(folder), "1")
     again = call("add", str(folder), "--suggested")
     assert [e["kind"] for e in again["effects"]] == [e["kind"] for e in found["effects"]]
+    told = CliRunner().invoke(main, ["add", str(folder), "point_mass@1+Z=mass:0.01"])
+    now = told.stdout.split("in the model now")[1].splitlines()[1:3]  # with the sizes of the refit
+    assert "at 3+Z: " in now[0]
+    assert " ± " in now[0]
+    assert now[1].startswith("  2 point mass at 1+Z: ")
+    assert len(call("remove", str(folder), "2")["effects"]) == 1
     refused = CliRunner().invoke(main, ["remove", str(folder), "9", "--json"])
     assert refused.exit_code == 1
     assert json.loads(refused.stdout)["schema"] == "operando/error/1"

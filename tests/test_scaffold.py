@@ -228,7 +228,7 @@ def test_arrays_without_frequencies_are_taken_and_the_step_is_asked_for(tmp_path
 def test_files_of_the_same_frfs_are_said_to_be_several_states(tmp_path):
     for name in ("ref", "cut"):
         operando.write_uff(tmp_path / f"{name}.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "1+Z"))
-    assert any(note.startswith("cut.uff, ref.uff hold the same FRFs") for note in scaffold(tmp_path).notes)
+    assert any(note.startswith("cut.uff, ref.uff hold FRFs of the same DOFs") for note in scaffold(tmp_path).notes)
 
 
 def test_tables_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):

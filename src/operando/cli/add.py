@@ -10,7 +10,7 @@ from operando.cli.effects import kinds_like
 
 @click.command("add", epilog="Example: operando add pump-results point_mass@272+Z=mass:0.2")
 @click.argument("folder", metavar="DIR", type=click.Path())
-@click.argument("effects", metavar="EFFECT", nargs=-1, shell_complete=kinds_like)
+@click.argument("effects", metavar="EFFECT...", nargs=-1, shell_complete=kinds_like)
 @click.option("--suggested", is_flag=True, help="Add what the diagnosis accepts, in its order.")
 @click.option("--fix", is_flag=True, help="Hold the values given instead of fitting them.")
 @own_option
@@ -24,7 +24,7 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
     """
     if bool(effects) == suggested:
         raise click.UsageError("name effects to add, or --suggested")
-    from operando.cli.by_hand import accepted, change, present, suggestion
+    from operando.cli.by_hand import accepted, change, not_twice, present, suggestion
     from operando.cli.ofrf import check_dofs
     from operando.cli.sources import changing
     from operando.structure.effects import parse_effect
@@ -37,4 +37,6 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
         new = [parse_effect(text, band, fixed=fix) for text in effects]
         for text, effect in zip(effects, new, strict=True):
             check_dofs(effect.location, state.idle.dofs if state.idle is not None else (), f"effect {text!r:.200}")
-        return change(out, state, [*accepted(state), *new])
+        together = [*accepted(state), *new]
+        not_twice(together, folder)
+        return change(out, state, together)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from operando.cli.answer import Answer
 from operando.cli.diagnose import steps_table
 from operando.cli.progress import following
-from operando.errors import MissingError
+from operando.errors import ConfigError, MissingError
 from operando.results import CheckRun, Results
 from operando.structure.effects import Effect
 
@@ -155,5 +155,39 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
         if output.name != "comparison.json" or results.comparison is not None:
             folder.stage(output.name, None, output.of(results))
     folder.commit()
-    words = list(applied.words) or ["the idle model alone"]
+    words = [*applied.words, "", *_now(done["effects"])] if applied.words else ["the idle model alone"]
     return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", steps_table(done["ladder"], done["judged_on"])]))
+
+
+def _now(effects: list[dict[str, Any]]) -> list[str]:
+    """The effects in the model with the sizes of the refit, by the step that ``remove`` takes."""
+    from operando.report.words_diagnosis import effect_words
+
+    if not effects:
+        return []
+    words = [effect_words(effect) for effect in effects]
+    return ["in the model now (± is the 95 % interval):", *(f"  {i} {w.label}: {w.size}" for i, w in enumerate(words, 1))]
+
+
+def not_twice(effects: list[Effect], folder: str) -> None:
+    """Two effects of one kind at one location are one effect where their sizes add up: no data tell the two apart.
+
+    Sizes add up in the kinds of operando with one parameter, excitation aside. Of a user's own kinds that is not known.
+
+    Raises
+    ------
+    ConfigError
+        If the model would hold such a pair.
+    """
+    seen: dict[tuple[str, str], int] = {}
+    for step, effect in enumerate(effects, 1):
+        kind, place = effect.definition, (effect.kind, effect.place)
+        adds_up = len(kind.parameters) < 2 and kind.acts != "excitation" and type(kind).__module__.startswith("operando.")
+        if adds_up and place in seen:
+            what = f"{effect.kind} at {effect.place}" if effect.place else effect.kind
+            raise ConfigError(
+                f"{what} would be in the model twice",
+                where=f"{folder}, step {seen[place]}",
+                hint=f"`operando remove {folder} {seen[place]}` takes the first one back",
+            )
+        seen[place] = step

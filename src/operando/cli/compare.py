@@ -14,10 +14,16 @@ from operando.cli.answer import Answer, answers, apart_from_runs, own_option, ta
 @click.command("compare", epilog="Example: operando compare pump-results check/run1.uff -o comparison.json")
 @click.argument("model", type=click.Path())
 @click.argument("measured", type=click.Path())
+@click.option(
+    "--route",
+    type=click.Choice(["hybrid", "effect"]),
+    default=None,
+    help="Of a results folder: scaled operational modes, or idle model + accepted effects (default: hybrid, without one the idle model).",
+)
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="JSON file to write.")
 @own_option
 @answers
-def compare(model: str, measured: str, output: str | None) -> Answer:
+def compare(model: str, measured: str, route: str | None, output: str | None) -> Answer:
     """Any model (results folder, model.h5, UFF FRFs or modes) against any measurement (FRFs, or records with force).
 
     The errors stand under the key "model" of the JSON document.
@@ -26,7 +32,7 @@ def compare(model: str, measured: str, output: str | None) -> Answer:
     from operando.compare import compare_all
 
     apart_from_runs(output, "compare")
-    source = load_model(model)
+    source = load_model(model, route)
     runs = [replace(run, frf=run.frf.without_bands(source.exclude_bands)) for run in load_measured(measured)]
     found: dict[str, Any] = compare_all({"model": source.model}, runs, band_hz=source.band_hz)
     errors = found["models"]["model"]
@@ -35,7 +41,8 @@ def compare(model: str, measured: str, output: str | None) -> Answer:
         from operando.atomic import write_json
 
         write_json(Path(output), document)
-    return Answer(document, _text(source.what, errors, document, output))
+    text = _text(source.what, errors, document, output)
+    return Answer(document, f"{text}\n{source.advice}" if source.advice and route is None else text)
 
 
 def _text(what: str, errors: dict[str, Any], document: dict[str, Any], output: str | None) -> str:

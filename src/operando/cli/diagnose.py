@@ -53,9 +53,9 @@ def text_of(name: str | None, document: dict[str, Any]) -> str:
     lines = [] if name is None else [f"{name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}."]
     intro = found_intro(words)
     lines += [intro] if intro else []
-    lines += [f"  {sentence}" for sentence in words.found]
+    lines += [f"  {sentence}" if intro else sentence for sentence in words.found]
     lines += [*words.sentences, *words.decide]
-    parts = ["\n".join(lines), steps_table(document["ladder"], document.get("judged_on"))]
+    parts = ["\n".join(lines), steps_table(document["ladder"])]  # the hold-out set is named above
     if words.ladder.decibel and words.ladder.floor is not None:
         parts[-1] += f"\nnoise floor {words.ladder.floor:.4g} dB"
     if document.get("notes"):
@@ -73,6 +73,5 @@ def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | Non
         label = "idle model" if added is None else f"+ {added['kind']} {', '.join(added['location'])}".strip()
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
     said = lines_words(judged_on or {})
-    return table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"]) + (
-        f"\nχ²: reduced chi-square, 1 = as good as the noise allows; hold-out set: {said}" if said else ""
-    )
+    head = table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"])
+    return f"{head}\nχ²: reduced chi-square, 1 = as good as the noise allows" + (f"; hold-out set: {said}" if said else "")

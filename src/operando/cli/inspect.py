@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from operando.cli.answer import Answer, answers, table
 from operando.cli.test_file import read_test, set_option
+
+if TYPE_CHECKING:
+    from operando.config import Test
+    from operando.errors import OperandoError
 
 
 @click.command("inspect", epilog="Example: operando inspect idle/run1.uff operating/*.uff")
@@ -26,9 +30,11 @@ def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
     paths: list[str | Path] = list(files)
     units: Any = None
     channels: Any = None
+    wrong: OperandoError | None = None
     if len(files) == 1 and files[0].endswith(".toml"):
         test = read_test(files[0], changes)
         paths, units, channels = list(test.files), test.units or None, test.channels or None
+        wrong = _names_no_file_has(test)
     elif changes:
         raise click.UsageError("--set belongs to a test file, and none is named")
     document: dict[str, Any] = inspect_files(paths, units=units, channels=channels)
@@ -41,7 +47,19 @@ def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
             found = _quality(entry["path"], units, channels, entry["findings"])
             entry["findings"] += found
             document["findings"] += found
-    return Answer(document, _text(document))
+    return Answer(document, _text(document), wrong)
+
+
+def _names_no_file_has(test: Test) -> OperandoError | None:
+    """The first name of a test file that is in none of its files; None where all are there."""
+    from operando.errors import OperandoError
+    from operando.pipeline.inputs import Inputs
+
+    try:
+        Inputs(test).check_names()
+    except OperandoError as error:
+        return error
+    return None
 
 
 def _quality(path: str, units: Any, channels: Any, known: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -60,10 +78,12 @@ def _text(document: dict[str, Any]) -> str:
 
 
 def _file_text(entry: dict[str, Any]) -> str:
+    from operando.data import counted
+
     if entry["error"] is not None:
         hint = entry["error"]["hint"]
         return f"{entry['path']}: cannot be read: {entry['error']['error']}" + (f" ({hint})" if hint else "")
-    lines = [f"{entry['path']} ({entry['format']}, {len(entry['sets'])} sets)"]
+    lines = [f"{entry['path']} ({entry['format']}, {counted(len(entry['sets']), 'set')})"]
     lines += [f"  found    {text}" for text in entry["found"]]
     lines += [f"  used     {text}" for text in entry["used"]]
     lines += [f"  ignored  {text}" for text in _ignored(entry["ignored"])]

@@ -247,12 +247,12 @@ def check_dofs(wanted: Any, known: Any, where: str) -> None:
 def _text(frf: Frf, method: str, output: str | None) -> str:
     import numpy as np
 
+    from operando.data import counted
     from operando.indicators import INTERVAL
 
     f, count = frf.frequencies_hz, len(frf.responses) * len(frf.references)
-    head = (
-        f"{count} operational FRFs ({frf.quantity}, {UNITS[frf.quantity]}, method {method}), {f[0]:.6g} … {f[-1]:.6g} Hz, {f.size} lines."
-    )
+    head = f"{counted(count, 'operational FRF')} ({frf.quantity}, {UNITS[frf.quantity]}, method {method})"
+    head += f", {f[0]:.6g} … {f[-1]:.6g} Hz, {f.size} lines."
     rows: list[list[str]] = []
     for i, response in enumerate(frf.responses):
         for j, reference in enumerate(frf.references):

@@ -12,7 +12,7 @@ from operando.errors import FormatError, MissingError
 
 if TYPE_CHECKING:
     from operando.pipeline.folder import ResultsFolder
-    from operando.results import CheckRun
+    from operando.results import CheckRun, Results
 
 
 @contextmanager
@@ -36,21 +36,24 @@ def changing(path: str, doing: str) -> Iterator[ResultsFolder]:
 
 @dataclass(frozen=True)
 class Source:
-    """A model with what it is in words, the band it is meant for, and the bands its test leaves out."""
+    """A model with what it is in words, the band it is meant for, the bands its test leaves out, and which other model is recommended."""
 
     model: Any
     what: str
     band_hz: tuple[float, float] | None = None
     exclude_bands: tuple[tuple[float, float], ...] = ()
+    advice: str = ""
 
 
-def load_model(path: str) -> Source:
-    """The best model of a results folder or ``model.h5``; else the FRFs or scaled modes of a file.
+def load_model(path: str, route: str | None = None) -> Source:
+    """The model of a results folder or ``model.h5`` by a route (``hybrid`` or ``effect``); else the FRFs or scaled modes of a file.
+
+    Without a route it is the hybrid one, or the idle model where there is no hybrid one.
 
     Raises
     ------
     MissingError
-        If there is no model that makes FRFs.
+        If there is no model that makes FRFs, or none by this route.
     """
     results = _results(path)
     if results is not None:
@@ -59,13 +62,26 @@ def load_model(path: str) -> Source:
         band = results.settings.get("band") or (None if results.idle is None else results.idle.band_hz)
         band = None if band is None else (float(band[0]), float(band[1]))
         without = tuple((float(low), float(high)) for low, high in results.settings.get("exclude_bands") or ())
+        if route == "effect":
+            from operando.diagnosis.stored import effect_model
+
+            model = effect_model(results).structure()
+            what = " + ".join(("idle model", *(str(e) for e in model.effects)))
+            return Source(model, what, band, without)
         if results.hybrid is not None:
-            return Source(results.hybrid, "operational FRFs by the hybrid route", band, without)
+            return Source(results.hybrid, "operational FRFs by the hybrid route", band, without, _advice(results))
+        if route == "hybrid":
+            reason = results.left_out.get("ofrf", "the run ended before it")
+            raise MissingError(
+                f"there are no operational FRFs: {reason}", where=path, hint="run `operando run test.toml` to the stage ofrf"
+            )
         if results.idle is not None and results.idle.scaling == "unit_modal_mass" and results.idle.si:
             return Source(results.idle, "idle modes", band, without)
         cause = None if results.idle is None else no_scale(results.idle, results.findings)
         text, hint = cause[:2] if cause else ("there are no idle modes", "`operando run` the test to the stage ema or further")
         raise MissingError(f"holds no model of unit modal mass: {text}", where=path, hint=hint)
+    if route is not None:
+        raise MissingError("is a file, and --route belongs to a results folder", where=path, hint="leave --route out")
     content = _read(path)
     if content.frfs:
         from operando.frf import merge_frfs
@@ -76,6 +92,16 @@ def load_model(path: str) -> Source:
         return Source(scaled[0], "modes of the file (unit modal mass)", scaled[0].band_hz)
     what = "modes of arbitrary scale" if content.models else "no FRFs and no modes"
     raise MissingError(f"holds {what}: nothing that predicts FRFs", where=path, hint="give a results folder, model.h5, or FRFs as UFF 58")
+
+
+def _advice(results: Results) -> str:
+    """A sentence where the results recommend the other route."""
+    from operando.compare import recommended
+
+    advised = recommended(results.comparison, results.diagnosis, results.hybrid is not None)
+    if advised is None or advised.name != "effect":
+        return ""
+    return f"The results recommend --route effect: {advised.reason}."
 
 
 def load_measured(path: str) -> list[CheckRun]:

@@ -109,13 +109,16 @@ def run_text(results: Results, out: Path) -> str:
 
 def headline(results: Results) -> str:
     """The answer first: verdict and recommended route where there is a diagnosis, else how far the run came."""
+    from operando.data import counted
     from operando.report.assessment import route_words
 
     if results.diagnosis is not None:
         from operando.report.words_diagnosis import diagnosis_words
 
         words = diagnosis_words(results.diagnosis)
-        return f"{results.name}: {words.verdict} - {words.title[:1].lower()}{words.title[1:]}. {route_words(results)}".strip()
+        title = f"{words.title[:1].lower()}{words.title[1:]}"
+        cause = words.found[0] if words.verdict == "explained" and len(words.found) == 1 else ""
+        return " ".join(part for part in (f"{results.name}: {words.verdict} - {title}.", cause, route_words(results)) if part)
     if results.hybrid is not None:
         count, method = len(results.hybrid.modal.dofs), results.hybrid.method
         route = route_words(results) if results.comparison is not None else ""
@@ -126,13 +129,16 @@ def headline(results: Results) -> str:
     if results.operating is not None and results.idle is not None:
         why = results.left_out.get("ofrf", "")
         return (
-            f"{results.name}: {_count(results.idle)} idle and {_count(results.operating)} operational modes in band; no operational FRFs"
-            + (f" ({why})." if why else ".")
+            f"{results.name}: {_count(results.idle)} idle and {counted(_count(results.operating), 'operational mode')} in band; "
+            "no operational FRFs" + (f" ({why})." if why else ".")
         )
     if results.idle is not None:
-        return f"{results.name}: {_count(results.idle)} idle modes in band."
+        idle = ((results.comparison or {}).get("models") or {}).get("idle") or {}
+        off = idle.get("error_db")
+        error = "" if off is None else f" The idle model is off by {off:.2f} dB from the validation measurement."
+        return f"{results.name}: {counted(_count(results.idle), 'idle mode')} in band.{error}"
     if results.operating is not None:
-        return f"{results.name}: {_count(results.operating)} operational modes in band."
+        return f"{results.name}: {counted(_count(results.operating), 'operational mode')} in band."
     if results.idle_frf is not None:
         f = results.idle_frf
         band = f"{f.frequencies_hz[0]:.4g} … {f.frequencies_hz[-1]:.4g} Hz"
@@ -191,18 +197,23 @@ def mode_table(model: Any, hybrid: Any = None) -> str:
 
 def findings_text(results: Results, most: int = 12) -> str:
     """Warnings and errors, the rest counted."""
+    from operando.data import counted
+
     ranked = sorted((f for f in results.findings if f.severity != "info"), key=lambda f: f.severity != "error")
     if not results.findings:
         return "Findings: none"
     lines = []
     for f in ranked[:most]:
-        lines.append(f"  {f.severity}: {'' if f.file is None else f.file + ': '}{f.message}")
+        todo = f" ({f.action})" if f.action and f.severity != "error" else ""
+        lines.append(f"  {f.severity}: {'' if f.file is None else f.file + ': '}{f.message}{todo}")
         if f.severity == "error":  # what it does to the results, and what to do, stand beside it
             lines += [f"    {text}" for text in (f.consequence, f.action) if text]
     rest = len(results.findings) - len(ranked[:most])
     if rest:
         lines.append(
-            f"  and {rest} more in the report and in summary.json" if lines else f"  {rest} remarks in the report and in summary.json"
+            f"  and {rest} more in the report and in summary.json"
+            if lines
+            else f"  {counted(rest, 'remark')} in the report and in summary.json"
         )
     return f"Findings ({len(results.findings)}):\n" + "\n".join(lines)
 

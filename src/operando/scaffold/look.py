@@ -290,7 +290,7 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
         if len(alike) > 1:
             names = [file.name for file in alike]
             notes.append(
-                f"{', '.join(names[:4])}{' …' if len(names) > 4 else ''} hold the same FRFs: keep one, "
+                f"{', '.join(names[:4])}{' …' if len(names) > 4 else ''} hold FRFs of the same DOFs: keep one, "
                 "or move them into folders idle and check"
             )
     if seen.unlabelled:
