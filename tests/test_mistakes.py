@@ -63,6 +63,11 @@ def home(tmp_path_factory):
     (folder / "table.csv").write_text("time [s], 1+Z [m/s2]\n0, 1\n1, 2\n", encoding="utf-8")
     (folder / "empty").mkdir()
     made_results(folder / "results")
+    h = chain.accelerance(np.arange(0.5, 60.0, 0.5), ref=(0,))[:2, 0]
+    np.savez(folder / "frf.npz", data=h.T)
+    text = ["[idle]", 'frfs = ["frf.npz"]', "[units]", "frequency_step_hz = 0.5", 'acceleration = "g"', 'force = "N"', "[channels]"]
+    labels = [f'"{name}" = {{dof = "{dof}"}}' for name, dof in (("ch1", "1+Z"), ("ch2", "2+Z"), ("force", "1+Z"))]
+    (folder / "array.toml").write_text("\n".join([*text, *labels]), encoding="utf-8")
     text = ['name = "chain"', "", "[idle]", 'records = ["idle/*.uff"]', "", "[operating]", 'records = ["operating/*.uff"]', ""]
     text += ["[geometry]", 'file = "geometry.uff"', "", "[analysis]", "band = [10.0, 90.0]", ""]
     (folder / "test.toml").write_text("\n".join(text), encoding="utf-8")
@@ -135,6 +140,41 @@ MISTAKES = {
     ),
     "wrong DOF": (asked('channels.acc2={dof="2+Q"}'), 1, "'2.Q' is no DOF label", r"\[channels\] acc2", r"12\+Z"),
     "unknown channel": (asked('channels.acc9={dof="9+Z"}'), 1, "'acc9' names no channel", r"\[channels\] acc9", "did you mean 'acc"),
+    "unknown channel, inspected": (
+        ["inspect", "test.toml", "--set", 'channels.acc9={dof="9+Z"}'],
+        1,
+        "'acc9' names no channel",
+        r"\[channels\] acc9",
+        "did you mean 'acc",
+    ),
+    "unknown column of an array": (
+        ["inspect", "array.toml", "--set", 'channels.ch12={dof="9+Z"}'],
+        1,
+        "^'ch12' names no channel of any file$",
+        r"array\.toml, --set, \[channels\] ch12",
+        "did you mean 'ch[12]'",
+    ),
+    "one DOF for two columns": (
+        ["inspect", "array.toml", "--set", 'channels.ch2={dof="1+Z"}'],
+        1,
+        r"^response DOF 1\+Z appears twice",
+        r"frf\.npz",
+        r"its own DOF.*\[channels\]",
+    ),
+    "FRFs under records": (
+        ["run", "array.toml", "-o", "out", "--until", "frf", "--set", "idle.frfs=[]", "--set", 'idle.records=["frf.npz"]'],
+        1,
+        "no file holds a record with force and responses",
+        ".",
+        "the files hold FRFs: name them in frfs",
+    ),
+    "records under FRFs": (
+        ["run", "only_idle.toml", "-o", "out", "--until", "frf", "--set", "idle.records=[]", "--set", 'idle.frfs=["idle/*.uff"]'],
+        1,
+        "no file holds frequency response functions",
+        ".",
+        "the files hold time records: name them in records",
+    ),
     "unknown reference": (
         asked('analysis.references=["2+Z"]'),
         1,

@@ -521,6 +521,8 @@ def test_an_output_only_test_has_its_own_answer(whole):
     text = render_report(results)
     Page(text)
     assert headline(results).verdict == "12 operating modes in 8–140 Hz"
+    assert ": modes</title>" in text
+    assert "Operating frequency response functions · test report" not in text
     assert "arbitrary scale" in " ".join(headline(results).sentences)
     assert 'href="#idle"' not in text
     assert "Idle" not in "".join(re.findall("<th .*?</th>", text))

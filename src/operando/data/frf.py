@@ -155,7 +155,9 @@ class Frf(Noun):
             seen = set()
             for d in dofs:
                 if d.key in seen:
-                    raise DataError(f"{label} DOF {d} appears twice (in either sense)")
+                    raise DataError(
+                        f"{label} DOF {d} appears twice (in either sense)", hint="give each its own DOF; in a test file by [channels]"
+                    )
                 seen.add(d.key)
 
     def facts(self) -> dict[str, str]:

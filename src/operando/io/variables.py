@@ -93,6 +93,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     findings: list[Finding] = []
     notes: dict[str, str] = {}
     lacking: NoLines | None = None
+    broken: DataError | None = None
     groups = Groups(source)
     for variable in source.arrays:
         value = np.squeeze(variable.value)
@@ -114,6 +115,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
         except (FormatError, DataError) as error:
             notes[variable.path] = error.message
             lacking = error if isinstance(error, NoLines) else lacking
+            broken = error if isinstance(error, DataError) and error.hint else broken
     for group, found in groups.frfs():
         frfs.append(group)
         findings += found
@@ -125,6 +127,8 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     )
     if not records and not frfs and lacking is not None:
         raise NoLines(lacking.lines, str(path))
+    if not records and not frfs and broken is not None:
+        raise FormatError(broken.message, where=str(path), hint=broken.hint)
     if not records and not frfs:
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:6]) or "no arrays"
         raise FormatError(
@@ -327,7 +331,7 @@ def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source:
     force = find_spec(channels, "force", None, True)
     unlabelled = known is None and any(not specs[i].get("dof") for i in keep)
     if unlabelled or (references is None and not force.get("dof")):
-        findings.append(_missing_dof(title, source.where))
+        findings.append(_missing_dof(title, source.where, unlabelled))
     dofs = tuple(spec_dof(specs[i], known[i] if known else Dof(i + 1)) or Dof(i + 1) for i in keep)
     if references is None:
         given = spec_dof(force, None)
@@ -374,10 +378,16 @@ def _scaled(table: NDArray[Any], specs: list[Any], quantity: str, units: Units |
     return table * (np.array([s.factor for s in scales]) / force.factor)[:, None, None], name, True
 
 
-def _missing_dof(path: str, where: str) -> Finding:
+def _missing_dof(path: str, where: str, responses: bool) -> Finding:
+    """The finding where the responses, or else the force alone, have no DOF."""
+    what = "the file names no DOFs; responses are 1, 2, …, references 0 (or 1001, 1002, …)"
+    action = 'give them in [channels]: "ch1" = {dof = "12+Z"}, and "force" = {dof = "12+Z"} where the force acts'
+    if not responses:
+        what, action = "where the force acts is not said; the reference is called 0", 'give it in [channels]: "force" = {dof = "12+Z"}'
     return Finding(
-        "missing_dof", f"{path}: the file names no DOFs; responses are 1, 2, …, references 0 (or 1001, 1002, …)", "warning", where,
-        consequence="shapes cannot be drawn, drive points are not known", action='give them in [channels]: "ch1" = {dof = "12+Z"}',
+        "missing_dof", f"{path}: {what}", "warning", where,
+        consequence="shapes cannot be drawn, drive points are not known" if responses else "drive points are not known, modes get no scale",
+        action=action,
     )  # fmt: skip
 
 

@@ -153,9 +153,17 @@ class Inputs:
             raise MissingError(
                 f"no file holds a record with {what}" + (f": {reasons[0]}" if reasons else ""),
                 where=", ".join(p.name for p in state.records[:4]),
-                hint="`operando inspect FILE` shows what each channel is taken for; [channels] labels it",
+                hint=self._other_key(state.records, "frfs")
+                or "`operando inspect FILE` shows what each channel is taken for; [channels] labels it",
             )
         return self._usable(state, found)
+
+    def _other_key(self, files: Sequence[Path], key: str) -> str | None:
+        """What to do where the files of a state hold what belongs to its other key."""
+        contents = [self.content(file) for file in files]
+        if not any(getattr(content, key) for content in contents if content is not None):
+            return None
+        return f"the files hold {'FRFs' if key == 'frfs' else 'time records'}: name them in {key}"
 
     def _usable(self, state: State, records: list[TimeRecord]) -> list[TimeRecord]:
         """The records without the channels that cannot be used; the finding that says so takes the place of those about single files."""
@@ -185,7 +193,7 @@ class Inputs:
             raise MissingError(
                 "no file holds frequency response functions",
                 where=", ".join(p.name for p in state.frfs[:4]),
-                hint="UFF 58 of function type 4; raw time histories belong to records",
+                hint=self._other_key(state.frfs, "records") or "UFF 58 of function type 4; raw time histories belong to records",
             )
         from operando.frf import merge_frfs
 

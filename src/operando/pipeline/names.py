@@ -137,12 +137,12 @@ def check_names(test: Test, names: Mapping[Path, Names], found: Collection[str])
 def _check_channels(test: Test, names: Mapping[Path, Names], found: Collection[str]) -> None:
     for name in test.channels:
         if name not in found:
-            labels = {label for n in names.values() for label in n.labels}
-            raise _unknown(f"[channels] {name!r} names no channel of any file", name, labels, test.where("channels", name))
+            labels = {label for n in names.values() for label in n.labels} | set(found)  # columns without a name are known by those found
+            raise _unknown(f"{name!r} names no channel of any file", name, labels, test.where("channels", name))
     known_dofs = {str(dof.unsigned) for n in names.values() for dof in n.dofs}
     for label in test.directions:
         if label not in known_dofs:
-            raise _unknown(f"[directions] {label!r} is a DOF of no file", label, known_dofs, test.where("directions", label))
+            raise _unknown(f"{label!r} is a DOF of no file", label, known_dofs, test.where("directions", label))
 
 
 def _check_dofs(test: Test, names: Mapping[Path, Names]) -> None:

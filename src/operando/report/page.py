@@ -114,8 +114,11 @@ class Report:
             sections.append(Section(f"added-{n}", title, render("added.html.j2", page, parts=parts)))
         title = results.name or "unnamed test"
         meta = f"Analysis band {band_text(analysis_band(results))}"
-        kicker = "Operating frequency response functions · test report"
-        return render_page(f"{title}: operating FRFs", title, kicker, meta, sections, results.settings.get("report") or {})
+        both = results.hybrid is not None or results.diagnosis is not None
+        kicker = ("Operating frequency response functions" if both else "Modal analysis") + " · test report"
+        return render_page(
+            f"{title}: {'operating FRFs' if both else 'modes'}", title, kicker, meta, sections, results.settings.get("report") or {}
+        )
 
     def save(self, path: str | Path) -> None:
         """Write one self-contained HTML file; it appears whole or not at all (written beside, then renamed).
