@@ -63,6 +63,9 @@ def home(tmp_path_factory):
     (folder / "table.csv").write_text("time [s], 1+Z [m/s2]\n0, 1\n1, 2\n", encoding="utf-8")
     (folder / "empty").mkdir()
     made_results(folder / "results")
+    (folder / "notes.uff").write_text("Measured in May.\nBy two of us.\n", encoding="utf-8")
+    whole = (folder / "idle/run1.uff").read_bytes()
+    (folder / "short.uff").write_bytes(whole[whole.index(b"    -1\n    58") :][:2000])
     h = chain.accelerance(np.arange(0.5, 60.0, 0.5), ref=(0,))[:2, 0]
     np.savez(folder / "frf.npz", data=h.T)
     text = ["[idle]", 'frfs = ["frf.npz"]', "[units]", "frequency_step_hz = 0.5", 'acceleration = "g"', 'force = "N"', "[channels]"]
@@ -104,6 +107,9 @@ MISTAKES = {
     "table as test file": (["run", "table.csv"], 1, "not valid TOML", r"table\.csv, line 1", "measurement file .csv.*operando init"),
     "README as test file": (["run", "README.md"], 1, "not valid TOML", r"README\.md, line 3", "operando init"),
     "README as data": (["inspect", "README.md"], 1, ".", r"README\.md", "."),
+    "text named as a universal file": (["inspect", "notes.uff"], 1, "table cannot be read", r"notes\.uff", "this file has none"),
+    "universal file cut short": (["inspect", "short.uff"], 1, "nothing in the file can be used", r"short\.uff", "cut short"),
+    "folder as data": (["inspect", "idle"], 1, "a folder, not a file", "^idle$", r"as in 'idle/\*\.uff'"),
     "README among the records": (
         asked('idle.records=["README.md"]'),
         1,

@@ -228,7 +228,12 @@ def test_arrays_without_frequencies_are_taken_and_the_step_is_asked_for(tmp_path
 def test_files_of_the_same_frfs_are_said_to_be_several_states(tmp_path):
     for name in ("ref", "cut"):
         operando.write_uff(tmp_path / f"{name}.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "1+Z"))
-    assert any(note.startswith("cut.uff, ref.uff hold FRFs of the same DOFs") for note in scaffold(tmp_path).notes)
+    (tmp_path / "notes.uff").write_text("Measured in May.\nBy two of us.\n")
+    notes = scaffold(tmp_path).notes
+    assert any(note.startswith("cut.uff, ref.uff hold FRFs of the same DOFs") for note in notes)
+    assert any(note.startswith("not used: notes.uff: cannot be read") for note in notes)
+    told = CliRunner().invoke(main, ["init", str(tmp_path)]).stdout.splitlines()[-1]
+    assert told.startswith("Next: move each state into a folder of its own")
 
 
 def test_tables_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):

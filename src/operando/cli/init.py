@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -25,6 +26,13 @@ def init(folder: str, output: str | None, force: bool) -> Answer:
     parts = [f"{target} written.", table(rows, ["file", "taken as", "because"])]
     if made.notes:
         parts.append("To look at:\n" + "\n".join(f"  {note}" for note in made.notes))
-    first = f"write what {target} asks for, then " if any("nothing runs without" in note for note in made.notes) else ""
-    parts.append(f"Next: {first}operando run {target}")
+    parts.append(f"Next: {_next(made.notes, folder, target)}")
     return Answer({"schema": "operando/init/1", "test": str(target), **made.to_dict()}, "\n\n".join(parts))
+
+
+def _next(notes: Sequence[str], folder: str, target: Path) -> str:
+    """What to do before the test can be run, and the command that runs it."""
+    if any("hold FRFs of the same DOFs" in note for note in notes):
+        return f"move each state into a folder of its own (idle, check), remove {target}, then operando init {folder} again"
+    first = f"write what {target} asks for, then " if any("nothing runs without" in note for note in notes) else ""
+    return f"{first}operando run {target}"

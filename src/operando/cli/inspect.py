@@ -99,7 +99,9 @@ def _file_text(entry: dict[str, Any]) -> str:
     for model in entry["models"]:
         modes = [f"{f:.4g} Hz" for f in model["frequencies_hz"]]
         lines.append(f"    modes      {_some(modes)}")
-    lines += [f"  {f['severity']:8s} {f['message']}" for f in entry["findings"]]
+    for f in entry["findings"]:
+        todo = f" ({f['action']})" if f["action"] and f["severity"] != "info" else ""
+        lines.append(f"  {f['severity']:8s} {f['message']}{todo}")
     return "\n".join(lines)
 
 

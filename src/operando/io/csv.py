@@ -314,7 +314,10 @@ def _block_numbers(text: str, delimiter: str | None, decimal: str, where: str) -
             warnings.simplefilter("error")
             return np.loadtxt(io.StringIO(clean), delimiter=delimiter, ndmin=2, comments="#")
     except (ValueError, UserWarning) as error:
-        raise FormatError(f"the table cannot be read: {str(error).splitlines()[0]}", where=where) from error
+        hint = "a table holds one header line such as time [s],1+Z [m/s2], and numbers below it"
+        if Path(where).suffix.lower() in (".uff", ".unv", ".uf", ".58"):
+            hint = "a universal file has sets between lines of -1; this file has none, so it was read as a table"
+        raise FormatError(f"the table cannot be read: {str(error).splitlines()[0]}", where=where, hint=hint) from error
 
 
 def _rate_of_time(time: NDArray[np.float64], unit: str, where: str) -> tuple[float, float]:

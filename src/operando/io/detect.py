@@ -65,7 +65,7 @@ def detect_format(path: str | Path) -> str:
 
     path = path_of(path, "a file is read from its path")
     if path.is_dir():
-        raise MissingError("a folder, not a file", where=str(path), hint=f"name the files in it: read({str(path / '*.uff')!r})")
+        raise MissingError("a folder, not a file", where=str(path), hint=f"name the files in it, as in '{path / '*.uff'}'")
     with open_file(path) as stream:
         head = stream.read(_HEAD)
     if not head.strip():

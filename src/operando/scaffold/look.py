@@ -277,7 +277,9 @@ def _notes(taken: Sequence[Taken], seen: Seen) -> list[str]:
     for one in taken:
         if not one.sure:
             unsure.setdefault((one.role, one.reason), []).append(one.file.name)
-    notes += [f"unsure: {names_text(names)} taken as {role}: {reason}" for (role, reason), names in unsure.items()]
+    for (role, reason), names in unsure.items():
+        said = f"not used: {names_text(names)}" if role == "ignored" else f"unsure: {names_text(names)} taken as {role}"
+        notes.append(f"{said}: {reason}")
     for quantity, files in sorted(seen.unitless.items()):
         notes.append(
             f"no unit of {quantity} in {counted(len(files), 'file')}: give it in [units]; without it there is no mass scaling, no FRF in SI"

@@ -189,7 +189,11 @@ def _read(stream: IO[bytes], inventory: Inventory) -> Content:
     statuses = [status for status, _, _ in inventory.status.values()]
     if inventory.damaged and not any(s != "not understood" for s in statuses):
         more = "" if len(inventory.damaged) == 1 else f" (and {len(inventory.damaged) - 1} more sets)"
-        raise FormatError("nothing in the file can be used: " + inventory.damaged[0] + more, where=inventory.file)
+        raise FormatError(
+            "nothing in the file can be used: " + inventory.damaged[0] + more,
+            where=inventory.file,
+            hint="the file is damaged or was cut short: copy or export it again",
+        )
     return Content(
         inventory.file, "uff", records, frfs, models, geometry, inventory.set_infos(), tuple(_condensed(inventory)), header,
         tuple(dict.fromkeys([*_unkept_lines(functions), *inventory.unkept])),
