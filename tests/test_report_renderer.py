@@ -148,6 +148,8 @@ def test_areas_drawn_at_once_are_those_drawn_one_by_one(monkeypatch):
         axes.add_collection(PolyCollection(list(triangles), facecolors=rng.uniform(size=(20, 4)), linewidths=0))
         triangles[3, 1] = np.nan  # a corner that is not there
         axes.add_collection(PolyCollection(list(triangles), facecolors="none", edgecolors=rng.uniform(size=(20, 3))))
+        axes.add_collection(PolyCollection(list(triangles), facecolors="none", edgecolors="red"))
+        axes.add_collection(PolyCollection(list(triangles[5:]), facecolors=["red", (0, 0, 1, 0.5)], edgecolors="green", linestyles="--"))
         axes.add_collection(PolyCollection([triangles[0], rng.uniform(size=(5, 2))], facecolors=["red", "blue"]))  # of unlike corners
         axes.add_collection(PolyCollection(list(triangles[:2]), offsets=[(0.1, 0.2), (0.3, 0.1)], facecolors=["red", "blue"]))
         return to_svg(figure, "words")
@@ -155,7 +157,7 @@ def test_areas_drawn_at_once_are_those_drawn_one_by_one(monkeypatch):
     once, made = drawn(), []
     monkeypatch.setattr(renderer, "_polygons", lambda *given: made.append(_polygons(*given)) or [])
     assert drawn() == once
-    assert [len(m) for m in made] == [6, 20, 0, 0]
+    assert [len(m) for m in made] == [6, 20, 0, 15, 0]
 
 
 def test_the_height_of_letters_is_what_matplotlib_looks_up(monkeypatch):

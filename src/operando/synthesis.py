@@ -21,6 +21,10 @@ _FORM_VALUES = 1 << 19
 """Products of functions kept at a time (4 MB)."""
 
 
+_FEW_FORMS = 4
+"""Quadratic forms that are cheaper one by one, as matrix products, than by all products of two functions."""
+
+
 def row_blocks(n_rows: int, n_lines: int) -> Iterator[slice]:
     """Rows of an (n_rows, n_lines) array in blocks that stay in the cache."""
     size = max(1, _CACHE_VALUES // max(n_lines, 1))
@@ -219,9 +223,14 @@ def _pair_covariances(shapes: NDArray[np.float64], covariance: NDArray[np.float6
 
 
 def _quadratic_forms(functions: NDArray[np.complex128], triangles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Σ_ab C_ab Re(g_a ḡ_b) of each symmetric C on each line, (matrices, lines): products are made once for all of them."""
+    """Σ_ab C_ab Re(g_a ḡ_b) of each symmetric C on each line, (matrices, lines): of many, products are made once for all of them."""
     count, n_lines = functions.shape
     first, second = np.triu_indices(count)
+    if len(triangles) <= _FEW_FORMS:
+        full = np.empty((len(triangles), count, count))
+        full[:, first, second] = full[:, second, first] = triangles
+        parts = functions.real.copy(), functions.imag.copy()
+        return np.asarray(sum(np.einsum("mal,al->ml", full @ part, part) for part in parts))
     weights = np.where(first == second, 1, 2) * triangles  # each product of two functions stands twice
     step = max(32, _FORM_VALUES // first.size)
     out = np.empty((triangles.shape[0], n_lines))

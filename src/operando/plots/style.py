@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -80,13 +81,27 @@ STYLE: dict[str, Any] = {
 }
 
 
+_styled = ContextVar("styled", default=False)
+
+
 @contextmanager
-def style() -> Iterator[None]:
-    """The look of all figures, while something is drawn."""
+def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """The look of all figures, while something is drawn; inside of itself it changes nothing.
+
+    Parameters
+    ----------
+    more : mapping, optional
+        Further settings of matplotlib.
+    """
     import matplotlib
 
-    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
-        yield
+    settings = ({} if _styled.get() else STYLE) | dict(more or {})
+    token = _styled.set(True)
+    try:
+        with matplotlib.rc_context(settings) if settings else nullcontext():  # type: ignore[arg-type]
+            yield
+    finally:
+        _styled.reset(token)
 
 
 def new_axes(width: float = 8.0, height: float = 4.0, projection: str | None = None) -> Axes:
@@ -163,7 +178,9 @@ def dots(axes: Axes, x: ArrayLike, y: ArrayLike, color: str, size: float, label:
         vertices = np.repeat(np.column_stack([xs, ys]), 2, axis=0)
         path = Path(vertices, np.tile([Path.MOVETO, Path.LINETO], xs.size))
         path.should_simplify = False  # simplification drops strokes of no length
-        axes.add_patch(PathPatch(path, facecolor="none", edgecolor=color, linewidth=size, capstyle="round", zorder=3))
+        # as add_patch does it, which goes through every stroke for the limits
+        axes.add_artist(PathPatch(path, facecolor="none", edgecolor=color, linewidth=size, capstyle="round", zorder=3))
+        axes.update_datalim(vertices)
     if label is not None:
         axes.add_line(Line2D([], [], linestyle="none", marker="o", markersize=size, color=color, label=label, markeredgewidth=0))
 

@@ -18,6 +18,7 @@ from operando.data import Finding, Frf, ModalModel
 from operando.dof import Dof
 from operando.errors import DataError, OperandoError
 from operando.plots.shapes import real_shape
+from operando.report.parts import Numbering
 from operando.report.svg import thin
 from operando.report.text import number
 from operando.report.words_diagnosis import changed_by_hand
@@ -111,6 +112,19 @@ def validation_run(results: Results) -> CheckRun | None:
     level = lowest_level(results.check)
     runs = [run for run in results.check if run.name in compared] or [run for run in results.check if run.level == level]
     return beside(runs) or runs[0]
+
+
+def validation(results: Results, page: Numbering) -> tuple[CheckRun | None, Frf | None, Frf | None]:
+    """The validation measurement, and the operating FRFs and the idle model on its lines and pairs."""
+
+    def make() -> tuple[CheckRun | None, Frf | None, Frf | None]:
+        run = validation_run(results)
+        if run is None:
+            return None, None, None
+        return run, model_frf(results.hybrid, run.frf), model_frf(scaled_idle(results), run.frf)
+
+    kept: tuple[CheckRun | None, Frf | None, Frf | None] = page.once("validation", make)
+    return kept
 
 
 def beside(runs: Sequence[CheckRun]) -> CheckRun | None:

@@ -139,7 +139,9 @@ def routes(results: Results, model: Any) -> Routes | None:
         return None
     band = derive.analysis_band(results)
     grid = every(grid if band is None else grid.band(*band))
-    hybrid, effect, measured = derive.model_frf(results.hybrid, grid), predicted(model.structure(), grid), predicted(model, grid)
+    running = model.structure()
+    hybrid, effect = derive.model_frf(results.hybrid, grid), predicted(running, grid)
+    measured = effect if running.effects == model.effects else predicted(model, grid)  # faults of channels are measured, too
     if hybrid is None or effect is None or measured is None or not len(grid.axis):
         return None
     mask = derive.clear_lines(grid) if run is not None else np.isfinite(hybrid.data)

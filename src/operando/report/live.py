@@ -39,7 +39,7 @@ LETTERS = {
 
 def frfs(results: Results, page: Numbering) -> Markup | None:
     """FRFs of every pair, measured and by each model; None where there is no FRF or it has no scale to be set beside."""
-    run = derive.validation_run(results)
+    run, _, _ = derive.validation(results, page)
     idle, hybrid = derive.scaled_idle(results), getattr(results.hybrid, "modal", None)
     after = None
     found = results.diagnosis or {}

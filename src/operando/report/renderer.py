@@ -5,14 +5,15 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from matplotlib.backend_bases import RendererBase
+from matplotlib.colors import to_rgba
 from matplotlib.font_manager import findfont, get_font, weight_dict
 from matplotlib.path import Path
 from matplotlib.textpath import text_to_path
@@ -62,7 +63,6 @@ class SmallSvg(RendererBase):
         self._body: list[str] = []
         self._shared: dict[str, str] = {}
         self._many = False
-        self._ready: Iterator[str] = iter(())
         self._heights: dict[Any, tuple[float | None, ...]] = {}
 
     def text(self) -> str:
@@ -113,9 +113,6 @@ class SmallSvg(RendererBase):
                 gc, path, Affine2D.from_values(a[0, 0], a[1, 0], a[0, 1], a[1, 1], 0, 0), Path(a[None, :2, 2]), Affine2D(), rgbFace
             )
             return
-        if d := next(self._ready, ""):
-            self._body.append(f'<path d="{d}"{self._look(gc, rgbFace)}/>')
-            return
         line = rgbFace is None and gc.get_hatch_path() is None
         clip = (0.0, 0.0, self.width, self.height) if line else None
         d = _outline(path, transform, self.height, line and path.should_simplify, clip, gc.get_sketch_params())
@@ -136,14 +133,38 @@ class SmallSvg(RendererBase):
             self._body.append(f"{used[0]}{look}/>" if alone else f"<g{look}>{'/>'.join(used)}/></g>")
 
     def draw_path_collection(
-        self, gc: Any, master_transform: Any, paths: Any, all_transforms: Any, offsets: Any, *rest: Any, **more: Any
-    ) -> None:
+        self, gc: Any, master_transform: Any, paths: Any, all_transforms: Any, offsets: Any, offset_trans: Any, facecolors: Any,
+        edgecolors: Any, linewidths: Any, linestyles: Any, *rest: Any, **more: Any,
+    ) -> None:  # fmt: skip
         """Lines, areas or one mark in many places."""
+        in_place = len(paths) > 1 == len(offsets) and not len(all_transforms) and not np.any(offsets)
+        alike = max(len(edgecolors), len(linewidths), len(linestyles)) < 2 and gc.get_hatch_path() is None
+        if in_place and alike and gc.get_sketch_params() is None and (ready := _polygons(paths, master_transform, self.height)):
+            self._draw_areas(gc, ready, facecolors, edgecolors, linewidths, linestyles)
+            return
         self._many = len(paths) == 1 < len(offsets)
-        if len(paths) > 1 == len(offsets) and not len(all_transforms) and not np.any(offsets) and gc.get_sketch_params() is None:
-            self._ready = iter(_polygons(paths, master_transform, self.height))
-        super().draw_path_collection(gc, master_transform, paths, all_transforms, offsets, *rest, **more)
-        self._many, self._ready = False, iter(())
+        colors = facecolors, edgecolors, linewidths, linestyles
+        super().draw_path_collection(gc, master_transform, paths, all_transforms, offsets, offset_trans, *colors, *rest, **more)
+        self._many = False
+
+    def _draw_areas(self, gc: Any, ready: list[str], faces: Any, edges: Any, widths: Any, dashes: Any) -> None:
+        """Areas of one outline, each in its colour: as matplotlib goes through them, with what they share done once."""
+        own: Any = self.new_gc()
+        own.copy_properties(gc)
+        for width in widths:
+            own.set_linewidth(width)
+        for dash in dashes:
+            own.set_dashes(*dash)
+        edge = to_rgba(edges[0]) if len(edges) else (0, 0, 0, 0)
+        if edge[3] == 0:
+            own.set_linewidth(0)
+        else:
+            own.set_foreground(edge, isRGBA=True)
+        looks: dict[Any, str] = {}
+        for d, color in zip(ready, cycle([tuple(face) for face in faces] or [()]), strict=False):
+            if color not in looks:
+                looks[color] = self._look(own, None if not color or color[3:] == (0,) else color)
+            self._body.append(f'<path d="{d}"{looks[color]}/>')
 
     def draw_gouraud_triangles(self, gc: Any, triangles_array: Any, colors_array: Any, transform: Any) -> None:
         """Triangles, each in the mean of its colours."""

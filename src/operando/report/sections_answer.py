@@ -12,7 +12,7 @@ from operando.report import derive, figures_compare, figures_frf, live
 from operando.report.assessment import CLASS_WORDS, MODEL_NAMES, assumptions, headline, route_words, scope, shifted
 from operando.report.parts import Numbering
 from operando.report.text import decibel, finite, fixed, number
-from operando.results import CheckRun, Results
+from operando.results import Results
 
 STATE_WORDS = {"holds": ("holds", "good"), "doubtful": ("doubtful", "fair"), "fails": ("fails", "poor"), "untested": ("not tested", "none")}
 BY_MODE_WORDS = {"ofrf": "operating FRFs", "idle_shapes": "idle shapes", "idle": "idle model"}
@@ -35,7 +35,7 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
         floor: Any = models["ofrf"].get("noise_floor_db")
         errors = [float(models[k]["error_db"]) for k in keys]
         bars = figures_compare.error_bars([MODEL_NAMES[k] for k in keys], keys, errors, float(floor) if finite(floor) else None)
-    run, hybrid_frf, rest = _validation(results, page)
+    run, hybrid_frf, rest = derive.validation(results, page)
     if run is not None and hybrid_frf is not None:
         pairs = derive.choose_pairs(run.frf, _pair_error(hybrid_frf, run.frf, results), 1, 0)[:1]
         pair = _drawn(results, run.frf, hybrid_frf, rest, pairs)
@@ -46,19 +46,6 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
         "pairs": derive.mode_pairs(results),
         "class_words": CLASS_WORDS, "assumptions": tested, "state_words": STATE_WORDS,
     }  # fmt: skip
-
-
-def _validation(results: Results, page: Numbering) -> tuple[CheckRun | None, Frf | None, Frf | None]:
-    """The validation measurement, the operating FRFs and the idle model on its lines and pairs."""
-
-    def make() -> tuple[CheckRun | None, Frf | None, Frf | None]:
-        run = derive.validation_run(results)
-        if run is None:
-            return None, None, None
-        return run, derive.model_frf(results.hybrid, run.frf), derive.model_frf(derive.scaled_idle(results), run.frf)
-
-    kept: tuple[CheckRun | None, Frf | None, Frf | None] = page.once("judged", make)
-    return kept
 
 
 def _drawn(results: Results, measured: Frf, model: Frf, rest: Frf | None, pairs: list[tuple[int, int, str]]) -> Markup:
@@ -96,7 +83,7 @@ def _tiles(results: Results) -> list[Tile]:
 def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
     """Operating FRFs with band, check and idle model; errors by DOF, band, mode and run."""
     models, band = derive.comparison_models(results), derive.analysis_band(results)
-    run, model, rest = _validation(results, page)
+    run, model, rest = derive.validation(results, page)
     chosen = [k for k in BY_MODE_WORDS if (models.get(k) or {}).get("by_mode")]
     named = [(MODEL_NAMES.get(k, k), k, models[k]) for k in _ordered(models)]
     out: dict[str, Any] = {

@@ -74,10 +74,9 @@ def diagnosis(results: Results, page: Numbering) -> dict[str, Any]:
 
 def _validation(results: Results, page: Numbering, model: Any) -> tuple[CheckRun | None, Any, Any]:
     """The validation measurement of the comparison, and idle model and model with effects on its lines and pairs."""
-    run = derive.validation_run(results)
+    run, _, idle = derive.validation(results, page)
     if run is None:
         return None, None, None
-    idle = page.once("idle on check", lambda: derive.model_frf(derive.scaled_idle(results), run.frf))
     return run, idle, page.once("effect on check", lambda: derive_diagnosis.predicted(model, run.frf))
 
 

@@ -10,8 +10,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from markupsafe import Markup
 
-from operando.plots.style import GREEN, GREY, IDLE, INK, MEASURED, MODEL, ORANGE, PALE, PURPLE, SKY, dots, log_axis, thin
-from operando.plots.style import STYLE as HOUSE_STYLE
+from operando.plots.style import GREEN, GREY, IDLE, INK, MEASURED, MODEL, ORANGE, PALE, PURPLE, SKY, dots, log_axis, style, thin
 from operando.report.figure_csv import figure_csv
 
 if TYPE_CHECKING:
@@ -19,12 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GREEN", "GREY", "IDLE", "INK", "MEASURED", "MODEL", "ORANGE", "PALE", "PURPLE", "SKY",
-    "STYLE", "Drawing", "dots", "drawn", "log_axis", "new_figure", "thin", "to_svg",
+    "Drawing", "dots", "drawn", "log_axis", "new_figure", "thin", "to_svg",
 ]  # fmt: skip
 
 FONT_STACK = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
 
-STYLE: dict[str, Any] = HOUSE_STYLE | {
+MORE_STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # shipped with matplotlib and wider than the fonts above, so that measured text always fits
     "figure.dpi": 72,
     "savefig.dpi": 144,
@@ -61,9 +60,7 @@ def drawn(function: Callable[P, tuple[Figure, str]]) -> Callable[P, Drawing]:
 
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> Drawing:
-        import matplotlib
-
-        with matplotlib.rc_context(STYLE), warnings.catch_warnings():  # type: ignore[arg-type]
+        with style(MORE_STYLE), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has the letters, and what acts is shown by the page
             figure, alt = function(*args, **kwargs)
             return Drawing.of(figure, alt)
