@@ -104,6 +104,13 @@ def test_tests_that_fail_are_listed_and_tried_again(tmp_path):
     assert document["counts"]["run"] == 2
 
 
+def test_columns_that_no_test_fills_are_left_out(tmp_path):
+    file = write_campaign(tmp_path, speeds=(600,), until="inspect")
+    done = CliRunner().invoke(main, ["campaign", str(file), "-o", str(tmp_path / "out"), "-p", "1"])
+    (head,) = [line for line in done.stdout.splitlines() if line.startswith("no.")]
+    assert head.split() == ["no.", "test", "state"]
+
+
 def test_a_campaign_of_which_nothing_can_be_used_fails(tmp_path):
     file = write_campaign(tmp_path, speeds=(600,), until="inspect")
     (tmp_path / "runs/600/test.toml").write_text("[idle]\nrecords = 3\n")

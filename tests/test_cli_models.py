@@ -237,6 +237,22 @@ def test_convert_says_what_it_wrote(tmp_path):
     assert read(tmp_path / "record.h5").records[0].n_samples == read(tmp_path / "record.uff").records[0].n_samples
 
 
+def test_inspect_takes_the_unit_of_coordinates_from_the_test_file(tmp_path):
+    from operando.io import write_uff
+
+    write_uff(tmp_path / "idle.uff", models.measured(running_chain(), "idle"))
+    write_uff(tmp_path / "all.uff", models.results().geometry)
+    sets = (tmp_path / "all.uff").read_text().split("    -1\n    -1\n")
+    bare = [s if s.endswith("    -1\n") else s + "    -1\n" for s in sets if "   164\n" not in s]  # nodes without a unit
+    (tmp_path / "geometry.uff").write_text("".join(s if s.startswith("    -1\n") else "    -1\n" + s for s in bare))
+    text = '[idle]\nfrfs = ["idle.uff"]\n[geometry]\nfile = "geometry.uff"\n'
+    for more, unclear in (("", True), ('units = "mm"\n', False)):
+        (tmp_path / "test.toml").write_text(text + more)
+        said = call("inspect", tmp_path / "test.toml")
+        assert said.exit_code == 0, said.output
+        assert ("in which unit its coordinates are" in said.stdout) == unclear
+
+
 def test_inspect_says_what_is_there(tmp_path):
     from operando.io import write_uff
 

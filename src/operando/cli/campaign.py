@@ -89,7 +89,9 @@ def _text(document: dict[str, Any], out: Path) -> str:
                 "; ".join(row["missing"][:2]),
             ]
         )
-    parts.append(table(rows, ["no.", "test", "state", "error dB", "verdict", "missing in the idle model"]))
+    head = ["no.", "test", "state", "error dB", "verdict", "missing in the idle model"]
+    kept = [i for i, name in enumerate(head) if i < 3 or any(row[i] for row in rows)]  # no empty columns where no test came so far
+    parts.append(table([[row[i] for i in kept] for row in rows], [head[i] for i in kept]))
     if len(document["tests"]) > 60:
         parts[-1] += f"\nand {len(document['tests']) - 60} more in campaign.csv"
     bad = [f"  {row['name']}: {row['reason']}" for row in document["tests"] if row["state"] != "done"]

@@ -33,7 +33,8 @@ def inspect(files: tuple[str, ...], changes: tuple[str, ...]) -> Answer:
     wrong: OperandoError | None = None
     if len(files) == 1 and files[0].endswith(".toml"):
         test = read_test(files[0], changes)
-        paths, units, channels = list(test.files), test.units or None, test.channels or None
+        length = {} if test.geometry_units is None else {"length": test.geometry_units}
+        paths, units, channels = list(test.files), (length | dict(test.units)) or None, test.channels or None
         wrong = _names_no_file_has(test)
     elif changes:
         raise click.UsageError("--set belongs to a test file, and none is named")
