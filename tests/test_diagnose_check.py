@@ -125,6 +125,12 @@ def test_runs_that_depend_on_level_are_not_explained(chain, idle):
     assert found.verdict in ("partial", "unexplained")
 
 
+def test_kinds_without_a_location_alone_are_searched(chain, idle):
+    """A mass that none of them explains: the scans over locations have no rows."""
+    found = diagnose(idle, check=[running(chain, [0, 3], mass=0.6 * at(4))], kinds=("global_stiffness", "global_damping"))
+    assert found.verdict in ("partial", "unexplained")
+
+
 def test_wrong_effect_by_hand_is_said_to_be_wrong(chain, idle):
     check = [running(chain, [0, 3], mass=0.15 * at(4))]
     right = apply_effects(idle, ["point_mass@5+Z"], check=check)

@@ -442,11 +442,11 @@ class Search:
             case.at_rest["robust"] = rows
         self.say("robust scan: " + ", ".join(f"{names(case, [t])[0]}{' (cut)' if cut else ''} {v:.0f}" for v, t, cut in rows[:6]))
         free = LinearScan(state, about).exchanged()
-        self.say(f"scan with all unknowns free: {self._listed(free[:6], free[0].evidence)}")
-        cost = -rows[0][0]
+        self.say(f"scan with all unknowns free: {self._listed(free[:6], free[0].evidence if free else 0.0)}")
+        cost = -rows[0][0] if rows else 0.0  # kinds without a location are no rows
         places = [(term, cut) for value, term, cut in rows[:_APPROACHED] if -value < _WORSE * cost + _SHORT]
         there = {term.key for term, _ in places}
-        cost = -free[0].evidence
+        cost = -free[0].evidence if free else 0.0
         places += [(c.term, False) for c in free[:_APPROACHED] if c.term.key not in there and -c.evidence < _WORSE * cost + _SHORT]
 
         starts = []
