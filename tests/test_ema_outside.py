@@ -7,7 +7,7 @@ import pytest
 
 from operando.data import Frf
 from operando.dof import Dof
-from operando.ema.outside import make_up, outside_modes, without_modes
+from operando.ema.outside import INDEPENDENT, N_LINES, make_up, outside_modes, without_modes
 from operando.ema.polish import Polished
 from operando.ema.polish_model import Parameters
 from operando.ema.spectra import frf_spectra
@@ -95,3 +95,28 @@ def test_its_share_of_the_driven_columns_stays_and_no_shape_is_out_of_size(chain
         assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.15 * np.sqrt(np.mean(wanted**2))
     assert np.max(np.abs(made.shapes)) < 8 * usual
     assert np.max(np.abs(theta.shapes[:, -1])) > 15 * usual
+
+
+def test_driven_columns_are_known_no_better_than_the_pseudo_modes_make_them(chain, runs):
+    """What they leave is smooth over the band: its lines tell no more than INDEPENDENT of them."""
+    usual = float(np.sqrt(np.mean(chain.phi[:, :INSIDE] ** 2)))
+    fit = fitted(chain, runs, odd(20 * usual), 20 * usual)
+    made = outside_modes(runs, fit, BAND, False, gone=make_up(runs, fit), local_terms=False)
+    f = np.linspace(*BAND, 60)[:, None]
+    kernel = lambda hz, zeta: np.real(-(f**2) / (hz**2 - f**2 + 2j * zeta * hz * f))  # noqa: E731
+    theta, g = fit.parameters, kernel(made.hz, made.zeta)
+    local = sum(kernel(h, 0.01) * 1e-3 for h in theta.outside_hz)
+    assert (N_LINES, INDEPENDENT) == (40, 2)
+    ratios = []
+    for row in REFS:
+        wanted = local + kernel(theta.hz[-1], theta.zeta[-1]) * (theta.shapes[:, -1] * theta.shapes[row, -1])[None]
+        found = g @ (made.shapes * made.shapes[row]).T
+        for i in range(N):
+            by = np.zeros((f.size, made.hz.size, N))
+            by[:, :, i] += g * made.shapes[row]
+            by[:, :, row] += g * made.shapes[i]
+            by = by.reshape(f.size, -1)
+            std = np.sqrt(np.einsum("lp,pq,lq->l", by, made.covariance, by))
+            ratios.append(np.sqrt(np.mean((found[:, i] - wanted[:, i]) ** 2) / np.mean(std**2)))
+    assert 0.3 < np.median(ratios) < 1.5
+    assert np.quantile(ratios, 0.8) < 2

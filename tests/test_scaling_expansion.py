@@ -7,11 +7,13 @@ import pytest
 from scipy.linalg import eigh
 
 from operando.data import ModalModel
+from operando.data.undriven import BETWEEN, OWN, undriven_variance
 from operando.dof import Dof
 from operando.scaling import scale_operational
 from operando.scaling.carried import common_shift, lessened, part_left
 from operando.scaling.expansion import make_prior
 from operando.scaling.methods import Task, scale_expansion
+from operando.structure import Model
 from structures import Chain, modified
 
 N = 10
@@ -241,8 +243,18 @@ def test_undriven_pairs_are_less_sure_than_their_local_compliances():
     std = np.sqrt(scale_operational(idle, running).frf(f).variance[:, :, 0])
     w, own = 2 * np.pi * f[0], 2 * np.pi * 300.0
     compliance = w**2 * 0.5**2 / abs(own**2 - w**2)
-    assert std[3, 7] == pytest.approx(np.sqrt(2) * 0.3 * compliance, rel=0.1)
+    assert std[3, 7] == pytest.approx(np.sqrt(2) * BETWEEN * compliance, rel=0.1)
     assert std[2, 7] < 0.2 * std[3, 7]
+    # so it is of the idle model, and of the model with an effect elsewhere; where an effect acts a measurement has told it
+    rest, other = (np.sqrt(made.frf(f).variance[:, :, 0]) for made in (idle, Model(idle).add("ground_spring@1+Z=stiffness:0.01")))
+    for spread in (rest, other):
+        assert spread[3, 7] == pytest.approx(np.sqrt(2) * BETWEEN * compliance, rel=0.1)
+        assert spread[3, 3] == pytest.approx(np.sqrt(2) * OWN * compliance, rel=0.1)
+    there = np.sqrt(Model(idle).add("ground_spring@4+Z=stiffness:0.01").frf(f).variance[:, :, 0])
+    assert there[3, 7] < 0.1 * rest[3, 7]
+    # of one DOF alone nothing says whether it was driven
+    alone = ModalModel.from_terms(hz, np.full(8, 0.01), shapes[3:4], DOFS[3:4], "unit_modal_mass", residual=residual)
+    assert not undriven_variance(alone.terms, [0], [0]).any()
 
 
 def test_an_idle_mode_spread_over_others_is_not_carried_over_again():

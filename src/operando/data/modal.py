@@ -21,6 +21,7 @@ from operando.data.objects import Noun, counted, names_text
 from operando.data.provenance import Provenance
 from operando.data.quantities import quantity_named
 from operando.data.receptances import Receptances
+from operando.data.undriven import undriven_variance
 from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
 from operando.errors import DataError
 from operando.synthesis import POWER, synthesis_variance, synthesise
@@ -405,6 +406,7 @@ class ModalModel(ModalFigures, Noun):
             rows, columns = match_dofs(resp, self.dofs)[0], match_dofs(refs, self.dofs)[0]
             poles = terms.frequencies_hz, terms.damping_ratios
             own = synthesis_variance(axis.values, *poles, terms.shapes, self.covariance, rows, columns, quantity, terms.signs)
+            own += undriven_variance(terms, rows, columns)[..., None] * (2 * np.pi * axis.values) ** (2 * POWER[quantity])
         return Frf(data, axis, resp, refs, quantity, variance=own, si=self.si, provenance=self.provenance.then("ModalModel.frf"))
 
     def mode_dict(self, i: int) -> dict[str, Any]:

@@ -25,7 +25,9 @@ LOCAL = 2.0
 LOCAL_SHAPE, LOCAL_SPREAD = 0.7, 0.9
 """Mean and standard deviation of the local shape value of an undriven DOF over that which would make up a drive point's compliance."""
 
-N_LINES = 40
+N_LINES, INDEPENDENT = 40, 2
+"""Lines over the band on which the pseudo-modes are fitted, and so many of them as what they leave is worth: a level and a slope."""
+
 TOLERANCE = 0.03
 """Accuracy asked of the pseudo-modes, in units of the out-of-band part itself.
 
@@ -231,7 +233,7 @@ def _nonlinear(
         model = (p[refs][:, None] * p).reshape(-1, n_p) @ gw
         return np.concatenate([np.where(use, model.reshape(target.shape) - tw, 0).ravel(), (p / std).ravel()])
 
-    def normal(p: Real, r: Real) -> tuple[Real, Real]:
+    def normal(p: Real, r: Real, told: Real | None = None) -> tuple[Real, Real]:
         # Each residual (k, j) touches only rows j and k of ψ: build the normal matrix from p×p blocks.
         data = r[: known.size * gw.shape[1]].reshape(known.shape[0], m, -1)
         through = data @ gw.T  # (k, j, p)
@@ -240,9 +242,10 @@ def _nonlinear(
         for k, row in enumerate(refs):
             a = p[row]
             js = np.flatnonzero(known[k])
-            matrix[js, :, js, :] += gram * np.outer(a, a)
-            matrix[row, :, row, :] += gram * (p[js].T @ p[js])
-            cross = gram * (a[:, None] * p[js, None, :])
+            worth = np.ones((js.size, 1, 1)) if told is None else told[k, js, None, None]
+            matrix[js, :, js, :] += worth * gram * np.outer(a, a)
+            matrix[row, :, row, :] += gram * ((worth[:, 0] * p[js]).T @ p[js])
+            cross = worth * gram * (a[:, None] * p[js, None, :])
             matrix[js, :, row, :] += cross
             matrix[row, :, js, :] += cross.swapaxes(1, 2)
             gradient[js] += through[k, js] * a
@@ -270,8 +273,17 @@ def _nonlinear(
         damping = max(damping / 6, 1e-12)
         if fall < 1e-4 * cost:
             break
-    covariance = np.linalg.inv(normal(psi, r)[0])
+    told = _told(r[: known.size * gw.shape[1]].reshape(*known.shape, -1))
+    covariance = np.linalg.inv(normal(psi, r, told)[0])
     return psi, np.asarray(covariance.reshape(m, n_p, m, n_p), float)
+
+
+def _told(left: Real) -> Real:
+    """Share of its lines that each out-of-band FRF is worth, from what the fit leaves of it in units of what was asked (..., L).
+
+    What a few modes at fixed frequencies leave is smooth over the band: all lines tell no more of it than ``INDEPENDENT`` would.
+    """
+    return np.asarray(INDEPENDENT / left.shape[-1] / np.maximum(np.mean(left**2, axis=-1), INDEPENDENT / left.shape[-1]))
 
 
 def _linear_row(target: Real, known: NDArray[np.bool_], psi_refs: Real, g: Real, weight: Real, std: Real) -> tuple[Real, Real]:
@@ -280,8 +292,9 @@ def _linear_row(target: Real, known: NDArray[np.bool_], psi_refs: Real, g: Real,
         return np.zeros(std.size), std**2
     design = np.concatenate([(psi_refs[k][:, None] * g * weight).T for k in rows])
     values = np.concatenate([target[k] * weight for k in rows])
-    covariance = np.linalg.inv(design.T @ design + np.diag(1 / std**2))
-    return covariance @ (design.T @ values), np.diag(covariance)
+    shapes = np.linalg.solve(design.T @ design + np.diag(1 / std**2), design.T @ values)
+    worth = np.repeat(_told((values - design @ shapes).reshape(rows.size, -1)), weight.size)
+    return shapes, np.diag(np.linalg.inv(design.T @ (worth[:, None] * design) + np.diag(1 / std**2)))
 
 
 def _with_local(

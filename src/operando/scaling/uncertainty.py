@@ -30,9 +30,6 @@ LARGEST = 5000
 
 CHUNK = 64
 
-LOCAL_CORRELATION = 0.3
-"""Standard deviation of the correlation of the local compliances of two undriven DOFs."""
-
 
 def covariance_of(model: ModalModel) -> NDArray[np.float64] | None:
     """Covariance of a model, diagonal where only standard deviations are kept; None where there is neither."""
@@ -184,23 +181,7 @@ def with_unseen_change(
     mean_square = np.mean(np.asarray(terms.shapes)[:, carried] ** 2, axis=0)
     diagonal = 2 * total + carried[:, None] * m + np.arange(m)
     out[diagonal, diagonal] += (shape_change**2 * mean_square)[:, None]
-    return _with_common_compliance(out, modal, carried)
-
-
-def _with_common_compliance(covariance: NDArray[np.float64], modal: ModalModel, carried: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Let local modes of undriven DOFs move other undriven DOFs too.
-
-    A local mode holds the compliance of one DOF that no driven column shows; no driven column shows either how those of two DOFs go
-    together.
-    """
-    shapes, total, m = np.asarray(modal.terms.shapes), modal.terms.n, len(modal.dofs)
-    local = {int(np.flatnonzero(shapes[:, r])[0]): int(r) for r in carried if np.count_nonzero(shapes[:, r]) == 1}
-    for i, r in local.items():
-        for j, s in local.items():
-            if j != i:
-                at = 2 * total + r * m + j
-                covariance[at, at] += (LOCAL_CORRELATION * shapes[j, s]) ** 2
-    return covariance
+    return out
 
 
 def _slope(

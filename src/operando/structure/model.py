@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, expect
+from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
 from operando.structure.effects import Effect, parse_effect, place_weights
@@ -332,7 +333,9 @@ class Model:
             shared: tuple[Array, Array] | None = None
             if cross is not None and gradient is not None:
                 shared = cross, np.asarray(gradient if factor is None else gradient / factor)
-            out += update_variance(base, hz, match_dofs(carried, base.dofs), match_dofs(refs, base.dofs), weights, left, right, shared)
+            rows, columns = match_dofs(carried, base.dofs), match_dofs(refs, base.dofs)
+            out += update_variance(base, hz, rows, columns, weights, left, right, shared)
+            out += undriven_variance(base.terms, rows[0], columns[0], np.flatnonzero(weights.any(axis=0)))[..., None]
             if factor is not None:
                 out *= np.abs(factor) ** 2
         if spread is not None and gradient is not None:
