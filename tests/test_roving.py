@@ -287,7 +287,7 @@ def test_roving_files_through_the_command_line(tmp_path):
     [
         ('references = ["1+Z", "33+Z"]', "no idle force acts at 33+Z", "did you mean '3+Z'?"),
         ('oma_references = ["5+X"]', "no operating record has a sensor at 5+X", "'5+Z'|known: |did you mean"),
-        ('[channels]\n"acc9" = {exclude = true}', "[channels] 'acc9' names no channel of any file", "did you mean 'acc"),
+        ('[channels]\n"acc9" = {exclude = true}', "[channels] acc9: 'acc9' names no channel of any file", "did you mean 'acc"),
     ],
 )
 def test_names_that_are_in_no_file_end_the_run_with_the_nearest(tmp_path, line, message, hint):

@@ -47,6 +47,10 @@ HOPELESS = 2.0
 """Discrepancy of the check over that at rest up to which a bad idle model alone explains it: no effect could be told from that model's own
 errors, which are as large."""
 
+POOR = 0.1
+"""Discrepancy at rest above which nothing is searched: an error of 0.9 dB in every FRF, as large as the change by a small effect. A plate
+whose idle model misses 31 % was searched for a quarter of an hour, and no effect left less than all of the FRFs."""
+
 LOOSE = 0.02
 """Discrepancy above which the scan is robust and about the idle model as it is: under a loose one a linear scan absorbs all."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from operando.data import Geometry
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
@@ -36,8 +36,9 @@ def search_both(
     """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
 
     The first is a special case of the second: where it leaves nothing but noise, the second is not searched. Where the idle model
-    explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), nothing is searched. A mode that the
-    idle model lacks, and that explains the check, spares the search of days (``again``: see :func:`search_elsewhere`).
+    explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), or the latter by far not, nothing is
+    searched. A mode that the idle model lacks, and that explains the check, spares the search of days (``again``: see
+    :func:`search_elsewhere`).
 
     Returns
     -------
@@ -49,8 +50,8 @@ def search_both(
     # a poor idle model is far from anything measured: the least squares of its lines alone end in the next valley
     alone = fit(days, approach(days, start)[1] if at_rest > EXPLAINED else start)
     say(f"two days and no effect: {alone.log_evidence:.1f}, discrepancy {alone.alpha:.4f}")
-    if at_rest > EXPLAINED and alone.alpha < HOPELESS * at_rest:
-        say("no search: what the idle model leaves of the validation measurement it leaves of the idle FRFs")
+    if at_rest > EXPLAINED and (alone.alpha < HOPELESS * at_rest or at_rest > POOR):
+        say(f"no search: the idle model differs by {100 * at_rest:.0f} % from the idle FRFs themselves")
         return Found(alone, alone, {alone.key: alone}), -np.inf
     say("with nothing touched between the measurements:")
     rival = Rival(days, alone)
