@@ -19,7 +19,7 @@ from operando.report import assumptions, derive, headline, render_report, sectio
 from operando.report.figures_modes import ShapePair, mode_shapes
 from operando.report.parts import render
 from operando.report.svg import thin
-from operando.report.text import count, fixed, listing, number, plus_minus
+from operando.report.text import count, decibel, fixed, listing, number, plus_minus
 from operando.results import CheckRun, Results
 from operando.scaling import scale_operational
 from operando.stabilization import PoleTable, RejectedPole, Stabilization
@@ -528,6 +528,19 @@ def test_an_output_only_test_has_its_own_answer(whole):
     assert "Idle" not in "".join(re.findall("<th .*?</th>", text))
     failed = only(whole, operating=whole.operating, left_out={"ema": "failed: too few lines"})
     assert headline(failed).verdict == "No operating FRFs"
+
+
+def test_without_operating_records_the_idle_model_is_held_against_the_validation_measurement(whole):
+    alone = {**whole.comparison, "models": {"idle": whole.comparison["models"]["idle"]}}
+    why = {"ofrf": "the test has no [operating] records"}
+    results = replace_results(whole, operating=None, hybrid=None, diagnosis=None, comparison=alone, left_out=why)
+    error = results.comparison["models"]["idle"]["error_db"]
+    assert headline(results).verdict == f"The idle model is off by {decibel(error)} in operation"
+    text = render_report(results)
+    Page(text)
+    for part in ("Models against the validation measurement", "Level error by response DOF", "Errors by mode", "covariance of the EMA"):
+        assert part in text
+    assert "Operating FRFs at drive points" not in text
 
 
 def test_figures_and_texts_of_the_user_stand_in_sections_of_their_own(tmp_path):

@@ -92,7 +92,7 @@ def headline(results: Results) -> Headline:
     if scope(results) != "all":
         return _modes_alone(results, tuple(limits))
     if results.hybrid is None:
-        return Headline("No operating FRFs", "none", _without_hybrid(results), tuple(limits))
+        return Headline(_idle_alone(results), "none", _without_hybrid(results), tuple(limits))
     sentences = [_what_they_are(results)]
     models = comparison_models(results)
     ofrf = models.get("ofrf")
@@ -263,6 +263,12 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
     wrong = [f for f in all_findings(results) if f.severity == "error"]
     limits += tuple(f"{f.message}" + (f": {f.consequence}." if f.consequence else ".") for f in wrong[:3])
     return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
+
+
+def _idle_alone(results: Results) -> str:
+    """What is said first of a test without operating FRFs: how far the idle model is off in operation, where that was measured."""
+    error = (comparison_models(results).get("idle") or {}).get("error_db")
+    return f"The idle model is off by {decibel(error)} in operation" if finite(error) else "No operating FRFs"
 
 
 def _without_hybrid(results: Results) -> tuple[str, ...]:

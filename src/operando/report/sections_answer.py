@@ -49,9 +49,10 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
 
 
 def _drawn(results: Results, measured: Frf, model: Frf, rest: Frf | None, pairs: list[tuple[int, int, str]]) -> Markup:
-    """Operating FRFs with their band at some pairs."""
-    banded = derive.with_variance(results.hybrid, model, pairs)
-    return figures_frf.ofrf_pairs(measured, banded, rest, pairs, derive.analysis_band(results))
+    """Operating FRFs with their band at some pairs; the idle model's where there are none."""
+    source, label = (results.hybrid, "operating FRF") if results.hybrid is not None else (derive.scaled_idle(results), "idle model")
+    banded = derive.with_variance(source, model, pairs)
+    return figures_frf.ofrf_pairs(measured, banded, rest, pairs, derive.analysis_band(results), label)
 
 
 def _pair_error(model: Frf, measured_frf: Frf, results: Results) -> Any:
@@ -81,17 +82,20 @@ def _tiles(results: Results) -> list[Tile]:
 
 
 def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
-    """Operating FRFs with band, check and idle model; errors by DOF, band, mode and run."""
+    """Operating FRFs with band, check and idle model; errors by DOF, band, mode and run. Without operating FRFs those of the idle model."""
     models, band = derive.comparison_models(results), derive.analysis_band(results)
     run, model, rest = derive.validation(results, page)
+    made = results.hybrid is not None
+    if not made:
+        model, rest = rest, None
     chosen = [k for k in BY_MODE_WORDS if (models.get(k) or {}).get("by_mode")]
     named = [(MODEL_NAMES.get(k, k), k, models[k]) for k in _ordered(models)]
     out: dict[str, Any] = {
         "run": run, "model": model, "models": named, "drawn": None, "maps": None,
         "by_run": _by_run(results), "chosen": [BY_MODE_WORDS[k] for k in chosen], "by_mode": _by_mode(models, chosen), "unchecked": None,
-        "explorer": live.frfs(results, page) if results.hybrid is not None else None,
+        "explorer": live.frfs(results, page) if made or run is not None else None,
     }  # fmt: skip
-    if results.hybrid is None:
+    if run is None and not made:
         return out
     if run is None:
         drawn, reason = _unchecked(results)
@@ -102,7 +106,7 @@ def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
     out["drawn"] = _drawn(results, run.frf, model, rest, pairs)
     if band is not None:
         edges = derive.band_edges(band)
-        maps = [("Operating FRFs", derive.error_by_dof_band(model, run.frf, edges))]
+        maps = [("Operating FRFs" if made else "Idle model", derive.error_by_dof_band(model, run.frf, edges))]
         if rest is not None:
             maps.append(("Idle model", derive.error_by_dof_band(rest, run.frf, edges)))
         out["maps"] = figures_compare.error_maps(maps, [str(d) for d in run.frf.responses], edges)
