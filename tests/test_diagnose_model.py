@@ -103,6 +103,12 @@ def test_a_missing_mode_completes_the_model():
     assert far(lacking.frf(HZ, quantity="receptance").data, receptance(chain, HZ)) > 0.05
     model = lacking.add(effect).add("ground_spring@3+Z=stiffness:8e4")
     assert far(model.frf(HZ, quantity="receptance").data, receptance(chain, HZ, lambda s: 8e4 * at(N, 2))) < 1e-10
+    # it is told as it is in operation: a change of the whole moves the others alone, whichever comes first
+    for stiffer in (lacking.add(effect).add("global_stiffness=change:0.1"), lacking.add("global_stiffness=change:0.1").add(effect)):
+        hz = stiffer.modes().frequencies_hz
+        np.testing.assert_allclose(
+            np.sort(hz / np.sqrt(1.1)), np.sort(np.r_[chain.hz[[0, 1, 3, 4, 5]], chain.hz[2] / np.sqrt(1.1)]), rtol=1e-9
+        )
     with pytest.raises(ConfigError, match="shape"):
         lacking.add("missing_mode=frequency:50")
 

@@ -239,8 +239,8 @@ class Model:
     def _base(self) -> ModalModel:
         """The idle model under the kinds that change it as a whole."""
         base = self.idle
-        # Modes the idle model lacks belong to the idle structure: they come first, so that a change of the whole moves them too.
-        for e in sorted(self.effects, key=lambda e: e.definition.acts != "added_mode"):
+        # A mode that the idle model lacks is told as it is in operation: it comes last, and no change of the whole moves it.
+        for e in sorted(self.effects, key=lambda e: e.definition.acts == "added_mode"):
             if e.definition.acts == "modal_change":
                 base = e.definition.modal_change(base, e.values)
             elif e.definition.acts == "added_mode":
