@@ -9,7 +9,7 @@ from operando.data.modal_terms import ModalTerms
 
 BETWEEN, OWN = 0.4, 2.0
 """Standard deviation of the compliance from above the band between two undriven DOFs, over the root of the product of what the model has
-of each, and of that of one DOF over its own: with these the 95 % bands of 63 simulated idle models hold the exact FRFs on 95 % of lines
+of each, and of that of one DOF over its own: with these the 95 % bands of 72 simulated idle models hold the exact FRFs on 94 % of lines
 (``benchmarks/README.md``, "Bands of undriven pairs")."""
 
 
