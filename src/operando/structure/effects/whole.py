@@ -60,7 +60,10 @@ class GlobalDamping(EffectKind):
 
 
 class MissingMode(EffectKind):
-    """A mode missing in the idle model, put behind its modes (before its residual terms) with the shape of the effect."""
+    """A mode missing in the idle model, put behind its modes (before its residual terms) with the shape of the effect.
+
+    Its frequency and damping ratio are those in operation: no change of the whole moves it.
+    """
 
     kind = "missing_mode"
     plain = "a mode missing in the idle model"
