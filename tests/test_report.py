@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from operando.compare import compare_all
-from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord
+from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord, group_findings
 from operando.dof import Dof
 from operando.errors import WriteError
 from operando.report import assumptions, derive, headline, render_report, sections_rest, write_report
@@ -223,6 +223,18 @@ def test_answer_has_the_numbers_of_the_comparison(whole, html):
 def test_findings_gravest_first(html):
     body = html[html.index("What is wrong with the data") :]
     assert body.index("18 samples") < body.index("4 averages") < body.index("two hits")
+
+
+def test_findings_counted_as_one_are_not_counted_again(whole):
+    """A test counts alike findings of its FRFs as one; what each FRF says of them, and of a polarity reversed, is no finding more."""
+    alike = tuple(Finding("overload", f"{n} samples at full scale", "info", file=f"run{n}.uff") for n in range(3))
+    of_model = (Finding("drive_point_sign", "negative residues", "error", dof="30+Z"),)
+    again = Finding("inverted", "drive point 30+Z/30+Z: 90 % of the dissipated power is negative", "error", dof="30+Z")
+    other = Finding("overload", "the reference is overloaded", "info")
+    frf, idle = replace(whole.idle_frf, findings=(*alike, again, other)), replace(whole.idle, findings=of_model)
+    results = replace_results(whole, findings=group_findings([*of_model, *alike]), idle_frf=frf, idle=idle)
+    of_check = {f for run in whole.check for f in run.frf.findings}
+    assert [f for f in derive.all_findings(results) if f not in of_check] == [*of_model, group_findings(alike)[0], other]
 
 
 def test_figures_are_quick_and_load_no_pyplot(whole, tmp_path):

@@ -2,7 +2,7 @@
 
 from operando.data.arrays import band_limits, complex_of, numbers_of
 from operando.data.coupling import ModalCoupling
-from operando.data.findings import Finding, group_findings, once_of_a_sense
+from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
@@ -60,4 +60,5 @@ __all__ = [
     "row_statistics",
     "several",
     "unit_of",
+    "with_further",
 ]

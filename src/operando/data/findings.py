@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -131,9 +131,41 @@ def group_findings(findings: Iterable[Finding]) -> list[Finding]:
     """
     groups: dict[tuple[object, ...], list[Finding]] = {}
     for finding in dict.fromkeys(findings):
-        masked = (_masked(t) for t in (finding.message, finding.consequence, finding.action))
-        groups.setdefault((finding.kind, finding.severity, *masked), []).append(finding)
+        groups.setdefault(_likeness(finding, finding.message), []).append(finding)
     return [f for group in groups.values() for f in ([_grouped(group)] if len(group) >= ALIKE else group)]
+
+
+def with_further(findings: Sequence[Finding], further: Iterable[Finding]) -> list[Finding]:
+    """The findings, then those further ones that are not among them and are not counted in a group of them.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        May hold groups made by :func:`group_findings`.
+    further : iterable of Finding
+        Those of the objects, say, whose findings were gathered.
+
+    Returns
+    -------
+    list of Finding
+
+    Examples
+    --------
+    >>> found = [Finding("overload", f"{n} samples at full scale", "warning", file=f"run{n}.uff") for n in range(3)]
+    >>> len(with_further(group_findings(found), found))
+    1
+    """
+    counted = {_likeness(f, f.message[: group.start()]) for f in findings if (group := _GROUP.search(f.message))}
+    return list(dict.fromkeys([*findings, *(f for f in further if _likeness(f, f.message) not in counted)]))
+
+
+_GROUP = re.compile(r" \[(?:alike|the same) \d+ times.*\]$")
+"""What :func:`_grouped` puts behind the message of its first member."""
+
+
+def _likeness(finding: Finding, message: str) -> tuple[object, ...]:
+    """What findings of one group share."""
+    return (finding.kind, finding.severity, *(_masked(text) for text in (message, finding.consequence, finding.action)))
 
 
 def _masked(text: str) -> str:

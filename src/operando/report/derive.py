@@ -14,7 +14,7 @@ from operando.compare.maps import clear_lines as clear_lines
 from operando.compare.maps import error_map
 from operando.compare.maps import level_error_db as level_error_db
 from operando.compare.maps import rms_over as rms_over
-from operando.data import Finding, Frf, ModalModel
+from operando.data import Finding, Frf, ModalModel, once_of_a_sense, with_further
 from operando.dof import Dof
 from operando.errors import DataError, OperandoError
 from operando.plots.shapes import real_shape
@@ -34,11 +34,9 @@ _RANK = {"error": 0, "warning": 1, "info": 2}
 
 def all_findings(results: Results) -> list[Finding]:
     """Findings of the test and of every object in it, each once, the gravest first."""
-    parts: list[Any] = [results.findings]
-    for item in (results.idle_frf, results.idle, results.operating, results.hybrid, *(run.frf for run in results.check)):
-        parts.append(getattr(item, "findings", ()) or ())
-    unique = dict.fromkeys(f for part in parts for f in part)
-    return sorted(unique, key=lambda f: _RANK[f.severity])
+    objects = (results.idle_frf, results.idle, results.operating, results.hybrid, *(run.frf for run in results.check))
+    further = [f for item in objects for f in getattr(item, "findings", ()) or ()]
+    return sorted(once_of_a_sense(with_further(results.findings, further)), key=lambda f: _RANK[f.severity])
 
 
 def pairing_of(results: Results) -> list[dict[str, Any]]:
