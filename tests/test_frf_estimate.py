@@ -154,6 +154,8 @@ def test_runs_of_different_references_make_one_matrix():
     frf = estimate_frf(runs, estimator="lrm", band=(10, 180), line_spacing_hz=0.25)
     exact = sampled_accelerance(chain, frf.frequencies_hz, FS, range(5), [0, 2, 4])
     assert relative(frf.data, exact) < 1e-3
+    assert frf.name == "", "made of several files, it is not called after one of them"
+    assert estimate_frf(runs, estimator="lrm", band=(10, 180), line_spacing_hz=0.25, references="3+Z").name == "at 3"
     swapped = estimate_frf(runs, estimator="lrm", band=(10, 180), line_spacing_hz=0.25, references="5+Z,1-Z")
     np.testing.assert_allclose(swapped.data, frf.data[:, [2, 0]] * np.array([1, -1])[None, :, None])
     with pytest.raises(DataError, match="no run excites reference 2"):
@@ -184,6 +186,7 @@ def test_equal_runs_are_averaged_and_others_kept_apart_by_level():
     pooled = estimate_frf(runs, estimator="lrm", band=(10, 180), line_spacing_hz=0.25)
     single = estimate_frf(runs[0], estimator="lrm", band=(10, 180), line_spacing_hz=0.25)
     assert not any(x.kind == "nonlinear" for x in pooled.findings)
+    assert (single.name, pooled.name) == ("5 N", "")
     assert np.median(pooled.variance / single.variance) == pytest.approx(0.5, rel=0.3)  # the noise grows with the level: both count alike
     stiff = Chain(3, zeta=0.03, stiffness=2.2e5)
     f, x = simulate(stiff, FS, 16384, [1], rng, level=40.0)

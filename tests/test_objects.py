@@ -8,6 +8,7 @@ import pickle
 import pkgutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +119,8 @@ def test_frf_verbs():
     apart = frf["*", "1+Z"].beside(frf["*", "3-Z"])
     assert np.array_equal(apart.data, frf.data)
     assert np.array_equal(apart.coherence, frf.coherence)
+    one, two = (replace(frf["*", d], name=f"at {d}") for d in ("1+Z", "3-Z"))
+    assert (one.beside(two).name, one.beside(replace(two, name=one.name)).name) == ("", "at 1+Z")
     assert np.array_equal(frf.decimate(3).frequencies_hz, LINES[::3])
     assert len(frf.lines(LINES > 30).axis) == np.sum(LINES > 30)
     with pytest.raises(DataError, match="side by side"):

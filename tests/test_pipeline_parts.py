@@ -88,6 +88,7 @@ def test_pairs_given_twice_are_averaged_where_they_agree():
     np.testing.assert_allclose(made.data, 0.75 * first.data + 0.25 * second.data, rtol=1e-9)
     np.testing.assert_allclose(made.variance, 0.75 * frf.variance, rtol=1e-9)
     assert [(f.kind, f.severity) for f in made.findings] == [("duplicate_pair", "info")]
+    assert (made.name, merge_frfs([first, again("a")]).name) == ("", "a")
     wrong = merge_frfs([first, again("c", factor=1.1)])
     np.testing.assert_array_equal(wrong.data, first.data)
     [finding] = wrong.findings

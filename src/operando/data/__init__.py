@@ -9,7 +9,7 @@ from operando.data.levels import LEVEL_RATIO, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, StoredRow, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
-from operando.data.objects import Saved, Short, counted, expect, names_text, plots, several
+from operando.data.objects import Saved, Short, common_name, counted, expect, names_text, plots, several
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.receptances import Receptances
@@ -40,6 +40,7 @@ __all__ = [
     "StoredRow",
     "TimeRecord",
     "band_limits",
+    "common_name",
     "complex_of",
     "counted",
     "direction_of",

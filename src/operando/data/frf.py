@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
 from operando.data.findings import Finding
-from operando.data.objects import Noun, counted, names_text, plots
+from operando.data.objects import Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named, unit_of
 from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
@@ -301,6 +301,7 @@ class Frf(Noun):
             variance=stack([p.variance for p in parts]),
             coherence=stack([p.coherence for p in parts]),
             setups=stack([p.setups for p in parts]),
+            name=common_name(parts),
             findings=tuple(dict.fromkeys(f for p in parts for f in p.findings)),
             provenance=self.provenance if len(parts) == 1 else Provenance.merge(*(p.provenance for p in parts)),
         )

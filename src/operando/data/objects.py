@@ -64,6 +64,29 @@ def names_text(names: Iterable[object], most: int = MOST_NAMES) -> str:
     return ", ".join(words) if len(words) <= most else f"{', '.join(words[: most - 1])}, … ({len(words)})"
 
 
+def common_name(objects: Iterable[Any]) -> str:
+    """The ``name`` that all objects have; empty where they differ: what is made of several files is not called after one of them.
+
+    Parameters
+    ----------
+    objects : iterable
+        Each with an attribute ``name``.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from operando.data import Geometry
+    >>> one, two = Geometry({1: (0, 0, 0)}, name="a.uff"), Geometry({1: (0, 0, 0)}, name="b.uff")
+    >>> common_name([one, one]), common_name([one, two])
+    ('a.uff', '')
+    """
+    names = {str(item.name) for item in objects}
+    return names.pop() if len(names) == 1 else ""
+
+
 def counted(n: int, noun: str) -> str:
     """``1 force``, ``3 forces``.
 

@@ -408,7 +408,7 @@ def _low_coherence(frf: Frf, band: tuple[float, float] | None) -> list[Finding]:
                     "low_coherence",
                     f"median coherence with {reference} below {LOW_COHERENCE:g} at {names}; lowest {low[worst]:.3f} at {worst}",
                     "warning",
-                    file=(frf.name or None) if len(frf.references) == 1 else None,  # merged runs: the name is that of the first
+                    file=frf.name or None,
                     dof=worst,
                     consequence="large variance of these FRFs",
                     action="more averages, a stronger excitation, or another location",

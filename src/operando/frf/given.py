@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, Provenance
+from operando.data import Finding, Frf, Provenance, common_name
 from operando.dof import Dof, Node
 from operando.errors import DataError
 from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of, measured_by
@@ -95,7 +95,7 @@ def merge_frfs(frfs: Sequence[Frf]) -> Frf:
         averages=first.averages,
         si=all(h.si for h in same),
         exponential_window_rate=first.exponential_window_rate,
-        name=first.name,
+        name=common_name(same),
         setups=measured_by(same, list(responses.values()), list(references.values())),
         findings=tuple(dict.fromkeys([*(f for h in frfs for f in h.findings), *_said(first, averaged, apart), *missing])),
         provenance=Provenance.merge(*(h.provenance for h in same)).then("merge_frfs"),

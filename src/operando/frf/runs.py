@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, FrequencyAxis, Frf, Provenance, one_level
+from operando.data import Finding, FrequencyAxis, Frf, Provenance, common_name, one_level
 from operando.dof import Dof, DofIndex, Node
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
@@ -190,6 +190,7 @@ def pool(runs: Sequence[RunEstimate], responses: Sequence[Dof] | None = None) ->
         responses=rows,
         level=float(np.sqrt(np.mean([p.level**2 for p in parts]))),
         si=all(p.si for p in parts),
+        name=common_name(parts),
         findings=tuple(f for p in parts for f in p.findings),
         provenance=Provenance.merge(*(p.provenance for p in parts)),
     )
@@ -276,7 +277,7 @@ def merge_runs(runs: Sequence[RunEstimate], references: Sequence[Dof] | None = N
         averages=min(r.averages for r in kept),
         si=all(r.si for r in kept),
         exponential_window_rate=rates.pop(),
-        name=kept[0].name,
+        name=common_name(kept),
         setups=measured_by(runs, responses, columns),
         findings=(*(f for r in kept for f in r.findings), *findings),
         provenance=Provenance.merge(*(r.provenance for r in kept)),
