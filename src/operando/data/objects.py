@@ -79,7 +79,7 @@ def common_name(objects: Iterable[Any]) -> str:
     Examples
     --------
     >>> from operando.data import Geometry
-    >>> one, two = Geometry({1: (0, 0, 0)}, name="a.uff"), Geometry({1: (0, 0, 0)}, name="b.uff")
+    >>> one, two = (Geometry((1,), [[0, 0, 0]], name=name) for name in ("a.uff", "b.uff"))
     >>> common_name([one, one]), common_name([one, two])
     ('a.uff', '')
     """
