@@ -107,6 +107,14 @@ def test_decayed_hits_are_averaged_and_overlapping_ones_use_the_whole_record():
     finding = next(f for f in auto.findings if f.kind == "overlapping_hits")
     assert "whole record" in finding.consequence
     assert "lrm" in auto.provenance.calls[-1]
+    of_blocks = lambda record, seconds: [  # noqa: E731
+        f.message for f in estimate_frf(record, band=(10, 160), block_seconds=seconds).findings if f.kind == "block_seconds"
+    ]
+    assert of_blocks(ringing, 1.0) == ["block_seconds = 1 s is not used: whole records are used, without blocks"]
+    assert of_blocks(damped, 6.0) == [
+        "block_seconds = 6 s is not used: blocks are 3.5 s long, the time to the next hit or the end of the record"
+    ]
+    assert of_blocks(damped, 2.0) == of_blocks(ringing, None) == []
     exact = sampled_accelerance(light, auto.frequencies_hz, FS, range(4), [0])
     forced = estimate_frf(ringing, band=(10, 160), estimator="h1")
     assert next(f for f in forced.findings if f.kind == "overlapping_hits").severity == "warning"
