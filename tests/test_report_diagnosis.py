@@ -14,7 +14,7 @@ from operando.compare import compare_all
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
-from operando.report.assessment import RECIPROCITY
+from operando.report.assessment import RECIPROCITY, route_words
 from operando.report.figures_compare import error_maps
 from operando.report.figures_diagnosis import places_figure, running_median, steps_figure, stiffness_figure, stiffness_span
 from operando.report.figures_records import force_figure, level_figure, simulation_figure
@@ -427,6 +427,29 @@ def test_routes_differ_by_a_known_level(whole):
     text = text_of(sections(with_hybrid)["diagnosis"])
     assert "They differ by 0.80 dB rms (from 100+Z 0.80 dB and from 105+Z 0.80 dB)" in text
     assert "0.40 dB, or more" in text
+
+
+@pytest.mark.parametrize(
+    ("errors", "verdict", "text"),
+    [
+        ((0.35, 0.13, 12.34), "explained", "; idle model + effects: 0.13 dB against 0.35 dB of the hybrid route on the validation lines "
+         "(idle model: 12.3 dB; level 5 N rms)."),
+        ((12.34, 21.5, 30.0), "unexplained", "; idle model + effects: 21.50 dB against 12.34 dB of the hybrid route on the validation lines "
+         "(idle model: 30.0 dB; level 5 N rms)."),
+        ((0.35, None, 5.01), "explained", ", off by 0.35 dB from the validation measurement in operation, level 5 N rms (idle model: 5.01 dB); "
+         "no diagnosis was made."),
+        ((0.35, None, 0.13), "no_misfit", "; idle model: 0.13 dB against 0.35 dB of the hybrid route on the validation lines (level 5 N rms)."),
+    ],
+)  # fmt: skip
+def test_each_error_of_the_recommended_route_is_stated_once(errors, verdict, text):
+    effects = [] if verdict == "no_misfit" else [{}]
+    models = {key: {"error_db": error} for key, error in zip(("ofrf", "effect", "idle"), errors, strict=True) if error is not None}
+    found = None if "no diagnosis" in text else {"verdict": verdict, "effects": effects}
+    results = Results("x", comparison={"models": models, "judged_on": {"level_name": "5 N rms"}}, diagnosis=found, hybrid=object())
+    words = route_words(results)
+    assert words.endswith(f"){text}"), words
+    for error in filter(None, errors):
+        assert len(re.findall(rf"\b{error:.2f} dB|\b{error:.1f} dB", words)) == 1
 
 
 def test_route_with_the_effect_is_told_nearer_to_the_check(whole):

@@ -146,18 +146,22 @@ def route_of(results: Results) -> Route | None:
 
 
 def route_words(results: Results) -> str:
-    """The recommended route in one sentence."""
+    """The recommended route in one sentence, each error once."""
     route = route_of(results)
     if route is None:
         return ""
     text = f"Recommended operating FRFs: {MODEL_NAMES[route.model]} (operando ofrf --route {route.name})"
-    on = (results.comparison or {}).get("judged_on") or {}
-    if route.error_db is not None:
-        level = f", level {on['level_name']}" if on.get("level_name") else ""
-        text += f", off by {decibel(route.error_db)} from the validation measurement in operation{level}"
-        if route.idle_error_db is not None and route.model != "idle":
-            text += f" (idle model: {decibel(route.idle_error_db)})"
-    return f"{text}; {route.reason}."
+    if route.error_db is None:
+        return f"{text}; {route.reason}."
+    name = ((results.comparison or {}).get("judged_on") or {}).get("level_name")
+    level = [f"level {name}"] if name else []
+    idle, said = route.idle_error_db, lambda error: f" {error:.2f} dB" in f" {route.reason}"
+    beside = [] if idle is None or route.model == "idle" or said(idle) else [f"idle model: {decibel(idle)}"]
+    if said(route.error_db):
+        further = "; ".join(beside + level)
+        return f"{text}; {route.reason}{f' ({further})' if further else ''}."
+    text += ", ".join([f", off by {decibel(route.error_db)} from the validation measurement in operation", *level])
+    return f"{text}{f' ({beside[0]})' if beside else ''}; {route.reason}."
 
 
 def joint_grade(results: Results, grade: str) -> str:
