@@ -432,20 +432,21 @@ def test_routes_differ_by_a_known_level(whole):
 @pytest.mark.parametrize(
     ("errors", "verdict", "text"),
     [
-        ((0.35, 0.13, 12.34), "explained", "; idle model + effects: 0.13 dB against 0.35 dB of the hybrid route on the validation lines "
-         "(idle model: 12.3 dB; level 5 N rms)."),
-        ((12.34, 21.5, 30.0), "unexplained", "; idle model + effects: 21.50 dB against 12.34 dB of the hybrid route on the validation lines "
-         "(idle model: 30.0 dB; level 5 N rms)."),
-        ((0.35, None, 5.01), "explained", ", off by 0.35 dB from the validation measurement in operation, level 5 N rms (idle model: 5.01 dB); "
-         "no diagnosis was made."),
-        ((0.35, None, 0.13), "no_misfit", "; idle model: 0.13 dB against 0.35 dB of the hybrid route on the validation lines (level 5 N rms)."),
+        ((0.35, 0.13, 12.34), "explained",
+         "; idle model + effects: 0.13 dB against 0.35 dB of the hybrid route on the validation lines (idle model: 12.3 dB; level 5 N)."),
+        ((12.34, 21.5, 30.0), "unexplained",
+         "; idle model + effects: 21.50 dB against 12.34 dB of the hybrid route on the validation lines (idle model: 30.0 dB; level 5 N)."),
+        ((0.35, None, 5.01), "explained",
+         ", off by 0.35 dB from the validation measurement in operation, level 5 N (idle model: 5.01 dB); no diagnosis was made."),
+        ((0.35, None, 0.13), "no_misfit",
+         "; idle model: 0.13 dB against 0.35 dB of the hybrid route on the validation lines (level 5 N)."),
     ],
 )  # fmt: skip
 def test_each_error_of_the_recommended_route_is_stated_once(errors, verdict, text):
     effects = [] if verdict == "no_misfit" else [{}]
     models = {key: {"error_db": error} for key, error in zip(("ofrf", "effect", "idle"), errors, strict=True) if error is not None}
     found = None if "no diagnosis" in text else {"verdict": verdict, "effects": effects}
-    results = Results("x", comparison={"models": models, "judged_on": {"level_name": "5 N rms"}}, diagnosis=found, hybrid=object())
+    results = Results("x", comparison={"models": models, "judged_on": {"level_name": "5 N"}}, diagnosis=found, hybrid=object())
     words = route_words(results)
     assert words.endswith(f"){text}"), words
     for error in filter(None, errors):
