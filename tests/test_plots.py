@@ -114,7 +114,7 @@ def test_ofrf_has_its_band_in_magnitude_and_phase(model):
     ofrf = model.frf(LINES, "2+Z", "1+Z")
     top = plots.plot_ofrf(ofrf, idle=model.frf(LINES), response="2+Z", reference="1+Z")
     magnitude, phase = top.figure.axes
-    assert words(top) == ["idle model", "95 % band", "operating FRF"]
+    assert words(top) == ["idle model", "95 % band", "operational FRF"]
     half = 1.96 * np.sqrt(ofrf.variance[0, 0] / 2)
     corners = magnitude.collections[0].get_paths()[0].vertices[:, 1]
     assert corners.max() == pytest.approx((np.abs(ofrf.data[0, 0]) + half).max(), rel=1e-6)

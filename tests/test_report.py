@@ -293,7 +293,7 @@ def test_empty_results_make_a_report():
     page = Page(text)
     assert "svg" not in page.counts
     assert text.count('class="missing"') >= 8
-    assert "Operating FRFs were not made" in text
+    assert "Operational FRFs were not made" in text
 
 
 def test_idle_without_units_says_how_to_give_them(whole):
@@ -492,7 +492,7 @@ def test_level_dependence_is_told_and_excuses_reciprocity(whole):
     states = {a.name: a.state for a in assumptions(results)}
     assert states["Linear behaviour"] == "fails"
     assert states["Reciprocity in operation"] == "doubtful"
-    assert "at b the operating FRFs are off by 5.40 dB and the idle model by 0.90 dB" in " ".join(headline(results).sentences)
+    assert "at b the operational FRFs are off by 5.40 dB and the idle model by 0.90 dB" in " ".join(headline(results).sentences)
 
 
 def test_title_block_says_what_was_measured_by_whom(whole):
@@ -539,7 +539,7 @@ def test_an_output_only_test_has_its_own_answer(whole):
     assert 'href="#idle"' not in text
     assert "Idle" not in "".join(re.findall("<th .*?</th>", text))
     failed = only(whole, operating=whole.operating, left_out={"ema": "failed: too few lines"})
-    assert headline(failed).verdict == "No operating FRFs"
+    assert headline(failed).verdict == "No operational FRFs"
 
 
 def test_without_operating_records_the_idle_model_is_held_against_the_validation_measurement(whole):
@@ -552,7 +552,7 @@ def test_without_operating_records_the_idle_model_is_held_against_the_validation
     Page(text)
     for part in ("Models against the validation measurement", "Level error by response DOF", "Errors by mode", "covariance of the EMA"):
         assert part in text
-    assert "Operating FRFs at drive points" not in text
+    assert "Operational FRFs at drive points" not in text
 
 
 def test_figures_and_texts_of_the_user_stand_in_sections_of_their_own(tmp_path):

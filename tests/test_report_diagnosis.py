@@ -405,7 +405,7 @@ def test_held_out_ranges_are_the_blocks_that_judge(whole):
 
 
 class Louder:
-    """A hybrid route to the operating FRFs: the idle model, too high by one gain everywhere."""
+    """A hybrid route to the operational FRFs: the idle model, too high by one gain everywhere."""
 
     def __init__(self, model, gain):
         self.modal = replace(model, shapes=model.shapes * np.sqrt(gain), covariance=None)

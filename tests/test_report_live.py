@@ -66,7 +66,7 @@ def test_picker_draws_the_chosen_pair_and_the_cursor_reads_the_models_values(pag
     page.click(".live[data-kind=frfs] canvas")
     said = page.run(f"{frfs}.querySelector('.readout').textContent").replace("−", "-")
     hz = float(re.match(r"([\d.]+) Hz", said)[1])
-    for name, model in (("idle model", whole.idle), ("operating FRF", whole.hybrid)):
+    for name, model in (("idle model", whole.idle), ("operational FRF", whole.hybrid)):
         level, phase = map(float, re.search(rf"{name}: (-?[\d.]+) dB, (-?[\d.]+)°", said).groups())
         h = model.frf([hz], "105+Z", "103+Z").data[0, 0, 0]
         assert level == pytest.approx(20 * np.log10(abs(h)), abs=0.02)

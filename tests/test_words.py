@@ -39,6 +39,7 @@ REPLACED = {
     r"\bat rest\b": "idle (reference state)",
     r"\bsecond opinions?\b": "comparison with sdypy-EMA / pyOMA-2",
     r"\bstory\b": "summary",
+    r"\boperating FRFs?\b": "operational FRF; FRF measured in operation",
 }
 """What is not written → what is written instead."""
 

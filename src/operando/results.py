@@ -12,7 +12,7 @@ from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted
 
 @dataclass
 class CheckRun:
-    """One measured operating FRF set the model is compared with.
+    """One set of FRFs measured in operation that the model is compared with.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Results(Short):
             "Idle": counted(self.idle.n_modes, "idle mode") if self.idle is not None else "",
             "Operating": counted(self.operating.n_modes, "operating mode") if self.operating is not None else "",
             "Scaling": f"scaled by {self.hybrid.method}" if self.hybrid is not None else "",
-            "Validation": "" if level is None else f"operating FRFs within {level:.2f} dB of the validation measurement",
+            "Validation": "" if level is None else f"operational FRFs within {level:.2f} dB of the validation measurement",
             "Diagnosis": f"diagnosis: {self.diagnosis['verdict'].replace('_', ' ')}" if self.diagnosis else "",
             "Left out": ", ".join(f"{stage} left out" for stage in self.left_out),
         }

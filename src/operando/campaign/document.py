@@ -264,8 +264,8 @@ def _add_scale(part: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> No
 
 
 def _add_error_outliers(tell: _Teller) -> None:
-    """Tests whose operating FRFs are further off than those beside them."""
-    for model, name in (("ofrf", "operating FRFs"), ("effect", "operating FRFs of idle model and effects")):
+    """Tests whose operational FRFs are further off than those beside them."""
+    for model, name in (("ofrf", "operational FRFs"), ("effect", "operational FRFs of idle model and effects")):
         have = [i for i in range(len(tell.states)) if (tell.row(i)["errors"].get(model) or {}).get("error_db") is not None]
         errors = [float(tell.row(i)["errors"][model]["error_db"]) for i in have]
         for k in outliers(errors, [None] * len(errors)):

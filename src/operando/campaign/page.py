@@ -16,7 +16,7 @@ from operando.report.text import DASH, count, decibel, esc, fixed, listing, numb
 MOST_TRACKS = 20
 """Modes drawn in a figure: those seen in most states."""
 MOST_EFFECTS = 24
-MODEL_WORDS = {"idle": "idle model", "ofrf": "operating FRFs, hybrid route", "effect": "operating FRFs, idle model + effects"}
+MODEL_WORDS = {"idle": "idle model", "ofrf": "operational FRFs, hybrid route", "effect": "operational FRFs, idle model + effects"}
 KIND_WORDS = {"idle": "In the idle state", "operating": "In operation"}
 STATE_WORDS = {"done": ("done", "good"), "incomplete": ("a stage failed", "fair"), "failed": ("failed", "poor")}
 VERDICT_GRADES = {"no_misfit": "good", "explained": "good", "unexplained": "poor"}
@@ -35,7 +35,7 @@ def render(document: Mapping[str, Any]) -> str:
         ("answer", "Answer: what changes over the tests", _answer),
         ("operating", "Operating state: modes over the parameter", lambda d, n: _modes(d, n, "operating")),
         ("idle", "Idle state (reference): modes over the parameter", lambda d, n: _modes(d, n, "idle")),
-        ("errors", "Error of the operating FRFs", _errors),
+        ("errors", "Error of the operational FRFs", _errors),
         ("effects", "What is missing in the idle model", _effects),
         ("tests", "All tests", _tests),
         ("how", "How this was made", _how),
@@ -216,7 +216,7 @@ def _errors(document: Mapping[str, Any], numbering: Numbering) -> Markup:
         if points:
             series[words] = points
     if not series:
-        return missing("No test has a validation measurement ([check]) to compare operating FRFs with.")
+        return missing("No test has a validation measurement ([check]) to compare operational FRFs with.")
     caption = "Error (rms, dB) of the models on the validation measurement of each test."
     return numbering.figure(figures.error_figure(series, document["over"]["label"]), caption)
 
@@ -262,7 +262,7 @@ def _tests(document: Mapping[str, Any], numbering: Numbering) -> Markup:
             tag(verdict.replace("_", " "), VERDICT_GRADES.get(verdict, "fair")) if verdict else DASH,
             Markup("<br>").join(esc(m) for m in r["missing"][:4]) or DASH, DASH if r["seconds"] is None else f"{r['seconds']:.1f}",
         ])  # fmt: skip
-    head = ["Test", "State", "Scaling", "Error of idle model", "Error of operating FRFs", "Verdict", "Missing in the idle model", "s"]
+    head = ["Test", "State", "Scaling", "Error of idle model", "Error of operational FRFs", "Verdict", "Missing in the idle model", "s"]
     base = (document["baseline"] or {}).get("test")
     mine = [i for i, r in enumerate(document["tests"]) if r["name"] == base]
     caption = ", each linked to its own results; the baseline is set off."

@@ -135,7 +135,7 @@ def plot_errors(
     Examples
     --------
     >>> import operando
-    >>> ax = operando.plots.plot_errors(["operating FRFs", "idle model"], [0.3, 5.0], noise_floor_db=0.2)
+    >>> ax = operando.plots.plot_errors(["operational FRFs", "idle model"], [0.3, 5.0], noise_floor_db=0.2)
     >>> [t.get_text().strip() for t in ax.texts]
     ['0.30 dB', '5.00 dB', 'noise floor 0.20 dB']
     """

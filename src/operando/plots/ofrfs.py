@@ -30,7 +30,7 @@ def plot_ofrf(
     response: object = None,
     reference: object = None,
     band: Sequence[float] | None = None,
-    label: str = "operating FRF",
+    label: str = "operational FRF",
     parts: Sequence[str] = PARTS[:2],
     legend: bool = True,
 ) -> Axes:
@@ -74,7 +74,7 @@ def plot_ofrf(
     >>> h = (1 / (30.0**2 - line**2 + 18j * line))[None, None]
     >>> frf = operando.Frf(h, line, "1+Z", "1+Z", variance=0.01 * abs(h) ** 2)
     >>> [t.get_text() for t in operando.plots.plot_ofrf(frf).get_legend().get_texts()]
-    ['95 % band', 'operating FRF']
+    ['95 % band', 'operational FRF']
     """
     kinds = ((idle, "idle model", IDLE, DASHES[1], 1.0), (measured, "validation (measured running)", MEASURED, "-", 1.5))
     given = [f for f in (ofrf, measured, idle) if f is not None]

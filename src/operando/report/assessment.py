@@ -1,4 +1,4 @@
-"""The answer in words: how good the operating FRFs are, and which assumption of the method does not hold."""
+"""The answer in words: how good the operational FRFs are, and which assumption of the method does not hold."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from operando.scaling.methods import IN_WORDS
 from operando.scaling.no_scale import no_scale
 
 MODEL_NAMES = {
-    "ofrf": "operating FRFs (this method)",
+    "ofrf": "operational FRFs (this method)",
     "effect": "idle model + effects",
     "msf_all": "operating shapes, all scaled by MSF",
     "idle_shapes": "idle shapes with operating poles",
@@ -86,7 +86,7 @@ def scope(results: Results) -> str:
 
 
 def headline(results: Results) -> Headline:
-    """What the operating FRFs are and how far they can be trusted, in a few sentences with numbers; the modes of a test of one state."""
+    """What the operational FRFs are and how far they can be trusted, in a few sentences with numbers; the modes of a test of one state."""
     states = assumptions(results)
     limits = [f"{a.name}: {a.text}" for a in states if a.state == "fails"]
     if scope(results) != "all":
@@ -105,9 +105,9 @@ def headline(results: Results) -> Headline:
             "The 95 % bands below hold what the identification is unsure of, no more."
         )
         if any(a.state == "fails" and a.name == RECIPROCITY for a in states):
-            verdict = "Operating FRFs made, not validated; non-reciprocal behaviour cannot be represented"
+            verdict = "Operational FRFs made, not validated; non-reciprocal behaviour cannot be represented"
         else:
-            verdict = "Operating FRFs made, not validated"
+            verdict = "Operational FRFs made, not validated"
         return Headline(verdict, "poor" if limits else "fair", tuple(sentences), tuple(limits))
     error = float(ofrf["error_db"])
     others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
@@ -117,16 +117,16 @@ def headline(results: Results) -> Headline:
         sentences.append(by_level)
     idle = next((e for name, e in others if name == "idle"), None)
     if is_good(ofrf) and error >= CLOSE_DB:
-        verdict, grade = "The operating FRFs agree with the validation measurement as well as the noise allows", "good"
+        verdict, grade = "The operational FRFs agree with the validation measurement as well as the noise allows", "good"
     elif error < CLOSE_DB:
-        verdict, grade = f"The operating FRFs agree with the validation measurement to within {CLOSE_DB:g} dB", "good"
+        verdict, grade = f"The operational FRFs agree with the validation measurement to within {CLOSE_DB:g} dB", "good"
     elif idle is not None and error > 0.95 * idle:
         measured = validation_run(results)
         where = f" at {measured.level}" if measured is not None and _levels_text(results) else ""
-        verdict, grade = f"The operating FRFs are no better than the idle model{where}", "poor"
+        verdict, grade = f"The operational FRFs are no better than the idle model{where}", "poor"
     else:
         against = f", the idle model by {decibel(idle)}" if idle is not None else ""
-        verdict, grade = f"The operating FRFs are off by {decibel(error)}{against}", "fair"
+        verdict, grade = f"The operational FRFs are off by {decibel(error)}{against}", "fair"
     if results.diagnosis:
         grade = "none"  # one verdict on a page: the diagnosis and the route it recommends have it
     best = min(others, key=lambda item: item[1], default=None)
@@ -135,13 +135,13 @@ def headline(results: Results) -> Headline:
     elif best is not None and best[1] < error:
         limits.append(
             f"A simpler model is closer here: {MODEL_NAMES.get(best[0], best[0])} is at {decibel(best[1])}, "
-            f"the operating FRFs at {decibel(error)}."
+            f"the operational FRFs at {decibel(error)}."
         )
     return Headline(verdict, grade, tuple(sentences), tuple(limits))
 
 
 def route_of(results: Results) -> Route | None:
-    """The route to the operating FRFs that diagnosis and comparison recommend together."""
+    """The route to the operational FRFs that diagnosis and comparison recommend together."""
     return recommended(results.comparison, results.diagnosis, results.hybrid is not None)
 
 
@@ -150,7 +150,7 @@ def route_words(results: Results) -> str:
     route = route_of(results)
     if route is None:
         return ""
-    text = f"Recommended operating FRFs: {MODEL_NAMES[route.model]} (operando ofrf --route {route.name})"
+    text = f"Recommended operational FRFs: {MODEL_NAMES[route.model]} (operando ofrf --route {route.name})"
     if route.error_db is None:
         return f"{text}; {route.reason}."
     name = ((results.comparison or {}).get("judged_on") or {}).get("level_name")
@@ -183,7 +183,7 @@ def _what_they_are(results: Results) -> str:
     parts += [f"{n} {word}" for n, word in _class_words(classes)]
     residual = modal.n_residuals if modal is not None else 0
     text = (
-        f"Operating FRFs between {count(dofs, 'DOF')} ({dofs * dofs} pairs), {band_text(analysis_band(results))}, "
+        f"Operational FRFs between {count(dofs, 'DOF')} ({dofs * dofs} pairs), {band_text(analysis_band(results))}, "
         f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
     )
     text += (
@@ -215,7 +215,7 @@ def _class_words(classes: list[str]) -> list[tuple[int, str]]:
 
 
 def _levels_text(results: Results) -> str:
-    """Errors at each level where they differ: an operating FRF stands for the level of operation."""
+    """Errors at each level where they differ: an operational FRF stands for the level of operation."""
     rows = []
     for run in (results.comparison or {}).get("by_run") or []:
         errors = [((run.get("models") or {}).get(k) or {}).get("error_db") for k in ("ofrf", "idle")]
@@ -223,9 +223,9 @@ def _levels_text(results: Results) -> str:
             rows.append((str(run.get("level_name") or run.get("name")), float(errors[0] or 0), float(errors[1] or 0)))
     if len(rows) < 2 or max(r[1] for r in rows) < 1.3 * min(r[1] for r in rows):
         return ""
-    parts = [f"at {level} the operating FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
+    parts = [f"at {level} the operational FRFs are off by {decibel(a)} and the idle model by {decibel(b)}" for level, a, b in rows]
     return (
-        f"The level matters: {listing(parts)}. The lowest level is the validation level; operating FRFs stand for the level of operation."
+        f"The level matters: {listing(parts)}. The lowest level is the validation level; operational FRFs stand for the level of operation."
     )
 
 
@@ -257,22 +257,22 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
     why = results.left_out.get("oma" if ema else "ema", "").rstrip(".")
     missing = f" ({why})" if why else ""
     if ema and model.scaling == "unit_modal_mass":
-        sentences.append(f"Shapes have unit modal mass. Operating FRFs need a measurement in operation besides{missing}.")
+        sentences.append(f"Shapes have unit modal mass. Operational FRFs need a measurement in operation besides{missing}.")
     elif ema:
         cause = no_scale(model, results.findings)
         text = "The shapes have no mass scaling" + (f": {cause[0]} ({cause[1]})." if cause else ".")
-        sentences.append(f"{text} Operating FRFs need it, and a measurement in operation{missing}.")
+        sentences.append(f"{text} Operational FRFs need it, and a measurement in operation{missing}.")
     else:
-        sentences.append(f"Shapes are of arbitrary scale: operating FRFs need an idle measurement with a known force besides{missing}.")
+        sentences.append(f"Shapes are of arbitrary scale: operational FRFs need an idle measurement with a known force besides{missing}.")
     wrong = [f for f in all_findings(results) if f.severity == "error"]
     limits += tuple(f"{f.message}" + (f": {f.consequence}." if f.consequence else ".") for f in wrong[:3])
     return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
 
 
 def _idle_alone(results: Results) -> str:
-    """What is said first of a test without operating FRFs: how far the idle model is off in operation, where that was measured."""
+    """What is said first of a test without operational FRFs: how far the idle model is off in operation, where that was measured."""
     error = (comparison_models(results).get("idle") or {}).get("error_db")
-    return f"The idle model is off by {decibel(error)} in operation" if finite(error) else "No operating FRFs"
+    return f"The idle model is off by {decibel(error)} in operation" if finite(error) else "No operational FRFs"
 
 
 def _without_hybrid(results: Results) -> tuple[str, ...]:
@@ -283,7 +283,7 @@ def _without_hybrid(results: Results) -> tuple[str, ...]:
         have.append("idle FRFs were measured")
     if results.operating is not None:
         have.append(f"the operating state has {count(results.operating.n_modes, 'mode')}")
-    text = "Operating FRFs were not made"
+    text = "Operational FRFs were not made"
     for stage in ("ofrf", "oma", "ema", "frf"):
         if stage in results.left_out:
             text += f" ({results.left_out[stage].rstrip('.')})"
@@ -334,7 +334,7 @@ def _light_and_real(results: Results) -> Assumption:
     text = f"Greatest damping ratio {fixed(100 * top, 2)} %. "
     if complex_modes:
         text += f"Operating shapes that are not real (modal phase collinearity below 0.9): {listing(complex_modes)}; "
-        text += "their imaginary part is lost in the operating FRFs."
+        text += "their imaginary part is lost in the operational FRFs."
         return Assumption(name, "doubtful", text)
     if results.operating is not None:
         text += "All operating shapes are close to real (modal phase collinearity 0.9 or more)."
@@ -418,7 +418,7 @@ def _at_rest(results: Results, finding: Finding) -> bool:
 
 def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assumption:
     name = RECIPROCITY
-    consequence = "A sum over real shapes is symmetric: operating FRFs cannot represent gyroscopic or circulatory effects; "
+    consequence = "A sum over real shapes is symmetric: operational FRFs cannot represent gyroscopic or circulatory effects; "
     consequence += "only the route idle model + effect can."
     run = validation_run(results)
     rows = reciprocity(run.frf, analysis_band(results)) if run is not None else []

@@ -113,7 +113,7 @@ def validation_run(results: Results) -> CheckRun | None:
 
 
 def validation(results: Results, page: Numbering) -> tuple[CheckRun | None, Frf | None, Frf | None]:
-    """The validation measurement, and the operating FRFs and the idle model on its lines and pairs."""
+    """The validation measurement, and the operational FRFs and the idle model on its lines and pairs."""
 
     def make() -> tuple[CheckRun | None, Frf | None, Frf | None]:
         run = validation_run(results)

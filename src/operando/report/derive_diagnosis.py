@@ -103,7 +103,7 @@ def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArr
 
 @dataclass(frozen=True)
 class Routes:
-    """Two routes to the operating FRFs: hybrid (idle shapes, operating poles) and idle model with effects.
+    """Two routes to the operational FRFs: hybrid (idle shapes, operating poles) and idle model with effects.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Routes:
 
 
 def routes(results: Results, model: Any) -> Routes | None:
-    """How far the two routes to the operating FRFs lie apart in band; None where one of them is missing.
+    """How far the two routes to the operational FRFs lie apart in band; None where one of them is missing.
 
     With a check its lines that stand clear of the noise count, else all lines of the idle FRFs.
     """

@@ -328,4 +328,4 @@ def routes_figure(frequencies_hz: ArrayLike, difference_db: NDArray[np.float64],
     axes.set_ylabel("Difference, rms [dB]")
     axes.grid(True)
     figure.legend(loc="upper left", ncols=4, bbox_to_anchor=(0.065, 1.02))
-    return figure, f"Difference of the two routes to the operating FRFs in dB: {'; '.join(names)}"
+    return figure, f"Difference of the two routes to the operational FRFs in dB: {'; '.join(names)}"

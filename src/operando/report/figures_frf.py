@@ -1,4 +1,4 @@
-"""Figures of FRFs: measured against synthesised with coherence, and operating FRFs against the check and the idle model."""
+"""Figures of FRFs: measured against synthesised with coherence, and operational FRFs against the check and the idle model."""
 
 from __future__ import annotations
 
@@ -71,10 +71,10 @@ def ofrf_pairs(
     idle: Frf | None,
     pairs: Sequence[Pair],
     band: Sequence[float] | None = None,
-    label: str = "operating FRF",
+    label: str = "operational FRF",
     on_hold_out: Sequence[tuple[float, float]] = (),
 ) -> tuple[Figure, str]:
-    """SVG: magnitudes of operating FRFs with their 95 % band, the check measurement and the idle model, one panel a pair.
+    """SVG: magnitudes of operational FRFs with their 95 % band, the check measurement and the idle model, one panel a pair.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def ofrf_pairs(
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="upper left", ncols=5, bbox_to_anchor=(left / width - 0.01, 1.0))
     names = listing(f"{check.responses[i]} from {check.references[j]}" for i, j, _ in pairs)
-    if label != "operating FRF":
+    if label != "operational FRF":
         return figure, f"Frequency response functions of the {label} with 95 % band against validation measurement and idle model: {names}"
     return figure, f"Operating frequency response functions with 95 % band against validation measurement and idle model: {names}"
 

@@ -58,7 +58,7 @@ def frfs(results: Results, page: Numbering) -> Markup | None:
     for frf, name, color, dash in lines:
         if frf is not None and frf.quantity in POWERS:
             series.append(_lines(frf, dofs, band) | {"name": name, "color": color, "dash": dash})
-    for modal, name, color, dash in ((idle, "idle model", IDLE, [6, 3]), (hybrid, "operating FRF", MODEL, None)):
+    for modal, name, color, dash in ((idle, "idle model", IDLE, [6, 3]), (hybrid, "operational FRF", MODEL, None)):
         if modal is not None and np.isrealobj(modal.terms.shapes):
             series.append(_modal(modal, dofs) | {"name": name, "color": color, "dash": dash})
     first, full = _first(measured, dofs), max((f.data.size for f in measured), default=0)

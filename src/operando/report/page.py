@@ -117,7 +117,7 @@ class Report:
         both = results.hybrid is not None or results.diagnosis is not None
         kicker = ("Operating frequency response functions" if both else "Modal analysis") + " · test report"
         return render_page(
-            f"{title}: {'operating FRFs' if both else 'modes'}", title, kicker, meta, sections, results.settings.get("report") or {}
+            f"{title}: {'operational FRFs' if both else 'modes'}", title, kicker, meta, sections, results.settings.get("report") or {}
         )
 
     def save(self, path: str | Path) -> None:

@@ -14,13 +14,13 @@ _Maker = tuple[str, str, Callable[[Results, Numbering], dict[str, Any]]]
 
 _MAKERS: dict[str, _Maker] = {
     "missing": ("missing", "Answer: what is missing in the idle model", sections_diagnosis.answer),
-    "answer": ("answer", "Answer: how good the operating FRFs are", sections_answer.answer),
+    "answer": ("answer", "Answer: how good the operational FRFs are", sections_answer.answer),
     "data": ("data", "What was measured", sections_rest.measured),
     "idle": ("idle", "Idle state (reference): FRFs and model", sections_states.idle),
     "operating": ("operating", "Operating state: operational modes", sections_states.operating),
     "shapes": ("shapes", "Mode shapes and MAC", sections_modes.shapes),
     "scaling": ("scaling", "Pairing and scaling", sections_modes.scaling),
-    "ofrf": ("ofrf", "Operating FRFs against the validation measurement", sections_answer.ofrf),
+    "ofrf": ("ofrf", "Operational FRFs against the validation measurement", sections_answer.ofrf),
     "diagnosis": ("diagnosis", "Diagnosis: the evidence", sections_diagnosis.diagnosis),
     "settings": ("settings", "Settings and provenance", sections_rest.provenance),
 }
@@ -36,6 +36,6 @@ def build(results: Results, page: Numbering | None = None) -> list[Section]:
     sections = []
     for anchor, title, make in (_MAKERS[name] for name in names):
         if anchor == "answer":  # one answer a page
-            title = answer or ("How good the operating FRFs are" if results.diagnosis else title)
+            title = answer or ("How good the operational FRFs are" if results.diagnosis else title)
         sections.append(Section(anchor, title, render(f"{anchor}.html.j2", page, results=results, **make(results, page))))
     return sections

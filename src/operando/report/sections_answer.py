@@ -1,4 +1,4 @@
-"""What the sections on the answer show: the headline, and the operating FRFs against the check and the idle model."""
+"""What the sections on the answer show: the headline, and the operational FRFs against the check and the idle model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from operando.report.text import decibel, finite, fixed, number
 from operando.results import Results
 
 STATE_WORDS = {"holds": ("holds", "good"), "doubtful": ("doubtful", "fair"), "fails": ("fails", "poor"), "untested": ("not tested", "none")}
-BY_MODE_WORDS = {"ofrf": "operating FRFs", "idle_shapes": "idle shapes", "idle": "idle model"}
+BY_MODE_WORDS = {"ofrf": "operational FRFs", "idle_shapes": "idle shapes", "idle": "idle model"}
 
 
 class Tile(NamedTuple):
@@ -49,8 +49,8 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
 
 
 def _drawn(results: Results, measured: Frf, model: Frf, rest: Frf | None, pairs: list[tuple[int, int, str]]) -> Markup:
-    """Operating FRFs with their band at some pairs; the idle model's where there are none."""
-    source, label = (results.hybrid, "operating FRF") if results.hybrid is not None else (derive.scaled_idle(results), "idle model")
+    """Operational FRFs with their band at some pairs; the idle model's where there are none."""
+    source, label = (results.hybrid, "operational FRF") if results.hybrid is not None else (derive.scaled_idle(results), "idle model")
     banded = derive.with_variance(source, model, pairs)
     return figures_frf.ofrf_pairs(measured, banded, rest, pairs, derive.analysis_band(results), label)
 
@@ -63,7 +63,7 @@ def _pair_error(model: Frf, measured_frf: Frf, results: Results) -> Any:
 def _tiles(results: Results) -> list[Tile]:
     models = derive.comparison_models(results)
     level = lambda key, what="error_db": (models.get(key) or {}).get(what)  # noqa: E731
-    tiles = [Tile(decibel(level("ofrf")), "operating FRFs against the validation measurement", True)] if finite(level("ofrf")) else []
+    tiles = [Tile(decibel(level("ofrf")), "operational FRFs against the validation measurement", True)] if finite(level("ofrf")) else []
     tiles += [Tile(decibel(level(k)), MODEL_NAMES[k]) for k in ("effect", "idle", "idle_shapes", "msf_all") if finite(level(k))]
     if finite(level("ofrf", "noise_floor_db")):
         tiles.append(Tile(decibel(level("ofrf", "noise_floor_db")), "noise floor"))
@@ -82,7 +82,7 @@ def _tiles(results: Results) -> list[Tile]:
 
 
 def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
-    """Operating FRFs with band, check and idle model; errors by DOF, band, mode and run. Without operating FRFs those of the idle model."""
+    """Operational FRFs with band, check and idle model; errors by DOF, band, mode and run. Without them those of the idle model."""
     models, band = derive.comparison_models(results), derive.analysis_band(results)
     run, model, rest = derive.validation(results, page)
     made = results.hybrid is not None
@@ -106,7 +106,7 @@ def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
     out["drawn"] = _drawn(results, run.frf, model, rest, pairs)
     if band is not None:
         edges = derive.band_edges(band)
-        maps = [("Operating FRFs" if made else "Idle model", derive.error_by_dof_band(model, run.frf, edges))]
+        maps = [("Operational FRFs" if made else "Idle model", derive.error_by_dof_band(model, run.frf, edges))]
         if rest is not None:
             maps.append(("Idle model", derive.error_by_dof_band(rest, run.frf, edges)))
         out["maps"] = figures_compare.error_maps(maps, [str(d) for d in run.frf.responses], edges)
@@ -138,13 +138,13 @@ def _by_mode(models: Any, chosen: list[str]) -> list[tuple[float, float | None, 
 
 
 def _unchecked(results: Results) -> tuple[Markup | None, str]:
-    """Operating FRFs beside the idle model without a check: at the idle drive points and the pairs that changed most; or why not."""
+    """Operational FRFs beside the idle model without a check: at the idle drive points and the pairs that changed most; or why not."""
     frf = results.idle_frf
     if frf is None:
         return None, "There are no idle FRFs to show them beside."
     model, rest = derive.model_frf(results.hybrid, frf), derive.model_frf(derive.scaled_idle(results), frf)
     if model is None or rest is None:
-        return None, "The operating FRFs cannot be made for the pairs of the idle FRFs."
+        return None, "The operational FRFs cannot be made for the pairs of the idle FRFs."
     blank = Frf(np.full(frf.data.shape, np.nan), frf.axis, frf.responses, frf.references, frf.quantity, si=frf.si)
     change = derive.rms_over(derive.level_error_db(model, rest), derive.clear_lines(rest, derive.analysis_band(results)), axis=2)
     pairs = [(i, j, why.replace("worst pair", "most changed")) for i, j, why in derive.choose_pairs(frf, change)]
