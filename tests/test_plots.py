@@ -134,6 +134,8 @@ def test_symbols_of_the_stabilisation_diagram():
     )  # all, vector alone, damping alone, not physical
     assert list(stability_letters(table)) == ["o", "s", "v", "d", ""]
     axes = plots.plot_stabilization(select_modes(table, min_size=2), frf=None, harmonics_hz=[9.9])
+    axes.set_ylim(9.0, 12.2)
+    assert all(float(order).is_integer() for order in axes.get_yticks()), "there are no halves of a pole"
     told = words(axes)
     assert {"o  new pole", "s  all stable", "v  frequency and vector", "d  frequency and damping", "not physical"} <= set(told)
     assert any("Δf ≤ 1 %, Δζ ≤ 10 %, MAC ≥ 0.95" in t.get_text() for t in axes.texts)

@@ -209,6 +209,14 @@ def test_every_figure_and_section_is_there(html):
     assert "chain &amp; &lt;grid&gt;" in html
 
 
+def test_headings_stand_in_order(html):
+    """A screen reader goes from heading to heading: the title is the first, and no level is left out."""
+    levels = [int(n) for n in re.findall(r"<h([1-6])\b", html)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert max(np.diff(levels)) == 1
+
+
 def test_answer_has_the_numbers_of_the_comparison(whole, html):
     error = whole.comparison["models"]["ofrf"]["error_db"]
     text = " ".join(headline(whole).sentences)
@@ -403,6 +411,9 @@ def test_shapes_are_drawn_without_lines_in_the_geometry(layout):
     svg = mode_shapes(geometry, dofs(), [ShapePair("one", shape, -shape, "idle", "running"), ShapePair("two", shape, None)])
     assert svg.startswith("<svg")
     assert "nan" not in svg
+    assert "Mode shapes, idle and operating, 2 modes side by side" in svg
+    assert "Mode shapes, idle, 1 mode side by side" in mode_shapes(geometry, dofs(), [ShapePair("one", shape, None)])
+    assert "Mode shapes, operating, 1 mode side by side" in mode_shapes(geometry, dofs(), [ShapePair("one", None, shape)])
 
 
 def test_inventory_and_findings_cells_are_escaped():

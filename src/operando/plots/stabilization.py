@@ -151,6 +151,7 @@ def plot_stabilization(
         axes.set_ylim(foot - 0.06 * (top - bottom + 1), top + 0.03 * (top - bottom + 1))
         axes.set_xlabel("Frequency [Hz]")
         axes.set_ylabel("Model order [poles]")
+        axes.locator_params(axis="y", integer=True)
         if tol is not None:
             words = f"stable: Δf ≤ {100 * tol.frequency:g} %, Δζ ≤ {100 * tol.damping:g} %, MAC ≥ {tol.mac:g}"
             look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 7.5, "color": GREY}

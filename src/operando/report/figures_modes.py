@@ -16,6 +16,7 @@ from operando.plots.mesh import Mesh
 from operando.plots.shapes import draw_bars, draw_small
 from operando.report.figure_csv import numbers, table_csv
 from operando.report.svg import GREY, IDLE, MODEL, drawn, new_figure
+from operando.report.text import count
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +75,8 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
                 axes.set_yticks([])
             else:
                 draw_small(figure, box, mesh, np.asarray(shape, float))
-    return figure, f"Mode shapes, idle and operating, {len(pairs)} modes side by side"
+    states = " and ".join(name for name, there in zip(("idle", "operating"), sides, strict=True) if there)
+    return figure, f"Mode shapes, {states}, {count(len(pairs), 'mode')} side by side"
 
 
 def shapes_csv(dofs: Sequence[Dof], pairs: Sequence[ShapePair]) -> str:
