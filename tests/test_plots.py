@@ -201,6 +201,18 @@ def test_mac_and_participation_write_their_values(model):
         plots.plot_participation("model")
 
 
+@pytest.mark.parametrize("size", [(150, 90, 10), (1, 1, 1), (0.2, 0.2, 3)])
+def test_words_at_the_axes_of_a_geometry_are_not_cut(size):
+    corners = np.array(size) * np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], float)
+    axes = plots.plot_geometry(Geometry(tuple(range(8)), corners))
+    figure = axes.get_figure()
+    figure.canvas.draw()
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        box = axis.get_tightbbox(figure.canvas.get_renderer())
+        assert figure.bbox.contains(box.x0, box.y0)
+        assert figure.bbox.contains(box.x1, box.y1)
+
+
 def test_shapes_stand_where_the_nodes_move(model, chain_geometry):
     axes = plots.plot_shape(model, -1, chain_geometry)
     assert axes.get_title() == f"Mode 3: {model.frequencies_hz[3]:.2f} Hz, ζ 1.00 %"

@@ -104,11 +104,18 @@ def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
         _styled.reset(token)
 
 
+SOLID = (0.0, 0.07, 0.97, 0.93)
+"""Part of a figure (left, bottom, width, height) given to axes in three dimensions: their words stand to the right and below."""
+
+
 def new_axes(width: float = 8.0, height: float = 4.0, projection: str | None = None) -> Axes:
     """Axes of a new figure of a size in inches, made by pyplot, so that a notebook or ``pyplot.show`` shows it."""
     import matplotlib.pyplot as plt
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = plt.figure(figsize=(width, height), layout="constrained")
+    # in three dimensions the layout does not know how far the words at the axes reach
+    room = ConstrainedLayoutEngine(rect=SOLID if projection == "3d" else (0, 0, 1, 1))
+    figure = plt.figure(figsize=(width, height), layout=room)
     return figure.add_subplot(projection=projection)
 
 
