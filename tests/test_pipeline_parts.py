@@ -15,6 +15,8 @@ from operando.config import State, Test
 from operando.data import Finding, Provenance
 from operando.errors import DataError
 from operando.frf import merge_frfs
+from operando.io import write_uff
+from operando.pipeline import run
 from operando.pipeline.folder import key_of
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.levels import check_frfs, force_rms, level_groups
@@ -145,3 +147,16 @@ def test_json_has_null_where_there_is_no_value(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"x": float("nan"), "y": np.array([1.0, np.inf]), "z": 1 + 2j, "n": np.int64(3), "b": np.bool_(True)})
     assert json.loads(path.read_text()) == {"x": None, "y": [1.0, None], "z": [1.0, 2.0], "n": 3, "b": True}
+
+
+def test_what_depends_on_unread_files_is_not_run_and_only_the_cause_is_stated(tmp_path):
+    """Files that the first stage finds unreadable fail once; states that are there are still analysed."""
+    (tmp_path / "broken.uff").write_text("no data")
+    write_uff(tmp_path / "running.uff", models.measured(running_chain(), step=0.5))
+    (tmp_path / "test.toml").write_text('[idle]\nrecords = ["broken.uff"]\n[check]\nfrfs = ["running.uff"]\n')
+    results = run(tmp_path / "test.toml", tmp_path / "out", until="compare", report=False)
+    [failed] = [f.message for f in results.findings if f.kind == "stage_failed"]
+    assert failed.startswith("stage inspect: no file of [idle] can be read")
+    assert results.left_out["frf"] == "not run because no file of [idle] can be read"
+    assert results.left_out["ema"] == "it needs the idle FRFs"
+    assert len(results.check) == 1

@@ -104,9 +104,10 @@ class Inputs:
             units["length"] = self.test.geometry_units
         return units or None
 
-    def readable(self, file: Path) -> bool:
-        """Whether a file asked for before could be read."""
-        return file in self._names
+    def unread(self) -> list[str]:
+        """States with files none of which could be read, of those asked for so far."""
+        failed = {file for (file, _), content in self._contents.items() if content is None}
+        return [name for name, state in self.test.states.items() if state and failed.issuperset(state.files)]
 
     def _state_of(self, file: Path) -> str:
         return next((name for name, state in self.test.states.items() if file in state.files), "geometry")

@@ -23,7 +23,7 @@ from operando.pipeline.folder import MODEL, ResultsFolder, default_folder, key_o
 from operando.pipeline.inputs import Inputs
 from operando.pipeline.names import UnfitTest
 from operando.pipeline.outputs import OUTPUTS, Output
-from operando.pipeline.stages import STEPS, Lacking, Stage, Work
+from operando.pipeline.stages import STEPS, Lacking, Stage, Work, none_read
 from operando.results import Results
 from operando.threads import one_blas_thread
 
@@ -181,7 +181,7 @@ class _Run:
         return key_of(stage.name, code_hash(stage.does.__module__), files, spans, reading, settings, upstream)
 
     def _step(self, stage: Stage, asked: bool) -> None:
-        lacks = stage.lacks(self.test) or self._upstream_missing(stage)
+        lacks = stage.lacks(self.test) or self._upstream_missing(stage) or self._unread(stage)
         if lacks is not None:
             if asked and stage.part_of not in self.results.left_out:
                 self.results.left_out[stage.part_of] = lacks
@@ -238,6 +238,13 @@ class _Run:
             "check": "validation FRFs",
         }
         return f"it needs the {' and the '.join(words[m] for m in missing)}" if missing else None
+
+    def _unread(self, stage: Stage) -> str | None:
+        """Why a stage is not run whose files the first one found unreadable: it would fail for the same cause."""
+        if stage.name == "inspect" or "inspect" in self.kept:
+            return None
+        unread = [name for name in self.work.inputs.unread() if name in stage.states]
+        return f"not run because {none_read(unread)}" if unread else None
 
     def _take(self, stage: Stage, kept: Kept) -> None:
         names = {f.name for f in fields(Results)} - {"findings"}

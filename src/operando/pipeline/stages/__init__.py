@@ -21,10 +21,11 @@ from operando.pipeline.stages.work import (
     Lacking,
     Stage,
     Work,
+    none_read,
     offered,
 )
 
-__all__ = ["STEPS", "Lacking", "Stage", "Work", "offered", "runs_behind"]
+__all__ = ["STEPS", "Lacking", "Stage", "Work", "none_read", "offered", "runs_behind"]
 
 _ESTIMATING = ("references", "estimator", "block_seconds", "overlap", "window", "hits", "hits_reject")
 _EMA_SETTINGS = ("band", "hits_reject", "max_order", "ema", "exclude_bands")

@@ -6,7 +6,7 @@ from typing import Any
 
 from operando.data import Finding
 from operando.errors import MissingError
-from operando.pipeline.stages.work import Work
+from operando.pipeline.stages.work import Work, none_read
 
 
 def inspect_files(work: Work) -> dict[str, Any]:
@@ -16,13 +16,11 @@ def inspect_files(work: Work) -> dict[str, Any]:
     work.inputs.check_hits(inventory)
     geometry = work.inputs.geometry()
     findings = [*work.inputs.all_findings(), *work.inputs.check_geometry(geometry)]
-    for name, state in work.test.states.items():
-        if state and not any(work.inputs.readable(file) for file in state.files):
-            unread = work.inputs.findings[state.files[0]][0]
-            where = f"{work.test.where(name, 'records' if state.records else 'frfs')}: {', '.join(f.name for f in state.files[:4])}"
-            raise MissingError(
-                f"no file of [{name}] can be read: {unread.message.removeprefix('cannot be read: ')}", where=where, hint=unread.action
-            )
+    if unread := work.inputs.unread():
+        state = work.test.states[unread[0]]
+        first = work.inputs.findings[state.files[0]][0]
+        where = f"{work.test.where(unread[0], 'records' if state.records else 'frfs')}: {', '.join(f.name for f in state.files[:4])}"
+        raise MissingError(f"{none_read(unread)}: {first.message.removeprefix('cannot be read: ')}", where=where, hint=first.action)
     if geometry is None:
         message = "no geometry in the files"
         findings.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect as introspection
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -90,6 +90,11 @@ def needed(value: Any, what: str) -> Any:
     if value is None:
         raise MissingError(f"there are no {what}")
     return value
+
+
+def none_read(states: Sequence[str]) -> str:
+    """Says that no file of these states can be read."""
+    return f"no file of {' or '.join(f'[{name}]' for name in states)} can be read"
 
 
 def analysis_band(work: Work) -> tuple[float, float] | None:
