@@ -11,9 +11,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import operando
+from operando.data import ModalModel
+from operando.io import write_uff
 
 SOURCE = Path(operando.__file__).resolve().parent
 HEAVY = ("matplotlib", "pandas", "sdypy", "pyoma2", "pyuff", "h5py", "sklearn", "plotly", "dash", "rich", "pydantic")
@@ -117,6 +120,16 @@ def test_importing_operando_alone_loads_no_scipy():
 def test_help_loads_no_numerics():
     code = "import sys\nsys.argv = ['operando', '--help']\nfrom operando.cli import main\ntry:\n    main()\nexcept SystemExit:\n    pass"
     assert not loaded_by(code) & {"numpy", "scipy", *HEAVY}
+
+
+@pytest.mark.parametrize("command", [("inspect", "frf.uff"), ("compare", "modes.uff", "frf.uff")], ids=lambda words: words[0])
+def test_commands_that_draw_nothing_load_no_drawing(command, tmp_path, monkeypatch):
+    model = ModalModel([20.0, 50.0], [0.01, 0.02], np.eye(2), "1+Z, 2+Z", "unit_modal_mass")
+    write_uff(tmp_path / "modes.uff", model)
+    write_uff(tmp_path / "frf.uff", model.frf(np.arange(5.0, 80.0, 0.5)))
+    monkeypatch.chdir(tmp_path)
+    code = f"from operando.cli import main\nmain({[*command]}, standalone_mode=False)"
+    assert not loaded_by(code) & {"matplotlib", "jinja2", "pandas"}
 
 
 def test_numeric_rooms_never_print_or_plot():
