@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.markers import MarkerStyle
 
 import measurements
 import operando
@@ -93,3 +94,5 @@ def test_curves_have_tenths_of_a_point_and_marks_hundredths():
     points = lambda d: len(re.findall(r"[-\d.]+", d)) // 2  # noqa: E731
     digits = {points(d) >= LONG_PATH: max(map(len, re.findall(r"\.(\d+)", d)), default=0) for d in sorted(paths, key=points)}
     assert digits[True] == 1
+    straight = [MarkerStyle(mark).get_path() for mark in MarkerStyle.filled_markers if mark not in (".", "o")]
+    assert max(len(path.vertices) for path in straight) < LONG_PATH, "no mark of straight sides counts as a curve"
