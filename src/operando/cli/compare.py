@@ -41,11 +41,11 @@ def compare(model: str, measured: str, route: str | None, output: str | None) ->
         from operando.atomic import write_json
 
         write_json(Path(output), document)
-    text = _text(source.what, errors, document, output)
+    text = _text(source.what, errors, output)
     return Answer(document, f"{text}\n{source.advice}" if source.advice and route is None else text)
 
 
-def _text(what: str, errors: dict[str, Any], document: dict[str, Any], output: str | None) -> str:
+def _text(what: str, errors: dict[str, Any], output: str | None) -> str:
     number = lambda v, digits=2: "-" if v is None else f"{v:.{digits}f}"  # noqa: E731
     head = f"{what}: error {number(errors['error_db'])} dB"
     head += (

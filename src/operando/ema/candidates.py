@@ -37,8 +37,8 @@ class Candidate:
         Fits that found it, and fits whose band holds it.
     stability : float
         Mean share of the model orders that hold it, over the fits that found it.
-    frequency_spread, damping_spread : float
-        Relative median absolute deviations between the fits.
+    frequency_spread : float
+        Relative median absolute deviation between the fits.
     prominent : bool
         Whether it deserves to be a starting mode by itself.
     """
@@ -50,7 +50,6 @@ class Candidate:
     possible: int
     stability: float
     frequency_spread: float
-    damping_spread: float
     prominent: bool
 
     @property
@@ -254,11 +253,10 @@ def _merge(chains: Sequence[_Chain], bands: Sequence[tuple[float, float]]) -> li
         fits = {c.fit for c in g}
         possible = sum(1 for k, (a, b) in enumerate(bands) if k in fits or a + margin < centre < b - margin)
         spread = float(np.median(np.abs(hz - centre)) / centre)
-        zeta_spread = float(np.median(np.abs(zeta - damping)) / damping)
         stability = float(np.mean(share))
         support = len(g) / possible * stability
         prominent = len(g) >= 3 and support > 0.25 and spread < max(1e-3, 0.2 * damping)
-        out.append(Candidate(centre, damping, g[0].vector, len(g), possible, stability, spread, zeta_spread, bool(prominent)))
+        out.append(Candidate(centre, damping, g[0].vector, len(g), possible, stability, spread, bool(prominent)))
     return sorted(out, key=lambda c: c.frequency_hz)
 
 

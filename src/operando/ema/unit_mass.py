@@ -82,15 +82,12 @@ class UnitMassShapes:
     drive : tuple of (pair, t (n,) array)
         Residue over standard deviation of each drive point: positive, absent (|t| < 3) or negative.
     covariance : ModalCovariance
-    chi_square : (n,) array
-        Mean squared standardised residual of the rank-one fit; NaN where there are no more residues than shape values.
     """
 
     shapes: Real
     scaled: NDArray[np.bool_]
     drive: tuple[tuple[int, Real], ...]
     covariance: ModalCovariance
-    chi_square: Real
 
 
 def turned_dofs(fit: LinearFit) -> NDArray[np.int_]:
@@ -136,12 +133,12 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     n = fit.n_modes
     rows, columns = fit.pairs.rows, fit.pairs.columns
     std, residues = residue_std(fit), real_residues(fit)
-    shapes, scaled, chi = np.zeros((n_dofs, n)), np.zeros(n, bool), np.full(n, np.nan)
+    shapes, scaled = np.zeros((n_dofs, n)), np.zeros(n, bool)
     poles = np.concatenate([fit.poles.hz, fit.poles.zeta])
     by_poles = np.zeros((n_dofs * n, 2 * n))
     own = np.zeros((n, n_dofs, n_dofs))
     for r in range(n):
-        shape, scaled[r], gain, variance, chi[r] = _one_shape(rows, columns, residues[:, r], std[:, r], n_dofs)
+        shape, scaled[r], gain, variance = _one_shape(rows, columns, residues[:, r], std[:, r], n_dofs)
         shapes[:, r] = shape
         by_poles[r * n_dofs : (r + 1) * n_dofs] = gain @ fit.projection.slope[:, r]
         own[r] = variance
@@ -149,13 +146,13 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     carry = np.concatenate([np.diag(poles), by_poles])
     covariance = ModalCovariance(carry, stated_covariance(fit), own)
     drive = tuple((int(p), fit.projection.a[p] / std[p]) for p in fit.pairs.drive_points)
-    return UnitMassShapes(shapes, scaled, drive, covariance, chi)
+    return UnitMassShapes(shapes, scaled, drive, covariance)
 
 
 def _one_shape(
     rows: NDArray[np.int_], columns: NDArray[np.int_], residue: Real, std: Real, n_dofs: int, rounds: int = 40
-) -> tuple[Real, bool, Real, Real, float]:
-    """One shape, whether it is scaled, ∂φ/∂R (M, P), its covariance (M, M), and the mean squared standardised residual.
+) -> tuple[Real, bool, Real, Real]:
+    """One shape, whether it is scaled, ∂φ/∂R (M, P) and its covariance (M, M).
 
     Gauss–Newton with soft-L1 weights: one wrong hit moves a residue by any amount, and must not move the others.
     """
@@ -197,9 +194,8 @@ def _one_shape(
         jacobian[np.arange(size), end] += slope
     gain = inverse @ (jacobian * weight[:, None]).T / std
     freedom = int(use.sum()) - int(known.sum())
-    chi = float(np.sum(weight * rest**2) / freedom) if freedom > 0 else float("nan")
-    birge = max(1.0, chi) if np.isfinite(chi) else 1.0
-    return phi, bool(scaled), gain, birge * (gain * std) @ (gain * std).T, chi
+    birge = max(1.0, float(np.sum(weight * rest**2) / freedom)) if freedom > 0 else 1.0
+    return phi, bool(scaled), gain, birge * (gain * std) @ (gain * std).T
 
 
 def _start(rows: NDArray[np.int_], columns: NDArray[np.int_], residue: Real, drive: int, scale: float, n_dofs: int) -> Real:

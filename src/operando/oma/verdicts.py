@@ -60,7 +60,7 @@ def uncertain_modes(estimate: Estimate, seconds: float, keep_hz: Sequence[float]
     return out
 
 
-def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], seconds: float, file: str | None = None) -> Finding | None:
+def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], seconds: float) -> Finding | None:
     """Records that are short for their modes: at best the damping of some is uncertain by more than half (``SHORT``, one standard
     deviation), or they hold too few periods of the lowest for a mode of 1 % damping to be known better.
 
@@ -85,7 +85,6 @@ def short_record_finding(hz: NDArray[np.float64], zeta: NDArray[np.float64], sec
         "short_record",
         f"{seconds:.4g} s hold {periods:.0f} periods of the lowest mode found ({lowest:.4g} Hz); {text}",
         "warning",
-        file=file,
         time_s=(0.0, seconds),
         consequence="damping ratios are rough, their standard deviations too, and weakly excited modes may be missing",
         action=f"measure {max(needed, 100 / lowest):.2g} s or more for ± 40 % (95 % interval), in one record or several",

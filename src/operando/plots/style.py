@@ -255,7 +255,7 @@ def frequency_axis(axes: Axes, low: float, high: float, band: Sequence[float] | 
         axes.tick_params(labelbottom=False)
 
 
-def mode_numbers(axes: Axes, modes: ArrayLike, low: float, high: float, color: str = IDLE) -> None:
+def mode_numbers(axes: Axes, modes: ArrayLike, low: float, high: float) -> None:
     """Mode numbers (from 0) above the frame, raised where neighbours would overlap."""
     last, level = -np.inf, 0
     for k, f in enumerate(np.asarray(modes, float)):
@@ -265,5 +265,5 @@ def mode_numbers(axes: Axes, modes: ArrayLike, low: float, high: float, color: s
         last = float(f)
         where, shift = (float(f), 1.0), (0, 2 + 9 * level)
         axes.annotate(
-            str(k), where, shift, xycoords=("data", "axes fraction"), textcoords="offset points", ha="center", fontsize=7.5, color=color
+            str(k), where, shift, xycoords=("data", "axes fraction"), textcoords="offset points", ha="center", fontsize=7.5, color=IDLE
         )

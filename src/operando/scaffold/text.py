@@ -67,7 +67,7 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
             elif files:
                 if f"[{state}]" not in "\n".join(lines):
                     lines += ["", f"[{state}]  # {title}"]
-                lines.append(f"{kind} = {_list(_patterns(files, folder, base, taken))}")
+                lines.append(f"{kind} = {_list(_patterns(files, folder, base))}")
     geometry = [t.file for t in taken if t.role == "geometry"]
     if geometry:
         lines += ["", "[geometry]", f"file = {quoted(_relative(geometry[0], base))}"]
@@ -112,7 +112,7 @@ def _relative(path: Path, base: Path) -> str:
     return Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
 
 
-def _patterns(files: Sequence[Path], folder: Path, base: Path, taken: Sequence[Taken]) -> list[str]:
+def _patterns(files: Sequence[Path], folder: Path, base: Path) -> list[str]:
     """Globs where a folder holds files of this state alone, else the files one by one."""
     out: list[str] = []
     for place in dict.fromkeys(p.parent for p in files):
