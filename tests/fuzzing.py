@@ -368,10 +368,6 @@ class Fuzzer:
         """Changes of a mutant."""
         return edits_of(random.Random(f"{self.seed.name}/{self.series}/{number}"), self.seed.data)
 
-    def mutant(self, number: int) -> bytes:
-        """Bytes of a mutant."""
-        return applied(self.seed.data, self.edits(number))
-
     def try_mutant(self, number: int) -> Outcome:
         """Read a mutant and judge what comes of it. One that takes too long is tried again: the machine may have other work."""
         first = self._timed(number)

@@ -81,10 +81,6 @@ def absorber_dynamic():
     return np.linalg.inv(np.linalg.inv(full)[:, :-1, :-1])
 
 
-def changed_damping(change):
-    return TRUTH.C * (1 + change)
-
-
 W0 = 2 * np.pi * 62.0  # centre of the band
 STRUCTURAL = {
     "point_mass@2+Z=mass:0.3": stiffness(mass=TRUTH.M + 0.3 * (np.outer(unit(2), unit(2)) + np.outer(B3, B3))),

@@ -31,10 +31,6 @@ def noise(H, level, seed=0):
     return sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2), sigma**2
 
 
-def sign_aligned(shapes, truth):
-    return shapes * np.sign(np.sum(shapes * truth, axis=0))
-
-
 @pytest.mark.parametrize("with_participation", [False, True])
 @pytest.mark.parametrize("quantity", ["receptance", "mobility", "accelerance"])
 def test_exact_residues(chain, quantity, with_participation):

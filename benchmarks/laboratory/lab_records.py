@@ -57,10 +57,6 @@ class Logger:
     def told(self) -> dict[str, object]:
         return dict(vars(self))
 
-    def acceleration_noise(self, scale: float) -> float:
-        """rms of the noise of accelerations whose range is ``scale``."""
-        return self.noise * scale
-
     def add(self, rng: np.random.Generator, signal: np.ndarray, scale: float) -> np.ndarray:
         """A channel (samples,) as recorded."""
         time = np.arange(signal.size) / self.rate
