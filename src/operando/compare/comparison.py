@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
@@ -181,30 +182,35 @@ def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float
     if lines.model.size == 0:
         raise DataError("model and measurement share no finite line")
     low, high = float(lines.frequency_hz.min()), float(lines.frequency_hz.max())
-    by_dof = []
-    for i, dof in enumerate(labels):
-        part = lines.where(lines.response == i)
-        if part.model.size:
-            by_dof.append({"dof": str(dof), "error_db": error_db(part), "misfit": misfit(part)})
-    by_band = []
-    edges = band_edges(*(band_hz or (max(low, high * 1e-3), high)))
-    for i in range(8):
-        upper = lines.frequency_hz <= edges[i + 1] if i == 7 else lines.frequency_hz < edges[i + 1]
-        part = lines.where((lines.frequency_hz >= edges[i]) & upper)
-        by_band.append({"band_hz": [float(edges[i]), float(edges[i + 1])], "error_db": error_db(part), "misfit": misfit(part)})
+    edges = band_hz or (max(low, high * 1e-3), high)
     return Comparison(
         error_db(lines),
         relative_error(lines),
         misfit(lines),
         noise_floor_db(lines),
         model_share(lines),
-        tuple(by_dof),
-        tuple(by_band),
+        tuple(rows_by_dof(lines, labels)),
+        tuple(rows_by_band(lines, *edges)),
         tuple(_modes(pairs, notes, peaks)),
         int(lines.model.size),
         tuple(dict.fromkeys(notes)),
         misfit_meas(lines),
     )
+
+
+def rows_by_dof(lines: Lines, dofs: Sequence[Dof]) -> list[dict[str, Any]]:
+    """``by_dof``: errors of each response; ``lines.response`` numbers ``dofs``."""
+    parts = ((dof, lines.where(lines.response == i)) for i, dof in enumerate(dofs))
+    return [{"dof": str(dof), "error_db": error_db(part), "misfit": misfit(part)} for dof, part in parts if part.model.size]
+
+
+def rows_by_band(lines: Lines, low: float, high: float) -> list[dict[str, Any]]:
+    """``by_band``: errors in eight bands, equal in logarithmic frequency, of low to high Hz."""
+    edges, f, out = band_edges(low, high), lines.frequency_hz, []
+    for i, (a, b) in enumerate(pairwise(edges)):
+        part = lines.where((f >= a) & ((f <= b) if i == len(edges) - 2 else (f < b)))
+        out.append({"band_hz": [float(a), float(b)], "error_db": error_db(part), "misfit": misfit(part)})
+    return out
 
 
 def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, float] | None, notes: list[str]) -> tuple[Frf, Frf]:

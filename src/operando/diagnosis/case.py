@@ -18,7 +18,7 @@ from operando.diagnosis.forward import Forward, Scannable
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.products import Rows
-from operando.diagnosis.terms import SEARCHED, Term, added, candidates, changes_by
+from operando.diagnosis.terms import FREE_LAW, SEARCHED, Term, added, candidates, changes_by
 from operando.errors import DofError
 from operando.structure.effects import kind_of
 
@@ -228,8 +228,8 @@ class Case:
             return np.zeros(1), np.array([0.3 / (2 * np.pi * self.band[1])])
         if term.kind == "global_damping":
             return np.zeros(1), np.array([0.5])
-        if not term.definition.parameters:
-            return np.zeros(0), np.zeros(0)
+        if not term.definition.parameters or term.definition is FREE_LAW:
+            return np.zeros(len(term.values)), np.ones(len(term.values))
         low, high = self.size_range(term.kind, term.places)
         means, stds = self._further(term.kind)
         return np.array([(low + high) / 2, *means]), np.array([(high - low) / 4, *stds])
@@ -242,7 +242,9 @@ class Case:
 
     def log_place(self, term: Term) -> float:
         """Logarithm of the probability of a kind at a place: both uniform."""
-        return float(-np.log(max(self.places(term.kind), 1)) - np.log(len(self.kinds)))
+        n = len(self.allowed)
+        places = n * (n + 1) // 2 if term.definition is FREE_LAW else self.places(term.kind)
+        return float(-np.log(max(places, 1)) - np.log(len(self.kinds)))
 
     def log_prior(self, term: Term) -> float:
         """Place and kind uniform, sizes log-normal, the opposite of a kind one in seven."""

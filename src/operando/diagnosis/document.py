@@ -300,3 +300,10 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
             return "the noise of the validation measurement hides it: measure again in operation with a larger force or more averages"
         return "what no parameter explains hides it: measure rest and operation in one set-up, without touching sensors or shaker"
     return None
+
+
+def law_proposal(law: State) -> str:
+    """The measurement that would confirm a force law that is no kind of the catalogue."""
+    where = " and ".join(law.case.place(i) for i in law.terms[0].places)
+    at = f"connects {where}" if len(law.terms[0].places) > 1 else f"acts at {where}"
+    return f"take away what {at}, or measure the force in it while the machine runs: the error must go with it"

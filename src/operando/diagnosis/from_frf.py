@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from operando.compare import FOUND
 from operando.compare.verdict import floor_reason
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
@@ -22,14 +23,18 @@ from operando.diagnosis.document import (
     floor_db,
     judged_on,
     ladder,
+    law_proposal,
     odds_text,
     picture,
     proposal,
 )
+from operando.diagnosis.farther_off import farther_off
+from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
+from operando.diagnosis.rival import score
 from operando.diagnosis.search import Found, search, unlike_days
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
@@ -142,7 +147,7 @@ def diagnose_frf(
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
-            if rest is not None and rest.state.alpha > EXPLAINED:
+            if found.unnamed is not None or (rest is not None and rest.state.alpha > EXPLAINED):
                 return False
             return verdict_and_reason(found, None)[0] in ("partial", "unexplained") or unlike_days(found.best)
 
@@ -156,6 +161,9 @@ def diagnose_frf(
         if 0 < len(found.best.terms) <= AT_FIRST and left():
             say("further effects:")
             found = with_validation(search(found.best.case, say, start=found))
+        if asked_for_all and left():
+            laws = (with_free_law(case, found.best.log_evidence, say) for case in both)
+            found.unnamed = max((law for law in laws if law is not None and score(law) > score(found.best)), key=score, default=None)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 
@@ -307,9 +315,14 @@ def told(
     name, why = said.name, said.why
     if name == "ambiguous" and all(no_other_answer(best, rival, geometry) for rival in rivals):
         name, why = "explained", ""
+    law = found.unnamed
+    if law is not None:
+        one_set_up = None if "stiffness" in law.case.between.spreads else score(law) - score(best)
     notes = notes_of(idle, check, run, found, rest, one_set_up)
     if levels_disagree(check, case.band) and name in ("explained", "no_misfit", "ambiguous"):
         name, why = ("partial" if said.terms else "unexplained"), "runs of different level disagree: no linear effect explains both"
+    if name in FOUND and (worse := farther_off(best)):
+        name, why = "partial", worse
     floor = floor_db(found.empty)
     if name == "no_misfit" and (hidden := floor_reason(floor)) is not None:
         name, why = "inconclusive", hidden
@@ -325,21 +338,21 @@ def told(
         name,
         effects_of(final) if shown else (),
         tuple({e.kind + e.place: e for e in ambiguous}.values()),
-        proposal(found, replace(said, name=name), rivals),
+        proposal(found, replace(said, name=name), rivals) if law is None else law_proposal(law),
         tuple(rows),
         tuple(candidate_rows(found)),
         where,
         floor if not shown else floor_db(final),
         ("check_frf",),
-        picture(final),
+        picture(law or final),
         notes,
         idle,
         model_of(idle, final, geometry),
         judged_on(final, run),
         tuple(detectable_rows(final, said)),
         why or None,
-        tuple(between_rows(final)),
-        {"value": best.alpha, "std": None},
+        tuple(between_rows(final if law is None else law)),
+        {"value": (law or best).alpha, "std": None},
     )
 
 

@@ -10,13 +10,14 @@ import numpy as np
 from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR
+from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import DEPTH, Found, promotions, remounted, search
+from operando.diagnosis.search import DEPTH, HALVED, Found, promotions, remounted, search
 from operando.threads import each
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
@@ -64,6 +65,12 @@ def search_both(
         odds = score(best) - rival.asked(sorted(sets, key=len), best.alpha, best.log_evidence)
         if odds > EARNED:
             return same, odds
+    # where kinds or locations were asked for by name (no ``again``), a law without one is no answer
+    law = None if again is None or best.alpha < LOOSE else with_free_law(one_set_up, max(alone.log_evidence, best.log_evidence), say)
+    if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
+        odds = score(law) - rival.asked([best.terms] if best.terms else [], best.alpha)
+        if odds > EARNED:
+            return replace(same, unnamed=law), odds
     lacking = None
     if again is not None and alone.alpha >= LOOSE and (grown := grown_by_a_mode([alone])):
         lacking = with_mode(grown[0], again, max(rival.score, score(best)), say)
@@ -187,7 +194,7 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
     # the fit of one hypothesis may have been left off, far below the bar; the odds ask for its end
     starts = [s if score(s) > bar else fit(c, x, 0.03) for s, (c, x) in zip(starts, ways, strict=True)]
     empty = fit(first.case, first.case.forward.start, 0.1)
-    return Lacking(first, empty, {s.key: s for s in (empty, first)}, None if len(starts) < 2 else score(starts[1]) - score(starts[0]))
+    return Lacking(first, empty, {s.key: s for s in (empty, first)}, odds=None if len(starts) < 2 else score(starts[1]) - score(starts[0]))
 
 
 def between_sensors(state: State, geometry: Geometry | None) -> bool:

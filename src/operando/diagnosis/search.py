@@ -49,11 +49,14 @@ class Found:
         The most probable state, and the one without effects.
     pool : dict
         All fitted states, by kinds and places.
+    unnamed : State, optional
+        With a force law that is no kind of the catalogue, where it explains the lines and nothing else does.
     """
 
     best: State
     empty: State
     pool: dict[Key, State]
+    unnamed: State | None = None
 
 
 def strained(state: State) -> bool:

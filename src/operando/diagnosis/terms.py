@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.dof import Dof
-from operando.structure.effects import Effect, EffectKind, kind_of
+from operando.structure.effects import Effect, EffectKind, Parameter, kind_of
 
 Array = NDArray[Any]
 
@@ -29,6 +29,35 @@ pairs, and to look at all of them took ten minutes."""
 
 BY_SLOPE = ("point_mass", "ground_spring", "ground_damper", "coupling_spring", "coupling_damper", "gyroscopic", "circulatory")
 """Kinds of one size in which the dynamic stiffness is linear: found by the slope of the response at size zero."""
+
+_ORDER = 3  # of the polynomials of a free law
+
+
+class FreeLaw(EffectKind):
+    """A smooth dynamic stiffness of no kind in the catalogue: polynomials in frequency, real and imaginary.
+
+    Not in the catalogue, so nobody can look for it by name: what it explains has a location, and no kind.
+    """
+
+    kind = "free_law"
+    plain = "a force law of no kind in the catalogue"
+    alternative_places = (2,)
+
+    parameters = (
+        Parameter("scale", "N/m", 1e-300, 1e300),
+        *(Parameter(f"{part}_{k}", "", -np.inf, np.inf, "linear", 0.0) for part in ("real", "imaginary") for k in range(_ORDER + 1)),
+    )
+
+    @classmethod
+    def basis(cls, w: Array, band: tuple[float, float]) -> Array:
+        """Chebyshev polynomials over the band, then i times these, (n_lines, values)."""
+        low, high = band
+        x = (np.real(w) / np.pi - high - low) / (high - low)
+        real = np.polynomial.chebyshev.chebvander(x, _ORDER)
+        return np.concatenate([real, 1j * real], axis=-1)
+
+
+FREE_LAW = FreeLaw()
 
 _STEP = 1e-5  # of a value on its search scale, for derivatives of a law: error of second order, 1e-10
 
@@ -76,7 +105,7 @@ class Term:
 
     @property
     def definition(self) -> EffectKind:
-        return kind_of(self.kind)
+        return FREE_LAW if self.kind == FREE_LAW.kind else kind_of(self.kind)
 
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
@@ -173,6 +202,8 @@ def added(term: Term, w: Array, band: tuple[float, float]) -> Array:
     """Dynamic stiffness that a term adds between its places on the lines w [rad/s], (n_lines, places, places)."""
     definition = term.definition
     single = definition.coordinates == "difference"
+    if isinstance(definition, FreeLaw):
+        return (definition.basis(w, band) @ term.values[1:] * np.exp(term.values[0]))[:, None, None] * pattern(len(term.places))
     sign = term.sign if definition.removable else 1
     z = sign * np.asarray(definition.matrix(1j * w, term.sizes(band), 1 if single else len(term.places)), complex)
     return z * pattern(len(term.places)) if single else z

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -19,6 +19,7 @@ from operando.diagnosis.criteria import (
     SUPPORTED,
     UNUSUAL,
 )
+from operando.diagnosis.free_law import free_law_text
 from operando.diagnosis.posterior import State, left_on, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
 from operando.diagnosis.rival import score
@@ -141,7 +142,7 @@ def with_validation(found: Found) -> Found:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if left(float(np.exp(middle))) > 1 else (low, middle)
     state = with_discrepancy(best, float(np.exp(high)))
-    return Found(state, state if found.empty is best else found.empty, found.pool | {best.key: state})
+    return replace(found, best=state, empty=state if found.empty is best else found.empty, pool=found.pool | {best.key: state})
 
 
 def verdict(found: Found, rest: State | None) -> Verdict:
@@ -154,6 +155,8 @@ def verdict(found: Found, rest: State | None) -> Verdict:
         The idle model on the idle FRFs, where there are any.
     """
     best = found.best
+    if found.unnamed is not None:
+        return Verdict("unexplained", free_law_text(found.unnamed), (), [], detectable(best))
     name, why = verdict_and_reason(found, rest, unseen(best))
     terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
     return Verdict(name, why, terms, others(found), detectable(best))

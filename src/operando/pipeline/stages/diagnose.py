@@ -13,7 +13,7 @@ from operando.pipeline.stages.work import Lacking, Work, analysis_band, needed
 
 def missing_physics(work: Work) -> dict[str, Any]:
     """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
-    from operando.compare import FOUND, gets_worse, with_effect
+    from operando.compare import with_effect
     from operando.diagnosis import diagnose
     from operando.structure import Model
 
@@ -44,10 +44,6 @@ def missing_physics(work: Work) -> dict[str, Any]:
     model = found.model or Model(idle, tuple(found.effects), results.geometry)
     if runs and comparison is not None and found.effects:
         comparison = with_effect(comparison, model, runs, analysis_band(work))
-        # Of effects that depend on the level the comparison holds equivalents at one level: there the records judge.
-        worse = None if "check_records" in document["data"] else gets_worse(comparison["models"])
-        if document["verdict"] in FOUND and worse is not None:
-            document |= {"verdict": "partial", "reason": worse}
     made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,

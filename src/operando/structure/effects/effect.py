@@ -150,7 +150,7 @@ class Effect:
             spread = None if std is None else INTERVAL * std
             size = max(abs(value), spread if spread is not None and np.isfinite(spread) else 0.0)
             factor, unit = (0.01, "%") if p.name == "change" else engineering_unit(size, p.unit)
-            text = f"{value / factor:.4g}" if not spread else _with_spread(value / factor, spread / factor)
+            text = f"{value / factor:.4g}" if not spread else with_spread(value / factor, spread / factor)
             text = f"{text} {unit}".strip()
             alone = len(definition.parameters) + len(definition.constants) == 1
             parts.append(text if alone else f"{p.plain} {text}")
@@ -236,7 +236,7 @@ class Effect:
         return f"{self.kind}{f'@{place}' if place else ''}{'=' + ','.join(numbers) if numbers else ''}"
 
 
-def _with_spread(value: float, std: float) -> str:
+def with_spread(value: float, std: float) -> str:
     """``0.200 ± 0.004``: the spread with one digit, the value to the same digit."""
     if not np.isfinite(std) or std <= 0:
         return f"{value:.4g}"

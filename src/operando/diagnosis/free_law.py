@@ -1,0 +1,117 @@
+"""A force law of no kind in the catalogue: a smooth dynamic stiffness at one location, as one more hypothesis."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.diagnosis.case import Case
+from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
+from operando.diagnosis.posterior import State, on_validation_lines
+from operando.diagnosis.rival import fitted_if_can_be, score, started
+from operando.diagnosis.scan import Say, responses
+from operando.diagnosis.terms import FREE_LAW, Term
+from operando.indicators import INTERVAL
+from operando.structure.effects.effect import with_spread
+from operando.threads import each
+from operando.units import engineering_unit
+
+Array = NDArray[Any]
+
+_FITTED = 3  # locations at which the law is fitted with all unknowns free
+_TURNS = 3  # of the robust least squares of a law
+_ROUGH = 0.05  # discrepancy that a fit begins with
+
+
+def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> State | None:
+    """The best state with a smooth dynamic stiffness at one location, or between two; None where none explains the lines.
+
+    Parameters
+    ----------
+    case : Case
+    floor : float
+        Log evidence of a state that it has to come near to.
+    say : callable
+    """
+
+    def one(term: Term) -> State | None:
+        return fitted_if_can_be(case, started(case, (term,)), _ROUGH, floor=floor)
+
+    tried = [state for state in each(one, scanned(case)[:_FITTED]) if state is not None]
+    best = max(tried, key=score, default=None)
+    if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
+        return None
+    where = ", ".join(case.place(i) for i in best.terms[0].places)
+    say(f"a force law that is no kind of the catalogue, {where}: {best.log_evidence:.1f}, discrepancy {best.alpha:.4f}")
+    return best
+
+
+def scanned(case: Case) -> list[Term]:
+    """Smooth laws at all sensors and between all pairs of them, by a robust error with nothing else freed; best first."""
+    about = case.forward.start
+    at = case.lines.fit[:: case.lines.stride]
+    w, measured = case.lines.w[at], case.lines.h[at]
+    state = case.forward.scannable(about, w)
+    root = 1 / np.sqrt(case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)
+    left = (measured - state.h) * root
+    sensors = [i for i in case.allowed if i not in case.idle.midway]
+
+    def best(places: tuple[int, ...]) -> tuple[float, Term]:
+        along = np.array([1.0, -1.0])[: len(places)]
+        columns = state.columns[:, :, list(places)] @ along
+        own = columns[:, list(places)] @ along
+        moved = np.swapaxes(state.structure[:, list(places)], 1, 2) @ along
+        by_force = -state.measured(columns[:, :, None] * moved[:, None]) * root
+        term = _law(case, places, w, by_force, own, left)
+        h = responses(case, about, state, state.columns, [term], at)[..., 0]
+        cost = float(np.sum(np.log1p(np.abs((measured - h) * root) ** 2)))
+        return cost, term
+
+    with np.errstate(all="ignore"):
+        rows = each(best, [*((i,) for i in sensors), *combinations(sensors, 2)])
+    return [term for cost, term in sorted(rows, key=lambda row: row[0]) if np.isfinite(cost)]
+
+
+def _law(case: Case, places: tuple[int, ...], w: Array, by_force: Array, own: Array, left: Array) -> Term:
+    """The law z whose g = z/(1 + z y) leaves least of the error, robustly: line by line g, then z of (1 − g y) z = g.
+
+    ``by_force`` is what a unit of g changes in the FRFs, y (``own``) the compliance at the location.
+    """
+    basis, weights = FREE_LAW.basis(w, case.band), np.ones(left.shape)
+    for _ in range(_TURNS):
+        power = np.sum(weights * np.abs(by_force) ** 2, axis=(1, 2))
+        g = np.sum(weights * by_force.conj() * left, axis=(1, 2)) / np.maximum(power, 1e-300)
+        root = np.sqrt(power / max(power.max(), 1e-300))
+        rows, goal = (root * (1 - g * own))[:, None] * basis, root * g
+        c = np.linalg.lstsq(np.concatenate([rows.real, rows.imag]), np.concatenate([goal.real, goal.imag]), rcond=None)[0]
+        z = basis @ c
+        error = left - by_force * (z / (1 + z * own))[:, None, None]
+        weights = 1 / (1 + np.abs(error) ** 2)
+    scale = float(np.sqrt(np.mean(np.abs(z) ** 2))) or 1.0
+    return Term(FREE_LAW.kind, places, (float(np.log(scale)), *(float(v) for v in c / scale)), fixed=(0,))
+
+
+def free_law_text(state: State) -> str:
+    """Where the law is, what it leaves, and its dynamic stiffness at both ends of the band."""
+    case, (term,) = state.case, state.terms
+    where = " and ".join(case.place(i) for i in term.places)
+    ends = np.array(case.band)
+    basis = FREE_LAW.basis(2 * np.pi * ends, case.band)
+    covariance, scale = state.covariance[1:, 1:], np.exp(term.values[0])
+    z = scale * (basis @ term.values[1:])
+
+    def told(part: str) -> str:
+        rows, values = getattr(basis, part), getattr(z, part)
+        half = INTERVAL * scale * np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows))
+        factor, unit = engineering_unit(float(np.abs([values, half]).max()), "N/m")
+        said = [f"{with_spread(v / factor, s / factor)} {unit} at {hz:.4g} Hz" for v, s, hz in zip(values, half, ends, strict=True)]
+        return "from {} to {}".format(*said).replace("-", "−")
+
+    kind = "between" if len(term.places) > 1 else "at"
+    return (
+        f"a force {kind} {where} explains the FRFs, and its force law is no kind of the catalogue: the real part of its dynamic stiffness goes "
+        f"{told('real')}, the imaginary part {told('imag')} (± is the 95 % interval)"
+    )

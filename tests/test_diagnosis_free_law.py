@@ -1,0 +1,133 @@
+"""A force law that is no kind of the catalogue: found at its location, told with its dynamic stiffness; and where effects make it worse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from operando.diagnosis.farther_off import farther_off
+from operando.diagnosis.free_law import free_law_text, scanned, with_free_law
+from operando.diagnosis.posterior import fit
+from operando.diagnosis.rival import score, started
+from operando.diagnosis.terms import FREE_LAW, Term, added, slopes
+from operando.errors import ConfigError
+from operando.indicators import INTERVAL
+from operando.structure.effects import catalogue, kind_of
+from test_diagnosis import BAND, HZ, N, add_mass, case, told
+
+INERTANCE = 0.3
+PAIR = (1, 3)  # 2+Z and 4+Z; the force acts on 1+Z and 4+Z
+
+
+def add_inerter(m, c, k):
+    """A mass that feels the difference of two displacements: no kind of the catalogue, and no diagonal mass matrix."""
+    b = np.eye(N)[PAIR[0]] - np.eye(N)[PAIR[1]]
+    m += INERTANCE * np.outer(b, b)
+
+
+def test_an_inerter_is_located_and_its_law_is_told():
+    document = told(add_inerter).to_dict()
+    assert document["verdict"] == "unexplained"
+    assert document["effects"] == []
+    assert document["between"] == []
+    assert "between 2+Z and 4+Z" in document["reason"]
+    assert "no kind of the catalogue" in document["reason"]
+    assert "2+Z and 4+Z" in document["proposed_measurement"]
+    (law,) = document["picture"]["dynamic_stiffness"]
+    assert law["location"] == ["2+Z", "4+Z"]
+    w = 2 * np.pi * np.array(law["frequency_hz"])
+    wanted = -INERTANCE * w**2
+    assert np.abs(np.array(law["law_real"]) - wanted).max() < 0.05 * np.abs(wanted).max()
+    assert np.abs(np.array(law["law_imag"])).max() < 0.05 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_intervals_of_the_law_hold_the_true_one(seed):
+    """At both ends of the band, real and imaginary parts: all within 3.5 standard deviations, most within two (see the sum below)."""
+    state = with_free_law(case(add_inerter, seed=seed, spreads={}), -np.inf)
+    assert state is not None
+    assert sorted(state.terms[0].places) == sorted(PAIR)
+    w = 2 * np.pi * np.linspace(*BAND, 6)
+    (term,) = state.terms
+    basis, scale = FREE_LAW.basis(w, state.case.band), np.exp(term.values[0])
+    z = scale * basis @ term.values[1:]
+    covariance = state.covariance[1:, 1:]
+    for part, wanted in (("real", -INERTANCE * w**2), ("imag", 0 * w)):
+        rows = getattr(basis, part)
+        std = scale * np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows))
+        assert np.abs((getattr(z, part) - wanted) / std).max() < 3.5
+    # half the interval that the sentence tells, at the upper end of the band
+    half = INTERVAL * scale * np.sqrt(basis[-1].real @ covariance @ basis[-1].real)
+    assert f"{half / 1e3:.1g} kN/m at {state.case.band[1]:.4g} Hz" in free_law_text(state)
+
+
+def test_the_scan_finds_laws_of_all_forms_at_their_location():
+    def mass(m, c, k):
+        add_mass(m, c, k)
+
+    def lossy(m, c, k):
+        c[2, 2] += 30.0
+        k[2, 2] += 4e3
+
+    for change, place in ((add_inerter, PAIR), (mass, (1,)), (lossy, (2,))):
+        first = scanned(case(change, spreads={}))[0]
+        assert first.places == place
+    w = 2 * np.pi * HZ[100:1000:100]
+    z = added(first, w, BAND)[:, 0, 0]
+    np.testing.assert_allclose(z, 4e3 + 30j * w, rtol=0.1)
+
+
+def test_a_kind_of_the_catalogue_is_more_probable_than_a_free_law():
+    """Eight values cost more than one, so that what the catalogue has is told by its name."""
+    one = case(add_mass, spreads={})
+    by_name = fit(one, started(one, (Term("point_mass", (1,), (float(np.log(0.4)),)),)))
+    free = with_free_law(one, -np.inf)
+    assert free is not None
+    assert free.terms[0].places == (1,)
+    assert score(by_name) > score(free) + 10
+    assert told(add_mass).verdict == "explained"
+
+
+def test_no_law_is_told_where_it_does_not_explain_the_lines():
+    def spread(m, c, k):  # three masses: no force at one location
+        m[0, 0] += 0.4
+        m[2, 2] += 0.3
+        m[4, 4] += 0.5
+
+    assert with_free_law(case(spread, spreads={}), -np.inf) is None
+
+
+def test_derivatives_of_a_free_law_are_those_of_its_dynamic_stiffness():
+    w = 2 * np.pi * np.linspace(*BAND, 5)
+    term = Term(FREE_LAW.kind, PAIR, (float(np.log(2e4)), *np.linspace(-1, 1, 8)), fixed=(0,))
+    for number, slope in enumerate(slopes(term, w, BAND)):
+        if not number:
+            continue
+        more = added(replace(term, values=tuple(v + (i == number) for i, v in enumerate(term.values))), w, BAND) - added(term, w, BAND)
+        np.testing.assert_allclose(slope, more, rtol=1e-6, atol=1e-3)
+
+
+def test_a_free_law_is_no_kind_to_look_for():
+    assert FREE_LAW.kind not in catalogue()
+    with pytest.raises(ConfigError, match="unknown kind"):
+        kind_of(FREE_LAW.kind)
+
+
+# Effects that make some response worse
+
+
+def test_a_right_effect_makes_nothing_worse_on_another_day():
+    """Gains that differ by 5 % and a temperature move the FRFs by decibels, and the effect is right."""
+    gains = np.array([1.05, 0.95, 1.05, 0.95, 1.06])
+    state = fit(one := case(add_mass, gains, 0.004), started(one, (Term("point_mass", (1,), (float(np.log(0.4)),)),)), 0.03)
+    assert farther_off(state) is None
+
+
+def test_an_effect_that_serves_one_response_and_spoils_others_is_told():
+    one = case(add_mass, spreads={})
+    right = fit(one, started(one, (Term("point_mass", (1,), (float(np.log(0.4)),)),)), 0.03)
+    assert farther_off(right) is None
+    wrong = replace(right, x=replace(right.x, terms=(Term("point_mass", (4,), (float(np.log(0.6)),)),)), alpha=5e-4)
+    said = farther_off(wrong)
+    assert said is not None
+    assert "farther off" in said
