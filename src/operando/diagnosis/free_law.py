@@ -112,6 +112,6 @@ def free_law_text(state: State) -> str:
 
     kind = "between" if len(term.places) > 1 else "at"
     return (
-        f"a force {kind} {where} explains the FRFs, and its force law is no kind of the catalogue: the real part of its dynamic stiffness goes "
-        f"{told('real')}, the imaginary part {told('imag')} (± is the 95 % interval)"
+        f"a force {kind} {where} explains the FRFs, and its force law is no kind of the catalogue: the real part of its dynamic stiffness "
+        f"goes {told('real')}, the imaginary part {told('imag')} (± is the 95 % interval)"
     )
