@@ -13,7 +13,7 @@ from operando.diagnosis.terms import FREE_LAW, Term, added, slopes
 from operando.errors import ConfigError
 from operando.indicators import INTERVAL
 from operando.structure.effects import catalogue, kind_of
-from test_diagnosis import BAND, HZ, N, add_mass, case, told
+from test_diagnosis import BAND, HZ, N, add_mass, case, modes, told
 
 INERTANCE = 0.3
 PAIR = (1, 3)  # 2+Z and 4+Z; the force acts on 1+Z and 4+Z
@@ -111,6 +111,24 @@ def test_a_free_law_is_no_kind_to_look_for():
     assert FREE_LAW.kind not in catalogue()
     with pytest.raises(ConfigError, match="unknown kind"):
         kind_of(FREE_LAW.kind)
+
+
+def test_modes_that_moved_one_by_one_where_nothing_was_touched_are_no_other_day():
+    """No effect at one location, and no temperature: what laboratories have from day to day could make it, but for the sensors."""
+
+    def moved(m, c, k):
+        w, _, phi, _ = modes()
+        k += m @ phi @ np.diag(2 * np.array([2e-3, -3e-3, 3e-3, -2e-3, 3e-3]) * w**2) @ phi.T @ m
+
+    found = told(moved)
+    assert found.verdict == "unexplained"
+    assert "nothing was touched" in str(found.reason)
+    assert found.effects == ()
+
+    def warmer(m, c, k):
+        k *= 1.002
+
+    assert [e.kind for e in told(warmer).effects] == ["global_stiffness"]
 
 
 # Effects that make some response worse

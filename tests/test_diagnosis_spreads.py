@@ -10,10 +10,11 @@ import pytest
 from operando.diagnosis import posterior
 from operando.diagnosis.between import SPREAD_FACTOR, STATED
 from operando.diagnosis.criteria import LEAST_DISCREPANCY, UNUSUAL
+from operando.diagnosis.days import unlike_days, untouched
 from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import search, unlike_days
+from operando.diagnosis.search import search
 from operando.diagnosis.spreads import likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
 from test_diagnosis import N, add_damper, add_mass, case
@@ -98,6 +99,24 @@ def test_spreads_beyond_all_laboratories_stand_for_something_else():
         problem, x = rescaled(state.problem, state.problem.packed(state.x), more * by)
         assert unlike_days(replace(state, problem=problem, x=problem.point(x))) is beyond
         assert log_prior(problem) == pytest.approx(-0.5 * (more * UNUSUAL) ** 2, rel=1e-6)
+
+
+def test_channels_that_are_as_they_were_tell_that_it_was_no_other_day():
+    """Four standard deviations of gains and positions together; modes that moved alike were warmer, and no structure has changed."""
+    one = case()
+    state = fit(one, one.forward.start, 0.1)
+    names = [name for name, *_ in one.between.groups]
+    covariance = np.linalg.inv(one.between.precision_of_factors())
+    weights = np.zeros(len(names))
+    for which in ("sensor", "seen", "driven"):
+        mean = np.array([name == which for name in names], float)
+        mean /= mean.sum()
+        weights += mean / np.sqrt(mean @ covariance @ mean)
+    by = -UNUSUAL * covariance @ weights / np.sqrt(weights @ covariance @ weights)
+    mode = -UNUSUAL * SPREAD_FACTOR * np.array([name == "mode" for name in names], float)
+    for less, still in ((0.99 * by, False), (1.01 * by, True), (1.01 * by + 0.99 * mode, True), (1.01 * by + 1.01 * mode, False)):
+        problem, x = rescaled(state.problem, state.problem.packed(state.x), less)
+        assert untouched(replace(state, problem=problem, x=problem.point(x))) is still
 
 
 @pytest.mark.parametrize("size", [5.0, 40.0, 300.0])

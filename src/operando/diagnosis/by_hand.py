@@ -13,6 +13,7 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.days import strained
 from operando.diagnosis.document import judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.idle import Idle
@@ -20,7 +21,6 @@ from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, with_midway
 from operando.diagnosis.posterior import State, approach, at_rest, fit
 from operando.diagnosis.scan import LinearScan, robust_scan
-from operando.diagnosis.search import strained
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
 from operando.errors import ConfigError, DataError, MissingError

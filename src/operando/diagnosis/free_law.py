@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
-from operando.diagnosis.posterior import State, on_validation_lines
+from operando.diagnosis.posterior import State, approach, on_validation_lines
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, responses
 from operando.diagnosis.terms import FREE_LAW, Term
@@ -21,9 +21,9 @@ from operando.units import engineering_unit
 
 Array = NDArray[Any]
 
-_FITTED = 3  # locations at which the law is fitted with all unknowns free
+_APPROACHED, _FITTED = 8, 2  # locations from which the way to a fit begins, and goes on: the true one was among the first six of the scan
 _TURNS = 3  # of the robust least squares of a law
-_ROUGH = 0.05  # discrepancy that a fit begins with
+_ROUGH = 0.03  # discrepancy that a fit begins with
 
 
 def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> State | None:
@@ -37,10 +37,9 @@ def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> Sta
     say : callable
     """
 
-    def one(term: Term) -> State | None:
-        return fitted_if_can_be(case, started(case, (term,)), _ROUGH, floor=floor)
-
-    tried = [state for state in each(one, scanned(case)[:_FITTED]) if state is not None]
+    near = sorted(each(lambda term: approach(case, started(case, (term,))), scanned(case)[:_APPROACHED]), key=lambda row: row[0])
+    ends = each(lambda row: fitted_if_can_be(case, row[1], _ROUGH, floor=floor), near[:_FITTED])
+    tried = [state for state in ends if state is not None]
     best = max(tried, key=score, default=None)
     if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
         return None

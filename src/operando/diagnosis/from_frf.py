@@ -16,6 +16,7 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, ONE_SYSTEM
+from operando.diagnosis.days import unlike_days
 from operando.diagnosis.document import (
     between_rows,
     candidate_rows,
@@ -35,7 +36,7 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
-from operando.diagnosis.search import Found, search, unlike_days
+from operando.diagnosis.search import Found, search
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
 from operando.diagnosis.verdict import (

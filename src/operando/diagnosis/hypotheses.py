@@ -10,6 +10,7 @@ import numpy as np
 from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR
+from operando.diagnosis.days import promotions
 from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
@@ -17,7 +18,7 @@ from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import DEPTH, HALVED, Found, promotions, remounted, search
+from operando.diagnosis.search import DEPTH, HALVED, Found, remounted, search
 from operando.threads import each
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there

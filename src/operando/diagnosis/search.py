@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.between import SPREAD_FACTOR
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE, PROMOTED, STRAINED, UNUSUAL
+from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
+from operando.diagnosis.days import promotions, strained
 from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State, approach, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score
@@ -59,16 +59,6 @@ class Found:
     unnamed: State | None = None
 
 
-def strained(state: State) -> bool:
-    """Whether a part of what differs between the days is far beyond the spread stated for it: it may stand for something else."""
-    between, n_shape = state.case.between, state.case.forward.n_shape
-    power: dict[str, list[Array]] = {}
-    for (name, shared, where), factor in zip(between.groups, np.exp(between.log_factors), strict=True):
-        values = state.x.d[where] if shared else state.x.own[:, n_shape:][where]
-        power.setdefault(name, []).append((factor * values.ravel()) ** 2)
-    return any(float(np.mean(v)) > STRAINED for v in map(np.concatenate, power.values()) if v.size > 1)
-
-
 def search(
     case: Case,
     say: Say = lambda text: None,
@@ -111,59 +101,9 @@ def search(
     return Search(case, say, found, own_spreads=True, depth=max(1, depth - len(best.terms))).run()
 
 
-def unlike_days(state: State) -> bool:
-    """Whether an estimated spread of what differs is beyond what laboratories have: it stands for something else."""
-    return bool((state.case.between.log_factors > UNUSUAL * SPREAD_FACTOR).any())
-
-
 def remounted(state: State) -> bool:
     """Whether more than one channel has changed: then something was touched."""
     return sum(t.definition.acts == "sensor_map" for t in state.terms) > 1
-
-
-def promotions(state: State, beyond: float = PROMOTED) -> list[Point]:
-    """The effects of whose name a difference between the days far beyond its spread is, in its place."""
-    case, x = state.case, state.x
-    between, n_shape = case.between, case.forward.n_shape
-    have, out, shared = {t.kind for t in x.terms}, [], between.shared
-
-    def put(term: Term, d: np.ndarray, own: np.ndarray | None = None) -> None:
-        if term.kind in case.kinds:
-            out.append(replace(state.carried([*x.terms, term]), d=d, own=x.own if own is None else own))
-
-    if shared["stiffness"].stop > shared["stiffness"].start:
-        at = shared["stiffness"].start
-        if abs(x.d[at]) > beyond and "global_stiffness" not in have:
-            d, each = x.d.copy(), shared["mode"]
-            shift = float((d[each] * between.shared_spread[each]).mean()) if each.stop > each.start else 0.0
-            if shift:
-                d[each] -= shift / between.shared_spread[each]
-            value = float(d[at] * between.shared_spread[at]) + 2 * shift  # all frequencies by half of it
-            d[at] = 0
-            put(Term("global_stiffness", (), (float(np.log(abs(value))),), int(np.sign(value))), d)
-    each = shared["damping"]
-    if each.stop > each.start and "global_damping" not in have:
-        whole = shared["damping_whole"].start
-        mean = float((x.d[each] * between.shared_spread[each]).mean())
-        if abs(x.d[whole]) > beyond or abs(mean) > between.shared_spread[each].mean():
-            d = x.d.copy()
-            d[each] -= mean / between.shared_spread[each]
-            value = mean + float(d[whole] * between.shared_spread[whole])
-            d[whole] = 0
-            put(Term("global_damping", (), (value,)), d)
-    part = between.own["sensor"]
-    if part.stop > part.start:
-        column = n_shape + part.start
-        for i in np.flatnonzero(np.abs(x.own[:, column]) > beyond):
-            own = x.own.copy()
-            own[i, column] = 0
-            put(Term("sensor_gain", (int(i),), (float(x.own[i, column] * between.own_spread[i, part.start]),)), x.d, own)
-    for number, at in enumerate(range(shared["force"].start, shared["force"].stop)):
-        if abs(x.d[at]) > beyond:
-            d = x.d.copy()
-            d[at] = 0  # H is divided by the gain of the force
-            put(Term("force_gain", (int(case.forward.references[number]),), (-float(x.d[at] * between.shared_spread[at]),)), d)
-    return out
 
 
 def contained(case: Case, term: Term) -> list[Term]:

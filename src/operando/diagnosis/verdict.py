@@ -20,12 +20,13 @@ from operando.diagnosis.criteria import (
     SUPPORTED,
     UNUSUAL,
 )
+from operando.diagnosis.days import unlike_days, untouched
 from operando.diagnosis.free_law import free_law_text
 from operando.diagnosis.posterior import State, left_on, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import Found, unlike_days
+from operando.diagnosis.search import Found
 from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.dof import Dof
 from operando.indicators import INTERVAL
@@ -232,13 +233,20 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     chi, db = on_validation_lines(best)
     unlike = "what differs between the measurements is more than between days in a laboratory: it stands for something else"
     far = unlike if unlike_days(best) else ""
+    moved = (
+        "gains and positions of sensors are the same, so nothing was touched between the measurements, and yet single modes have moved: "
+    )
+    moved += "the structure has changed, and no effect at one location explains how"
+    still = moved if untouched(best) else ""
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
-    if lost or far or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
+    if lost or far or still or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
         if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
-            return "partial", lost or far or "the effects lower the error, and something remains"
+            return "partial", lost or still or far or "the effects lower the error, and something remains"
         if lost:
             return "inconclusive", lost
+        if still:
+            return "unexplained", still
         if far and not best.terms:
             return "inconclusive", far
         return "unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
