@@ -34,6 +34,11 @@ from operando.threads import each
 
 _HALVINGS = 8  # of the range of a discrepancy
 _LEAST_POWER = 0.5  # of a size by which it is seen: 1 at first order, 0.6 to 0.9 along the valleys that were looked at
+_UNLIKE = "what differs between the measurements is more than between days in a laboratory: it stands for something else"
+_MOVED = (
+    "gains and positions of sensors are the same, so nothing was touched between the measurements, and yet modes have moved one by one: "
+    "the structure has changed, and no effect at one location explains how"
+)
 
 
 @dataclass(frozen=True)
@@ -231,13 +236,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     """
     best = found.best
     chi, db = on_validation_lines(best)
-    unlike = "what differs between the measurements is more than between days in a laboratory: it stands for something else"
-    far = unlike if unlike_days(best) else ""
-    moved = (
-        "gains and positions of sensors are the same, so nothing was touched between the measurements, and yet single modes have moved: "
-    )
-    moved += "the structure has changed, and no effect at one location explains how"
-    still = moved if untouched(best) else ""
+    far = _UNLIKE if unlike_days(best) else ""
+    still = _MOVED if untouched(best) else ""
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
     if lost or far or still or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
