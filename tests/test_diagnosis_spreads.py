@@ -113,10 +113,12 @@ def test_channels_that_are_as_they_were_tell_that_it_was_no_other_day():
         mean /= mean.sum()
         weights += mean / np.sqrt(mean @ covariance @ mean)
     by = -UNUSUAL * covariance @ weights / np.sqrt(weights @ covariance @ weights)
-    mode = -UNUSUAL * SPREAD_FACTOR * np.array([name == "mode" for name in names], float)
-    for less, still in ((0.99 * by, False), (1.01 * by, True), (1.01 * by + 0.99 * mode, True), (1.01 * by + 1.01 * mode, False)):
-        problem, x = rescaled(state.problem, state.problem.packed(state.x), less)
-        assert untouched(replace(state, problem=problem, x=problem.point(x))) is still
+    usual = np.exp(-UNUSUAL * SPREAD_FACTOR)
+    for less, shift, still in ((0.99, 1.0, False), (1.01, 1.0, True), (1.01, 1.01 * usual, True), (1.01, 0.99 * usual, False)):
+        problem, x = rescaled(state.problem, state.problem.packed(state.x), less * by)
+        point = problem.point(x)
+        point.d[problem.case.between.shared["mode"]] = shift
+        assert untouched(replace(state, problem=problem, x=point)) is still
 
 
 @pytest.mark.parametrize("size", [5.0, 40.0, 300.0])

@@ -36,16 +36,20 @@ def untouched(state: State) -> bool:
     """Whether channels are as they were, as on no other day, and yet modes have moved one by one: the structure has changed.
 
     By the spreads estimated: gains and positions of sensors and positions of forces, the mean of each against what is known of it before
-    (half of the variance is common to those of one name), and the three together. What a temperature does moves all modes alike.
+    (half of the variance is common to those of one name), and the three together. Modes have not moved where their shifts are as far
+    below those of laboratories. What a temperature does moves all modes alike.
     """
-    factors: dict[str, list[float]] = {}
-    for (name, *_), by in zip(state.case.between.groups, state.case.between.log_factors, strict=True):
+    between, factors = state.case.between, dict[str, list[float]]()
+    moved = 0.0
+    for (name, _, where), by in zip(between.groups, between.log_factors, strict=True):
         factors.setdefault(name, []).append(float(by) / SPREAD_FACTOR)
+        if name == "mode":
+            moved = float(np.sqrt(np.mean((np.exp(by) * state.x.d[where]) ** 2)))
     touched = [factors[name] for name in ("sensor", "seen", "driven") if name in factors]
-    if not touched or "mode" not in factors:
+    if not touched or moved < np.exp(-UNUSUAL * SPREAD_FACTOR):
         return False
     together = sum(float(np.mean(v)) / np.sqrt(0.5 + 0.5 / len(v)) for v in touched) / np.sqrt(len(touched))
-    return bool(together < -UNUSUAL and factors["mode"][0] > -UNUSUAL)
+    return bool(together < -UNUSUAL)
 
 
 def promotions(state: State, beyond: float = PROMOTED) -> list[Point]:
