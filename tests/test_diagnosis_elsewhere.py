@@ -11,17 +11,17 @@ from operando.data import Frf, Geometry, ModalModel
 from operando.diagnosis import diagnose_frf
 from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, WITHOUT_SENSOR
+from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
 from operando.diagnosis.hypotheses import _apart, grown_by_a_mode, with_mode
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
-from operando.diagnosis.midway import midway, with_midway
+from operando.diagnosis.midway import located, midway, with_midway
 from operando.diagnosis.posterior import fit
 from operando.diagnosis.rival import score
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.terms import Term
-from operando.diagnosis.verdict import unseen
+from operando.diagnosis.verdict import unlike_neighbours, unseen
 from operando.dof import Dof
 from operando.results import CheckRun
 from test_diagnosis import BAND, DOFS, HZ, N, add_mass, case, identified, matrices, measured, modes
@@ -99,7 +99,9 @@ def test_a_mass_between_sensors_is_found_there():
     std = np.r_[1e-5 * hz, np.full(4, 1e-5), np.full(28, 2e-4)]
     model = ModalModel(hz, np.full(4, zeta), phi, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
     known = Geometry(tuple(range(1, 8)), np.column_stack([at, np.zeros(7), np.zeros(7)]))
-    found = diagnose_frf(model, [CheckRun("run", "1 N", frf(mass))], idle_frf=frf(0.0), geometry=known)
+    said = []
+    found = diagnose_frf(model, [CheckRun("run", "1 N", frf(mass))], idle_frf=frf(0.0), geometry=known, progress=said.append)
+    assert not any("another day" in line for line in said)  # where nothing was touched, what explains the lines spares that search
     assert found.verdict in ("explained", "ambiguous")
     [effect] = found.effects
     assert (effect.kind, effect.position, effect.direction) == ("point_mass", (spot, 0.0, 0.0), "+Z")
@@ -118,13 +120,48 @@ def test_places_between_sensors_are_those_of_neighbours_with_what_they_suggest()
         gap[2:, 0] = factor * NEIGHBOURS - 1
         assert len(midway(DOFS, replace(LINE, coordinates=LINE.coordinates + gap))) == count
     idle = Idle.of(identified(), BAND, [DOFS[0], DOFS[3]])
-    wider, known = with_midway(idle, LINE)
+    wider = with_midway(idle, LINE)
     assert wider.midway == {N + i: (0.5 + i, 0.0, 0.0) for i in range(4)}
-    assert known.position(wider.dofs[N].node) == pytest.approx([0.5, 0, 0])
-    near = np.sqrt(np.mean(idle.phi[:2] ** 2, axis=0))
-    least = np.hypot(BETWEEN_STD * near, LEAST_BETWEEN_STD * np.sqrt(np.mean(idle.phi**2, axis=0)))
-    assert np.all(np.linalg.norm(wider.shapes.own[N], axis=1) >= 0.999 * least)
+    assert located(LINE, wider).position(wider.dofs[N].node) == pytest.approx([0.5, 0, 0])
+    assert located(LINE, idle) is LINE
     assert with_midway(idle, replace(LINE, nodes=(1,), coordinates=LINE.coordinates[:1])) is None
+
+
+def test_a_shape_between_sensors_is_told_the_better_the_longer_its_waves_are():
+    """What a straight line over three sensors may err by goes with the frequency, and all modes with the place between them."""
+    idle = Idle.of(identified(), BAND, [DOFS[0], DOFS[3]])
+    three = replace(LINE, nodes=LINE.nodes[:3], coordinates=LINE.coordinates[:3])
+    wider = with_midway(idle, three)
+    own = wider.shapes.own[N]
+    each, along = np.diagonal(own), own[:, idle.f.size]
+    waves = idle.f[idle.modes] / idle.f[idle.modes].max()
+    near, whole = (np.sqrt(np.mean(v[:, idle.modes] ** 2, axis=0)) for v in (idle.phi[:2], idle.phi))
+    np.testing.assert_allclose(each[idle.modes], waves * np.hypot(BETWEEN_STD * near, LEAST_BETWEEN_STD * whole), rtol=1e-12)
+    # anywhere nearer to the middle than to the next two middles, uniformly
+    np.testing.assert_allclose(along, (idle.phi[1] - idle.phi[0]) / 2 / np.sqrt(12), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("factor", "unlike"), [(0.99, False), (1.01, True)])
+def test_an_effect_between_sensors_with_shapes_unlike_theirs_is_none_there(factor, unlike):
+    """By the mean square over the modes without the worst, against STRAINED."""
+    wider = with_midway(Idle.of(identified(), BAND, [DOFS[0], DOFS[3]]), LINE)
+    forward = SimpleNamespace(idle=wider, n_shape=wider.shapes.own.shape[2])
+    own = np.zeros((len(wider.dofs), forward.n_shape))
+    rows = wider.shapes.own[N, wider.modes]
+    wanted = factor * np.sqrt(STRAINED) * np.linalg.norm(rows, axis=1)
+    wanted[2] *= 10
+    own[N] = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    state = SimpleNamespace(
+        case=SimpleNamespace(forward=forward, place=lambda i: "(0.5, 0, 0) m, +Z"),
+        terms=(Term("point_mass", (N,), (0.0,)), Term("point_mass", (0,), (0.0,))),
+        x=SimpleNamespace(own=own),
+    )
+    assert ("a mass at (0.5, 0, 0) m, +Z" in unlike_neighbours(state)) == unlike
+    assert not unlike_neighbours(replace_terms(state, state.terms[1:]))
+
+
+def replace_terms(state, terms):
+    return SimpleNamespace(**(vars(state) | {"terms": terms}))
 
 
 def without_mode(model, r):

@@ -118,7 +118,9 @@ class Between:
         # a mode that the sensors hardly see moves as much across them
         rms = self.rms = np.maximum(rms, np.median(rms)) if m else rms
         above = 0.5 * np.sum(idle.phi[:, self.above] ** 2 / w0[self.above] ** 2, axis=1)
-        self.own_above = np.maximum(above, 0.3 * np.median(above))
+        least = np.full(dofs, 0.3)
+        least[list(idle.midway)] = 1.0  # shapes suggested by neighbours lack what each place above the band has for itself
+        self.own_above = np.maximum(above, least * np.median(above))
         self.own_below = np.sum(idle.phi[:, self.below] ** 2, axis=1)
         first, second = np.triu_indices(m, 1)
         self.first, self.second = modes[first], modes[second]

@@ -18,7 +18,7 @@ from operando.diagnosis.document import judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
-from operando.diagnosis.midway import Midway, at_position, with_midway
+from operando.diagnosis.midway import Midway, at_position, located, with_midway
 from operando.diagnosis.posterior import State, approach, at_rest, fit
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.terms import SEARCHED, Term
@@ -155,7 +155,7 @@ def _placed(idle: Idle, effects: Sequence[Effect], geometry: Geometry | None) ->
         assert geometry is not None
         grown = with_midway(idle, geometry, middles)
         assert grown is not None
-        return grown[0], there, grown[1]
+        return grown, there, located(geometry, grown)
     return idle, there, geometry
 
 

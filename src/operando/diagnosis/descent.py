@@ -14,6 +14,7 @@ Array = NDArray[Any]
 
 _TRIES, _CHORDS = 12, 5  # steps tried in a turn, and further ones with the same factor
 _DAMPING, _PART = 3.0, 0.2  # by how much the damping grows, and falls at most; the part of a step along which its bend is measured
+_NOTHING = 1e-3  # nats: a turn that gains less has ended at the minimum, and its damping says nothing of the way from another point
 _ALIKE = 0.1  # share of the damping that all unknowns get, in units of their priors; with 0.01 a hopeless fit ends farther off
 
 
@@ -63,10 +64,15 @@ class Descent:
             self.damping = max(self.damping, 1.0) * harder
             harder *= 2
         else:
+            self.damping = 0.0
             return x, left, now, 0.0
         gain, now, x, left = now - new, new, x + step, problem.residual(h)
         if self.damping:
-            promised = float(gradient.shared @ step.shared + np.sum(gradient.own * problem.by_response(step.own)))
+            along = problem.by_response(step.own)
+            promised = float(gradient.shared @ step.shared + np.sum(gradient.own * along))
+            promised -= 0.5 * float(
+                np.sum(weights * problem.spread(shared, own, step) ** 2) + problem.precision @ step.shared**2 + np.sum(along**2)
+            )
             kept = min(gain / max(promised, gain), 1.0)
             easier = max(1 / _DAMPING, 1 - (2 * kept - 1) ** 3)
             self.damping = self.damping * easier if self.damping > 1 else 0.0
@@ -78,4 +84,6 @@ class Descent:
             if not new < now:
                 break
             gain, now, x, left = now - new, new, x + step, problem.residual(h)
+        if begun - now < _NOTHING:
+            self.damping = 0.0
         return x, left, now, begun - now

@@ -33,6 +33,7 @@ from operando.diagnosis.farther_off import farther_off
 from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.midway import located
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
@@ -144,7 +145,7 @@ def diagnose_frf(
             found = search(both[0], say, depth=AT_FIRST)
         else:
             alpha = 0.0 if rest is None else rest.state.alpha
-            found, odds = search_both(both[0], both[1], say, alpha, cases if asked_for_all else None, AT_FIRST)
+            found, odds = search_both(both[0], both[1], say, alpha, cases if asked_for_all else None, AT_FIRST, geometry)
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
@@ -157,7 +158,7 @@ def diagnose_frf(
         elsewhere = AT_FIRST if left() else 1 if between_sensors(found.best, geometry) else 0
         modes = left() or any(t.kind == "tuned_absorber" for t in found.best.terms)
         if asked_for_all and (elsewhere or modes):
-            found, odds, geometry = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
+            found, odds = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
             found = with_validation(found)
         if 0 < len(found.best.terms) <= AT_FIRST and left():
             say("further effects:")
@@ -165,6 +166,7 @@ def diagnose_frf(
         if asked_for_all and left():
             laws = (with_free_law(case, found.best.log_evidence, say) for case in both)
             found.unnamed = max((law for law in laws if law is not None and score(law) > score(found.best)), key=score, default=None)
+        geometry = located(geometry, found.best.case.idle)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
 

@@ -17,7 +17,7 @@ from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
-from operando.diagnosis.scan import Say
+from operando.diagnosis.scan import Say, robust_scan
 from operando.diagnosis.search import DEPTH, HALVED, Found, remounted, search
 from operando.threads import each
 
@@ -34,13 +34,14 @@ def search_both(
     at_rest: float = 0.0,
     again: Callable[[Idle], Sequence[Case]] | None = None,
     depth: int = DEPTH,
+    geometry: Geometry | None = None,
 ) -> tuple[Found, float]:
     """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
 
     The first is a special case of the second: where it leaves nothing but noise, the second is not searched. Where the idle model
     explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), or the latter by far not, nothing is
-    searched. A mode that the idle model lacks, and that explains the check, spares the search of days (``again``: see
-    :func:`search_elsewhere`).
+    searched. A place between sensors (``geometry``: where these stand) and a mode that the idle model lacks spare the search of days where
+    they explain the check (``again``: see :func:`search_elsewhere`).
 
     Returns
     -------
@@ -59,13 +60,16 @@ def search_both(
     rival = Rival(days, alone)
     same = search(one_set_up, say, rival, depth=depth)
     best = same.best
-    explains = best.alpha < LOOSE and score(best) > score(alone) and on_validation_lines(best)[0] < MOST_CHI_SQUARE
-    if explains and not remounted(best):
+    if _explains(best, alone) and not remounted(best):
         # the same effects on another day, and each left to what differs between days
-        sets = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
-        odds = score(best) - rival.asked(sorted(sets, key=len), best.alpha, best.log_evidence)
+        fewer = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
+        odds = score(best) - rival.asked(sorted(fewer, key=len), best.alpha, best.log_evidence)
         if odds > EARNED:
             return same, odds
+    if again is not None and geometry is not None and not _explains(best, alone):
+        there = with_nothing_touched(same, alone, again, geometry, say)
+        if there is not None:
+            return there
     # where kinds or locations were asked for by name (no ``again``), a law without one is no answer
     law = None if again is None or best.alpha < LOOSE else with_free_law(one_set_up, max(alone.log_evidence, best.log_evidence), say)
     if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
@@ -80,9 +84,9 @@ def search_both(
     say("on another day:")
     found = search(days, say, depth=depth, empty=alone)
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
-    there = [found.best.terms, *(x.terms for x in promotions(found.best, _SOME))]
+    sets = [found.best.terms, *(x.terms for x in promotions(found.best, _SOME))]
     floor = max(found.best.log_evidence, best.log_evidence)
-    tried = each(lambda terms: fitted_if_can_be(one_set_up, started(one_set_up, terms), _ROUGH, floor=floor), [t for t in there if t])
+    tried = each(lambda terms: fitted_if_can_be(one_set_up, started(one_set_up, terms), _ROUGH, floor=floor), [t for t in sets if t])
     back = max((state for state in tried if state is not None), key=score, default=None)
     if back is not None and score(back) > max(score(found.best), score(best)):
         say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
@@ -90,6 +94,34 @@ def search_both(
         best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
     return (same if odds > 0 else found), odds
+
+
+def _explains(state: State, alone: State) -> bool:
+    """Whether a state leaves nothing but noise, and is more probable than two days and no effect."""
+    return state.alpha < LOOSE and score(state) > score(alone) and on_validation_lines(state)[0] < MOST_CHI_SQUARE
+
+
+def with_nothing_touched(
+    found: Found, alone: State, again: Callable[[Idle], Sequence[Case]], geometry: Geometry, say: Say
+) -> tuple[Found, float] | None:
+    """One effect at a place between sensors where nothing was touched, with its log odds; None where none explains the lines.
+
+    Searched where such a place leaves less than all sensors do, robustly and with nothing else freed.
+    """
+    wider = with_midway(found.empty.case.uncompressed, geometry)
+    if wider is None:
+        return None
+    days, one_set_up = again(wider)
+    scanned = one_set_up.at_rest["robust"] = robust_scan(one_set_up, one_set_up.forward.start)
+    if not scanned or not wider.midway.keys() & set(scanned[0][1].places):
+        return None
+    say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
+    there = search(one_set_up, say, depth=1)
+    best = there.best
+    if not _explains(best, alone) or not wider.midway.keys() & {i for t in best.terms for i in t.places}:
+        return None
+    odds = score(best) - Rival(days, alone).asked([best.terms], best.alpha, best.log_evidence)
+    return (there, odds) if odds > EARNED else None
 
 
 def search_elsewhere(
@@ -100,7 +132,7 @@ def search_elsewhere(
     say: Say,
     places: int,
     modes: bool,
-) -> tuple[Found, float | None, Geometry | None]:
+) -> tuple[Found, float | None]:
     """What explains more than effects at sensors: one at a place between them, or a mode that the idle model lacks.
 
     Parameters
@@ -123,31 +155,31 @@ def search_elsewhere(
     -------
     Found
     float or None
-    Geometry
-        With the places between sensors, where one was needed.
+        Log odds that nothing was touched.
     """
-    best, known = found, geometry
-    wider = None if geometry is None or not places else with_midway(found.empty.case.uncompressed, geometry)
+    best = found
+    known = found.empty.case.uncompressed
+    wider = None if geometry is None or not places or known.midway else with_midway(known, geometry)
     if wider is not None:
-        say(f"{len(wider[0].midway)} locations between sensors:")
-        cases, its_odds = again(wider[0]), odds
+        say(f"{len(wider.midway)} locations between sensors:")
+        cases, its_odds = again(wider), odds
         same = len(cases) > 1 and odds is not None and odds > 0
         if places > 1 and len(cases) > 1 and odds is not None and odds > -_ANOTHER_DAY:
             other, its_odds = search_both(cases[0], cases[1], say, depth=places)
         else:  # where effects are found that explain the lines, by the hypothesis that they are of
             known_spreads = places > 1 and (bool(found.best.terms) or found.best.alpha >= EXPLAINED)
             other = search(cases[1 if same else 0], say, depth=places, own_spreads=not known_spreads)
-        if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider[0].midway for t in other.best.terms):
-            best, known, odds = other, wider[1], its_odds
+        if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider.midway for t in other.best.terms):
+            best, odds = other, its_odds
     if modes:
         # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most
         empty = found.empty
         for grown in grown_by_a_mode([replace(empty, x=empty.case.forward.start), empty]):
             lacking = with_mode(grown, again, score(best.best), say)
             if lacking is not None:
-                best, odds, known = search(lacking.best.case, say, start=lacking), lacking.odds, geometry
+                best, odds = search(lacking.best.case, say, start=lacking), lacking.odds
                 break
-    return best, odds, known
+    return best, odds
 
 
 @dataclass

@@ -20,6 +20,7 @@ from operando.structure.effects import spline_weights
 Array = NDArray[Any]
 
 _MOST = 24  # places, the closest neighbours first
+_OFF_MIDDLE = 1 / np.sqrt(48)  # of the way between two sensors: uniformly anywhere nearer to their middle than to the next two
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Midway:
         What the sensors suggest for its displacement along the axis.
     doubt : (DOFs,) array
         Weights of another suggestion; their difference tells what either is worth.
+    along : (DOFs,) array
+        What the weights change by where the place is so far from the middle as it may be, in one standard deviation.
     """
 
     position: tuple[float, float, float]
@@ -44,6 +47,7 @@ class Midway:
     ends: tuple[int, int]
     weights: Array
     doubt: Array
+    along: Array
 
 
 def midway(dofs: tuple[Dof, ...], geometry: Geometry) -> list[Midway]:
@@ -68,13 +72,14 @@ def midway(dofs: tuple[Dof, ...], geometry: Geometry) -> list[Midway]:
                 continue  # another sensor of this axis stands between the two
             linear = np.zeros(len(dofs))
             linear[[rows[a], rows[b]]] = 0.5 * signs[[a, b]]
-            along = _on_line(points, a, b)
-            weights = linear.copy()
-            if len(along) >= 4:
+            line = _on_line(points, a, b)
+            weights, along = linear.copy(), np.zeros(len(dofs))
+            along[[rows[a], rows[b]]] = _OFF_MIDDLE * signs[[a, b]] * [-1, 1]
+            if len(line) >= 4:
                 weights[:] = 0
-                weights[[rows[c] for c in along]] = spline_weights(points[along], middle[None])[0] * signs[along]
+                weights[[rows[c] for c in line]] = spline_weights(points[line], middle[None])[0] * signs[line]
             place = (float(middle[0]), float(middle[1]), float(middle[2]))
-            out.append((float(ways[a, b]), Midway(place, axis, (rows[a], rows[b]), weights, linear)))
+            out.append((float(ways[a, b]), Midway(place, axis, (rows[a], rows[b]), weights, linear, along)))
     out.sort(key=lambda item: item[0])
     return [m for _, m in out[:_MOST]]
 
@@ -110,11 +115,11 @@ def at_position(dofs: tuple[Dof, ...], geometry: Geometry, position: tuple[float
         weights[rows] = spline_weights(points, np.array(position)[None])[0] * signs
     except DataError:  # too few sensors for a spline
         weights = linear.copy()
-    return Midway(position, wanted.axis, (rows[a], rows[b]), weights, linear)
+    return Midway(position, wanted.axis, (rows[a], rows[b]), weights, linear, np.zeros(len(dofs)))
 
 
-def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None = None) -> tuple[Idle, Geometry] | None:
-    """The idle model with places between sensors as further DOFs, and where these are; None where there are none.
+def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None = None) -> Idle | None:
+    """The idle model with places between sensors as further DOFs (``midway``: where these are); None where there are none.
 
     What is not known of a shape there is its own, as of any DOF: by how much the suggestions of its neighbours may err.
 
@@ -131,12 +136,7 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
     node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))
     dofs = tuple(Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places))
     weights = np.array([p.weights for p in places])
-    size = np.sqrt(np.mean(idle.phi**2, axis=0))
-    spread = []
-    for p in places:
-        near = np.sqrt(np.mean(idle.phi[list(p.ends)] ** 2, axis=0))
-        apart = 0.5 * (p.weights - p.doubt) @ idle.phi
-        spread.append(np.sqrt((BETWEEN_STD * near) ** 2 + (LEAST_BETWEEN_STD * size) ** 2 + apart**2))
+    own = np.array([_own(idle, p) for p in places])
 
     def wider(moves: Moves, own: Array) -> Moves:
         k = max(moves.own.shape[2], own.shape[2])
@@ -144,9 +144,8 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
         shared = np.tensordot(weights, moves.shared, (1, 0))
         return Moves(np.concatenate([moves.shared, shared]), np.concatenate(grown))
 
-    own = np.array([np.diag(s) for s in spread])
     more = len(places)
-    grown = replace(
+    return replace(
         idle,
         phi=np.concatenate([idle.phi, weights @ idle.phi]),
         dofs=(*idle.dofs, *dofs),
@@ -156,5 +155,33 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
         driven=np.concatenate([idle.driven, np.zeros(more, bool)]),
         midway={len(idle.dofs) + i: p.position for i, p in enumerate(places)},
     )
-    points = np.concatenate([geometry.coordinates, np.array([p.position for p in places])])
-    return grown, replace(geometry, nodes=(*geometry.nodes, *(d.node for d in dofs)), coordinates=points)
+
+
+def _own(idle: Idle, place: Midway) -> Array:
+    """What is not known of the shapes at a place, (terms, terms + 1): each by itself, and all by where exactly the place is.
+
+    The error of a straight line over a wave of so many sensors goes with the square of their distance over the wave's length, that of a
+    spline with its fourth power: in a structure that bends, with the frequency and with its square.
+    """
+    f, modes = idle.f, idle.modes
+    order = 2 if np.any(place.weights != place.doubt) else 1
+    by_near, by_all = (
+        np.ones(f.size),
+        np.full(f.size, LEAST_BETWEEN_STD),
+    )  # outside the band: shapes of many waves, which no neighbour tells
+    if modes.size:
+        waves = (f[modes] / f[modes].max()) ** order
+        by_near[modes], by_all[modes] = BETWEEN_STD * waves, LEAST_BETWEEN_STD * waves
+    near = np.sqrt(np.mean(idle.phi[list(place.ends)] ** 2, axis=0))
+    size = np.sqrt(np.mean(idle.phi**2, axis=0))
+    apart = 0.5 * (place.weights - place.doubt) @ idle.phi
+    spread = np.sqrt((by_near * near) ** 2 + (by_all * size) ** 2 + apart**2)
+    return np.column_stack([np.diag(spread), place.along @ idle.phi])
+
+
+def located(geometry: Geometry | None, idle: Idle) -> Geometry | None:
+    """The geometry with the places between sensors that an idle model has."""
+    if geometry is None or not idle.midway:
+        return geometry
+    nodes = (*geometry.nodes, *(idle.dofs[i].node for i in idle.midway))
+    return replace(geometry, nodes=nodes, coordinates=np.concatenate([geometry.coordinates, np.array([*idle.midway.values()])]))

@@ -17,6 +17,7 @@ from operando.diagnosis.criteria import (
     MOST_CHI_SQUARE,
     ONE_SIDED,
     SET,
+    STRAINED,
     SUPPORTED,
     UNUSUAL,
 )
@@ -170,6 +171,29 @@ def unseen(state: State) -> list[float]:
     return out
 
 
+def unlike_neighbours(state: State) -> str:
+    """Which effect stands between sensors at a location that would have to move unlike its neighbours; empty where none does.
+
+    By what is added there to the shapes that the neighbours suggest, in standard deviations of these (``BETWEEN_STD``), over the modes in
+    band without the worst: a single member may bend between its sensors. An effect on a motion that no sensor shows, such as a rotation,
+    fits as an effect at a location whose shapes are made to be that motion.
+    """
+    idle, n_shape = state.case.forward.idle, state.case.forward.n_shape
+    for term in state.terms:
+        for i in set(term.places) & idle.midway.keys():
+            own = idle.shapes.own[i, idle.modes]
+            spread = np.sqrt(np.sum(own**2, axis=1))
+            added = np.divide(own @ state.x.own[i, :n_shape], spread, out=np.zeros(len(own)), where=spread > 0)
+            power = np.sort(added**2)[:-1]
+            if power.size and power.mean() > STRAINED:
+                off = f"off by {np.sqrt(power.mean()):.2g} of their standard deviations, rms over the modes"
+                return (
+                    f"{term.definition.plain} at {state.case.place(i)} would explain the FRFs, but not with the shapes that the sensors "
+                    f"beside it suggest ({off}): what is missing acts on a motion that no sensor shows, such as a rotation"
+                )
+    return ""
+
+
 def supported(state: State) -> bool:
     """Whether the interval of each effect's size excludes zero."""
     std, at = np.sqrt(np.diag(state.covariance)) if state.terms else np.zeros(0), 0
@@ -250,6 +274,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
         if far and not best.terms:
             return "inconclusive", far
         return "unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
+    if unlike := unlike_neighbours(best):
+        return "unexplained", unlike
     sets = [s.terms for s in others(found)]
     if not best.terms:
         if any(sets):
