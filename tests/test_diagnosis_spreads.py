@@ -101,6 +101,19 @@ def test_spreads_beyond_all_laboratories_stand_for_something_else():
         assert log_prior(problem) == pytest.approx(-0.5 * (more * UNUSUAL) ** 2, rel=1e-6)
 
 
+def test_sensors_together_not_one_of_them_tell_that_spreads_are_beyond_laboratories():
+    """An offset of one sensor where shapes are steep is no other laboratory; half of the variance is common to all sensors."""
+    one = case()
+    state = fit(one, one.forward.start, 0.1)
+    seen = [i for i, (name, *_) in enumerate(one.between.groups) if name == "seen"]
+    limit = UNUSUAL * SPREAD_FACTOR * np.sqrt(0.5 + 0.5 / len(seen))
+    for some, size, beyond in ((seen[:1], 1.2 * UNUSUAL * SPREAD_FACTOR, False), (seen, 0.99 * limit, False), (seen, 1.01 * limit, True)):
+        by = np.zeros(one.between.log_factors.size)
+        by[some] = size
+        problem, x = rescaled(state.problem, state.problem.packed(state.x), by)
+        assert unlike_days(replace(state, problem=problem, x=problem.point(x))) is beyond
+
+
 def test_channels_that_are_as_they_were_tell_that_it_was_no_other_day():
     """Four standard deviations of gains and positions together; modes that moved alike were warmer, and no structure has changed."""
     one = case()

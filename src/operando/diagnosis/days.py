@@ -27,29 +27,37 @@ def strained(state: State) -> bool:
     return any(float(np.mean(v)) > STRAINED for v in map(np.concatenate, power.values()) if v.size > 1)
 
 
+def _by_name(state: State) -> dict[str, tuple[float, float]]:
+    """Of each name the mean logarithm of its spreads over those of laboratories, and its standard deviation, in ``SPREAD_FACTOR``.
+
+    Half of the variance is common to the spreads of one name: a sensor where shapes are steep shows more of the same offset than others.
+    """
+    by_name: dict[str, list[float]] = {}
+    for (name, _, _), by in zip(state.case.between.groups, state.case.between.log_factors, strict=True):
+        by_name.setdefault(name, []).append(float(by) / SPREAD_FACTOR)
+    return {name: (float(np.mean(v)), float(np.sqrt(0.5 + 0.5 / len(v)))) for name, v in by_name.items()}
+
+
 def unlike_days(state: State) -> bool:
-    """Whether an estimated spread of what differs is beyond what laboratories have: it stands for something else."""
-    return bool((state.case.between.log_factors > UNUSUAL * SPREAD_FACTOR).any())
+    """Whether the estimated spreads of what differs are beyond what laboratories have: it stands for something else."""
+    return any(mean > UNUSUAL * std for mean, std in _by_name(state).values())
 
 
 def untouched(state: State) -> bool:
     """Whether channels are as they were, as on no other day, and yet modes have moved one by one: the structure has changed.
 
-    By the spreads estimated: gains and positions of sensors and positions of forces, the mean of each against what is known of it before
-    (half of the variance is common to those of one name), and the three together. Modes have not moved where their shifts are as far
-    below those of laboratories. What a temperature does moves all modes alike.
+    By the spreads estimated of gains and positions of sensors and positions of forces, together. Modes have not moved where their shifts
+    are as far below those of laboratories. What a temperature does moves all modes alike.
     """
-    between, factors = state.case.between, dict[str, list[float]]()
+    between, known = state.case.between, _by_name(state)
     moved = 0.0
     for (name, _, where), by in zip(between.groups, between.log_factors, strict=True):
-        factors.setdefault(name, []).append(float(by) / SPREAD_FACTOR)
         if name == "mode":
             moved = float(np.sqrt(np.mean((np.exp(by) * state.x.d[where]) ** 2)))
-    touched = [factors[name] for name in ("sensor", "seen", "driven") if name in factors]
+    touched = [known[name] for name in ("sensor", "seen", "driven") if name in known]
     if not touched or moved < np.exp(-UNUSUAL * SPREAD_FACTOR):
         return False
-    together = sum(float(np.mean(v)) / np.sqrt(0.5 + 0.5 / len(v)) for v in touched) / np.sqrt(len(touched))
-    return bool(together < -UNUSUAL)
+    return bool(sum(mean / std for mean, std in touched) / np.sqrt(len(touched)) < -UNUSUAL)
 
 
 def promotions(state: State, beyond: float = PROMOTED) -> list[Point]:

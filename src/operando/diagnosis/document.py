@@ -17,7 +17,7 @@ from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import Found
 from operando.diagnosis.terms import Term, added
-from operando.diagnosis.verdict import Verdict
+from operando.diagnosis.verdict import Verdict, unlike_neighbours
 from operando.results import CheckRun
 
 Array = NDArray[Any]
@@ -282,6 +282,8 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
                 f"differ by up to {decibel:.2g} dB"
             )
         return "; ".join(texts)
+    if verdict.name == "unexplained" and unlike_neighbours(best):
+        return "put sensors in all directions between those beside the location, idle and in operation: they show what moves there"
     if verdict.name in ("partial", "unexplained"):
         return "measure the running structure at another level and with the force at another point: does the rest depend on level?"
     if verdict.name == "inconclusive":

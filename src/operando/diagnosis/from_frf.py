@@ -37,9 +37,9 @@ from operando.diagnosis.midway import located
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
-from operando.diagnosis.search import Found, search
+from operando.diagnosis.search import WAYS, Found, search
 from operando.diagnosis.sensor_mass import of_a_sensor
-from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED
+from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, touched
 from operando.diagnosis.verdict import (
     moved_peaks,
     no_other_answer,
@@ -163,9 +163,12 @@ def diagnose_frf(
         if 0 < len(found.best.terms) <= AT_FIRST and left():
             say("further effects:")
             found = with_validation(search(found.best.case, say, start=found))
-        if asked_for_all and left():
+        # shapes between sensors can be made to be many a motion: a force at sensors, whose shapes are known, goes before one there
+        behind = WAYS if found.best.case.idle.midway.keys() & set(touched(found.best.terms)) else 0.0
+        if asked_for_all and found.unnamed is None and (left() or behind):
             laws = (with_free_law(case, found.best.log_evidence, say) for case in both)
-            found.unnamed = max((law for law in laws if law is not None and score(law) > score(found.best)), key=score, default=None)
+            near = (law for law in laws if law is not None and score(law) > score(found.best) - behind)
+            found.unnamed = max(near, key=score, default=None)
         geometry = located(geometry, found.best.case.idle)
         of_a_sensor(found.best, idle, operating, geometry)
         return told(idle, check, run, found, rest, geometry, band, compared, odds)
