@@ -1,4 +1,4 @@
-"""Which of the two routes to the operating FRFs is recommended, and how good it is: diagnosis and comparison taken together."""
+"""Which of the two routes to the operational FRFs is recommended, and how good it is: diagnosis and comparison taken together."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ALIKE_DB = 0.1
 """Routes whose errors differ by less (1 % of abs(H)) are as good as each other: below it lie noise and the choice of lines."""
 
 CLOSE_DB = 1.0
-"""Error below which operating FRFs are close, whatever the noise (12 % of abs(H)): that of references such as the paper's example has."""
+"""Error below which operational FRFs are close, whatever the noise (12 % of abs(H)): that of references such as the paper's example has."""
 
 WITHIN = 1.2
 """Error over noise floor up to which the data allow no better: small errors in dB go with the root of chi-square, √GOOD = 1.22."""
@@ -22,7 +22,7 @@ FOUND = ("explained", "ambiguous")
 
 @dataclass(frozen=True)
 class Route:
-    """A route to the operating FRFs.
+    """A route to the operational FRFs.
 
     Parameters
     ----------

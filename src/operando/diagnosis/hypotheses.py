@@ -116,11 +116,12 @@ def with_nothing_touched(
     if not scanned or not wider.midway.keys() & set(scanned[0][1].places):
         return None
     say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
-    there = search(one_set_up, say, depth=1)
+    rival = Rival(days, alone)
+    there = search(one_set_up, say, rival, depth=1)
     best = there.best
     if not _explains(best, alone) or not wider.midway.keys() & {i for t in best.terms for i in t.places}:
         return None
-    odds = score(best) - Rival(days, alone).asked([best.terms], best.alpha, best.log_evidence)
+    odds = score(best) - rival.asked([best.terms], best.alpha, best.log_evidence)
     return (there, odds) if odds > EARNED else None
 
 

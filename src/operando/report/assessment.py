@@ -31,7 +31,7 @@ from operando.scaling.methods import IN_WORDS
 from operando.scaling.no_scale import no_scale
 
 MODEL_NAMES = {
-    "ofrf": "operational FRFs (this method)",
+    "ofrf": "hybrid route",
     "effect": "idle model + effects",
     "msf_all": "operating shapes, all scaled by MSF",
     "idle_shapes": "idle shapes with operating poles",
