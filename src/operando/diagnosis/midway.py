@@ -165,10 +165,8 @@ def _own(idle: Idle, place: Midway) -> Array:
     """
     f, modes = idle.f, idle.modes
     order = 2 if np.any(place.weights != place.doubt) else 1
-    by_near, by_all = (
-        np.ones(f.size),
-        np.full(f.size, LEAST_BETWEEN_STD),
-    )  # outside the band: shapes of many waves, which no neighbour tells
+    # what lies outside the band stands for shapes of many waves, which no neighbour tells
+    by_near, by_all = np.ones(f.size), np.full(f.size, LEAST_BETWEEN_STD)
     if modes.size:
         waves = (f[modes] / f[modes].max()) ** order
         by_near[modes], by_all[modes] = BETWEEN_STD * waves, LEAST_BETWEEN_STD * waves
