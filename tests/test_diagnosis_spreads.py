@@ -11,6 +11,7 @@ from operando.diagnosis import posterior
 from operando.diagnosis.between import SPREAD_FACTOR, STATED
 from operando.diagnosis.criteria import LEAST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.days import unlike_days, untouched
+from operando.diagnosis.descent import _NOTHING, Descent
 from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.scan import LinearScan
@@ -99,6 +100,21 @@ def test_spreads_beyond_all_laboratories_stand_for_something_else():
         problem, x = rescaled(state.problem, state.problem.packed(state.x), more * by)
         assert unlike_days(replace(state, problem=problem, x=problem.point(x))) is beyond
         assert log_prior(problem) == pytest.approx(-0.5 * (more * UNUSUAL) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(0.5 * _NOTHING, False), (2.0 * _NOTHING, True)])
+def test_a_damping_is_forgotten_at_the_minimum(gain, kept, monkeypatch):
+    """A turn that gains less than _NOTHING has ended there: from where spreads have moved it, the way is another."""
+    one = case()
+    state = fit(one, one.forward.start, 0.1)
+    problem, descent = state.problem, Descent()
+    x = problem.packed(state.x)
+    rows = problem.derived(x)
+    now = problem.objective(problem.predict(x, False).h, x, problem.variance(state.alpha))
+    monkeypatch.setattr(problem, "objective", lambda h, x, variance: now - gain)
+    descent.damping = 1e6
+    descent.turn(problem, x, rows, state.alpha, state.factor, problem.information(*rows[:2], problem.weights(state.alpha)))
+    assert (descent.damping > 0) is kept
 
 
 def test_sensors_together_not_one_of_them_tell_that_spreads_are_beyond_laboratories():

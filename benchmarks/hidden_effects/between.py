@@ -14,8 +14,7 @@ import numpy as np
 from families import FAMILIES, Structure, draw
 
 from operando.data import Geometry
-from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD
-from operando.diagnosis.midway import midway
+from operando.diagnosis.midway import midway, shape_spread
 from operando.dof import parse_dofs
 
 PARTS = ((0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 1.01))  # of the band's end
@@ -37,9 +36,7 @@ def errors(structure: Structure) -> list[tuple[bool, float, float, float]]:
         spline = bool(np.any(place.weights != place.doubt))
         error = structure.shapes[3 * node + axis, modes] - place.weights @ phi
         near, size = (np.sqrt(np.mean(rows**2, axis=0)) for rows in (phi[list(place.ends)], phi))
-        waves = (hz / hz.max()) ** (2 if spline else 1)
-        apart = 0.5 * (place.weights - place.doubt) @ phi
-        std = np.sqrt((BETWEEN_STD * waves * near) ** 2 + (LEAST_BETWEEN_STD * waves * size) ** 2 + apart**2)
+        std = shape_spread(place, phi, hz, np.arange(hz.size))
         rows += list(zip([spline] * hz.size, hz / structure.band[1], error / np.maximum(near, 0.3 * size), error / std, strict=True))
     return rows
 

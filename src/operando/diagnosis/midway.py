@@ -136,7 +136,8 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
     node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))
     dofs = tuple(Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places))
     weights = np.array([p.weights for p in places])
-    own = np.array([_own(idle, p) for p in places])
+    # each shape by itself, and all by where exactly the place is
+    own = np.array([np.column_stack([np.diag(shape_spread(p, idle.phi, idle.f, idle.modes)), p.along @ idle.phi]) for p in places])
 
     def wider(moves: Moves, own: Array) -> Moves:
         k = max(moves.own.shape[2], own.shape[2])
@@ -157,24 +158,22 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
     )
 
 
-def _own(idle: Idle, place: Midway) -> Array:
-    """What is not known of the shapes at a place, (terms, terms + 1): each by itself, and all by where exactly the place is.
+def shape_spread(place: Midway, phi: Array, hz: Array, modes: Array) -> Array:
+    """Standard deviation of each shape (DOFs, terms) at a place, about what the neighbours suggest, (terms,); ``modes`` are those in band.
 
     The error of a straight line over a wave of so many sensors goes with the square of their distance over the wave's length, that of a
     spline with its fourth power: in a structure that bends, with the frequency and with its square.
     """
-    f, modes = idle.f, idle.modes
     order = 2 if np.any(place.weights != place.doubt) else 1
     # what lies outside the band stands for shapes of many waves, which no neighbour tells
-    by_near, by_all = np.ones(f.size), np.full(f.size, LEAST_BETWEEN_STD)
+    by_near, by_all = np.ones(hz.size), np.full(hz.size, LEAST_BETWEEN_STD)
     if modes.size:
-        waves = (f[modes] / f[modes].max()) ** order
+        waves = (hz[modes] / hz[modes].max()) ** order
         by_near[modes], by_all[modes] = BETWEEN_STD * waves, LEAST_BETWEEN_STD * waves
-    near = np.sqrt(np.mean(idle.phi[list(place.ends)] ** 2, axis=0))
-    size = np.sqrt(np.mean(idle.phi**2, axis=0))
-    apart = 0.5 * (place.weights - place.doubt) @ idle.phi
-    spread = np.sqrt((by_near * near) ** 2 + (by_all * size) ** 2 + apart**2)
-    return np.column_stack([np.diag(spread), place.along @ idle.phi])
+    near = np.sqrt(np.mean(phi[list(place.ends)] ** 2, axis=0))
+    size = np.sqrt(np.mean(phi**2, axis=0))
+    apart = 0.5 * (place.weights - place.doubt) @ phi
+    return np.asarray(np.sqrt((by_near * near) ** 2 + (by_all * size) ** 2 + apart**2))
 
 
 def located(geometry: Geometry | None, idle: Idle) -> Geometry | None:
