@@ -12,8 +12,8 @@ from click.testing import CliRunner
 
 import measurements
 from operando.cli import COMMANDS, main
-from operando.cli.progress import TYPICAL_S, Share, duration
 from operando.pipeline import STAGES
+from operando.pipeline.share import TYPICAL_S, Share, duration
 
 
 def call(*args, **more):

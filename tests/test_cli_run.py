@@ -14,8 +14,8 @@ from click.testing import CliRunner
 
 import measurements
 from operando.cli import main
-from operando.cli.demo import example_folder
 from operando.config import load_test
+from operando.paths import example_folder
 
 
 def call(*args):

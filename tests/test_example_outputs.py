@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from operando.cli.demo import example_folder
+from operando.paths import example_folder
 from operando.pipeline import run
 from test_io_uff_outputs import IN_BAND_DB, assert_functions_of_pyuff, assert_functions_of_sdynpy, difference_db, read_by_pyuff, synthesised
 

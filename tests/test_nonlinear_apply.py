@@ -10,11 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from operando.cli import main
-from operando.cli.by_hand import check_records
 from operando.diagnosis import apply_to_records
 from operando.errors import ConfigError, MissingError
 from operando.frf import estimate_frf
 from operando.io import read, write_uff
+from operando.pipeline.by_hand import check_records
 from operando.results import CheckRun, Results
 from operando.store import load_results, save_results
 from operando.structure.effects import parse_effect

@@ -343,3 +343,17 @@ def named_dofs(wanted: object, available: Sequence[Dof]) -> tuple[Dof, ...]:
             raise _not_measured(text, available)
         found |= dict.fromkeys(hits)
     return tuple(found)
+
+
+def check_dofs(wanted: tuple[Dof, ...], known: tuple[Dof, ...], where: str) -> None:
+    """DOFs asked for must be measured.
+
+    Raises
+    ------
+    DofError
+        If one is not; the nearest is named.
+    """
+    try:
+        match_dofs(wanted, known)
+    except DofError as error:
+        raise DofError(error.message, where=where, hint=error.hint) from None

@@ -34,3 +34,20 @@ def near_path(path: Path) -> str:
     if near:
         return f"did you mean {str(path.parent / near[0])!r}?"
     return "check the path" if path.is_absolute() else f"paths are relative to {Path.cwd()}"
+
+
+def example_folder() -> Path:
+    """Folder of the example data: inside the installed package, else in the source tree."""
+    from importlib.resources import files
+
+    import operando
+    from operando.errors import MissingError
+
+    packaged = Path(str(files(operando))) / "example_data"
+    source = Path(operando.__file__).resolve().parents[2] / "data" / "example"
+    for folder in (packaged, source):
+        if (folder / "test.toml").is_file():
+            return folder
+    raise MissingError(
+        "the example data are not installed", where=str(packaged), hint="install operando from a wheel, or run from its source tree"
+    )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import click
 
 from operando.cli.answer import Answer, answers, own_option
+from operando.cli.diagnose import refit_answer
 from operando.cli.effects import kinds_like
+from operando.cli.progress import following
 
 
 @click.command("add", epilog="Example: operando add pump-results point_mass@272+Z=mass:0.2")
@@ -24,19 +26,8 @@ def add(folder: str, effects: tuple[str, ...], suggested: bool, fix: bool) -> An
     """
     if bool(effects) == suggested:
         raise click.UsageError("name effects to add, or --suggested")
-    from operando.cli.by_hand import accepted, change, not_twice, present, suggestion
-    from operando.cli.ofrf import check_dofs
-    from operando.cli.sources import changing
-    from operando.structure.effects import parse_effect
+    from operando.pipeline.by_hand import add_effects, add_suggested
 
-    with changing(folder, "add") as out:
-        state = present(folder)
-        band = state.idle.band_hz if state.idle is not None else None
-        if suggested:
-            return change(out, state, suggestion(folder, state))
-        new = [parse_effect(text, band, fixed=fix) for text in effects]
-        for text, effect in zip(effects, new, strict=True):
-            check_dofs(effect.location, state.idle.dofs if state.idle is not None else (), f"effect {text!r:.200}")
-        together = [*accepted(state), *new]
-        not_twice(together, folder)
-        return change(out, state, together)
+    with following() as progress:
+        done = add_suggested(folder, progress=progress) if suggested else add_effects(folder, effects, fix=fix, progress=progress)
+    return refit_answer(done)

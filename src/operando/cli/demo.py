@@ -9,6 +9,7 @@ import click
 from operando.cli.answer import Answer, answers, verbosity
 from operando.cli.summary import open_report, run_answer
 from operando.cli.test_file import read_test, test_options
+from operando.paths import example_folder
 
 
 @click.command("demo", epilog="Example: operando demo -o demo --open")
@@ -25,20 +26,3 @@ def demo(output: str, changes: tuple[str, ...], second_opinion: bool, show: bool
     if show:
         open_report(out / "report.html")
     return answer
-
-
-def example_folder() -> Path:
-    """Folder of the example data: inside the installed package, else in the source tree."""
-    from importlib.resources import files
-
-    import operando
-    from operando.errors import MissingError
-
-    packaged = Path(str(files(operando))) / "example_data"
-    source = Path(operando.__file__).resolve().parents[2] / "data" / "example"
-    for folder in (packaged, source):
-        if (folder / "test.toml").is_file():
-            return folder
-    raise MissingError(
-        "the example data are not installed", where=str(packaged), hint="install operando from a wheel, or run from its source tree"
-    )

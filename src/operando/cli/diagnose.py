@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from operando.cli.answer import Answer, answers, own_option, table
 from operando.cli.test_file import need_stage, output_option, read_test, results_folder, set_option
+
+if TYPE_CHECKING:
+    from operando.pipeline.by_hand import Refit
 
 
 @click.command("diagnose", epilog="Example: operando diagnose pump-results")
@@ -75,3 +78,9 @@ def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | Non
     said = lines_words(judged_on or {})
     head = table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"])
     return f"{head}\nχ²: reduced chi-square, 1 = as good as the noise allows" + (f"; hold-out set: {said}" if said else "")
+
+
+def refit_answer(refit: Refit) -> Answer:
+    """What `add` and `remove` did: in words, and as the error before and after."""
+    done = refit.document
+    return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*refit.words, "", steps_table(done["ladder"], done["judged_on"])]))

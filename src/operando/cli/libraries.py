@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from operando.cli.answer import Answer, answers, table
-from operando.cli.summary import failure, open_report, run_to
+from operando.cli.summary import open_report, run_to
 from operando.cli.test_file import open_option, output_option, read_test, results_folder, set_option
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def compare_libraries(test: str, output: str | None, changes: tuple[str, ...], s
     A test up to its modes, as with `second_opinion = true` in [analysis]; the report has the same tables.
     """
     from operando.contrib import LibraryComparison
+    from operando.pipeline.summary import failure
 
     loaded = read_test(test, changes, second_opinion=True)
     out = results_folder(loaded.name, output)

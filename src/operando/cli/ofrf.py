@@ -69,6 +69,7 @@ def ofrf(
 
     from operando.atomic import writing
     from operando.compare import recommended
+    from operando.dof import check_dofs
     from operando.errors import DataError, MissingError
     from operando.store import load_results
 
@@ -225,23 +226,6 @@ def check_lines(lines: Any, measured: Frf, where: str) -> None:
         a, b = max(low, float(lines[0])), min(high, float(lines[-1]))
         hint = f"did you mean {a:.6g}:{b:.6g}:{step:.6g}?" if a <= b else f"frequencies are in Hz, within {low:.6g} and {high:.6g}"
         raise ConfigError(f"{out:g} Hz is none of the lines of the idle FRFs, {low:.6g} to {high:.6g} Hz", where=where, hint=hint)
-
-
-def check_dofs(wanted: Any, known: Any, where: str) -> None:
-    """DOFs asked for must be measured.
-
-    Raises
-    ------
-    DofError
-        If one is not; the nearest is named.
-    """
-    from operando.dof import match_dofs
-    from operando.errors import DofError
-
-    try:
-        match_dofs(wanted, known)
-    except DofError as error:
-        raise DofError(error.message, where=where, hint=error.hint) from None
 
 
 def _text(frf: Frf, method: str, output: str | None) -> str:

@@ -15,7 +15,7 @@ from operando.cli.test_file import open_option
 @answers
 def report(folder: str, show: bool) -> Answer:
     """Rebuild report.html of a results folder from its model.h5."""
-    from operando.cli.sources import changing
+    from operando.pipeline.folder import changing
     from operando.report import write_report
     from operando.store import load_results
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,27 +9,7 @@ from typing import TYPE_CHECKING, Any
 from operando.errors import FormatError, MissingError
 
 if TYPE_CHECKING:
-    from operando.pipeline.folder import ResultsFolder
     from operando.results import CheckRun, Results
-
-
-@contextmanager
-def changing(path: str, doing: str) -> Iterator[ResultsFolder]:
-    """The results folder at a path (or around a ``model.h5``), for this process alone.
-
-    Raises
-    ------
-    MissingError
-        If it holds no results.
-    BusyError
-        If another process is at work there.
-    """
-    from operando.pipeline.folder import results_folder
-    from operando.store import load_results
-
-    load_results(path, only=())  # before anything is made in a folder that is none
-    with results_folder(path if Path(path).is_dir() else Path(path).parent, doing) as folder:
-        yield folder
 
 
 @dataclass(frozen=True)

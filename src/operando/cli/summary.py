@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from operando.cli.answer import Answer, say, table
 from operando.cli.progress import following
-from operando.errors import IdentificationError, OperandoError
 
 if TYPE_CHECKING:
     from operando.config import Test
@@ -58,7 +57,11 @@ def run_answer(test: Test, out: Path, until: str | None = None, report: bool | N
 
     with following(_asked(until, report), out) as progress:
         said = run_and_tell(test, out, tell, until=until, progress=progress, report=report)
-    return Answer(said.told["document"], said.told["text"], None if said.results is None else failure(said.results, out))
+    if said.results is None:  # nothing had changed, and nothing heavy is loaded
+        return Answer(said.told["document"], said.told["text"])
+    from operando.pipeline.summary import failure
+
+    return Answer(said.told["document"], said.told["text"], failure(said.results, out))
 
 
 def run_document(results: Results, out: Path, until: str | None) -> dict[str, Any]:
@@ -71,20 +74,10 @@ def run_document(results: Results, out: Path, until: str | None) -> dict[str, An
     return document | {"verdict": (results.diagnosis or {}).get("verdict"), "route": None if route is None else route.to_dict()}
 
 
-def failure(results: Results, out: Path) -> OperandoError | None:
-    """The first stage that failed, as an error."""
-    for stage, reason in results.left_out.items():
-        if reason.startswith("failed: "):
-            for finding in results.findings:
-                if finding.kind == "stage_failed" and finding.message.startswith(f"stage {stage}: "):
-                    hint = finding.action or f"what the other stages found stands in {out}"
-                    return IdentificationError(finding.message, where=finding.file, hint=hint)
-            return IdentificationError(f"stage {stage}: {reason.removeprefix('failed: ')}")
-    return None
-
-
 def run_text(results: Results, out: Path) -> str:
     """Short text: errors of the models, modes, findings, what was left out, where the files are."""
+    from operando.pipeline.summary import failure
+
     failed = failure(results, out)
     parts = [f"{results.name}: {failed.message}" + (f" ({failed.hint})" if failed.hint else "")] if failed is not None else []
     parts.append(headline(results))

@@ -29,6 +29,7 @@ from operando.pipeline.lock import exclusive
 
 HIDDEN = ".stages"
 MODEL = "model.h5"
+SOURCE = "source.json"
 SCHEMA = "operando/manifest/1"
 
 Made = TypeVar("Made")
@@ -58,6 +59,12 @@ class ResultsFolder:
         for file in (*begun, *left_behind(self.path), *left_behind(self.hidden)):
             file.unlink(missing_ok=True)
         self._drop_doubles()
+
+    def came_from(self, test: Path | None) -> None:
+        """Keep which test file the results are made from; a test made in Python has none."""
+        found = None if test is None else str(test.resolve())
+        if found != _source(self.hidden):
+            write_json(self.hidden / SOURCE, {"schema": "operando/source/1", "test": found})
 
     @property
     def holds_results(self) -> bool:
@@ -208,6 +215,20 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
     return {}
 
 
+def _source(hidden: Path) -> str | None:
+    try:
+        found: str | None = json.loads((hidden / SOURCE).read_text(encoding="utf-8"))["test"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return found
+
+
+def source_of(path: Path) -> Path | None:
+    """The test file from which the results in a folder were made, if it was kept and is still there."""
+    found = _source(path / HIDDEN)
+    return Path(found) if found is not None and Path(found).is_file() else None
+
+
 def default_folder(name: str) -> Path:
     """The results folder of a test of this name where none is given: ``results/NAME`` in the current one."""
     return Path("results") / "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")
@@ -248,6 +269,24 @@ def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Itera
         finally:
             with suppress(OSError):
                 folder.clear()
+
+
+@contextmanager
+def changing(path: str, doing: str) -> Iterator[ResultsFolder]:
+    """The results folder at a path (or around a ``model.h5``), for this process alone.
+
+    Raises
+    ------
+    MissingError
+        If it holds no results.
+    BusyError
+        If another process is at work there.
+    """
+    from operando.store import load_results
+
+    load_results(path, only=())  # before anything is made in a folder that is none
+    with results_folder(path if Path(path).is_dir() else Path(path).parent, doing) as folder:
+        yield folder
 
 
 def adopt(source: str | Path, target: str | Path, stages: Iterable[str]) -> None:

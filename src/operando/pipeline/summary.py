@@ -1,9 +1,11 @@
-"""``summary.json``."""
+"""``summary.json``, and the first stage that failed."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from operando.errors import IdentificationError, OperandoError
 from operando.jsonable import jsonable
 from operando.results import Results
 
@@ -86,3 +88,15 @@ def _reciprocity(frf: Any) -> float | None:
 
 def _texts(dofs: Any) -> list[str]:
     return [str(d) for d in dofs]
+
+
+def failure(results: Results, out: str | Path) -> OperandoError | None:
+    """The first stage that failed, as an error."""
+    for stage, reason in results.left_out.items():
+        if reason.startswith("failed: "):
+            for finding in results.findings:
+                if finding.kind == "stage_failed" and finding.message.startswith(f"stage {stage}: "):
+                    hint = finding.action or f"what the other stages found stands in {out}"
+                    return IdentificationError(finding.message, where=finding.file, hint=hint)
+            return IdentificationError(f"stage {stage}: {reason.removeprefix('failed: ')}")
+    return None

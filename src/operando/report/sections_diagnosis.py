@@ -67,7 +67,8 @@ def diagnosis(results: Results, page: Numbering) -> dict[str, Any]:
     return {
         "found": found, "said": words, "kind_words": kind_words, "where": _where(results, page, words, model),
         "records": _records(found), "picture": _picture(found), "frfs": _before_after(results, page, words, model),
-        "candidates": _candidates(found), "shown": SHOWN_CANDIDATES, "alike": [effect_words(e) for e in found.get("ambiguous_with") or []],
+        "candidates": candidate_words(found), "shown": SHOWN_CANDIDATES,
+        "alike": [effect_words(e) for e in found.get("ambiguous_with") or []],
         "routes": _routes(results, words, model), "apart": APART_DB,
     }  # fmt: skip
 
@@ -226,7 +227,7 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
     }  # fmt: skip
 
 
-def _candidates(found: Mapping[str, Any]) -> list[tuple[EffectWords, Any, str, tuple[str, str] | None]]:
+def candidate_words(found: Mapping[str, Any]) -> list[tuple[EffectWords, Any, str, tuple[str, str] | None]]:
     """Each candidate in words with its chi-square, the evidence, and a tag where something became of it."""
     accepted = {effect_key(e) for e in found_by_itself(found)}
     added = {effect_key(e) for e in found.get("effects") or []} - accepted

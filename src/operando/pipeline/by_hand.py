@@ -1,22 +1,103 @@
-"""What ``add`` and ``remove`` share: the effects of a results folder, changed, refitted and written back."""
+"""The effects of a results folder changed by hand, refitted and written back: on the command line and in the browser."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from operando.cli.answer import Answer
-from operando.cli.diagnose import steps_table
-from operando.cli.progress import following
+from operando.dof import check_dofs
 from operando.errors import ConfigError, MissingError
+from operando.pipeline.again import Progress
+from operando.pipeline.folder import ResultsFolder, changing
 from operando.results import CheckRun, Results
-from operando.structure.effects import Effect
+from operando.structure.effects import Effect, parse_effect
 
 if TYPE_CHECKING:
     from operando.data import TimeRecord
     from operando.diagnosis import Applied
-    from operando.pipeline.folder import ResultsFolder
+
+
+@dataclass(frozen=True)
+class Refit:
+    """The model after a change by hand: ``document`` holds effects and errors by step, ``words`` what the change did."""
+
+    document: dict[str, Any]
+    words: tuple[str, ...]
+
+
+def add_effects(folder: str, texts: Sequence[str], *, fix: bool = False, progress: Progress) -> Refit:
+    """Add effects to the idle model of a results folder and refit all of them.
+
+    Parameters
+    ----------
+    folder : str
+    texts : sequence of str
+        As ``operando add`` takes them.
+    fix : bool
+        Hold the values given.
+    progress : callable
+        Called with (stage, message).
+
+    Raises
+    ------
+    MissingError
+        If the folder holds no idle model or no validation measurement.
+    ConfigError, DofError
+        If a text names no effect, or no measured DOF, or the model would hold an effect twice.
+    BusyError
+        If another process is at work there.
+    """
+
+    def more(state: Results) -> list[Effect]:
+        band, dofs = (None, ()) if state.idle is None else (state.idle.band_hz, state.idle.dofs)
+        new = [parse_effect(text, band, fixed=fix) for text in texts]
+        for text, effect in zip(texts, new, strict=True):
+            check_dofs(effect.location, dofs, f"effect {text!r:.200}")
+        together = [*accepted(state), *new]
+        not_twice(together, folder)
+        return together
+
+    return _changed(folder, "add", more, progress)
+
+
+def add_candidate(folder: str, number: int, *, progress: Progress) -> Refit:
+    """Add a candidate of the diagnosis by its number in ``diagnosis.json``, from 0; see :func:`add_effects`."""
+
+    def more(state: Results) -> list[Effect]:
+        candidates = (state.diagnosis or {}).get("candidates") or []
+        if not 0 <= number < len(candidates):
+            raise MissingError(f"there is no candidate {number}", where=folder, hint=f"the diagnosis holds {len(candidates)}")
+        together = [*accepted(state), Effect.from_dict(candidates[number])]
+        not_twice(together, folder)
+        return together
+
+    return _changed(folder, "add", more, progress)
+
+
+def add_suggested(folder: str, *, progress: Progress) -> Refit:
+    """Give the model the effects that the diagnosis accepts by itself, and refit them; see :func:`add_effects`."""
+    return _changed(folder, "add", lambda state: suggestion(folder, state, progress), progress)
+
+
+def remove_effect(folder: str, step: int, *, progress: Progress) -> Refit:
+    """Take the effect of a step back and refit the others (step 0 is the idle model); see :func:`add_effects`."""
+
+    def less(state: Results) -> list[Effect]:
+        effects = accepted(state)
+        if not 1 <= step <= len(effects):
+            have = f"1 to {len(effects)}" if effects else "none: no effect has been added"
+            raise ConfigError(f"there is no step {step} to remove", where=folder, hint=f"steps with an effect: {have}")
+        return [e for i, e in enumerate(effects, 1) if i != step]
+
+    return _changed(folder, "remove", less, progress)
+
+
+def _changed(folder: str, doing: str, effects: Callable[[Results], list[Effect]], progress: Progress) -> Refit:
+    with changing(folder, doing) as out:
+        state = present(folder)
+        return change(out, state, effects(state), progress)
 
 
 def present(folder: str) -> Results:
@@ -91,31 +172,30 @@ def accepted(results: Results) -> list[Effect]:
     return [Effect.from_dict(e) for e in (results.diagnosis or {}).get("effects", [])]
 
 
-def suggestion(folder: str, results: Results) -> list[Effect]:
+def suggestion(folder: str, results: Results, progress: Progress) -> list[Effect]:
     """What the diagnosis accepts by itself, found again from the data (the folder may hold effects added by hand)."""
     from operando.diagnosis import diagnose
 
     runs, band = judging(results)
     looked_at_records = "check_records" in ((results.diagnosis or {}).get("data") or ())
-    with following() as say:
-        say("diagnose", "…")
-        found = diagnose(
-            results.idle,  # type: ignore[arg-type]
-            check=runs,
-            geometry=results.geometry,
-            band=band,
-            progress=lambda message: say("diagnose", f"  {message}"),
-            records=check_records(folder, results) if looked_at_records else (),
-            idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results)),
-            exclude_bands=left_out(results),
-            between=results.settings.get("between") or {},
-        )
+    progress("diagnose", "…")
+    found = diagnose(
+        results.idle,  # type: ignore[arg-type]
+        check=runs,
+        geometry=results.geometry,
+        band=band,
+        progress=lambda message: progress("diagnose", f"  {message}"),
+        records=check_records(folder, results) if looked_at_records else (),
+        idle_frf=None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results)),
+        exclude_bands=left_out(results),
+        between=results.settings.get("between") or {},
+    )
     if not found.effects:
         raise MissingError(f"the diagnosis suggests no effect (verdict {found.verdict})", where=folder)
     return list(found.effects)
 
 
-def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> Answer:
+def change(folder: ResultsFolder, results: Results, effects: list[Effect], progress: Progress) -> Refit:
     """Refit with these effects, rewrite the folder's errors by step and model, and tell what it did."""
     from operando.compare import with_effect
     from operando.diagnosis import RecordsApplied, apply_effects, apply_to_records
@@ -127,16 +207,15 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
     runs, band = judging(results)
     applied: Applied
     before = results.diagnosis or {}
-    with following() as say:
-        say("refit", "…")
-        options: dict[str, Any] = {"geometry": results.geometry, "progress": lambda message: say("refit", f"  {message}")}
-        if need_records(effects, before.get("data") or ()):
-            records = check_records(str(folder.path), results)
-            applied = apply_to_records(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
-        else:
-            at_rest = None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results))
-            between = results.settings.get("between") or None
-            applied = apply_effects(idle, effects, check=runs, band=band, idle_frf=at_rest, between=between, **options)
+    progress("refit", "…")
+    options: dict[str, Any] = {"geometry": results.geometry, "progress": lambda message: progress("refit", f"  {message}")}
+    if need_records(effects, before.get("data") or ()):
+        records = check_records(str(folder.path), results)
+        applied = apply_to_records(idle, effects, records, band=band or idle.band_hz, exclude_bands=left_out(results), **options)
+    else:
+        at_rest = None if results.idle_frf is None else results.idle_frf.without_bands(left_out(results))
+        between = results.settings.get("between") or None
+        applied = apply_effects(idle, effects, check=runs, band=band, idle_frf=at_rest, between=between, **options)
     done = applied.to_dict()
     # What the diagnosis found by itself stays on record, so that the report never takes a change by hand for its verdict.
     by_hand = {"found": (before.get("by_hand") or {}).get("found", before.get("effects", [])), "words": done["words"]}
@@ -156,7 +235,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect]) -> An
             folder.stage(output.name, None, output.of(results))
     folder.commit()
     words = [*applied.words, "", *_now(done["effects"])] if applied.words else ["the idle model alone"]
-    return Answer({"schema": "operando/ladder/1", **done}, "\n".join([*words, "", steps_table(done["ladder"], done["judged_on"])]))
+    return Refit(done, tuple(words))
 
 
 def _now(effects: list[dict[str, Any]]) -> list[str]:
