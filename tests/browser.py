@@ -64,10 +64,10 @@ class Browser:
         assert "error" not in answer, answer
         return answer["result"]
 
-    def open(self, path: Path) -> None:
-        """Load a page, to the end."""
+    def open(self, path: Path | str) -> None:
+        """Load a page, by its file or its address, to the end."""
         self._events.clear()
-        self.call("Page.navigate", url=path.as_uri())
+        self.call("Page.navigate", url=path if isinstance(path, str) else path.as_uri())
         self._until(lambda: "Page.loadEventFired" in self._events)
 
     def run(self, script: str) -> object:

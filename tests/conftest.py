@@ -32,3 +32,30 @@ def own_kinds_gone():
     yield
     for name in set(catalogue()) - before:
         unregister(name)
+
+
+@pytest.fixture(scope="session")
+def chain_results(tmp_path_factory):
+    """A small test with all three states, run once: the folder of its files and, inside, ``results``. Copy it to change it."""
+    import measurements
+    from operando.pipeline import run
+
+    folder = tmp_path_factory.mktemp("chain")
+    path = measurements.write_test(folder)
+    path.write_text(path.read_text(encoding="utf-8") + "\n# kept as it is\n", encoding="utf-8")
+    run(path, folder / "results")
+    return folder
+
+
+@pytest.fixture
+def chain_test(chain_results, tmp_path):
+    """A copy of that test to change: its folder."""
+    import shutil
+
+    from operando.pipeline.folder import results_folder
+
+    folder = tmp_path / "chain"
+    shutil.copytree(chain_results, folder)
+    with results_folder(folder / "results", "test") as results:
+        results.came_from(folder / "test.toml")
+    return folder

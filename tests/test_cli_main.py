@@ -48,6 +48,7 @@ def test_commands_of_the_contract_are_there():
         "effects",
         "convert",
         "report",
+        "workbench",
         "campaign",
         "completion",
     ]

@@ -19,7 +19,22 @@ from operando.data import ModalModel
 from operando.io import write_uff
 
 SOURCE = Path(operando.__file__).resolve().parent
-HEAVY = ("matplotlib", "pandas", "sdypy", "pyoma2", "pyuff", "h5py", "sklearn", "plotly", "dash", "rich", "pydantic")
+HEAVY = (
+    "matplotlib",
+    "pandas",
+    "sdypy",
+    "pyoma2",
+    "pyuff",
+    "h5py",
+    "sklearn",
+    "plotly",
+    "dash",
+    "rich",
+    "pydantic",
+    "flask",
+    "werkzeug",
+    "tomlkit",
+)
 
 # Each room with its level; a room imports only from levels above (smaller numbers) and from itself.
 LEVELS = {
@@ -40,7 +55,7 @@ LEVELS = {
     "states": 17,
     "config": 18, "scaffold": 18,
     "pipeline": 19,
-    "campaign": 20,
+    "campaign": 20, "workbench": 20,
     "cli": 21,
 }  # fmt: skip
 NUMERIC = (

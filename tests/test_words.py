@@ -84,7 +84,7 @@ def prose_of_page(text: str) -> str:
     return re.sub(r"\s+", " ", text)
 
 
-TEMPLATES = sorted((SRC / "report" / "templates").glob("*.j2"))
+TEMPLATES = sorted(p for room in ("report", "workbench") for p in (SRC / room / "templates").glob("*.j2"))
 TO_COME = {f"diagnosis/{name}.py" for name in (
     "case", "search",
 )}  # fmt: skip

@@ -24,11 +24,12 @@ from operando.printable import printable
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: one JSON document, a short text, and the error if part of the work failed."""
+    """What a command found: one JSON document, a short text, the error if part of the work failed, and what goes on after it is said."""
 
     document: dict[str, Any]
     text: str
     failure: OperandoError | None = None
+    then: Callable[[], None] | None = None
 
 
 _VERBOSITY = "operando.verbosity"
@@ -124,6 +125,8 @@ def answers(function: Callable[..., Answer]) -> Callable[..., int]:
         if answer.failure is not None:
             say(f"operando: {answer.failure}")
             return 1
+        if answer.then is not None:
+            answer.then()
         return 0
 
     return body

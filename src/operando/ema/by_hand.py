@@ -49,11 +49,8 @@ def modes_by_hand(
     """
     terms, details = automatic.terms, automatic.details
     n = automatic.n_modes
-    doubtful = _doubtful_terms(automatic)
-    known = [(float(terms.frequencies_hz[i]), float(terms.damping_ratios[i]), i) for i in (*range(n), *doubtful)]
-    # a candidate within a few half bandwidths of a pole that the answer has is that pole, less exactly
-    apart = lambda c: all(abs(c.frequency_hz - h) > NEAR_WIDTHS * z * h for h, z, _ in known)  # noqa: E731
-    pool = known + [(c.frequency_hz, c.damping_ratio, -1) for c in details.candidates if apart(c)]
+    pool = poles_by_hand(automatic)
+    known = [pole for pole in pool if pole[2] >= 0]
     for name, given in (("modes_hz", modes_hz), ("select_hz", select_hz), ("reject_hz", reject_hz)):
         numbers_of(list(given), name, "give frequencies in Hz, as [12.1, 15.5]")
     chosen = [] if modes_hz else known[:n]
@@ -88,6 +85,35 @@ def modes_by_hand(
     # On unused lines the automatic modes were judged, not these.
     misfit = automatic.misfit if not new and not dropped else None
     return replace(model, details=own, misfit=misfit, provenance=model.provenance.then("modes by hand: " + "; ".join(said)))
+
+
+def poles_by_hand(automatic: ModalModel) -> list[tuple[float, float, int]]:
+    """Poles that may be named by hand in ``modes_hz`` and ``select_hz``.
+
+    Parameters
+    ----------
+    automatic : ModalModel
+        Of :func:`operando.fit_ema` without anything named by hand.
+
+    Returns
+    -------
+    list of (float, float, int)
+        Frequency [Hz], damping ratio, and the term of the model, −1 for a pole that it does not have. Its modes come first.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from operando.ema import poles_by_hand
+    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> found = operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70))
+    >>> [round(hz) for hz, _, _ in poles_by_hand(found)[:2]]
+    [20, 45]
+    """
+    terms, known = automatic.terms, (*range(automatic.n_modes), *_doubtful_terms(automatic))
+    poles = [(float(terms.frequencies_hz[i]), float(terms.damping_ratios[i]), i) for i in known]
+    # a candidate within a few half bandwidths of a pole that the answer has is that pole, less exactly
+    apart = lambda c: all(abs(c.frequency_hz - h) > NEAR_WIDTHS * z * h for h, z, _ in poles)  # noqa: E731
+    return poles + [(c.frequency_hz, c.damping_ratio, -1) for c in automatic.details.candidates if apart(c)]
 
 
 def _doubtful_terms(model: ModalModel) -> list[int]:

@@ -1,0 +1,90 @@
+"""A process that does one piece of work for the workbench: the task a line on stdin, what it says lines on what was stdout.
+
+It ends when the workbench does, however that ends: the end of stdin says so.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+
+def main() -> None:
+    """Do the task and end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the workbench; its end is ours
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what a library prints belongs to the log
+
+    def say(document: dict[str, Any]) -> None:
+        print(json.dumps(document), file=answers, flush=True)
+
+    task = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_stdin, daemon=True).start()
+    say(done(task, lambda stage, message: say({"stage": stage, "message": message})))
+
+
+def _end_with_stdin() -> None:
+    sys.stdin.read()
+    atomic = sys.modules.get("operando.atomic")
+    if atomic is not None:
+        atomic.remove_unfinished()
+    os._exit(0)
+
+
+def done(task: dict[str, Any], progress: Callable[[str, str], None]) -> dict[str, Any]:
+    """What came of a task: ``{"words": [...]}``, or ``{"error": ...}`` as in ``operando/error/1``.
+
+    Parameters
+    ----------
+    task : dict
+        ``do`` is run, add, candidate, suggested or remove; ``folder``; ``test`` (its own kinds of effects are imported), and what each
+        needs.
+    progress : callable
+        Called with (stage, message).
+    """
+    from operando.errors import OperandoError
+
+    try:
+        return {"words": _words(task, progress)}
+    except OperandoError as error:
+        return {"error": error.to_dict()}
+    except (MemoryError, Exception) as error:
+        traceback.print_exc()
+        text = f"unexpected {type(error).__name__}: {error}"
+        return {"error": OperandoError(text, where="operando itself", hint="a fault of the program, not of your data").to_dict()}
+
+
+def _words(task: dict[str, Any], progress: Callable[[str, str], None]) -> list[str]:
+    from operando.config import load_test
+
+    folder, what = task["folder"], task["do"]
+    test = None if task.get("test") is None else load_test(task["test"])
+    if what == "run":
+        from operando.pipeline import run
+        from operando.pipeline.summary import failure
+
+        assert test is not None
+        results = run(test, folder, progress=progress)
+        failed = failure(results, folder)
+        if failed is not None:
+            raise failed
+        return [words for name, words in results.facts().items() if name != "Test" and words]
+    from operando.pipeline import by_hand
+
+    if what == "add":
+        return list(by_hand.add_effects(folder, task["effects"], fix=task["fix"], progress=progress).words)
+    if what == "candidate":
+        return list(by_hand.add_candidate(folder, task["number"], progress=progress).words)
+    if what == "suggested":
+        return list(by_hand.add_suggested(folder, progress=progress).words)
+    return list(by_hand.remove_effect(folder, task["step"], progress=progress).words)
+
+
+if __name__ == "__main__":
+    main()
