@@ -85,6 +85,17 @@ def test_choice_by_hand_is_honoured():
         select_modes(table, select_hz=[90.0])
 
 
+def test_a_frequency_with_all_its_digits_means_that_chain_however_short():
+    orders, shape = list(range(2, 32)), np.array([[1.0, 0.3], [0.5, -1.0]])
+    twice = [10 <= n < 14 for n in orders]
+    hz = [[20.0, 20.1] if both else [20.0] for both in twice]
+    zeta = [[0.01, 0.02] if both else [0.01] for both in twice]
+    table = classify(orders, hz, zeta, [shape if both else shape[:, :1] for both in twice])
+    assert select_modes(table).selected_hz.tolist() == [20.0]
+    assert select_modes(table, select_hz=[20.09]).selected_hz.tolist() == [20.0]
+    assert select_modes(table, select_hz=[20.1]).selected_hz.tolist() == [20.0, 20.1]
+
+
 def test_a_split_pole_is_a_duplicate_of_its_mode():
     orders, hz, zeta, vectors, shapes = diagram(n_spurious=0)
     for k in range(12, 30):

@@ -144,6 +144,7 @@ def test_modes_named_exactly_are_a_list_to_change(chain_test):
     site = Site(Bench(path, chain_test / "results"))
     site.do("leave", state="idle", hz=first)
     assert site.bench.draft.table["analysis"]["modes_hz"] == [second]
+    assert "the only mode" in site.do("leave", state="idle", hz=second).json["error"]
 
 
 def test_a_channel_is_left_out_with_a_reason_and_taken_back(site):
@@ -318,6 +319,44 @@ def test_a_test_without_results_has_pages(chain_test):
         answer = site.get(path)
         assert answer.status_code == 200
     assert "There are no results yet" in site.get("/missing").text
+
+
+def test_entries_given_by_set_are_used_and_not_written(chain_test):
+    bench = Bench(chain_test / "test.toml", chain_test / "results", ["analysis.band=[10,80]"])
+    assert bench.not_run() == ["band"]
+    site = Site(bench)
+    assert "analysis.band=[10,80]" in site.get("/panel").text
+    site.do("exclude", channel="2+Z", reason="cable")
+    site.do("save")
+    assert "90.0" in (chain_test / "test.toml").read_text()
+
+
+def test_a_test_file_changed_elsewhere_is_read_again_where_nothing_waits(site, chain_test):
+    path = chain_test / "test.toml"
+    path.write_text(path.read_text().replace("90.0", "85.0"))
+    assert "not in the results shown: band" in site.get("/panel").text
+    path.write_text("[broken")
+    assert "changed by something else" in site.get("/panel").text
+    assert "TOML" in site.do("reread").json["error"]
+
+
+def test_damaged_results_are_said_to_be(site):
+    (site.bench.folder / "model.h5").write_bytes(b"no results")
+    for path in PAGES:
+        answer = site.get(path)
+        assert answer.status_code == 200
+    assert "cannot be read" in answer.text
+
+
+def test_responses_and_references_of_measured_frfs_are_channels(tmp_path):
+    import operando
+
+    operando.write_uff(tmp_path / "idle.uff", operando.Frf([[range(1, 99)]], range(5, 103), "1+Z", "2+Z"))
+    (tmp_path / "test.toml").write_text('name = "pump"\n[idle]\nfrfs = ["idle.uff"]')
+    operando.run(tmp_path / "test.toml", tmp_path / "out", until="inspect")
+    page = Site(Bench(tmp_path / "out")).get("/data").text
+    assert "Leave 1+Z out" in page
+    assert "Leave 2+Z:force out" in page
 
 
 def test_one_work_at_a_time(site):

@@ -127,8 +127,8 @@ def select_modes(
     max_gap : int
         A chain ends when it is not seen for this many orders.
     select_hz, reject_hz : sequences of float
-        Choice by hand [Hz]: the chain nearest to each ``select_hz`` (within ``hand_tolerance``, relative) is taken whatever its length,
-        beside what is chosen automatically; the modes nearest to each ``reject_hz`` are not.
+        Choice by hand [Hz]: the chain named by each ``select_hz`` (to six digits, else the longest within ``hand_tolerance``, relative) is
+        taken, beside what is chosen automatically; the modes nearest to each ``reject_hz`` are not.
     hand_tolerance : float
         Largest relative distance of a pole from a frequency chosen by hand.
     indicator_hz, indicator : arrays, optional
@@ -239,10 +239,17 @@ def demote(stabilization: Stabilization, verdicts: Mapping[int, tuple[str, str]]
     )
 
 
+SIX_DIGITS = 5e-6
+"""Largest relative difference that six digits leave, as the workbench and the report state frequencies."""
+
+
 def _picked_by_hand(
     hz: NDArray[np.float64], zeta: NDArray[np.float64], size: NDArray[np.int_], select_hz: Sequence[float], tolerance: float
 ) -> set[int]:
-    """Chain of each frequency chosen by hand: the longest within the tolerance that no other choice is nearer to."""
+    """Chain of each frequency chosen by hand: the one named to six digits, else the longest within the tolerance.
+
+    Chains that another choice is nearer to are left to that one.
+    """
     picked: set[int] = set()
     for f in select_hz:
         others = np.array([g for g in select_hz if g != f])
@@ -260,6 +267,10 @@ def _picked_by_hand(
                 f"no pole within {100 * tolerance:g} % of {f:g} Hz, chosen by hand; {where}",
                 hint="correct select_hz, widen the band or raise the model order",
             )
+        exact = min(near, key=lambda c: abs(hz[c] - f))
+        if abs(hz[exact] - f) <= SIX_DIGITS * f:  # no frequency read off a plot: this chain is meant, however short
+            picked.add(exact)
+            continue
         # Long chains count more than exact frequency, which a user reads off a plot.
         picked.add(max(near, key=lambda c: size[c] * (1 - abs(hz[c] - f) / (tolerance * f + 1e-300) / 2)))
     return picked

@@ -80,12 +80,14 @@ def make_app(bench: Bench, token: str) -> Flask:
         )
 
     def panel() -> Any:
+        bench.look()
         draft = bench.draft
         return view.render(
             "panel.html.j2", job=bench.state(), busy=bench.busy, why_not=bench.why_not, writable=draft is not None,
             can_run=bench.test_path is not None, test="" if draft is None else str(draft.path),
             lines=[] if draft is None else draft.lines(),
             edits=0 if draft is None else len(draft.edits), not_run=bench.not_run(), new=bench.results is None,
+            unread=bench.unread, changes=bench.changes,
             changed=draft is not None and draft.changed_on_disk(),
         )  # fmt: skip
 
@@ -100,7 +102,6 @@ def make_app(bench: Bench, token: str) -> Flask:
         results, rows, poles, why = bench.results, [], [], ""
         if results is not None:
             try:
-                modes.diagram(results, analysis(), state)
                 rows, poles = modes.marked(results, analysis(), state), modes.candidates(results, analysis(), state)
             except MissingError as error:
                 why = str(error)

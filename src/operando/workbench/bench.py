@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,8 @@ class Bench:
         A results folder, a test file, or a folder that holds ``test.toml``.
     output : path, optional
         Results folder of a test file; default ``results/NAME`` here.
+    changes : sequence of str
+        Entries that take the place of those in the test file.
 
     Attributes
     ----------
@@ -35,6 +39,8 @@ class Bench:
         The test file; None where it is not known or must not be written.
     why_not : str
         Why there is none.
+    unread : str
+        Why the results cannot be read.
     test_path : Path or None
         The test file that is run; None where it is not known.
     job : Job or None
@@ -48,11 +54,11 @@ class Bench:
         If there is no such file or folder.
     """
 
-    def __init__(self, source: str | Path, output: str | Path | None = None) -> None:
+    def __init__(self, source: str | Path, output: str | Path | None = None, changes: Sequence[str] = ()) -> None:
         path = Path(source)
-        self.lock = threading.RLock()
+        self.lock, self.changes = threading.RLock(), tuple(changes)
         self.draft: Draft | None = None
-        self.why_not = ""
+        self.why_not = self.unread = ""
         self.test_path: Path | None = None
         self.job: Job | None = None
         self._loaded: tuple[Any, Results | None] = (None, None)
@@ -69,7 +75,7 @@ class Bench:
             self._refuse_example()
 
     def _open(self, path: Path) -> None:
-        self.draft = Draft(path.resolve())
+        self.draft = Draft(path.resolve(), self.changes)
         self.test_path = self.draft.path
 
     def _find_test(self) -> None:
@@ -108,10 +114,18 @@ class Bench:
                 stamp = (state.st_mtime_ns, state.st_size, state.st_ino)
                 if stamp != self._loaded[0]:
                     self._loaded = (stamp, load_results(self.folder))
-            except (OSError, MissingError):
+                self.unread = ""
+            except (OSError, OperandoError) as error:
                 if not self.busy:  # while a run puts new files in the place of old ones, the old results stay on the page
                     self._loaded = (None, None)
+                    self.unread = str(error) if isinstance(error, OperandoError) else ""
             return self._loaded[1]
+
+    def look(self) -> None:
+        """Take the test file as it is now, where no changes wait."""
+        if self.draft is not None and not self.draft.edits and self.draft.changed_on_disk():
+            with suppress(OperandoError):  # the page says that it was changed, and reading it again says what is wrong with it
+                self.draft.read_again()
 
     @property
     def busy(self) -> bool:
@@ -189,7 +203,14 @@ class Bench:
         """
         with self.lock:
             self._idle()
-            self.job = Job({"folder": str(self.folder), "test": None if self.test_path is None else str(self.test_path), **task})
+            self.job = Job(
+                {
+                    "folder": str(self.folder),
+                    "test": None if self.test_path is None else str(self.test_path),
+                    "changes": self.changes,
+                    **task,
+                }
+            )
 
     def save_and_run(self) -> None:
         """Write the changes into the test file and run the test again."""

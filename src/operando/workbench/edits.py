@@ -158,6 +158,8 @@ class Draft:
     ----------
     path : Path
         The test file.
+    changes : tuple of str
+        Entries that take the place of those in the file (``--set``); they are used and never written.
 
     Attributes
     ----------
@@ -170,13 +172,14 @@ class Draft:
     """
 
     path: Path
+    changes: tuple[str, ...] = ()
     text: str = field(init=False)
     edits: list[Edit] = field(init=False, default_factory=list)
     test: Test = field(init=False)
 
     def __post_init__(self) -> None:
         self.text = text_of(self.path)
-        self.test = parse_text(self.text, self.path)
+        self.test = self._parsed(self.text)
 
     @property
     def new_text(self) -> str:
@@ -200,7 +203,7 @@ class Draft:
         ConfigError
             If the test file would not be valid with it: the change is not kept.
         """
-        self._valid([*self.edits, edit])
+        self._parsed(edited(self.text, [*self.edits, edit]))
         self.edits.append(edit)
 
     def undo(self) -> None:
@@ -208,8 +211,8 @@ class Draft:
         if self.edits:
             self.edits.pop()
 
-    def _valid(self, edits: Sequence[Edit]) -> None:
-        parse_text(edited(self.text, edits), self.path)
+    def _parsed(self, text: str) -> Test:
+        return parse_text(text, self.path, self.changes)
 
     def changed_on_disk(self) -> bool:
         """Whether the file says something else than when it was read."""
@@ -221,7 +224,7 @@ class Draft:
     def read_again(self) -> list[str]:
         """Take the file as it is now; changes that do not fit it any more go, and are named."""
         text, edits = text_of(self.path), self.edits
-        self.test = parse_text(text, self.path)
+        self.test = self._parsed(text)
         self.text, self.edits, gone = text, [], []
         for edit in edits:
             try:
@@ -240,6 +243,8 @@ class Draft:
         WriteError
             If it cannot be written.
         """
+        if not self.edits:
+            return
         if self.changed_on_disk():
             raise ConfigError(
                 "the test file was changed meanwhile by something else, and nothing was written",
@@ -247,10 +252,7 @@ class Draft:
                 hint="read it again: your changes stay in the list and are made on the new text",
             )
         new = self.new_text
-        if new == self.text:
-            self.edits = []
-            return
-        test = parse_text(new, self.path)
+        test = self._parsed(new)
         with writing(self.path):
             marked = self.path.read_bytes().startswith(b"\xef\xbb\xbf")
             mode = self.path.stat().st_mode

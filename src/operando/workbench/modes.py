@@ -79,6 +79,8 @@ def leave(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, 
     for key in (*(("modes_hz",) if state == "idle" else ()), f"{keys}select_hz"):
         for entry in table.get(key) or ():
             if _nearest(poles, entry) == _nearest(poles, hz):
+                if key == "modes_hz" and len(table[key]) == 1:
+                    raise ConfigError(f"{float(entry):.5g} Hz is the only mode of modes_hz", hint="take another one first")
                 return TakeFrom(key, float(entry)), f"{float(entry):.5g} Hz is not taken by hand any more"
     mode = _nearest([float(f) for f in model.frequencies_hz], hz)
     if mode is None or abs(mode - hz) > NEAR * hz:
@@ -183,7 +185,7 @@ def candidates(results: Results, table: Table, state: str) -> list[dict[str, Any
         known = _chains(kept)
     poles, band = [hz for hz, _, _ in known], model.band_hz or (0.0, np.inf)
     modes = {_nearest(poles, m["hz"]) for m in marked(results, table, state)}
-    reasons = [*getattr(model.details, "rejected", ()), *kept.rejected]
+    reasons = [r for r in (*getattr(model.details, "rejected", ()), *kept.rejected) if r.damping_ratio > 0]  # others are no such poles
     rows = []
     for hz, zeta, share in sorted(known, key=lambda pole: -pole[2]):
         if hz not in modes and band[0] <= hz <= band[1]:

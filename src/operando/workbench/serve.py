@@ -65,11 +65,6 @@ class Served:
         self._server.server_close()
 
 
-def serving(bench: Bench, port: int = 0) -> Served:
-    """A workbench with its address; see :class:`Served`."""
-    return Served(bench, port)
-
-
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from operando.report.parts import environment, without_blank_lines
 from operando.report.sections_diagnosis import candidate_words
-from operando.report.words_diagnosis import diagnosis_words, effect_words, found_intro, kind_words, lines_words
+from operando.report.words_diagnosis import diagnosis_words, effect_words, found_by_itself, found_intro, kind_words, lines_words
 from operando.results import Results
 from operando.structure.effects import catalogue
 from operando.units import written_unit
@@ -43,6 +43,7 @@ def effects(results: Results) -> dict[str, Any]:
     """
     document = results.diagnosis
     shown: dict[str, Any] = {"words": None, "left_out": results.left_out.get("diagnose"), "can_add": bool(results.idle and results.check)}
+    shown["suggests"] = document is not None and bool(found_by_itself(document))
     shown |= {"kinds": _kinds(results), "dofs": [] if results.idle is None else [str(d) for d in results.idle.dofs]}
     if document is None:
         return shown
@@ -92,25 +93,15 @@ def channels(results: Results, table: Mapping[str, Any]) -> dict[str, Any]:
     entries: Mapping[str, Any] = table.get("channels", {})
     rows: dict[str, dict[str, Any]] = {}
     for file in results.inventory:
-        for channel in file.get("channels") or ():
-            force = channel["quantity"] in ("force", "moment")
-            label, name = str(channel.get("dof") or ""), str(channel.get("name") or "")
+        for label, name, quantity, unit in _measured(file):
+            force = quantity in ("force", "moment")
             key = _entry_of(entries, label, name, force)
-            row = rows.setdefault(key, {"key": key, "label": label, "name": name, "quantity": channel["quantity"], "states": {},
-                                        "units": set(), "force": force, "findings": []})  # fmt: skip
-            state = row["states"].setdefault(file.get("used_for") or "unused", [])
-            state.append(file["file"])
-            row["units"].add(channel.get("source_unit") or "not stated")
-    for finding in results.findings:
-        for row in rows.values():
-            if (
-                finding.dof
-                and finding.dof.removesuffix(":force") in (row["label"], row["name"])
-                and finding.dof.endswith(":force") <= row["force"]
-            ):
-                row["findings"].append(finding)
-    for row in rows.values():
-        row["excluded"] = row["key"] in entries and bool(entries[row["key"]].get("exclude"))
+            row = rows.setdefault(key, {"key": key, "label": label, "name": name, "quantity": quantity, "states": {}, "units": set()})
+            row["states"].setdefault(file.get("used_for") or "unused", []).append(file["file"])
+            row["units"].add(unit)
+            row["findings"] = [f for f in results.findings if f.dof and f.dof in (label, name, key)]
+    for key, row in rows.items():
+        row["excluded"] = bool(entries.get(key, {}).get("exclude"))
     gone = [
         {"key": key, "reason": entry.get("reason", ""), "to_come": key in rows} for key, entry in entries.items() if entry.get("exclude")
     ]
@@ -119,6 +110,15 @@ def channels(results: Results, table: Mapping[str, Any]) -> dict[str, Any]:
     used = results.settings.get("band") or (None if results.idle is None else results.idle.band_hz)
     return {"rows": [row for row in rows.values() if not row["excluded"]], "gone": gone, "band": band, "used": used,
             "excluded": analysis.get("exclude_bands") or [], "findings": results.findings}  # fmt: skip
+
+
+def _measured(file: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+    """DOF, name, quantity and stated unit of what a file measures: its channels, or the responses and references of its FRFs."""
+    for channel in file.get("channels") or ():
+        yield str(channel.get("dof") or ""), str(channel.get("name") or ""), channel["quantity"], channel.get("source_unit") or "not stated"
+    for key, quantity in (("frf_responses", "response of FRFs"), ("frf_references", "force")):
+        for label in file.get(key) or ():
+            yield str(label), "", quantity, ""
 
 
 def _entry_of(entries: Mapping[str, Any], label: str, name: str, force: bool) -> str:

@@ -43,8 +43,8 @@ def done(task: dict[str, Any], progress: Callable[[str, str], None]) -> dict[str
     Parameters
     ----------
     task : dict
-        ``do`` is run, add, candidate, suggested or remove; ``folder``; ``test`` (its own kinds of effects are imported), and what each
-        needs.
+        ``do`` is run, add, candidate, suggested or remove; ``folder``; ``test`` with ``changes`` (its own kinds of effects are imported),
+        and what each needs.
     progress : callable
         Called with (stage, message).
     """
@@ -64,7 +64,7 @@ def _words(task: dict[str, Any], progress: Callable[[str, str], None]) -> list[s
     from operando.config import load_test
 
     folder, what = task["folder"], task["do"]
-    test = None if task.get("test") is None else load_test(task["test"])
+    test = None if task.get("test") is None else load_test(task["test"], task.get("changes", ()))
     if what == "run":
         from operando.pipeline import run
         from operando.pipeline.summary import failure

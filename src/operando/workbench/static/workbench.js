@@ -199,7 +199,7 @@ Diagram.prototype = {
       var color = {taken: '#00558a', 'left out': '#a33a00', 'to come': '#00664a'}[m.now], x = self.px(m.hz);
       draw('line', inside, {x1: x, x2: x, y1: self.top, y2: self.top + self.h, stroke: color, 'stroke-width': m.now === 'taken' ? 1 : 2, 'stroke-dasharray': m.now === 'left out' ? '6 4' : 'none', opacity: 0.75});
       if (x - last < 16 && m.now === 'taken') return;
-      draw('text', inside, {x: x, y: self.top - 8, 'text-anchor': 'middle'}, m.now === 'to come' ? '+' : m.now === 'left out' ? '−' + m.number : String(m.number)).style.fill = color;
+      draw('text', inside, {x: Math.max(x, last + 14), y: self.top - 8, 'text-anchor': 'middle'}, m.now === 'to come' ? '+' : m.now === 'left out' ? '−' + m.number : String(m.number)).style.fill = color;
       last = x;
     });
     this.cursor = draw('circle', s, {r: 8, fill: 'none', stroke: '#1f2933', 'stroke-width': 1.5, visibility: 'hidden'});
