@@ -152,7 +152,10 @@ class Case:
     def place(self, dof: int) -> str:
         """In words."""
         if dof in self.idle.midway:
-            return f"({', '.join(f'{v:.4g}' for v in self.idle.midway[dof])}) m, {str(self.dofs[dof])[-2:]}"
+            position = self.idle.midway[dof]
+            if position is None:
+                return "a motion that no sensor shows"
+            return f"({', '.join(f'{v:.4g}' for v in position)}) m, {str(self.dofs[dof])[-2:]}"
         return str(self.dofs[dof])
 
     # priors of effects

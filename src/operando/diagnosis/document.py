@@ -17,6 +17,7 @@ from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import Found
 from operando.diagnosis.terms import Term, added
+from operando.diagnosis.unseen import UNSEEN
 from operando.diagnosis.verdict import Verdict, unlike_neighbours
 from operando.results import CheckRun
 
@@ -306,6 +307,8 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
 
 def law_proposal(law: State) -> str:
     """The measurement that would confirm a force law that is no kind of the catalogue."""
+    if law.case.idle.midway:
+        return UNSEEN
     where = " and ".join(law.case.place(i) for i in law.terms[0].places)
     at = f"connects {where}" if len(law.terms[0].places) > 1 else f"acts at {where}"
     return f"take away what {at}, or measure the force in it while the machine runs: the error must go with it"

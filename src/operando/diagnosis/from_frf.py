@@ -157,7 +157,7 @@ def diagnose_frf(
         # effects at two sensors may stand for one between them, and an absorber for a mode that is lacking
         elsewhere = AT_FIRST if left() else 1 if between_sensors(found.best, geometry) else 0
         modes = left() or any(t.kind == "tuned_absorber" for t in found.best.terms)
-        if asked_for_all and (elsewhere or modes):
+        if asked_for_all and found.unnamed is None and (elsewhere or modes):
             found, odds = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
             found = with_validation(found)
         if 0 < len(found.best.terms) <= AT_FIRST and left():

@@ -19,6 +19,7 @@ from operando.diagnosis.posterior import State, approach, fit, on_validation_lin
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_scan
 from operando.diagnosis.search import DEPTH, HALVED, Found, remounted, search
+from operando.diagnosis.unseen import with_unseen_motion
 from operando.threads import each
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
@@ -66,16 +67,11 @@ def search_both(
         odds = score(best) - rival.asked(sorted(fewer, key=len), best.alpha, best.log_evidence)
         if odds > EARNED:
             return same, odds
-    if again is not None and geometry is not None and not _explains(best, alone):
-        there = with_nothing_touched(same, alone, again, geometry, say)
-        if there is not None:
-            return there
-    # where kinds or locations were asked for by name (no ``again``), a law without one is no answer
-    law = None if again is None or best.alpha < LOOSE else with_free_law(one_set_up, max(alone.log_evidence, best.log_evidence), say)
-    if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
-        odds = score(law) - rival.asked([best.terms] if best.terms else [], best.alpha)
-        if odds > EARNED:
-            return replace(same, unnamed=law), odds
+    # where kinds or locations were asked for by name (no ``again``), what has none of them is no answer
+    if again is not None and not _explains(best, alone):
+        other = no_effect_at_a_sensor(same, alone, rival, one_set_up, again, geometry, say)
+        if other is not None:
+            return other
     lacking = None
     if again is not None and alone.alpha >= LOOSE and (grown := grown_by_a_mode([alone])):
         lacking = with_mode(grown[0], again, max(rival.score, score(best)), say)
@@ -101,19 +97,53 @@ def _explains(state: State, alone: State) -> bool:
     return state.alpha < LOOSE and score(state) > score(alone) and on_validation_lines(state)[0] < MOST_CHI_SQUARE
 
 
+def no_effect_at_a_sensor(
+    found: Found,
+    alone: State,
+    rival: Rival,
+    case: Case,
+    again: Callable[[Idle], Sequence[Case]],
+    geometry: Geometry | None,
+    say: Say,
+) -> tuple[Found, float] | None:
+    """What explains the lines with nothing touched where effects at sensors do not, with its log odds against another day.
+
+    In this order: an effect at a place between sensors, a force law of no kind in the catalogue, a law on motions that no sensor shows.
+    """
+    best = found.best
+    there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say)
+    if there is not None:
+        return there
+    floor = max(alone.log_evidence, best.log_evidence)
+    law = with_free_law(case, floor, say)
+    if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
+        odds = score(law) - max(score(best), rival.asked([best.terms] if best.terms else [], best.alpha))
+        if odds > EARNED:
+            return replace(found, unnamed=law), odds
+    hidden = with_unseen_motion(case, again, floor, say)
+    if hidden is None:
+        return None
+    if geometry is not None and len(hidden.terms) == 1:  # it may be that of a place between sensors, whose shapes are nearly known
+        there = with_nothing_touched(found, alone, again, geometry, say, led=False)
+        if there is not None and score(there[0].best) > score(hidden):
+            return there
+    odds = score(hidden) - max(score(best), rival.score)
+    return (replace(found, unnamed=hidden), odds) if odds > EARNED else None
+
+
 def with_nothing_touched(
-    found: Found, alone: State, again: Callable[[Idle], Sequence[Case]], geometry: Geometry, say: Say
+    found: Found, alone: State, again: Callable[[Idle], Sequence[Case]], geometry: Geometry, say: Say, led: bool = True
 ) -> tuple[Found, float] | None:
     """One effect at a place between sensors where nothing was touched, with its log odds; None where none explains the lines.
 
-    Searched where such a place leaves less than all sensors do, robustly and with nothing else freed.
+    Where ``led``, searched only where such a place leaves less than all sensors do, robustly and with nothing else freed.
     """
     wider = with_midway(found.empty.case.uncompressed, geometry)
     if wider is None:
         return None
     days, one_set_up = again(wider)
     scanned = one_set_up.at_rest["robust"] = robust_scan(one_set_up, one_set_up.forward.start)
-    if not scanned or not wider.midway.keys() & set(scanned[0][1].places):
+    if not scanned or (led and not wider.midway.keys() & set(scanned[0][1].places)):
         return None
     say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
     rival = Rival(days, alone)

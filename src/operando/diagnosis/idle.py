@@ -81,7 +81,7 @@ class Idle:
     driven : (DOFs,) bool array
         Driven at rest.
     midway : dict
-        DOF between sensors → its position [m].
+        DOF between sensors → its position [m]; None of a motion that no sensor shows, which has none.
     lacking : int, optional
         A mode that the idle model lacks, there only with an effect of that kind.
     first_order : bool
@@ -102,7 +102,7 @@ class Idle:
     shapes: Moves
     lags: Moves
     driven: Array
-    midway: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    midway: dict[int, tuple[float, float, float] | None] = field(default_factory=dict)
     lacking: int | None = None
     first_order: bool = True
 

@@ -178,7 +178,8 @@ def shape_spread(place: Midway, phi: Array, hz: Array, modes: Array) -> Array:
 
 def located(geometry: Geometry | None, idle: Idle) -> Geometry | None:
     """The geometry with the places between sensors that an idle model has."""
-    if geometry is None or not idle.midway:
+    places = {i: position for i, position in idle.midway.items() if position is not None}
+    if geometry is None or not places:
         return geometry
-    nodes = (*geometry.nodes, *(idle.dofs[i].node for i in idle.midway))
-    return replace(geometry, nodes=nodes, coordinates=np.concatenate([geometry.coordinates, np.array([*idle.midway.values()])]))
+    nodes = (*geometry.nodes, *(idle.dofs[i].node for i in places))
+    return replace(geometry, nodes=nodes, coordinates=np.concatenate([geometry.coordinates, np.array([*places.values()])]))

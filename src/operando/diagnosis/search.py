@@ -50,7 +50,8 @@ class Found:
     pool : dict
         All fitted states, by kinds and places.
     unnamed : State, optional
-        With a force law that is no kind of the catalogue, where it explains the lines and nothing else does.
+        With what explains the lines where nothing else does, and is no effect of the catalogue at a location: a force law of no kind, or
+        one on motions that no sensor shows.
     """
 
     best: State

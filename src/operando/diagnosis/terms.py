@@ -169,7 +169,7 @@ class Term:
         dofs: Sequence[Dof],
         std: Sequence[float],
         band: tuple[float, float],
-        midway: Mapping[int, tuple[float, float, float]],
+        midway: Mapping[int, tuple[float, float, float] | None],
     ) -> Effect:
         """With units, place and standard deviations; ``midway`` are the positions of DOFs without a sensor."""
         definition = self.definition

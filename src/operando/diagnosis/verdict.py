@@ -29,6 +29,7 @@ from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.search import Found
 from operando.diagnosis.terms import BY_SLOPE, Term
+from operando.diagnosis.unseen import unseen_text
 from operando.dof import Dof
 from operando.indicators import INTERVAL
 from operando.threads import each
@@ -238,7 +239,8 @@ def verdict(found: Found, rest: State | None) -> Verdict:
     """
     best = found.best
     if found.unnamed is not None:
-        return Verdict("unexplained", free_law_text(found.unnamed), (), [], detectable(best))
+        text = unseen_text if found.unnamed.case.idle.midway else free_law_text
+        return Verdict("unexplained", text(found.unnamed), (), [], detectable(best))
     name, why = verdict_and_reason(found, rest, unseen(best))
     terms = best.terms if name not in ("inconclusive", "no_misfit", "unexplained") else ()
     least = detectable(best)
