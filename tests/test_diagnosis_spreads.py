@@ -12,12 +12,14 @@ from operando.diagnosis.between import SPREAD_FACTOR, STATED
 from operando.diagnosis.criteria import LEAST_DISCREPANCY, UNUSUAL
 from operando.diagnosis.days import unlike_days, untouched
 from operando.diagnosis.descent import _NOTHING, Descent
-from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names
+from operando.diagnosis.posterior import NEAR, approach, fit, likely_alpha, linear_evidence, names, on_validation_lines
 from operando.diagnosis.problem import Problem
+from operando.diagnosis.rival import score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import search
+from operando.diagnosis.search import RIVALS, Found, search
 from operando.diagnosis.spreads import likely_spreads, log_prior, rescaled
 from operando.diagnosis.terms import Term
+from operando.diagnosis.verdict import verdict_and_reason
 from test_diagnosis import N, add_damper, add_mass, case
 
 
@@ -128,6 +130,23 @@ def test_sensors_together_not_one_of_them_tell_that_spreads_are_beyond_laborator
         by[some] = size
         problem, x = rescaled(state.problem, state.problem.packed(state.x), by)
         assert unlike_days(replace(state, problem=problem, x=problem.point(x))) is beyond
+
+
+@pytest.mark.parametrize(("nats", "name"), [(0.99 * RIVALS, "unexplained"), (1.01 * RIVALS, "partial")])
+def test_an_effect_beside_differences_that_no_laboratory_has_is_partial_where_the_evidence_is_large(nats, name):
+    """Such differences explain most of the error without the effect as well: what it lowers the error by says nothing."""
+    one = case(add_mass)
+    best = fit(one, started(one, Term("point_mass", (1,), (float(np.log(0.4)),))), 0.1)
+    by = np.zeros(one.between.log_factors.size)
+    by[one.between.estimated[0][0]] = 1.01 * UNUSUAL * SPREAD_FACTOR
+    problem, x = rescaled(best.problem, best.problem.packed(best.x), by)
+    far = replace(best, problem=problem, x=problem.point(x))
+    empty = fit(one, one.forward.start, 0.1)
+    empty.log_evidence += score(far) - score(empty) - nats
+    empty._validated = on_validation_lines(far)
+    found = Found(far, empty, {})
+    verdict, why = verdict_and_reason(found, None)
+    assert (verdict, "more than between days" in why) == (name, True)
 
 
 def test_channels_that_are_as_they_were_tell_that_it_was_no_other_day():

@@ -2,6 +2,7 @@
 
 A rotation, a direction that no sensor has, or a part without one: over the modes such an effect changes the dynamic stiffness by z(ω) B Bᵀ,
 with the law z of its kind and B (modes, motions) of low rank. Three motions are as many as one node has in translation, or in rotation.
+More columns than the rank leave fewer local minima (Burer & Monteiro, Math. Program. 95, 2003, 329–357).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _MOTIONS = 3
 _LAWS, _STARTS = 2, 4  # laws followed beyond one motion, and starts of the least squares of each motion
 _GAIN = 1e-3  # of the cost, below which a step is the last: a fit with all unknowns follows
 _SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0])  # of a start, over what stops the motion of its sensor
-_NEAR = 2.0  # times the least cost, up to which a law and a number of motions are fitted with all unknowns
+_NEAR = 1.5  # times the least cost, up to which a law and a number of motions are fitted with all unknowns
 _TOLD = 3  # modes that are named
 _LIKE = 0.5  # part of the motion of a sensor from which it is named as one that moves alike
 
@@ -154,8 +155,10 @@ def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floo
     least = min((way.cost for way in ways), default=np.inf)
     if not least < HALVED * nothing.cost:
         return None
-    ends = each(lambda way: _fitted(case, again, way, floor), [way for way in ways if way.cost < _NEAR * least])
-    best = max((state for state in ends if state is not None), key=score, default=None)
+    best: State | None = None
+    for way in sorted((way for way in ways if way.cost < _NEAR * least), key=lambda way: way.cost):
+        state = _fitted(case, again, way, floor if best is None else max(floor, best.log_evidence))
+        best = state if best is None or (state is not None and score(state) > score(best)) else best
     if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
         return None
     say(f"{_what(best)}: {best.log_evidence:.1f}, discrepancy {best.alpha:.4f}")
@@ -220,17 +223,28 @@ def _what(state: State) -> str:
 
 def unseen_share(state: State) -> tuple[Array, Array]:
     """What acts, over what each mode in band has [%], with standard deviations: of its mass, stiffness or damping."""
-    idle, term = state.case.forward.idle, state.terms[0]
-    w0, modes = 2 * np.pi * idle.f[idle.modes], idle.modes
-    whole = {"point_mass": np.ones(modes.size), "ground_spring": w0**2, "ground_damper": 2 * idle.zeta[modes] * w0}[term.kind]
+    idle, term, problem = state.case.forward.idle, state.terms[0], state.problem
+    modes, moved = idle.modes, state.case.forward.moved(state.x)
+    w0, zeta = 2 * np.pi * moved.f[modes], moved.zeta[modes]
+    f_root, zeta_root = idle.f_root[modes] / moved.f[modes, None], idle.zeta_root[modes] / zeta[:, None]
+    whole, by_g = {
+        "point_mass": (np.ones(modes.size), 0 * f_root),
+        "ground_spring": (w0**2, 2 * f_root),
+        "ground_damper": (2 * zeta * w0, f_root + zeta_root),
+    }[term.kind]
     unit = 100 * term.sign * float(np.exp(term.values[0])) / whole
     at = [t.places[0] for t in state.terms]
-    shapes, problem = _shapes(state)[:, modes], state.problem
+    shapes = moved.phi[at][:, modes]
     share = unit * np.sum(shapes**2, axis=0)
-    slope = np.concatenate([2 * (unit * row)[:, None] * idle.shapes.own[i, modes] for i, row in zip(at, shapes, strict=True)], axis=1)
+    # by the unknowns of the idle model, and by the shape values of the motions
+    slope = np.concatenate(
+        [-share[:, None] * by_g, *(2 * (unit * row)[:, None] * idle.shapes.own[i, modes] for i, row in zip(at, shapes, strict=True))],
+        axis=1,
+    )
     reaching = np.concatenate([[dof] * unknowns.size for dof, unknowns in problem.reaching])
-    own = problem.n_values + np.concatenate([np.flatnonzero(reaching == i)[: state.case.forward.n_shape] for i in at])
-    covariance = state.factor.shared_covariance(problem.values_at)[np.ix_(own, own)]
+    own = [np.flatnonzero(reaching == i)[: state.case.forward.n_shape] for i in at]
+    unknowns = np.concatenate([np.arange(idle.f_root.shape[1]), problem.values_at + problem.n_values + np.concatenate(own)])
+    covariance = state.factor.shared_covariance(0)[np.ix_(unknowns, unknowns)]
     return share, np.sqrt(np.einsum("mi,ij,mj->m", slope, covariance, slope))
 
 

@@ -27,7 +27,7 @@ from operando.diagnosis.posterior import State, left_on, on_validation_lines, wi
 from operando.diagnosis.result import spacing
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import LinearScan
-from operando.diagnosis.search import Found
+from operando.diagnosis.search import RIVALS, Found
 from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.diagnosis.unseen import unseen_text
 from operando.dof import Dof
@@ -267,7 +267,10 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
     if lost or far or still or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
         before = on_validation_lines(found.empty)[1]
-        if best.terms and supported(best) and db**2 < (1 - LOWERED) * before**2:
+        # what differs between the days explains most of the error without an effect as well: there the evidence speaks for it
+        by_days = far and not lost and not still and chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED
+        lowered = db**2 < (1 - LOWERED) * before**2 or (by_days and score(best) > score(found.empty) + RIVALS)
+        if best.terms and supported(best) and lowered:
             return "partial", lost or still or far or "the effects lower the error, and something remains"
         if lost:
             return "inconclusive", lost
@@ -275,7 +278,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
             return "unexplained", still
         if far and not best.terms:
             return "inconclusive", far
-        return "unexplained", f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
+        left = f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
+        return "unexplained", far or left
     if unlike := unlike_neighbours(best):
         return "unexplained", unlike
     sets = [s.terms for s in others(found)]
