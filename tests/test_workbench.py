@@ -19,6 +19,8 @@ from operando.pipeline.folder import results_folder
 from operando.store import load_results
 from operando.workbench import Bench
 from operando.workbench.app import make_app
+from operando.workbench.edits import TakeFrom
+from operando.workbench.modes import leave
 
 TOKEN = "token-of-the-test"
 HEAD = {"X-Operando-Token": TOKEN}
@@ -135,6 +137,17 @@ def test_a_pole_that_is_a_mode_is_not_taken_twice(site):
     assert "is a mode already" in answer.json["error"]
     assert site.do("take", state="idle", hz=3.0).json["error"].startswith("no stable pole")
     assert site.bench.draft.edits == []
+
+
+def test_a_mode_that_the_fit_moved_is_the_one_taken_by_hand(chain_results):
+    """Its frequency is not that of the pole chosen; leaving it out takes the choice back."""
+    results = load_results(chain_results / "results")
+    first, second = (float(hz) for hz in results.idle.frequencies_hz[:2])
+    chosen = 0.45 * first + 0.55 * second  # the fit moved it to ``first``
+    results.automatic = results.idle.select_modes(range(1, results.idle.n_modes))
+    edit, words = leave(results, {"select_hz": [chosen]}, "idle", first)
+    assert edit == TakeFrom("select_hz", chosen)
+    assert "not taken by hand any more" in words
 
 
 def test_modes_named_exactly_are_a_list_to_change(chain_test):
@@ -319,6 +332,7 @@ def test_a_test_without_results_has_pages(chain_test):
         answer = site.get(path)
         assert answer.status_code == 200
     assert "There are no results yet" in site.get("/missing").text
+    assert site.do("bands", low=10.0, high=70.0, excluded=[]).status_code == 200, "a band too wide for the data may be why"
 
 
 def test_entries_given_by_set_are_used_and_not_written(chain_test):

@@ -31,12 +31,17 @@ def workbench(source: str, output: str | None, changes: tuple[str, ...], port: i
     lines = [f"Workbench: {served.address}", f"Results:   {bench.folder}", f"Test file: {test}" if test else "", bench.why_not]
     text = "\n".join(line for line in [*lines, "Ctrl-C ends it."] if line)
 
-    def serve() -> None:
-        if not no_open:
-            import webbrowser
+    def show() -> None:
+        import webbrowser
 
-            if not webbrowser.open(served.address):
-                say("operando: no browser could be started; open the address above")
+        if not webbrowser.open(served.address):
+            say("operando: no browser could be started; open the address above")
+
+    def serve() -> None:
+        import threading
+
+        if not no_open:
+            threading.Thread(target=show, daemon=True).start()  # a browser in the terminal returns when it is left
         served.forever()
 
     return Answer(document, text, then=serve)

@@ -7,6 +7,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from operando.errors import ConfigError, MissingError, OperandoError
+from operando.results import Results
 from operando.structure.effects import parse_effect
 from operando.workbench import modes, view
 from operando.workbench.bench import Bench
@@ -121,9 +122,7 @@ def make_app(bench: Bench, token: str) -> Flask:
     def data_page() -> str:
         results = bench.results
         table = bench.draft.table if bench.draft is not None else {} if results is None else settings_table(results.settings)
-        return page(
-            "channels.html.j2", "data", found=None if results is None else view.channels(results, table), writable=bench.draft is not None
-        )
+        return page("channels.html.j2", "data", found=view.channels(results or Results(""), table), writable=bench.draft is not None)
 
     @app.get("/report")
     def report_page() -> str:

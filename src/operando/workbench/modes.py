@@ -76,12 +76,16 @@ def leave(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, 
     """What leaves a mode out, or does not take one any more that was chosen by hand; see :func:`take`."""
     model, keys = model_of(results, state), STATES[state]
     poles = stable_poles(results, state)
+    # the fit may have moved a mode that was taken by hand away from the pole that was chosen
+    automatic = results.automatic.frequencies_hz if state == "idle" and results.automatic is not None else model.frequencies_hz
+    added = bool(np.any(model.frequencies_hz == hz)) and not np.any(automatic == hz)
     for key in (*(("modes_hz",) if state == "idle" else ()), f"{keys}select_hz"):
-        for entry in table.get(key) or ():
-            if _nearest(poles, entry) == _nearest(poles, hz):
-                if key == "modes_hz" and len(table[key]) == 1:
-                    raise ConfigError(f"{float(entry):.5g} Hz is the only mode of modes_hz", hint="take another one first")
-                return TakeFrom(key, float(entry)), f"{float(entry):.5g} Hz is not taken by hand any more"
+        entries = [float(f) for f in table.get(key) or ()]
+        near = _nearest(entries, hz)
+        if near is not None and (added or _nearest(poles, near) == _nearest(poles, hz)):
+            if key == "modes_hz" and len(entries) == 1:
+                raise ConfigError(f"{near:.5g} Hz is the only mode of modes_hz", hint="take another one first")
+            return TakeFrom(key, near), f"{near:.5g} Hz is not taken by hand any more"
     mode = _nearest([float(f) for f in model.frequencies_hz], hz)
     if mode is None or abs(mode - hz) > NEAR * hz:
         raise ConfigError(f"there is no mode near {hz:.5g} Hz", where=f"{state} state", hint="choose one of the modes taken")
