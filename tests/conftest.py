@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+
 import pytest
 
 from operando.structure.effects import EffectKind, Parameter, catalogue, register, unregister
@@ -50,8 +53,6 @@ def chain_results(tmp_path_factory):
 @pytest.fixture
 def chain_test(chain_results, tmp_path):
     """A copy of that test to change: its folder."""
-    import shutil
-
     from operando.pipeline.folder import results_folder
 
     folder = tmp_path / "chain"
@@ -59,3 +60,17 @@ def chain_test(chain_results, tmp_path):
     with results_folder(folder / "results", "test") as results:
         results.came_from(folder / "test.toml")
     return folder
+
+
+@pytest.fixture(scope="session")
+def axe(tmp_path_factory):
+    """The script of axe-core, from the npm registry."""
+    if shutil.which("npm") is None:
+        pytest.skip("no npm to fetch axe-core with")
+    folder = tmp_path_factory.mktemp("axe")
+    order = ["npm", "install", "--prefix", str(folder), "--no-audit", "--no-fund", "--ignore-scripts", "axe-core@4"]
+    try:
+        subprocess.run(order, check=True, timeout=120, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    except (subprocess.SubprocessError, OSError):
+        pytest.skip("the npm registry does not give axe-core")
+    return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")

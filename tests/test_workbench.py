@@ -165,8 +165,8 @@ def test_a_channel_is_left_out_with_a_reason_and_taken_back(site):
     assert site.do("exclude", channel="2+Z", reason="cable").status_code == 200
     assert '"2+Z" = {exclude = true, reason = "cable"}' in site.get("/panel").text.replace("&#34;", '"')
     page = site.get("/data").text
-    assert "Take channel 2+Z back" in page
-    assert "Leave 2+Z out" not in page
+    assert "Take back channel 2+Z" in page
+    assert "Leave out 2+Z" not in page
     site.do("include", channel="2+Z")
     assert site.bench.draft.lines() == []
 
@@ -282,6 +282,7 @@ def test_a_candidate_and_the_suggestion_are_added(site):
         ("add", {"kind": "point_mas", "dofs": ["2+Z"]}, "point_mass"),
         ("add", {"kind": "point_mass", "dofs": []}, "point_mass"),
         ("add", {"kind": "point_mass", "dofs": ["2+Z"], "values": {"mass": "much"}}, "much"),
+        ("add", {"kind": "point_mass", "dofs": ["9+Z"]}, "9+Z"),
         ("take", {"state": "idle"}, "hz is no number"),
         ("take", {"hz": 1.0}, "no state"),
         ("nothing", {}, "no action"),
@@ -369,8 +370,8 @@ def test_responses_and_references_of_measured_frfs_are_channels(tmp_path):
     (tmp_path / "test.toml").write_text('name = "pump"\n[idle]\nfrfs = ["idle.uff"]')
     operando.run(tmp_path / "test.toml", tmp_path / "out", until="inspect")
     page = Site(Bench(tmp_path / "out")).get("/data").text
-    assert "Leave 1+Z out" in page
-    assert "Leave 2+Z:force out" in page
+    assert "Leave out 1+Z" in page
+    assert "Leave out 2+Z:force" in page
 
 
 def test_one_work_at_a_time(site):

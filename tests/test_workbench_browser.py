@@ -10,6 +10,7 @@ import pytest
 from browser import CHROMIUM, Browser
 from operando.config import load_test
 from operando.workbench import Bench, Served
+from operando.workbench.edits import Exclude
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 PAGES = ("modes/idle", "modes/operating", "missing", "data", "report")
@@ -144,3 +145,15 @@ def test_pages_fit_the_screen_and_complain_of_nothing(browser, served, width):
         nameless = "e => !(e.textContent.trim() || e.ariaLabel || (e.labels || []).length)"
         assert browser.run(f"Array.from(document.querySelectorAll('button, input, select')).filter({nameless}).length") == 0, page
     assert browser.errors == []
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_nothing_serious_bars_anyone_from_the_pages(browser, served, axe, width):
+    entered(browser, served, width)
+    served.bench.draft.add(Exclude("2+Z", "cable"))
+    for page in PAGES:
+        browser.open(served.address.split("?")[0] + page)
+        browser.run(f"{axe}; 0")
+        options = "{resultTypes: ['violations'], iframes: false}"
+        found = browser.run(f"axe.run(document, {options}).then(r => r.violations.map(v => [v.impact, v.id, v.nodes[0].html]))")
+        assert [v for v in found if v[0] in ("serious", "critical")] == [], page

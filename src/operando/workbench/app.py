@@ -6,6 +6,7 @@ import hmac
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from operando.dof import check_dofs
 from operando.errors import ConfigError, MissingError, OperandoError
 from operando.results import Results
 from operando.structure.effects import parse_effect
@@ -203,7 +204,8 @@ def perform(bench: Bench, what: str, given: dict[str, Any]) -> str:
     elif what == "add":
         text = _effect(given)
         results = bench.results
-        parse_effect(text, None if results is None or results.idle is None else results.idle.band_hz)
+        if results is not None and results.idle is not None:  # wrong names are said at once
+            check_dofs(parse_effect(text, results.idle.band_hz).location, results.idle.dofs, f"effect {text!r:.200}")
         bench.start(do="add", effects=[text], fix=given.get("fix") is True)
     elif what == "candidate":
         bench.start(do="candidate", number=int(_number(given, "number")))

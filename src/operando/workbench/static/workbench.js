@@ -118,7 +118,7 @@ function ticks(low, high, most) {
 function Diagram(host, data, zoom) {
   this.host = host; this.data = data; this.x = zoom || data.limits.slice(); this.shown = {};
   var self = this, tools = make('div', host, '', {'class': 'tools'});
-  [['+', 'Zoom in', 0.5], ['−', 'Zoom out', 2], ['All', 'Whole band', 0]].forEach(function (b) {
+  [['+', '+ Zoom in', 0.5], ['−', '− Zoom out', 2], ['All', 'All of the band', 0]].forEach(function (b) {
     make('button', tools, b[0], {type: 'button', 'aria-label': b[1]}).addEventListener('click', function () { self.scale(b[2]); });
   });
   Object.keys(data.letters).forEach(function (l) {
