@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, ModalModel
-from operando.diagnosis import diagnose_frf
+from operando.diagnosis import diagnose_frf, unseen
 from operando.diagnosis.case import Case
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.rival import score
-from operando.diagnosis.unseen import LowRank, Way, _fitted, unseen_share, unseen_text, with_unseen_motion
+from operando.diagnosis.unseen import _LIKE, _NEAR, LowRank, Way, _fitted, unseen_share, unseen_text, with_unseen_motion
 from operando.dof import Dof
 from operando.results import CheckRun
 
@@ -157,3 +157,27 @@ def test_a_diagnosis_says_that_no_sensor_shows_it():
     assert found.effects == ()
     assert "a mass on 2 motions that no sensor shows" in str(found.reason)
     assert "put sensors" in str(found.proposed_measurement)
+
+
+def test_laws_and_numbers_of_motions_far_from_the_least_cost_are_not_fitted(monkeypatch):
+    """_NEAR: the benchmark's right ones cost up to 1.2 times the least."""
+    case, again = asked(spring)
+    costs, fitted = (1.0, 0.99 * _NEAR, 1.01 * _NEAR), []
+    ways = [Way(("ground_spring", 1), np.ones((case.idle.modes.size, 1)), cost) for cost in costs]
+    monkeypatch.setattr(LowRank, "followed", lambda self, way: ways)
+    monkeypatch.setattr(unseen, "_fitted", lambda case, again, way, floor: fitted.append(way.cost))
+    assert with_unseen_motion(case, again, -np.inf) is None
+    assert set(fitted) == set(costs[:2])
+
+
+def test_sensors_are_named_that_move_as_the_motion_does():
+    """_LIKE: at least half of what they do in the modes is along it."""
+    state = with_unseen_motion(*asked(spring), -np.inf)
+    (term,), modes = state.terms, state.case.forward.idle.modes
+    phi = state.case.forward.moved(state.x).phi[:, modes]
+    along = phi[term.places[0]] / np.linalg.norm(phi[term.places[0]])
+    part = (phi[: len(SENSORS)] @ along) ** 2 / np.sum(phi[: len(SENSORS)] ** 2, axis=1)
+    best = np.argsort(-part)[:2]
+    text = unseen_text(state)
+    for i in range(len(SENSORS)):
+        assert (f"{DOFS[i]} (" in text) == (i in best and part[i] > _LIKE)
