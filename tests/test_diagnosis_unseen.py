@@ -157,6 +157,9 @@ def test_a_diagnosis_says_that_no_sensor_shows_it():
     assert found.effects == ()
     assert "a mass on 2 motions that no sensor shows" in str(found.reason)
     assert "put sensors" in str(found.proposed_measurement)
+    # what is missing is no noise: 0.02 % of the FRFs' rms is
+    assert found.noise_floor_db is not None
+    assert found.noise_floor_db < 0.2 * found.ladder[0]["error_db"]
 
 
 def test_laws_and_numbers_of_motions_far_from_the_least_cost_are_not_fitted(monkeypatch):

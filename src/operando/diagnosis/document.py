@@ -130,13 +130,16 @@ def judged_on(state: State, run: CheckRun) -> dict[str, Any]:
     }
 
 
-def floor_db(state: State) -> float:
-    """rms error [dB] that noise, discrepancy and what is not known of the model leave on the validation lines."""
+def floor_db(state: State, discrepancy: float | None = None) -> float:
+    """rms error [dB] that noise, discrepancy and what is not known of the model leave on the validation lines.
+
+    The discrepancy is that of the state unless another one is given: where nothing explains the lines it stands for what is missing.
+    """
     case = state.case
     at = case.lines.validation
     problem = Problem(case, state.terms, at)
     prediction = problem.predict(problem.packed(state.x))
-    variance = case.lines.variance[at] + (state.alpha * case.lines.level[at]) ** 2
+    variance = case.lines.variance[at] + ((state.alpha if discrepancy is None else discrepancy) * case.lines.level[at]) ** 2
     shared = np.concatenate([prediction.shared.real, prediction.shared.imag], 0)
     mine = np.concatenate([prediction.own.real, prediction.own.imag], 0)
     lay = lambda v: np.moveaxis(v, 1, 0).reshape(v.shape[1], -1, v.shape[3])  # noqa: E731

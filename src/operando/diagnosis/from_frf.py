@@ -337,6 +337,10 @@ def told(
         name, why = "unexplained", f"{why + '; ' if why else ''}{peaks_text(moved)}"
     shown = best.terms if said.terms and name != "unexplained" else ()
     final = best if shown else found.empty
+    if shown:
+        floor = floor_db(final)
+    elif name == "unexplained":
+        floor = floor_db(final, 0.0 if rest is None else min(rest.state.alpha, final.alpha))
     rows = ladder(final)  # what was found without support is a candidate, and the ladder ends where the model does
     elsewhere = [t for rival in rivals for t in rival.terms if t.key not in {o.key for o in best.terms}]
     ambiguous = [e for rival in rivals for e in effects_of(rival, [t for t in rival.terms if t in elsewhere])]
@@ -348,7 +352,7 @@ def told(
         tuple(rows),
         tuple(candidate_rows(found)),
         where,
-        floor if not shown else floor_db(final),
+        floor,
         ("check_frf",),
         picture(law or final),
         notes,
