@@ -15,11 +15,12 @@ from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, LOOSE, MOST_CHI_SQUARE
 from operando.diagnosis.days import strained
 from operando.diagnosis.document import judged_on, ladder, step_row
-from operando.diagnosis.from_frf import chosen_run
+from operando.diagnosis.from_frf import chosen_run, searched
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, located, with_midway
 from operando.diagnosis.posterior import State, approach, at_rest, fit
+from operando.diagnosis.rival import fitted_if_can_be
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
@@ -101,9 +102,10 @@ def apply_effects(
         known = known if rest is None else rest.idle
         correlated = CORRELATED_LINES if rest is None else rest.correlated
         known, places, geometry = _placed(known, wanted, geometry)
+        kinds = searched(None, poor=rest is not None and rest.state.alpha > EXPLAINED)
 
         def of_check(model: Idle, spreads: Mapping[str, float]) -> Case:
-            return Case(model, run.frf, band, dict(spreads), correlated=correlated)
+            return Case(model, run.frf, band, dict(spreads), kinds=kinds, correlated=correlated)
 
         lacking = next((e for e in wanted if e.kind == "missing_mode"), None)
         if lacking is not None:
@@ -168,14 +170,12 @@ def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> lis
         starts = [term]
         if term.kind in SEARCHED and not term.fixed and term.values:
             starts += [t for _, t, _ in robust_scan(case, last.x, [replace(term, values=())])][:1]
-        found = []
+        found: list[State] = []
         for start in starts:
             x = last.carried([*last.terms, start])
             for begin, alpha in ((x, last.alpha), (approach(case, x)[1], 0.03)):
-                try:
-                    found.append(fit(case, begin, alpha))
-                except np.linalg.LinAlgError:
-                    continue
+                state = fitted_if_can_be(case, begin, alpha, floor=max((s.log_evidence for s in found), default=-np.inf))
+                found += [] if state is None else [state]
         if not found:
             raise DataError(f"no FRF has {term.kind} with these values", hint="give other start values")
         states.append(max(found, key=lambda s: s.log_evidence))
