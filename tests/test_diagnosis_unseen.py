@@ -7,10 +7,11 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.diagnosis import diagnose_frf, unseen
+from operando.diagnosis.between import UNSEEN_ABOVE
 from operando.diagnosis.case import Case
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.rival import score
-from operando.diagnosis.unseen import _LIKE, _NEAR, LowRank, Way, _fitted, unseen_share, unseen_text, with_unseen_motion
+from operando.diagnosis.unseen import _LIKE, _NEAR, LowRank, Way, _fitted, unseen_share, unseen_text, with_motions, with_unseen_motion
 from operando.dof import Dof
 from operando.results import CheckRun
 
@@ -184,3 +185,12 @@ def test_sensors_are_named_that_move_as_the_motion_does():
     text = unseen_text(state)
     for i in range(len(SENSORS)):
         assert (f"{DOFS[i]} (" in text) == (i in best and part[i] > _LIKE)
+
+
+def test_above_the_band_nothing_is_known_of_a_motion_that_no_sensor_shows():
+    """A rotation has more there than any sensor: with the little of these its share of the modes would be too large."""
+    case, again = asked(masses)
+    (wide,) = again(with_motions(case.uncompressed, np.ones((2, case.uncompressed.modes.size))))
+    of_sensors = wide.between.own_above[: len(SENSORS)]
+    np.testing.assert_allclose(wide.between.own_above[len(SENSORS) :], UNSEEN_ABOVE * np.median(case.between.own_above), rtol=0.5)
+    assert wide.between.own_above[len(SENSORS) :].min() > of_sensors.max()

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from operando.diagnosis.case import COLUMNS, Case
 from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
 from operando.diagnosis.idle import Idle, Moves
-from operando.diagnosis.posterior import State, on_validation_lines
+from operando.diagnosis.posterior import State, approach, on_validation_lines
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say
 from operando.diagnosis.search import HALVED
@@ -173,7 +173,8 @@ def _fitted(case: Case, again: Callable[[Idle], Sequence[Case]], way: Way, floor
     wider = again(with_motions(known, way.b.T / np.sqrt(size)))[-1]
     new = range(len(known.dofs), len(wider.dofs))
     terms = tuple(Term(kind, (i,), (float(np.log(size)),), sign, fixed=(0,)) for i in new)
-    state = fitted_if_can_be(wider, started(wider, terms), 0.03, floor=floor)
+    near = approach(wider, started(wider, terms))[1]  # the idle model is as it was till now, and of modes in band alone
+    state = fitted_if_can_be(wider, near, 0.03, floor=floor)
     if state is None:
         return None
     # the fit had them about where it began: what that is worth is taken back
