@@ -235,7 +235,7 @@ def unseen_share(state: State) -> tuple[Array, Array]:
     }[term.kind]
     unit = 100 * term.sign * float(np.exp(term.values[0])) / whole
     at = [t.places[0] for t in state.terms]
-    shapes = moved.phi[at][:, modes]
+    shapes = _shapes(state)[:, modes]
     share = unit * np.sum(shapes**2, axis=0)
     # by the unknowns of the idle model, and by the shape values of the motions
     slope = np.concatenate(

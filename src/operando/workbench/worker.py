@@ -54,7 +54,7 @@ def done(task: dict[str, Any], progress: Callable[[str, str], None]) -> dict[str
         return {"words": _words(task, progress)}
     except OperandoError as error:
         return {"error": error.to_dict()}
-    except (MemoryError, Exception) as error:
+    except Exception as error:
         traceback.print_exc()
         text = f"unexpected {type(error).__name__}: {error}"
         return {"error": OperandoError(text, where="operando itself", hint="a fault of the program, not of your data").to_dict()}
