@@ -57,7 +57,7 @@ def idle_of(c, seed=0, scatter=0.05):
 
 
 def running(c, effect=None, seed=0, noise=1.0):
-    """Operating modes of M, C, K with the effect put in, with scatter as SSI leaves it; shapes of random complex scale."""
+    """Operational modes of M, C, K with the effect put in, with scatter as SSI leaves it; shapes of random complex scale."""
     rng = np.random.default_rng(100 + seed)
     n = len(c.hz)
     mass, stiff = c.M.copy(), c.K.copy()

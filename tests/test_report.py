@@ -543,7 +543,7 @@ def test_an_output_only_test_has_its_own_answer(whole):
     results = only(whole, operating=whole.operating, left_out={"ema": "no [idle] in the test"})
     text = render_report(results)
     Page(text)
-    assert headline(results).verdict == "12 operating modes in 8–140 Hz"
+    assert headline(results).verdict == "12 operational modes in 8–140 Hz"
     assert ": modes</title>" in text
     assert "Operating frequency response functions · test report" not in text
     assert "arbitrary scale" in " ".join(headline(results).sentences)

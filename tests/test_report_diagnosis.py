@@ -561,7 +561,7 @@ def test_every_verdict_renders(whole, verdict, kind):
     assert verdict.replace("_", " ") in text
     assert not re.search(r"\bnan\b|\bNone\b", text)
     if kind == "modes":
-        assert "operating modes alone count. The error of the idle model is largest at 31.50 Hz: reduced chi-square 300" in text
+        assert "operational modes alone count. The error of the idle model is largest at 31.50 Hz: reduced chi-square 300" in text
         assert "There is no validation measurement to draw FRFs before and after against" in text
 
 

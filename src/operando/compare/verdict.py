@@ -1,4 +1,4 @@
-"""Verdict of a diagnosis from its figures (specification, "Verdicts"): one rule for FRF lines, operating modes and records of force."""
+"""Verdict of a diagnosis from its figures (specification, "Verdicts"): one rule for FRF lines, operational modes and records of force."""
 
 from __future__ import annotations
 

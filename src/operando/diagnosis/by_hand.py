@@ -20,7 +20,7 @@ from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, located, with_midway
 from operando.diagnosis.posterior import State, approach, at_rest, fit
-from operando.diagnosis.rival import fitted_if_can_be
+from operando.diagnosis.rival import fitted_if_can_be, started
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
@@ -118,9 +118,12 @@ def apply_effects(
         terms = [Term.of(e, p) for e, p in zip(wanted, places, strict=True)]
         # one set-up, or another day: where the test does not say, what explains the check better with all effects; days that would have
         # to differ by more than days do stand for what is missing
-        options = [spreads_of(between)] if between else [SAME_SET_UP, spreads_of({})]
-        ways = [_steps(of_check(known, spreads), terms, say) for spreads in options]
-        states = max((w for w in ways if w is ways[0] or not strained(w[-1])), key=lambda steps: steps[-1].log_evidence)
+        states = _steps(of_check(known, spreads_of(between) if between else SAME_SET_UP), terms, say)
+        if not between:
+            other_day = of_check(known, spreads_of({}))
+            if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
+                steps = _steps(other_day, terms, say)
+                states = steps if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence else states
         final = states[-1]
         if final.alpha < EXPLAINED:
             final = fit(final.case, final.x, final.alpha, own_spreads=True)
@@ -173,13 +176,22 @@ def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> lis
         found: list[State] = []
         for start in starts:
             x = last.carried([*last.terms, start])
-            for begin, alpha in ((x, last.alpha), (approach(case, x)[1], 0.03)):
+            for near in (False, True):  # where the first fit explains the lines, another way to it is not tried
+                begin, alpha = (approach(case, x)[1], 0.03) if near else (x, last.alpha)
                 state = fitted_if_can_be(case, begin, alpha, floor=max((s.log_evidence for s in found), default=-np.inf))
                 found += [] if state is None else [state]
+                if state is not None and state.alpha < LOOSE:
+                    break
         if not found:
             raise DataError(f"no FRF has {term.kind} with these values", hint="give other start values")
         states.append(max(found, key=lambda s: s.log_evidence))
     return states
+
+
+def _explains_better(case: Case, state: State) -> bool:
+    """Whether the same effects in another case, begun as at rest, are more probable."""
+    other = fitted_if_can_be(case, started(case, state.terms), state.alpha, floor=state.log_evidence)
+    return other is not None and other.log_evidence > state.log_evidence
 
 
 def _better(state: State, misfit: float) -> tuple[Effect, float] | None:

@@ -252,7 +252,7 @@ def diagnose(
         return from_frf()
     if operating is None:
         raise MissingError(
-            "neither FRFs of a validation measurement nor operating modes to diagnose from",
+            "neither FRFs of a validation measurement nor operational modes to diagnose from",
             hint="diagnose(idle, check=[operando.results.CheckRun(...)]) or diagnose(idle, operating=modes)",
         )
     from operando.diagnosis.from_modes import diagnose_modes

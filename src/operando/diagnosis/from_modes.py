@@ -112,7 +112,7 @@ def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
     """
     known = tuple(k for k in TOLD_BY_MODES if kinds is None or k in kinds)
     if not known:
-        raise ConfigError("none of the kinds asked for shows in operating modes", hint="kinds: " + ", ".join(TOLD_BY_MODES))
+        raise ConfigError("none of the kinds asked for shows in operational modes", hint="kinds: " + ", ".join(TOLD_BY_MODES))
     return known
 
 
@@ -184,7 +184,7 @@ def _validated_on(lines: OperatingModes) -> str:
             text += f"; {lines.left_out} mode{'s' if lines.left_out > 1 else ''} that one half alone showed stayed out"
         return text
     if lines.sets[0].n < _FEW:
-        return f"{lines.sets[0].n} operating modes are too few to set some apart: the validation values were fitted"
+        return f"{lines.sets[0].n} operational modes are too few to set some apart: the validation values were fitted"
     return "one third of the values (of each mode its frequency, damping or shape, in turn) was predicted from the others"
 
 
@@ -210,9 +210,9 @@ def _proposal(name: str, effects: Sequence[Effect], ambiguous: Sequence[Effect])
         first = f"{one.kind} at {one.place or 'the whole structure'}" if one else "nothing"
         at = (one.place if one else "") or other.place or "two points"
         return (
-            f"operating modes alone do not tell {first} from {other.kind} at {other.place or 'the whole structure'}: measure FRFs in "
+            f"operational modes alone do not tell {first} from {other.kind} at {other.place or 'the whole structure'}: measure FRFs in "
             f"operation with a force at {at}; or {other.confirm}"
         )
     if name in ("partial", "unexplained", "inconclusive"):
-        return "measure FRFs in operation with a known force: they tell more than operating modes"
+        return "measure FRFs in operation with a known force: they tell more than operational modes"
     return None

@@ -115,6 +115,40 @@ class Idle:
         """Whether shapes lag, or could."""
         return bool(self.lag.any() or self.lags.shared.any() or self.lags.own.any())
 
+    def with_dofs(
+        self, dofs: Sequence[Dof], weights: Array, phi: Array, own: Array, positions: Sequence[tuple[float, float, float] | None]
+    ) -> Idle:
+        """With DOFs that no sensor shows (``midway``).
+
+        Parameters
+        ----------
+        dofs : sequence of Dof
+            At nodes of their own.
+        weights : (new, DOFs) array
+            How they follow the sensors, in what is not known of these and in lag.
+        phi : (new, terms) array
+            Their shape values.
+        own : (new, terms, e) array
+            What is not known of these beside that.
+        positions : sequence of (x, y, z) or None [m]
+        """
+
+        def wider(moves: Moves, own: Array) -> Moves:
+            most = max(moves.own.shape[2], own.shape[2])
+            grown = [np.concatenate([v, np.zeros((*v.shape[:2], most - v.shape[2]))], 2) for v in (moves.own, own)]
+            return Moves(np.concatenate([moves.shared, np.tensordot(weights, moves.shared, (1, 0))]), np.concatenate(grown))
+
+        return replace(
+            self,
+            phi=np.concatenate([self.phi, phi]),
+            dofs=(*self.dofs, *dofs),
+            lag=np.concatenate([self.lag, weights @ self.lag]),
+            shapes=wider(self.shapes, own),
+            lags=wider(self.lags, np.zeros((len(dofs), self.modes.size, own.shape[2]))),
+            driven=np.concatenate([self.driven, np.zeros(len(dofs), bool)]),
+            midway={**self.midway, **{len(self.dofs) + i: position for i, position in enumerate(positions)}},
+        )
+
     @property
     def lacking_term(self) -> tuple[Term, ...]:
         """The effect with which the mode that is lacking is there."""

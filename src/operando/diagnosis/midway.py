@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from operando.data import Geometry
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS
-from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.idle import Idle
 from operando.dof import Dof, split_node
 from operando.errors import DataError, DofError
 from operando.structure.effects import spline_weights
@@ -134,28 +134,11 @@ def with_midway(idle: Idle, geometry: Geometry, places: Sequence[Midway] | None 
     if not places:
         return None
     node = max(split_node(n)[1] for n in (*geometry.nodes, *(d.node for d in idle.dofs)))
-    dofs = tuple(Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places))
+    dofs = [Dof(node + 1 + i, p.axis, 1) for i, p in enumerate(places)]
     weights = np.array([p.weights for p in places])
     # each shape by itself, and all by where exactly the place is
     own = np.array([np.column_stack([np.diag(shape_spread(p, idle.phi, idle.f, idle.modes)), p.along @ idle.phi]) for p in places])
-
-    def wider(moves: Moves, own: Array) -> Moves:
-        k = max(moves.own.shape[2], own.shape[2])
-        grown = [np.concatenate([v, np.zeros((*v.shape[:2], k - v.shape[2]))], 2) for v in (moves.own, own)]
-        shared = np.tensordot(weights, moves.shared, (1, 0))
-        return Moves(np.concatenate([moves.shared, shared]), np.concatenate(grown))
-
-    more = len(places)
-    return replace(
-        idle,
-        phi=np.concatenate([idle.phi, weights @ idle.phi]),
-        dofs=(*idle.dofs, *dofs),
-        lag=np.concatenate([idle.lag, weights @ idle.lag]),
-        shapes=wider(idle.shapes, own),
-        lags=wider(idle.lags, np.zeros((more, idle.modes.size, own.shape[2]))),
-        driven=np.concatenate([idle.driven, np.zeros(more, bool)]),
-        midway={len(idle.dofs) + i: p.position for i, p in enumerate(places)},
-    )
+    return idle.with_dofs(dofs, weights, weights @ idle.phi, own, [p.position for p in places])
 
 
 def shape_spread(place: Midway, phi: Array, hz: Array, modes: Array) -> Array:

@@ -154,7 +154,7 @@ class OperatingModes:
     def __init__(self, idle: Idle, whole: ModalModel, halves: Sequence[ModalModel] = ()) -> None:
         common = tuple(d for d in whole.dofs if any(d.same_axis(o) for o in idle.dofs))
         if len(common) < 2:
-            raise DataError("idle and operating modes share fewer than two DOFs", hint="measure at the same sensors in both states")
+            raise DataError("idle and operational modes share fewer than two DOFs", hint="measure at the same sensors in both states")
         responses, signs = match_dofs(common, idle.dofs)
         self.responses = np.asarray(responses)
         kept = [half.select_modes(partners(half, whole)) for half in halves]

@@ -17,11 +17,10 @@ from scipy.optimize import least_squares
 
 from operando.diagnosis.case import COLUMNS, Case
 from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
-from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import State, approach, on_validation_lines
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say
-from operando.diagnosis.search import HALVED
 from operando.diagnosis.terms import Term, added
 from operando.dof import Dof, split_node
 from operando.indicators import INTERVAL
@@ -35,6 +34,7 @@ _MOTIONS = 3
 _LAWS, _STARTS = 2, 4  # laws followed beyond one motion, and starts of the least squares of each motion
 _GAIN = 1e-3  # of the cost, below which a step is the last: a fit with all unknowns follows
 _SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0])  # of a start, over what stops the motion of its sensor
+_COST = 0.5  # of the robust cost without them, above which motions are not followed further
 _NEAR = 1.5  # times the least cost, up to which a law and a number of motions are fitted with all unknowns
 _TOLD = 3  # modes that are named
 _LIKE = 0.5  # part of the motion of a sensor from which it is named as one that moves alike
@@ -153,7 +153,7 @@ def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floo
         firsts = each(lambda law: model.one_more(replace(nothing, law=law)), [law for law in _KINDS if law[0] in case.kinds])
         ways = [way for some in each(model.followed, sorted(firsts, key=lambda way: way.cost)[:_LAWS]) for way in some]
     least = min((way.cost for way in ways), default=np.inf)
-    if not least < HALVED * nothing.cost:
+    if not least < _COST * nothing.cost:
         return None
     best: State | None = None
     for way in sorted((way for way in ways if way.cost < _NEAR * least), key=lambda way: way.cost):
@@ -189,23 +189,8 @@ def with_motions(idle: Idle, starts: Array) -> Idle:
     phi = np.zeros((more, idle.f.size))
     phi[:, idle.modes] = starts
     node = max(split_node(dof.node)[1] for dof in idle.dofs)
-
-    def wider(moves: Moves, own: Array) -> Moves:
-        shared = np.zeros((more, *moves.shared.shape[1:]))
-        most = max(moves.own.shape[2], own.shape[1])
-        grown = [np.concatenate([v, np.zeros((*v.shape[:2], most - v.shape[2]))], 2) for v in (moves.own, np.array([own] * more))]
-        return Moves(np.concatenate([moves.shared, shared]), np.concatenate(grown))
-
-    return replace(
-        idle,
-        phi=np.concatenate([idle.phi, phi]),
-        dofs=(*idle.dofs, *(Dof(node + 1 + i, "", 1) for i in range(more))),
-        lag=np.concatenate([idle.lag, np.zeros((more, idle.lag.shape[1]))]),
-        shapes=wider(idle.shapes, np.diag(spread)),
-        lags=wider(idle.lags, np.zeros((idle.modes.size, spread.size))),
-        driven=np.concatenate([idle.driven, np.zeros(more, bool)]),
-        midway=idle.midway | {len(idle.dofs) + i: None for i in range(more)},
-    )
+    dofs = [Dof(node + 1 + i, "", 1) for i in range(more)]
+    return idle.with_dofs(dofs, np.zeros((more, len(idle.dofs))), phi, np.array([np.diag(spread)] * more), [None] * more)
 
 
 def _shapes(state: State) -> Array:
@@ -271,7 +256,7 @@ def _alike(state: State) -> str:
     order = [i for i in np.argsort(-part)[:2] if part[i] > _LIKE]
     if not order:
         return ""
-    names = " and ".join(f"{state.case.place(sensors[i])} ({100 * part[i]:.0f} % of its motion)" for i in order)
+    names = " and ".join(state.case.place(sensors[i]) for i in order)
     return f"; most like it moves {names}"
 
 

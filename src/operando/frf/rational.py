@@ -120,7 +120,6 @@ def local_rational(
     n_lines: int = 17,
     order: int = 2,
     passes: int = 2,
-    chunk: int | None = None,
     transient: bool = True,
     coordinates: Array | None = None,
 ) -> LocalRational:
@@ -145,8 +144,6 @@ def local_rational(
         Order of D, N and I.
     passes : int
         Passes that find the denominator and the noise, before the last one.
-    chunk : int, optional
-        Centres handled at once; default: as many as stay in the cache.
     transient : bool
         Whether the spectra hold a transient; FRFs themselves, with a force of 1, do not.
     coordinates : (n,) array, optional
@@ -176,7 +173,7 @@ def local_rational(
     if dof < 1:
         raise DataError(f"{n_lines} lines are too few for a local model with {p} numerator and transient coefficients")
     n_c = centres.size
-    chunk = chunk or max(4, CACHE_VALUES // (n_lines * (order + 1) * n_x))
+    chunk = max(4, CACHE_VALUES // (n_lines * (order + 1) * n_x))
     windows = window_indices(centres, n_lines, int(lines[0]), int(lines[-1]))
     parts = [slice(a, min(a + chunk, n_c)) for a in range(0, n_c, chunk)]
 

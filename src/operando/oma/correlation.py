@@ -42,7 +42,6 @@ def correlate(
     n_lags: int,
     n_blocks: int = 1,
     keep_blocks: bool = True,
-    chunk: int | None = None,
     centre: bool = False,
 ) -> BlockCorrelations:
     """Correlations of all channels with the reference channels.
@@ -61,9 +60,6 @@ def correlate(
         Equal consecutive blocks.
     keep_blocks : bool
         False keeps only the mean (less memory, fewer inverse FFTs).
-    chunk : int, optional
-        Samples of one transform where blocks are longer; default eight times the lags, small enough that spectra stay in the cache.
-
     centre : bool
         Take each channel's mean off first (without a copy of the record).
 
@@ -83,7 +79,8 @@ def correlate(
     q = len(references)
     total = np.zeros((n_lags + 1, r, q))
     blocks = np.empty((n_blocks, n_lags + 1, r, q), np.float32) if keep_blocks else None
-    step = -(-length // max(1, round(length / (chunk or max(1024, 8 * n_lags)))))
+    # eight times the lags a transform, where blocks are longer: spectra stay in the cache
+    step = -(-length // max(1, round(length / max(1024, 8 * n_lags))))
     size = fft.next_fast_len(step + n_lags, real=True)
     group = max(1, CACHE_VALUES // (r * size), min(r, MOST_VALUES // (r * size)))
     spectrum = np.zeros((size // 2 + 1, r, q), complex)

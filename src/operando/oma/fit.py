@@ -102,7 +102,7 @@ def fit_oma(
         raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}")
     if weighting not in WEIGHTINGS:
         raise ConfigError(f"weighting {weighting!r} is none of {', '.join(WEIGHTINGS)}")
-    setups = group_setups(several(record, TimeRecord, "operating modes are identified from time records", "read(file).records holds them"))
+    setups = group_setups(several(record, TimeRecord, "operational modes come from time records", "read(file).records holds them"))
     records = [r for group in setups for r in group]
     with one_blas_thread():
         if band is None:

@@ -178,7 +178,7 @@ class _Run:
         if stage.name == "oma" and test.analysis.band is None and "ema" in self.kept:
             upstream.append(self.keys["ema"])  # its band is that of the idle modes
         if stage.name == "oma" and test.idle and not test.check:
-            upstream.append("halves")  # for the diagnosis from operating modes alone
+            upstream.append("halves")  # for the diagnosis from operational modes alone
         return key_of(stage.name, code_hash(stage.does.__module__), files, spans, reading, settings, upstream)
 
     def _step(self, stage: Stage, asked: bool) -> None:

@@ -292,7 +292,7 @@ def _without_hybrid(results: Results) -> tuple[str, ...]:
         if results.idle is not None and (cause := no_scale(results.idle, results.findings)) is not None:
             text += f", because the idle shapes have no mass scaling: {cause[0]} ({cause[1]})"
         elif results.operating is None:
-            text += ", because there are no operating modes"
+            text += ", because there are no operational modes"
         elif results.idle is None:
             text += ", because there is no idle model"
     return (text + ".", (listing(have)[:1].upper() + listing(have)[1:] + ".") if have else "Nothing has been identified yet.")

@@ -193,7 +193,8 @@ def mode_errors(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | N
     axes.set_ylabel("Reduced χ² [1 = noise]")
     log_axis(axes.yaxis)
     figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.065, 1.02))
-    return figure, f"Reduced chi-square of {hz.size} operating modes by the idle model" + ("" if added is None else " and with the effects")
+    with_effects = "" if added is None else " and with the effects"
+    return figure, f"Reduced chi-square of {hz.size} operational modes by the idle model{with_effects}"
 
 
 @drawn

@@ -24,7 +24,7 @@ _MAKERS: dict[str, _Maker] = {
     "diagnosis": ("diagnosis", "Diagnosis: the evidence", sections_diagnosis.diagnosis),
     "settings": ("settings", "Settings and provenance", sections_rest.provenance),
 }
-_ALONE = {"ema": ("idle", "Answer: the idle modes"), "oma": ("operating", "Answer: the operating modes")}
+_ALONE = {"ema": ("idle", "Answer: the idle modes"), "oma": ("operating", "Answer: the operational modes")}
 """What a test of one state is: its section, and the title of its answer."""
 
 

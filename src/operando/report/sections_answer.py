@@ -74,7 +74,7 @@ def _tiles(results: Results) -> list[Tile]:
         if finite(results.idle.misfit):
             tiles.append(Tile(number(results.idle.misfit, 3), "reduced chi-square of the idle model (1 = as good as the noise allows)"))
     if results.operating is not None:
-        tiles.append(Tile(str(results.operating.n_modes), "operating modes"))
+        tiles.append(Tile(str(results.operating.n_modes), "operational modes"))
     if moved := shifted(results):
         worst = max(moved, key=lambda p: abs(p.percent or 0.0))
         tiles.append(Tile(f"{fixed(worst.percent, 2, sign=True)} %", f"greatest frequency change, at {number(worst.idle_hz, 4)} Hz"))

@@ -127,7 +127,7 @@ class DiagnosisWords:
     ladder : ErrorByStep
     effects : tuple of EffectWords
     output_only : bool
-        Whether operating modes alone were used.
+        Whether operational modes alone were used.
     on_records : bool
         Whether records of force were used.
     """

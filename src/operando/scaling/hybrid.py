@@ -72,7 +72,7 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     <HybridModel: 2 operational modes at 2 DOFs; scaled by expansion; 2 unchanged>
     """
     expect(idle, ModalModel, "idle modes are needed first", "fit_ema(frf) gives them")
-    expect(operating, ModalModel, "operating modes are needed second", "fit_oma(record) gives them")
+    expect(operating, ModalModel, "operational modes are needed second", "fit_oma(record) gives them")
     if method not in ("auto", *METHODS):
         raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")
     if idle.scaling != "unit_modal_mass":

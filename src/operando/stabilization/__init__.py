@@ -1,10 +1,11 @@
 """Stabilisation diagrams, automatic mode selection, reasons of rejected poles (shared by EMA and OMA)."""
 
 from operando.stabilization.classify import classify, stability_letters
-from operando.stabilization.select import demote, select_modes, track_poles
+from operando.stabilization.select import HAND_TOLERANCE, demote, select_modes, track_poles
 from operando.stabilization.table import STATUS, PoleTable, RejectedPole, Stabilization, Tolerances
 
 __all__ = [
+    "HAND_TOLERANCE",
     "STATUS",
     "PoleTable",
     "RejectedPole",

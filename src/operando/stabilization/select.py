@@ -15,6 +15,9 @@ from operando.stabilization.table import PoleTable, RejectedPole, Stabilization,
 
 Members = NDArray[np.int_]
 
+HAND_TOLERANCE = 0.01
+"""Relative distance up to which a frequency of ``select_hz`` or ``reject_hz`` means a mode."""
+
 
 def track_poles(table: PoleTable, tolerances: Tolerances, max_gap: int = 3) -> list[Members]:
     """Chains of poles that agree from order to order, at most one pole of an order in a chain.
@@ -104,7 +107,7 @@ def select_modes(
     max_gap: int = 3,
     select_hz: Sequence[float] = (),
     reject_hz: Sequence[float] = (),
-    hand_tolerance: float = 0.01,
+    hand_tolerance: float = HAND_TOLERANCE,
     indicator_hz: NDArray[np.float64] | None = None,
     indicator: NDArray[np.float64] | None = None,
 ) -> Stabilization:

@@ -25,7 +25,7 @@ REPORT_POLICY = (
 MOST_BYTES = 65536
 TABS = (
     ("modes/idle", "Idle modes"),
-    ("modes/operating", "Operating modes"),
+    ("modes/operating", "Operational modes"),
     ("missing", "What is missing"),
     ("data", "Data"),
     ("report", "Report"),

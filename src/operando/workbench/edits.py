@@ -13,9 +13,6 @@ from operando.atomic import replacing, writing
 from operando.config import Test, parse_text, text_of
 from operando.errors import ConfigError, OperandoError
 
-NEAR = 0.01
-"""Relative distance up to which a frequency in the test file means a mode: that of ``select_hz`` and ``reject_hz``."""
-
 
 class Edit(Protocol):
     """One change of a test file."""

@@ -14,8 +14,8 @@ from operando.plots.style import thin
 from operando.report.derive import analysis_band
 from operando.report.live import LETTERS
 from operando.results import Results
-from operando.stabilization import Stabilization, stability_letters, track_poles
-from operando.workbench.edits import NEAR, AddTo, Edit, TakeFrom
+from operando.stabilization import HAND_TOLERANCE, Stabilization, stability_letters, track_poles
+from operando.workbench.edits import AddTo, Edit, TakeFrom
 
 STATES = {"idle": "", "operating": "oma_"}
 """State → what stands before ``select_hz`` and ``reject_hz`` in its keys of [analysis]."""
@@ -55,7 +55,7 @@ def take(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, s
     model, keys = model_of(results, state), STATES[state]
     poles = stable_poles(results, state)
     near = _nearest(poles, hz)
-    if near is None or abs(near - hz) > NEAR * hz:
+    if near is None or abs(near - hz) > HAND_TOLERANCE * hz:
         hint = "run the test again" if near is None else f"the nearest is at {near:.5g} Hz"
         raise ConfigError(f"no stable pole of the fit lies near {hz:.5g} Hz", where=f"{state} state", hint=hint)
     for refused in table.get(f"{keys}reject_hz") or ():
@@ -87,7 +87,7 @@ def leave(results: Results, table: Table, state: str, hz: float) -> tuple[Edit, 
                 raise ConfigError(f"{near:.5g} Hz is the only mode of modes_hz", hint="take another one first")
             return TakeFrom(key, near), f"{near:.5g} Hz is not taken by hand any more"
     mode = _nearest([float(f) for f in model.frequencies_hz], hz)
-    if mode is None or abs(mode - hz) > NEAR * hz:
+    if mode is None or abs(mode - hz) > HAND_TOLERANCE * hz:
         raise ConfigError(f"there is no mode near {hz:.5g} Hz", where=f"{state} state", hint="choose one of the modes taken")
     return AddTo(f"{keys}reject_hz", float(f"{mode:.6g}")), f"{mode:.5g} Hz is left out"
 

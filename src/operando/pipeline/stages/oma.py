@@ -29,6 +29,6 @@ def operational_modes(work: Work) -> dict[str, Any]:
     )
     operating = fit_oma(records, **keywords)
     if work.test.idle and not work.test.check:
-        # The diagnosis from operating modes chooses on one half of the record and is judged on the other.
+        # The diagnosis from operational modes chooses on one half of the record and is judged on the other.
         operating = replace(operating, details=replace(operating.details, halves=fit_halves(records, operating)))
     return {"operating": operating, "findings": findings}
