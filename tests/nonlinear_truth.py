@@ -48,9 +48,13 @@ def band_force(rng, samples, low=3.0, high=180.0, rms=10.0):
     return x * rms / x.std()
 
 
+def zero(x, v, z):
+    """No force, and no z that would move."""
+    return 0.0 * x
+
+
 def law_of(kind, p):
     """Restoring force of (x, v, z) and rate of z, from the contract's table."""
-    zero = lambda x, v, z: 0.0 * x  # noqa: E731
     table = {
         "none": (zero, zero),
         "ground_spring": (lambda x, v, z: p["stiffness"] * x, zero),
@@ -60,7 +64,7 @@ def law_of(kind, p):
         "quintic": (lambda x, v, z: p["coefficient"] * x**5, zero),
         "quadratic_damping": (lambda x, v, z: p["coefficient"] * v * np.abs(v), zero),
         "coulomb_friction": (lambda x, v, z: p["force"] * np.tanh(v / p["speed"]), zero),
-        "clearance": (lambda x, v, z: p["stiffness"] * (x - np.clip(x, -p["gap"], p["gap"])), zero),
+        "clearance": (lambda x, v, z: p["stiffness"] * (x - np.maximum(np.minimum(x, p["gap"]), -p["gap"])), zero),
         "one_sided_contact": (lambda x, v, z: p["stiffness"] * np.maximum(x - p["gap"], 0), zero),
         "bilinear_stiffness": (lambda x, v, z: p["stiffness"] * np.maximum(x, 0), zero),
         "saturating_spring": (lambda x, v, z: p["stiffness"] * p["knee"] * np.tanh(x / p["knee"]), zero),
@@ -89,36 +93,47 @@ def respond(strip, drive_at, forces, effects, fine=8):
     full = np.zeros((runs, n * fine * 2 // 2 + 1), complex)
     full[:, : spectrum.shape[1]] = spectrum * fine * 2
     f = fft.irfft(full, n * fine * 2, axis=1)
+    f = np.ascontiguousarray(f.T)  # (half steps, runs)
     phi_f = strip.phi[list(drive_at)].T  # (n_modes, runs)
-    w = 2 * np.pi * strip.hz[:, None]
-    c, k = 2 * strip.zeta[:, None] * w, w**2
-    rows = [strip.phi.T @ (b if b.ndim == 2 else np.repeat(b[:, None], runs, axis=1)) for b, _, _ in effects]
+    w = 2 * np.pi * strip.hz
+    m, count = w.size, len(effects)
+    every = [b if b.ndim == 2 else np.repeat(b[:, None], runs, axis=1) for b, _, _ in effects]
+    acts = np.array([np.any(b != 0, axis=0) for b in every], float)  # in which runs
+    rows = np.array([strip.phi.T @ b[:, np.argmax(np.any(b != 0, axis=0))] for b in every])  # an effect has one place
     laws = [law_of(kind, p) for _, kind, p in effects]
+    # one product for all that is linear: rates of q and v, those of z (none), x and its rate at each effect
+    linear = np.zeros((2 * m + 3 * count, 2 * m + count))
+    linear[:m, m : 2 * m] = np.eye(m)
+    linear[m : 2 * m, :m], linear[m : 2 * m, m : 2 * m] = np.diag(-(w**2)), np.diag(-2 * strip.zeta * w)
+    linear[2 * m + count : 2 * m + 2 * count, :m] = linear[2 * m + 2 * count :, m : 2 * m] = rows
+    back = rows.T.copy()
 
-    def rate(q, v, z, force):
-        a = phi_f * force - c * v - k * q
-        dz = []
-        for row, (s, ds), zi in zip(rows, laws, z, strict=True):
-            x, xv = (row * q).sum(axis=0), (row * v).sum(axis=0)
-            a = a - row * s(x, xv, zi)
-            dz.append(ds(x, xv, zi))
-        return v, a, np.array(dz)
+    def rate(y, force):
+        all_rates = linear @ y
+        x, xv, z = all_rates[2 * m + count : 2 * m + 2 * count], all_rates[2 * m + 2 * count :], y[2 * m :]
+        dy = all_rates[: 2 * m + count]
+        restoring = np.empty((count, runs))
+        for e, (s, ds) in enumerate(laws):
+            restoring[e] = s(x[e], xv[e], z[e])
+            if ds is not zero:
+                dy[2 * m + e] = ds(x[e], xv[e], z[e])
+        restoring *= acts
+        dy[m : 2 * m] += phi_f * force - back @ restoring
+        return dy
 
-    q, v, z = np.zeros((len(strip.hz), runs)), np.zeros((len(strip.hz), runs)), np.zeros((len(effects), runs))
+    y = np.zeros((2 * m + count, runs))
     out = np.empty((runs, len(strip.at), n))
     for i in range(n):
         for j in range(fine):
             at = 2 * (i * fine + j)
-            f0, f1, f2 = f[:, at], f[:, at + 1], f[:, (at + 2) % f.shape[1]]
-            a1 = rate(q, v, z, f0)
+            f0, f1, f2 = f[at], f[at + 1], f[(at + 2) % len(f)]
+            a1 = rate(y, f0)
             if j == 0:
-                out[:, :, i] = (strip.phi @ a1[1]).T
-            a2 = rate(q + step / 2 * a1[0], v + step / 2 * a1[1], z + step / 2 * a1[2], f1)
-            a3 = rate(q + step / 2 * a2[0], v + step / 2 * a2[1], z + step / 2 * a2[2], f1)
-            a4 = rate(q + step * a3[0], v + step * a3[1], z + step * a3[2], f2)
-            q = q + step / 6 * (a1[0] + 2 * a2[0] + 2 * a3[0] + a4[0])
-            v = v + step / 6 * (a1[1] + 2 * a2[1] + 2 * a3[1] + a4[1])
-            z = z + step / 6 * (a1[2] + 2 * a2[2] + 2 * a3[2] + a4[2])
+                out[:, :, i] = (strip.phi @ a1[m : 2 * m]).T
+            a2 = rate(y + step / 2 * a1, f1)
+            a3 = rate(y + step / 2 * a2, f1)
+            a4 = rate(y + step * a3, f2)
+            y = y + step / 6 * (a1 + 2 * (a2 + a3) + a4)
     return out
 
 
