@@ -242,10 +242,10 @@ def test_the_discrepancy_is_that_of_the_least_cost_on_its_whole_grid(alpha):
 def test_a_state_that_is_known_begins_a_search_as_it_is():
     one = case(warmer=0.001)
     alone = fit(one, one.forward.start)
-    for empty in (None, alone):
+    for known in ((), (alone,)):
         said = []
-        search(one, said.append, empty=empty)
-        assert said[0].startswith("  []") == (empty is None)  # that state's fit is told first
+        search(one, said.append, known=known)
+        assert said[0].startswith("  []") == (not known)  # that state's fit is told first
 
 
 def test_a_candidate_is_looked_at_on_fewer_lines_that_stand_for_all():

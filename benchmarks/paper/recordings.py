@@ -31,7 +31,7 @@ PEAK, WIDTH, START = 100.0, 0.003, 0.12
 BAND = (6.0, 172.0)
 """The paper's band of the EMA [Hz]."""
 DATE = "21-NOV-26 12:00:00"
-CHECK_LINES = np.arange(20, 441) / 2
+CHECK_LINES = np.arange(20, 451) / 2
 _AXES = {"X": 1, "Y": 2, "Z": 3}
 
 

@@ -96,6 +96,8 @@ class Between:
         Of the unknowns that all channels share, after g; of those that each DOF has for itself, after its shape's.
     shared_spread : (n,) array
     own_spread : (DOFs, k) array
+    sensor_gains : (DOFs,) array
+        Spread of the gain of each sensor over the one stated.
     local_modes, local_pairs : (modes, DOFs) and (pairs, DOFs) arrays
         What a joint at each DOF changes in the damping of modes, and between them.
     groups : list
@@ -147,7 +149,9 @@ class Between:
             **{name: np.ones(references) for name in OF_A_FORCE},
             "late": one, "stiffness_between": pair, "damping_between": pair,
         }  # fmt: skip
+        shared["force"], self.sensor_gains = self._gains("force", "driven")[self.driven], self._gains("sensor", "seen")
         own = {name: np.ones((dofs, 1)) for name in OF_A_CHANNEL}
+        own["sensor"] = self.sensor_gains[:, None]
         own["seen"] = np.tile(rms, (dofs, 1))
         own["rest_above"] = np.sqrt(np.outer(self.own_above, self.own_above[self.driven]))
         own["rest_below"] = np.sqrt(np.outer(self.own_below, self.own_below[self.driven]))
@@ -156,6 +160,19 @@ class Between:
         self.own_spread = spread.T.reshape(dofs, -1)
         self.groups = self._groups(references, dofs)
         self.log_factors = np.zeros(len(self.groups))
+
+    def _gains(self, gain: str, moved: str) -> Array:
+        """Spread of the gain of each DOF over the one stated, (DOFs,): what a change of its shape has along the shape counts as gain.
+
+        A sensor a degree askew on a DOF that hardly moves shows much of what moves across it; e-fold at most, and not where gains are
+        stated to be the same.
+        """
+        stated, shape = self.spreads.get(gain, 0.0), np.linalg.norm(self.idle.phi[:, self.idle.modes], axis=1)
+        if not stated:
+            return np.ones(shape.size)
+        along = self.spreads.get(moved, 0.0) * np.sqrt(np.sum((self.rms * self.direction) ** 2, axis=1))
+        relative = np.divide(along, shape, out=np.zeros_like(shape), where=shape > 0)
+        return np.asarray(np.sqrt(1 + (np.minimum(relative, 1.0) / stated) ** 2))
 
     def _laid(self, sizes: dict[str, Array]) -> tuple[dict[str, slice], Array]:
         """Slices and spreads, one after the other; a part without a spread has no unknowns."""

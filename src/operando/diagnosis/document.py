@@ -57,7 +57,8 @@ def between_rows(state: State) -> list[dict[str, Any]]:
             spread = between.own_spread[i, column]
             log = own[i, column] * spread
             std = np.exp(log) * std_own[i, column] * spread
-            put("sensor_gain", [str(case.dofs[i])], np.exp(log), std, abs(log) > UNUSUAL * between.spreads["sensor"])
+            usual = between.spreads["sensor"] * between.sensor_gains[i]
+            put("sensor_gain", [str(case.dofs[i])], np.exp(log), std, abs(log) > UNUSUAL * usual)
     scale = {"force": "force_gain", "stiffness": "stiffness", "damping_whole": "damping", "late": "skew"}
     for name, what in scale.items():
         where = between.shared[name]

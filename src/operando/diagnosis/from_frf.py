@@ -39,7 +39,8 @@ from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import WAYS, Found, search
 from operando.diagnosis.sensor_mass import of_a_sensor
-from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, touched
+from operando.diagnosis.suggested import suggested_by_modes
+from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, Term, touched
 from operando.diagnosis.verdict import (
     moved_peaks,
     no_other_answer,
@@ -99,7 +100,7 @@ def diagnose_frf(
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
         stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
     operating : ModalModel, optional
-        Operational modes: whether a mass found in the check was there without the sensors of the check.
+        Operational modes: effects to begin with, and whether a mass found in the check was there without the sensors of the check.
 
     Returns
     -------
@@ -140,12 +141,18 @@ def diagnose_frf(
             days = Case(model, frf, band, spreads_of(between or {}), **asked)
             return [days] if between else [days, Case(model, frf, band, SAME_SET_UP, like=days, **asked)]
 
+        def suggested() -> list[Term]:
+            if operating is None:
+                return []
+            return suggested_by_modes(model, operating, band, asked["kinds"], asked["places"])
+
         both, odds, asked_for_all = cases(model), None, kinds is None and places is None
         if between:
             found = search(both[0], say, depth=AT_FIRST)
         else:
             alpha = 0.0 if rest is None else rest.state.alpha
-            found, odds = search_both(both[0], both[1], say, alpha, cases if asked_for_all else None, AT_FIRST, geometry)
+            again = cases if asked_for_all else None
+            found, odds = search_both(both[0], both[1], say, alpha, again, AT_FIRST, geometry, suggested)
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""

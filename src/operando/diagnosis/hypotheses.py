@@ -15,10 +15,12 @@ from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
-from operando.diagnosis.posterior import State, approach, fit, on_validation_lines
+from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_scan
 from operando.diagnosis.search import DEPTH, HALVED, Found, remounted, search
+from operando.diagnosis.suggested import begun_with
+from operando.diagnosis.terms import Term
 from operando.diagnosis.unseen import with_unseen_motion
 from operando.threads import each
 
@@ -36,13 +38,15 @@ def search_both(
     again: Callable[[Idle], Sequence[Case]] | None = None,
     depth: int = DEPTH,
     geometry: Geometry | None = None,
+    suggested: Callable[[], Sequence[Term]] = tuple,
 ) -> tuple[Found, float]:
     """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
 
     The first is a special case of the second: where it leaves nothing but noise, the second is not searched. Where the idle model
     explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), or the latter by far not, nothing is
     searched. A place between sensors (``geometry``: where these stand) and a mode that the idle model lacks spare the search of days where
-    they explain the check (``again``: see :func:`search_elsewhere`).
+    they explain the check (``again``: see :func:`search_elsewhere`). Effects that something else suggests (``suggested``) are begun with
+    where what was searched from the FRFs alone does not explain these.
 
     Returns
     -------
@@ -61,6 +65,17 @@ def search_both(
     rival = Rival(days, alone)
     same = search(one_set_up, say, rival, depth=depth)
     best = same.best
+    known = [alone]
+    if not _explains(best, alone) and (terms := suggested()):
+        say("what the operational modes suggest: " + ", ".join(names(days, terms)))
+        here, other_day = (begun_with(case, terms) for case in (one_set_up, days))
+        if other_day is not None:
+            say(f"  on another day {names(days, other_day.terms)} {other_day.log_evidence:.1f}, discrepancy {other_day.alpha:.4f}")
+            known.append(other_day)
+            rival.score = max(rival.score, score(other_day))
+        if here is not None and score(here) > max(score(best), rival.score - EARNED):
+            same = search(one_set_up, say, rival, start=Found(here, same.empty, same.pool | {here.key: here}), depth=depth)
+            best = same.best
     if _explains(best, alone) and not remounted(best):
         # the same effects on another day, and each left to what differs between days
         fewer = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
@@ -78,7 +93,7 @@ def search_both(
     if lacking is not None and lacking.best.alpha < LOOSE:
         return search(lacking.best.case, say, start=lacking), lacking.odds or 0.0
     say("on another day:")
-    found = search(days, say, depth=depth, empty=alone)
+    found = search(days, say, depth=depth, known=known)
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
     sets = [found.best.terms, *(x.terms for x in promotions(found.best, _SOME))]
     floor = max(found.best.log_evidence, best.log_evidence)

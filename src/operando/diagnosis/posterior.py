@@ -94,6 +94,15 @@ class State:
             yield name, shared, values[where].ravel(), std[where].ravel(), where
 
 
+def unfitted(case: Case, x: Point, alpha: float) -> State:
+    """A point as a state, with the factor of the model that is linear about it and no evidence."""
+    lines = case.lines
+    problem = Problem(case, x.terms, lines.fit[:: lines.stride], lines.stride)
+    shared, own, _ = problem.derived(problem.packed(x))
+    factor = Factor.of(problem.information(shared, own, problem.weights(alpha)), problem.precision, problem.own_precision)
+    return State(x, alpha, -np.inf, factor, problem)
+
+
 def linear_evidence(
     problem: Problem, residual: Array, shared: Array, own: Array, x: Step, alpha: float, information: Information | None = None
 ) -> tuple[float, Step, Factor]:

@@ -67,7 +67,7 @@ def search(
     start: Found | None = None,
     depth: int = DEPTH,
     own_spreads: bool = False,
-    empty: State | None = None,
+    known: Sequence[State] = (),
 ) -> Found:
     """To the first state that explains the lines; then with spreads estimated in each state.
 
@@ -85,14 +85,15 @@ def search(
     own_spreads : bool
         Whether spreads are estimated from the first state on: where they are far from what days in a laboratory have, no state without
         that explains the lines, and effects would be found in their place.
-    empty : State, optional
-        The state without effects, where it is known; a search with spreads estimated makes its own.
+    known : sequence of State
+        Fitted before, the state without effects among them; a search with spreads estimated makes its own.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
     run = Search(case, say, start, rival, depth=depth)
-    if empty is not None:
-        run.pool[empty.key] = empty
+    for state in known:
+        run.once(state.terms)
+        run.pool[state.key] = state
     found = run.run()
     best = found.best
     behind = rival is not None and (score(best) < rival.score - EARNED or remounted(best))

@@ -1,0 +1,94 @@
+"""Effects that operational modes suggest for a search in FRFs; gains of sensors on DOFs that hardly move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import test_diagnose_modes as by_modes
+from operando.diagnosis.between import SAME_SET_UP, SPREADS, Between
+from operando.diagnosis.hypotheses import search_both
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.modes_case import TOLD_BY_MODES
+from operando.diagnosis.suggested import _COUNT, _ROUGH, begun_with, suggested_by_modes
+from operando.diagnosis.terms import Term
+from test_diagnosis import BAND, DOFS, N, add_mass, case, identified
+
+
+def chain_at_rest(c):
+    idle = by_modes.idle_of(c)
+    return Idle.of(idle, idle.band_hz, idle.dofs), idle.band_hz
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return by_modes.chain()
+
+
+@pytest.mark.parametrize(("kind", "places", "size"), by_modes.TRUTHS[:5])
+def test_what_shifts_the_modes_as_operation_does_is_suggested(chain, kind, places, size):
+    """Of each kind: the effect that acts is among the first, and there are no more of them than are tried (_COUNT)."""
+    idle, band = chain_at_rest(chain)
+    terms = suggested_by_modes(idle, by_modes.running(chain, (kind, places, size)), band, TOLD_BY_MODES, None)
+    assert len(terms) <= _COUNT
+    assert (kind, set(places)) in [(t.kind, {str(idle.dofs[i]) for i in t.places}) for t in terms]
+
+
+def test_nothing_is_suggested_where_modes_do_not_tell(chain):
+    idle, band = chain_at_rest(chain)
+    moved = by_modes.running(chain, by_modes.TRUTHS[0])
+    assert suggested_by_modes(idle, moved, band, ["sensor_gain", "tuned_absorber"], None) == []
+    assert suggested_by_modes(idle, moved, (1000.0, 2000.0), TOLD_BY_MODES, None) == []
+    elsewhere = replace(moved, dofs=tuple(replace(dof, node=dof.node + 100) for dof in moved.dofs))
+    assert suggested_by_modes(idle, elsewhere, band, TOLD_BY_MODES, None) == []
+
+
+def test_a_search_begins_with_what_is_suggested():
+    """Without a step of its own (``depth=0``) it ends there; and no effect is begun with from none."""
+    gains = 1 + 0.01 * np.random.default_rng(3).standard_normal(N)
+    both = (case(add_mass, gains=gains), case(add_mass, gains=gains, spreads=SAME_SET_UP))
+    mass = Term("point_mass", (1,), (float(np.log(0.2)),))
+    said = []
+    found, odds = search_both(*both, said.append, depth=0, suggested=lambda: [Term("ground_spring", (2,), (6.0,)), mass])
+    assert found.best.key == (("point_mass", (1,)),)
+    assert np.exp(found.best.terms[0].values[0]) == pytest.approx(0.4, abs=0.02)
+    assert odds < 0
+    assert any("operational modes suggest" in line for line in said)
+    alone, _ = search_both(*both, depth=0)
+    assert alone.best.key == ()
+    assert begun_with(both[0], []) is None
+
+
+def test_fits_begin_with_more_than_they_end_with():
+    """_ROUGH, of the FRFs: above what an explanation leaves, below what is missing where no step of first order leads."""
+    state = begun_with(case(add_mass), [Term("point_mass", (1,), (float(np.log(0.2)),))])
+    assert state.alpha < _ROUGH
+
+
+def test_a_change_of_shape_along_the_shape_is_a_gain():
+    """Where a DOF hardly moves, a sensor a degree askew shows much of other motion: a draw of many such sensors."""
+    model = identified()
+    shapes = np.array(model.terms.shapes)
+    shapes[2] *= 0.02
+    known = Idle.of(replace_shapes(model, shapes), BAND, [DOFS[0]])
+    between = Between(known, np.array([0]), BAND, SPREADS.copy())
+    rng = np.random.default_rng(0)
+    for dof in range(N):
+        moved = SPREADS["seen"] * between.rms * rng.standard_normal((200_000, between.rms.size))
+        own = known.phi[dof, known.modes]
+        gain = SPREADS["sensor"] * rng.standard_normal(200_000) + moved @ own / (own @ own)
+        assert between.sensor_gains[dof] == pytest.approx(gain.std() / SPREADS["sensor"], rel=0.02)
+    assert between.sensor_gains[2] > 10
+    assert max(np.delete(between.sensor_gains, 2)) < 1.5
+    same = Between(known, np.array([0]), BAND, dict(SAME_SET_UP))
+    np.testing.assert_array_equal(same.sensor_gains, 1)
+
+
+def replace_shapes(model, shapes):
+    terms = model.terms
+    return type(model).from_terms(
+        terms.frequencies_hz, terms.damping_ratios, shapes, model.dofs, residual=terms.residual, scaling=model.scaling,
+        covariance=model.covariance, band_hz=model.band_hz,
+    )  # fmt: skip
