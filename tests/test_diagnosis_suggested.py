@@ -75,11 +75,15 @@ def test_a_change_of_shape_along_the_shape_is_a_gain():
     known = Idle.of(replace_shapes(model, shapes), BAND, [DOFS[0]])
     between = Between(known, np.array([0]), BAND, SPREADS.copy())
     rng = np.random.default_rng(0)
-    for dof in range(N):
-        moved = SPREADS["seen"] * between.rms * rng.standard_normal((200_000, between.rms.size))
+
+    def drawn(dof, gain, shape):
+        moved = SPREADS[shape] * between.rms * rng.standard_normal((200_000, between.rms.size))
         own = known.phi[dof, known.modes]
-        gain = SPREADS["sensor"] * rng.standard_normal(200_000) + moved @ own / (own @ own)
-        assert between.sensor_gains[dof] == pytest.approx(gain.std() / SPREADS["sensor"], rel=0.02)
+        return np.std(SPREADS[gain] * rng.standard_normal(200_000) + moved @ own / (own @ own)) / SPREADS[gain]
+
+    for dof in range(N):
+        assert between.sensor_gains[dof] == pytest.approx(drawn(dof, "sensor", "seen"), rel=0.02)
+    assert between.force_gains[0] == pytest.approx(drawn(0, "force", "driven"), rel=0.02)
     assert between.sensor_gains[2] > 10
     assert max(np.delete(between.sensor_gains, 2)) < 1.5
     same = Between(known, np.array([0]), BAND, dict(SAME_SET_UP))

@@ -96,8 +96,8 @@ class Between:
         Of the unknowns that all channels share, after g; of those that each DOF has for itself, after its shape's.
     shared_spread : (n,) array
     own_spread : (DOFs, k) array
-    sensor_gains : (DOFs,) array
-        Spread of the gain of each sensor over the one stated.
+    sensor_gains, force_gains : (DOFs,) and (references,) arrays
+        Spread of the gain of each sensor and force over the one stated.
     local_modes, local_pairs : (modes, DOFs) and (pairs, DOFs) arrays
         What a joint at each DOF changes in the damping of modes, and between them.
     groups : list
@@ -149,7 +149,8 @@ class Between:
             **{name: np.ones(references) for name in OF_A_FORCE},
             "late": one, "stiffness_between": pair, "damping_between": pair,
         }  # fmt: skip
-        shared["force"], self.sensor_gains = self._gains("force", "driven")[self.driven], self._gains("sensor", "seen")
+        self.force_gains, self.sensor_gains = self._gains("force", "driven")[self.driven], self._gains("sensor", "seen")
+        shared["force"] = self.force_gains
         own = {name: np.ones((dofs, 1)) for name in OF_A_CHANNEL}
         own["sensor"] = self.sensor_gains[:, None]
         own["seen"] = np.tile(rms, (dofs, 1))

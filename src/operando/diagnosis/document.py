@@ -65,7 +65,8 @@ def between_rows(state: State) -> list[dict[str, Any]]:
         for number, at in enumerate(range(where.start, where.stop)):
             spread = between.shared_spread[at]
             value, std = d[at] * spread, std_d[at] * spread
-            unusual = abs(value) > UNUSUAL * between.spreads[name]
+            usual = between.spreads[name] * (between.force_gains[number] if name == "force" else 1.0)
+            unusual = abs(value) > UNUSUAL * usual
             location = [str(case.dofs[forward.references[number]])] if name == "force" else []
             if name == "force":
                 # H is divided by the gain of the force
