@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operando.errors import DataError, IdentificationError
-from operando.stabilization import STATUS, Tolerances, classify, select_modes
+from operando.stabilization import HAND_TOLERANCE, STATUS, Tolerances, classify, select_modes
 
 HZ = np.array([5.0, 12.0, 12.1, 20.0, 33.0])  # 12.0 and 12.1 are a close pair
 ZETA = np.array([0.01, 0.005, 0.02, 0.008, 0.03])
@@ -83,6 +83,15 @@ def test_choice_by_hand_is_honoured():
     assert "no mode was selected" in by_hand[0].reason
     with pytest.raises(IdentificationError, match="nearest is"):
         select_modes(table, select_hz=[90.0])
+
+
+def test_a_frequency_by_hand_means_a_mode_up_to_a_relative_distance():
+    """HAND_TOLERANCE: what is nearer is meant, what is farther off means none."""
+    orders, hz, zeta, vectors, _ = diagram(born=(0, 0, 6, 25, 0))
+    table = classify(orders, hz, zeta, vectors)
+    near, far = (33 * (1 + part * HAND_TOLERANCE) for part in (0.8, 1.3))
+    assert not np.any(np.abs(select_modes(table, reject_hz=[near]).selected_hz - 33) < 0.1)
+    assert np.any(np.abs(select_modes(table, reject_hz=[far]).selected_hz - 33) < 0.1)
 
 
 def test_a_frequency_with_all_its_digits_means_that_chain_however_short():

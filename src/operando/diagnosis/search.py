@@ -91,9 +91,7 @@ def search(
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
     run = Search(case, say, start, rival, depth=depth)
-    for state in known:
-        run.once(state.terms)
-        run.pool[state.key] = state
+    run.pool |= {state.key: state for state in known}
     found = run.run()
     best = found.best
     behind = rival is not None and (score(best) < rival.score - EARNED or remounted(best))
