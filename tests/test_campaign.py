@@ -260,7 +260,7 @@ def test_thirty_states_of_which_the_last_eight_hold_a_spring(tmp_path):
     document = document_of(campaign, lambda members: (records[m.name] for m in members), counts)
     said = said_of(document)
     assert said[0].startswith("From test 23 (speed 2300 rpm) on: ground spring at 7+Z, 12.00 ± 0.02 kN/m, is missing in the idle model")
-    assert said[1].startswith("Operating mode 2 goes from ")
+    assert said[1].startswith("Operational mode 2 goes from ")
     assert "from test 22 (speed 2200 rpm) to test 23 (speed 2300 rpm)" in said[1]
     assert re.search(r"modes 0 and 1 cross near speed 14[1-5]\d(\.\d)? rpm, at 11\.3", said[2])
     odd = {t["number"]: t["stands_out"] for t in document["tests"] if t["stands_out"]}

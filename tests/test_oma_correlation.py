@@ -13,17 +13,18 @@ def direct(x, refs, n_lags, start, stop):
     return np.array([x[:, start + k : stop + k] @ x[refs, start:stop].T for k in range(n_lags + 1)]) / (stop - start)
 
 
-@pytest.mark.parametrize("chunk", [64, 1 << 15])
-def test_blocks_equal_direct_sums_and_add_up(chunk):
-    x = np.random.default_rng(0).standard_normal((3, 1017))
+@pytest.mark.parametrize("length", [250, 3000])
+def test_blocks_equal_direct_sums_and_add_up(length):
+    """Blocks of one transform, and of several."""
+    x = np.random.default_rng(0).standard_normal((3, 4 * length + 17))
     refs = np.array([2, 0])
-    c = correlate(x, refs, 17, 4, True, chunk)
+    c = correlate(x, refs, 17, 4)
     for b in range(4):
-        np.testing.assert_allclose(c.blocks[b], direct(x, refs, 17, b * 250, (b + 1) * 250), atol=1e-5)
-    np.testing.assert_allclose(c.mean, direct(x, refs, 17, 0, 1000), atol=1e-6)
-    exact = correlate(x, refs, 17, 4, False, chunk)
+        np.testing.assert_allclose(c.blocks[b], direct(x, refs, 17, b * length, (b + 1) * length), atol=1e-5)
+    np.testing.assert_allclose(c.mean, direct(x, refs, 17, 0, 4 * length), atol=1e-6)
+    exact = correlate(x, refs, 17, 4, keep_blocks=False)
     assert exact.blocks is None
-    np.testing.assert_allclose(exact.mean, direct(x, refs, 17, 0, 1000), atol=1e-12)
+    np.testing.assert_allclose(exact.mean, direct(x, refs, 17, 0, 4 * length), atol=1e-12)
 
 
 def test_runs_pool_by_length():

@@ -545,7 +545,7 @@ def test_an_output_only_test_has_its_own_answer(whole):
     Page(text)
     assert headline(results).verdict == "12 operational modes in 8–140 Hz"
     assert ": modes</title>" in text
-    assert "Operating frequency response functions · test report" not in text
+    assert "Operational frequency response functions · test report" not in text
     assert "arbitrary scale" in " ".join(headline(results).sentences)
     assert 'href="#idle"' not in text
     assert "Idle" not in "".join(re.findall("<th .*?</th>", text))

@@ -122,7 +122,7 @@ class Results(Short):
         return {
             "Test": self.name,
             "Idle": counted(self.idle.n_modes, "idle mode") if self.idle is not None else "",
-            "Operating": counted(self.operating.n_modes, "operating mode") if self.operating is not None else "",
+            "Operating": counted(self.operating.n_modes, "operational mode") if self.operating is not None else "",
             "Scaling": f"scaled by {self.hybrid.method}" if self.hybrid is not None else "",
             "Validation": "" if level is None else f"operational FRFs within {level:.2f} dB of the validation measurement",
             "Diagnosis": f"diagnosis: {self.diagnosis['verdict'].replace('_', ' ')}" if self.diagnosis else "",

@@ -227,7 +227,7 @@ def _steps_at(track: Track, places: Sequence[float], tell: _Teller, kind: str) -
     hz, ratio = [p.frequency_hz for p in track.points], [p.damping_ratio for p in track.points]
     hz_std = [p.frequency_std_hz for p in track.points]
     alone = outliers(hz, hz_std)
-    name = f"{kind} mode {track.number}"
+    name = f"{'operational' if kind == 'operating' else kind} mode {track.number}"
     for i in alone:
         tell.row(states[i])["stands_out"].append(f"{name}: {hz[i]:.5g} Hz, between {hz[i - 1]:.5g} and {hz[i + 1]:.5g} Hz beside it")
     for i in outliers(ratio, [p.damping_ratio_std for p in track.points]):
@@ -252,7 +252,7 @@ def _same_everywhere(part: Mapping[str, Any], states: int) -> bool:
 
 
 def _add_scale(part: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Scale, its relative deviation and class of each operating mode from the pairing of its test."""
+    """Scale, its relative deviation and class of each operational mode from the pairing of its test."""
     pairing = {(row["name"], p["operating"]): p for row in rows for p in row["pairing"]}
     for track in part["tracks"]:
         for point in track["points"]:

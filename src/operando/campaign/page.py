@@ -44,7 +44,7 @@ def render(document: Mapping[str, Any]) -> str:
     counts = document["counts"]
     meta = f"{count(len(document['tests']), 'test')}, {counts['failed']} failed · over {document['over']['label']}"
     return render_page(
-        f"{document['name']}: campaign", document["name"], "Operating frequency response functions · campaign report", meta, sections
+        f"{document['name']}: campaign", document["name"], "Operational frequency response functions · campaign report", meta, sections
     )
 
 

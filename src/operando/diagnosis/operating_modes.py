@@ -230,7 +230,7 @@ def mode_set(model: ModalModel, common: tuple[Dof, ...], signs: Array, top: floa
     inside = np.asarray(model.in_band) & (model.frequencies_hz < top) & (model.damping_ratios > 0) & (model.frequencies_hz > 0)
     kept = model.select_modes(inside)
     if not kept.n_modes:
-        raise DataError("no operating mode lies in the band of the idle model", hint="identify the operating record over the idle band")
+        raise DataError("no operational mode lies in the band of the idle model", hint="identify the operating record over the idle band")
     rows, turned = match_dofs(common, model.dofs)
     own, sense = np.asarray(rows), np.asarray(turned) * signs
     n, m, full = kept.n_modes, own.size, len(model.dofs)

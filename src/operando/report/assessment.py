@@ -184,7 +184,7 @@ def _what_they_are(results: Results) -> str:
     residual = modal.n_residuals if modal is not None else 0
     text = (
         f"Operational FRFs between {count(dofs, 'DOF')} ({dofs * dofs} pairs), {band_text(analysis_band(results))}, "
-        f"are the sum over {count(len(pairing), 'operating mode')}: {listing(parts)}"
+        f"are the sum over {count(len(pairing), 'operational mode')}: {listing(parts)}"
     )
     text += (
         f"; {count(residual, 'residual mode')} of the idle model stand{'s' if residual == 1 else ''} for modes outside the band."
@@ -245,7 +245,7 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
     ema = results.idle is not None
     model: Any = results.idle if ema else results.operating
     f, z = model.frequencies_hz, 100 * model.damping_ratios
-    verdict = f"{count(model.n_modes, 'idle mode' if ema else 'operating mode')} in {band_text(analysis_band(results))}"
+    verdict = f"{count(model.n_modes, 'idle mode' if ema else 'operational mode')} in {band_text(analysis_band(results))}"
     sentences = []
     if model.n_modes:
         text = f"Frequencies from {number(f.min(), 4)} to {number(f.max(), 4)} Hz, damping ratios from {number(z.min(), 2)} to "
@@ -354,7 +354,7 @@ def _dominant_modes(results: Results) -> Assumption:
         text += "no reduced chi-square was computed."
     state = "holds" if finite(misfit) and float(misfit or 0) < 2 else "doubtful" if finite(misfit) else "untested"
     if alone:
-        text += f" {count(len(alone), 'operating mode')} without a partner among the idle modes in band."
+        text += f" {count(len(alone), 'operational mode')} without a partner among the idle modes in band."
         state = "doubtful" if state == "holds" else state
     return Assumption(name, state, text)
 

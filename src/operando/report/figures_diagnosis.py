@@ -161,7 +161,7 @@ def location_figure(found: Mapping[str, Any], geometry: Geometry) -> tuple[Figur
 
 @drawn
 def mode_errors(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | None) -> tuple[Figure, str]:
-    """SVG: chi-square of each operating mode by the idle model and by the model with the effects, against 1, the noise.
+    """SVG: chi-square of each operational mode by the idle model and by the model with the effects, against 1, the noise.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def mode_errors(frequencies_hz: ArrayLike, idle: ArrayLike, added: ArrayLike | N
     axes.set_ylim(bottom, 1.6 * max(float(positive.max()) if positive.size else 1.0, 1.0))
     axes.set_xticks(np.arange(hz.size), [number(f, 4) for f in hz], fontsize=7.5, rotation=90 if hz.size > 16 else 0)
     axes.tick_params(axis="x", length=0)
-    axes.set_xlabel("Operating mode [Hz]")
+    axes.set_xlabel("Operational mode [Hz]")
     axes.set_ylabel("Reduced χ² [1 = noise]")
     log_axis(axes.yaxis)
     figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.065, 1.02))

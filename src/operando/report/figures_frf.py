@@ -113,7 +113,7 @@ def ofrf_pairs(
     names = listing(f"{check.responses[i]} from {check.references[j]}" for i, j, _ in pairs)
     if label != "operational FRF":
         return figure, f"Frequency response functions of the {label} with 95 % band against validation measurement and idle model: {names}"
-    return figure, f"Operating frequency response functions with 95 % band against validation measurement and idle model: {names}"
+    return figure, f"Operational frequency response functions with 95 % band against validation measurement and idle model: {names}"
 
 
 @drawn

@@ -115,7 +115,7 @@ class Report:
         title = results.name or "unnamed test"
         meta = f"Analysis band {band_text(analysis_band(results))}"
         both = results.hybrid is not None or results.diagnosis is not None
-        kicker = ("Operating frequency response functions" if both else "Modal analysis") + " · test report"
+        kicker = ("Operational frequency response functions" if both else "Modal analysis") + " · test report"
         return render_page(
             f"{title}: {'operational FRFs' if both else 'modes'}", title, kicker, meta, sections, results.settings.get("report") or {}
         )

@@ -112,7 +112,7 @@ def scaling(results: Results, page: Numbering) -> dict[str, Any]:
         if modal is not None and modal.residuals is not None:
             where = derive.range_text(modal.residuals.frequencies_hz)
             residuals = f"{count(modal.n_residuals, 'mode')} of the idle model beyond the operating ones ({where})"
-    notes = [f"Operating mode {p['operating']}: {str(p['note']).rstrip('.')}." for p in pairing if p.get("note")]
+    notes = [f"Operational mode {p['operating']}: {str(p['note']).rstrip('.')}." for p in pairing if p.get("note")]
     notes += [f"{str(c).rstrip('.')}." for c in info.get("conflicts") or []]
     refused = (info.get("evidence") or {}).get("refused") or {}
     others = [(name, v, refused.get(name)) for name, v in (info.get("alternatives") or {}).items() if name != info.get("method")]
