@@ -100,6 +100,7 @@ def respond(strip, drive_at, forces, effects, fine=8):
     every = [b if b.ndim == 2 else np.repeat(b[:, None], runs, axis=1) for b, _, _ in effects]
     acts = np.array([np.any(b != 0, axis=0) for b in every], float)  # in which runs
     rows = np.array([strip.phi.T @ b[:, np.argmax(np.any(b != 0, axis=0))] for b in every])  # an effect has one place
+    assert all(np.array_equal(b, np.outer(b[:, np.argmax(on)], on)) for b, on in zip(every, acts, strict=True))
     laws = [law_of(kind, p) for _, kind, p in effects]
     # one product for all that is linear: rates of q and v, those of z (none), x and its rate at each effect
     linear = np.zeros((2 * m + 3 * count, 2 * m + count))

@@ -62,7 +62,7 @@ def test_a_search_begins_with_what_is_suggested():
 
 
 def test_fits_begin_with_more_than_they_end_with():
-    """_ROUGH, of the FRFs: above what an explanation leaves, below what is missing where no step of first order leads."""
+    """_ROUGH, of the FRFs: above what an explanation leaves."""
     state = begun_with(case(add_mass), [Term("point_mass", (1,), (float(np.log(0.2)),))])
     assert state.alpha < _ROUGH
 
