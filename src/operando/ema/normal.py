@@ -102,6 +102,23 @@ class Information:
     local: tuple[Real, ...]
 
 
+LEAST_RESIDUE = 0.25
+"""Least share of its drive residues that a step leaves to a mode: the scale halves."""
+
+LEAST_CHANGE = 0.5 * (LEAST_RESIDUE - 1)
+"""The relative change of the scale, to first order, that leaves so much."""
+
+
+def _scales(theta: Parameters, driven: Sequence[int]) -> Real:
+    """Relative change of each mode's scale at the driven DOFs by each global parameter, (n, p)."""
+    m, n = theta.shapes.shape
+    drive = theta.shapes[list(driven)]
+    power = np.sum(drive**2, axis=0)
+    out = np.zeros((n, n, m))
+    out[:, :, list(driven)] = np.eye(n)[:, :, None] * np.divide(drive, power, out=np.zeros_like(drive), where=power > 0).T
+    return np.concatenate([np.zeros((n, 2 * n)), out.reshape(n, -1)], axis=1)
+
+
 @dataclass(frozen=True)
 class Equations:
     """What a step follows from: a normal matrix and the gradient of the cost, which may be of another place near by.
@@ -115,6 +132,8 @@ class Equations:
         Gradient of the global parameters, everything of single runs eliminated.
     base, rest : tuples of (q,) arrays
         For each run the change of its own unknowns where the global parameters stay, and their gradient, both scaled.
+    scales : (n, p) array
+        Relative change of each mode's scale at the driven DOFs by each global parameter.
     """
 
     information: Information
@@ -122,9 +141,12 @@ class Equations:
     right: Real
     base: tuple[Real, ...]
     rest: tuple[Real, ...]
+    scales: Real
 
     @classmethod
-    def of(cls, information: Information, gradients: Sequence[Real], theta: Parameters, precision: Real) -> Equations:
+    def of(
+        cls, information: Information, gradients: Sequence[Real], theta: Parameters, precision: Real, driven: Sequence[int]
+    ) -> Equations:
         """Equations with the gradient of each run at ``theta``."""
         p = precision.size
         right = -precision * np.concatenate([np.zeros(2 * theta.hz.size), theta.shapes.T.ravel()])
@@ -133,17 +155,29 @@ class Equations:
             rest.append(gradient[p:] / own.scale)
             base.append(cho_solve(own.factor, rest[-1]) if rest[-1].size else rest[-1])
             right += gradient[:p] - own.slope.T @ rest[-1]
-        return cls(information, precision, right, tuple(base), tuple(rest))
+        return cls(information, precision, right, tuple(base), tuple(rest), _scales(theta, driven))
 
     def step(self, damping: float) -> tuple[Real, list[Real], float]:
-        """Levenberg step of the global parameters and of those of each run, and the fall of the cost it foresees."""
+        """Levenberg step of the global parameters and of those of each run, and the fall of the cost it foresees.
+
+        Noise can ask for negative drive residues, which no mode has. Such modes keep the share :data:`LEAST_RESIDUE` of theirs, and all
+        other parameters move as is best with that.
+        """
         normal = self.information.normal + np.diag(self.precision)
         d = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         d[d < 1e-12 * d.max()] = d.max()  # a parameter without information stays where it is
         scaled = normal / np.outer(d, d)
         scaled[np.diag_indices_from(scaled)] += damping
-        step = cho_solve(_safe_factor(scaled), self.right / d) / d
+        factor = _safe_factor(scaled)
+        step = cho_solve(factor, self.right / d) / d
         gain = float(step @ self.right)
+        low = np.flatnonzero(self.scales @ step < LEAST_CHANGE)
+        if low.size:
+            rows = self.scales[low]
+            pull = cho_solve(factor, (rows / d).T) / d[:, None]
+            force = np.linalg.solve(rows @ pull, LEAST_CHANGE - rows @ step)
+            step = step + pull @ force
+            gain = float(step @ self.right - LEAST_CHANGE * force.sum())
         nuisance = []
         for own, base, rest in zip(self.information.own, self.base, self.rest, strict=True):
             nuisance.append((base - own.slope @ step) / own.scale)

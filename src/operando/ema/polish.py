@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.normal import Equations, Information, Residual, gradients, linearised, residual
+from operando.ema.normal import LEAST_RESIDUE, Equations, Information, Residual, gradients, linearised, residual
 from operando.ema.polish_model import Parameters, Real, n_local
 from operando.ema.spectra import RunSpectra
 from operando.synthesis import power_of
@@ -87,6 +87,11 @@ def signed(run: RunSpectra) -> RunSpectra:
     )
 
 
+def driven_rows(runs: Sequence[RunSpectra]) -> list[int]:
+    """Rows of all DOFs that a force drives in some run."""
+    return sorted({int(row) for run in runs for row in run.force_rows})
+
+
 def _evaluated(runs: Sequence[RunSpectra], theta: Parameters, shape_std: Real | None) -> tuple[float, list[Residual]]:
     """Σ eᴴC⁻¹e plus half the quadratic form of the shapes' prior, and the residuals of the runs."""
     states = [residual(run, theta, i) for i, run in enumerate(runs)]
@@ -142,7 +147,7 @@ def polish(
     """
     theta = start
     m_dofs, n = theta.shapes.shape
-    n_global = 2 * n + m_dofs * n
+    n_global, driven = 2 * n + m_dofs * n, driven_rows(runs)
     precision = np.zeros(n_global)
     if shape_std is not None:
         precision[2 * n :] = (0.5 / shape_std**2).T.ravel()
@@ -156,7 +161,7 @@ def polish(
         known, without, slopes = linearised(runs, theta, states, apart)
     else:
         slopes = gradients(runs, theta, states)
-    equations = Equations.of(known, slopes, theta, precision)
+    equations = Equations.of(known, slopes, theta, precision, driven)
     while iteration < max_iterations:
         iteration += fresh
         trial, trial_cost, gain, there = None, np.inf, 0.0, states
@@ -178,7 +183,7 @@ def polish(
             break
         if trial is None:
             known, without, slopes = linearised(runs, theta, states, apart)
-            equations, since, fresh = Equations.of(known, slopes, theta, precision), 0.0, True
+            equations, since, fresh = Equations.of(known, slopes, theta, precision, driven), 0.0, True
             continue
         fall, cost, theta, states = cost - trial_cost, trial_cost, trial, there
         since += fall
@@ -190,7 +195,7 @@ def polish(
             break
         if fall * (max_iterations - iteration) < cost - needed_cost:
             break
-        equations = Equations.of(known, gradients(runs, theta, states), theta, precision)
+        equations = Equations.of(known, gradients(runs, theta, states), theta, precision, driven)
         gain = equations.step(damping)[2]
         if gain < NEAR * tolerance:
             converged = True
@@ -198,7 +203,7 @@ def polish(
         fresh = gain > REUSED * fall
         if fresh:
             known, without, slopes = linearised(runs, theta, states, apart)
-            equations, since = Equations.of(known, slopes, theta, precision), 0.0
+            equations, since = Equations.of(known, slopes, theta, precision, driven), 0.0
     if want_covariance and since > tolerance and not _same(known.at, theta):
         known, without, _ = linearised(runs, theta, states, apart)
     covariance = _covariance(known.normal + np.diag(precision)) if want_covariance else np.zeros((0, 0))
@@ -224,13 +229,30 @@ def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequen
     zeta = theta.zeta * np.exp(step[n : 2 * n])
     if np.any(zeta > 0.9) or np.any(zeta < 1e-7):
         return None
-    shapes = theta.shapes + step[2 * n :].reshape(n, m_dofs).T
+    moves, driven = step[2 * n :].reshape(n, m_dofs).T, driven_rows(runs)
+    change, factor = _scale_step(theta.shapes, moves, driven)
+    shapes = (theta.shapes + moves + change * theta.shapes) / factor
+    shapes[driven] = (theta.shapes + moves - change * theta.shapes)[driven] * factor
     transients, local = [], []
     for i, run in enumerate(runs):
         split = 0 if run.step_s is None else 2 * n
-        transients.append(theta.transients[i] + nuisance[i][:split].reshape(2, -1))
+        old = theta.transients[i]
+        transients.append((old + nuisance[i][:split].reshape(old.shape) - change[: old.shape[1]] * old) * factor[: old.shape[1]])
         local.append(theta.local[i] + nuisance[i][split:].reshape(run.response_rows.size, -1))
     return replace(theta, hz=hz, zeta=zeta, shapes=shapes, transients=tuple(transients), local=tuple(local))
+
+
+def _scale_step(shapes: Real, step: Real, driven: Sequence[int]) -> tuple[Real, Real]:
+    """Relative change of each mode's scale at the driven DOFs that a step foresees, and the factor by which it moves, (n,) each.
+
+    What is measured are products of the shape at a driven DOF and that at another one, or a transient's amplitude. Where a reference hardly
+    moves in a mode they are known far better than its scale. By sums they would be wrong by the square of the scale's step: a fit creeps
+    along a bent valley and ends before its minimum. With a factor here and its inverse there they change as the step foresees; so do the
+    drive residues, squares of the scale, by this factor.
+    """
+    power = np.sum(shapes[driven] ** 2, axis=0)
+    change = np.divide(np.sum(shapes[driven] * step[driven], axis=0), power, out=np.zeros(power.size), where=power > 0)
+    return change, np.sqrt(np.maximum(1 + 2 * change, 0.9 * LEAST_RESIDUE))
 
 
 def _covariance(total: Real) -> Real:

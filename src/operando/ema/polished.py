@@ -19,9 +19,10 @@ from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
 from operando.ema.start import LOWER_FACTORS, inverted_forces, linear_residues, outside_kernels
+from operando.synthesis import power_of
 
-WIDER = 1.33
-"""The fit reaches this far above the analysis band where the force does."""
+WIDER = (1.3, 1.5)
+"""The fit ends so far above the analysis band where the force reaches there, between two modes."""
 
 
 POLISH_STEPS = 60
@@ -115,10 +116,28 @@ def polish_runs(
     """Spectra to fit, on lines a little wider than the analysis band where the force excites, and outside the bands excluded."""
     f = frf.frequencies_hz
     if not records:
-        fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER * band[1], f[-1])))
+        fit_band = (float(max(0.6 * band[0], f[f > 0][0])), float(min(WIDER[1] * band[1], f[-1])))
+        fit_band = fit_band[0], between_modes(frf, WIDER[0] * band[1], fit_band[1])
         return [signed(run) for run in frf_spectra(frf, dofs, fit_band)], fit_band
-    fit_band = excited_fit_band(records, band, WIDER)
+    fit_band = excited_fit_band(records, band, WIDER[1])
+    fit_band = fit_band[0], between_modes(frf, WIDER[0] * band[1], fit_band[1])
     return [signed(record_spectra(record, dofs, fit_band).without_bands(exclude_bands)) for record in records], fit_band
+
+
+def between_modes(frf: Frf, first: float, last: float) -> float:
+    """Frequency [Hz] from ``first`` to ``last`` where the FRFs are lowest altogether; ``last`` where they have no lines there.
+
+    A fit that ends on the flank of a mode beyond its lines has to bend others to it, or a mode whose pole nothing there shows.
+    """
+    f = frf.frequencies_hz
+    lines = np.flatnonzero((f >= first) & (f <= last) & np.isfinite(frf.data).any(axis=(0, 1)))
+    if not lines.size:
+        return last
+    power = power_of(np.nan_to_num(frf.data[:, :, lines]))
+    typical = np.median(power, axis=2, keepdims=True)
+    level = np.sum(np.divide(power, typical, out=np.zeros_like(power), where=typical > 0), axis=(0, 1))
+    inner = np.flatnonzero((level[1:-1] <= level[:-2]) & (level[1:-1] <= level[2:])) + 1  # the ends may be flanks
+    return float(f[lines[inner[np.argmin(level[inner])] if inner.size else np.argmin(level)]])
 
 
 def _turned(runs: Sequence[RunSpectra], hz: Real, zeta: Real) -> tuple[list[RunSpectra], list[tuple[int, int]]]:

@@ -12,11 +12,14 @@ from operando.ema.polish_model import OUTSIDE_DAMPING, Complex, Real, decays, en
 from operando.ema.spectra import RunSpectra
 from operando.synthesis import modal_kernel, power_of, real_inner
 
-OUTSIDE_FACTORS = (1.04, 1.1, 1.25, 1.6, 2.5, 5.0)
+OUTSIDE_FACTORS = (1.02, 1.05, 1.1, 1.25, 1.6, 2.5, 5.0)
 """Frequencies of the fixed kernels for modes above the band, in units of the highest line."""
 
 LOWER_FACTORS = (0.02, 0.6)
 """The same below the band, in units of the lowest line: a mass line, and a suspension."""
+
+LEAST_DRIVE = 1e-4
+"""Least drive residue, as a share of the largest residue, that gives a mode's scale to start with."""
 
 GRID = 64
 """Frequencies asked at a time: their kernels on all lines are a few megabytes."""
@@ -117,14 +120,15 @@ def _rank_one_mode(columns: list[tuple[int, NDArray[np.int_], Real]], n_dofs: in
         if at.size and value[at[0]] > scale:
             best, scale = (row, rows, value), float(value[at[0]])
     size = max(float(np.max(np.abs(np.concatenate([v for _, _, v in columns])))), 1e-30)
-    seen = best is not None and scale > 1e-4 * size
+    seen = best is not None and scale > LEAST_DRIVE * size
     phi = np.zeros(n_dofs)
     if not seen:
         row, rows, value = max(columns, key=lambda c: float(np.sum(c[2] ** 2)))
-        reference = np.sqrt(size)
+        at = np.flatnonzero(rows == row)
+        # A drive residue of the wrong sign is noise of that magnitude; the products with all other DOFs are right from the start.
+        reference = np.sqrt(max(abs(float(value[at[0]])), LEAST_DRIVE * size) if at.size else size)
         phi[rows] = value / reference
-        phi[row] = phi[row] or reference
-        # A drive point of the wrong sign is no scale: keep the magnitude, the fit and its findings tell.
+        phi[row] = reference
         return phi, False
     assert best is not None
     row, rows, value = best

@@ -71,25 +71,33 @@ def update_variance(
     kernel = signs * kernel
     at = weights @ phi
     touched = np.flatnonzero(np.any(weights != 0, axis=0))
-    mode = np.arange(n)
+    spread = np.diag(base.covariance) > 0  # terms of what lies out of band have no spread of their poles, many none of their shapes
+    modes = [np.flatnonzero(part) for part in (spread[:n], spread[n : 2 * n])]
+    by_hz, by_zeta = by_hz[modes[0]], by_zeta[modes[1]]
+    at_dof = {d: np.flatnonzero(spread[2 * n + d :: m]) for d in {*touched.tolist(), *responses[0], *references[0]}}
     (out_rows, out_signs), (in_rows, in_signs) = responses, references
     psi = [s * phi[i][:, None] - at.T @ left[o] for o, (i, s) in enumerate(zip(out_rows, out_signs, strict=True))]
     chi = [s * phi[i][:, None] - at.T @ right[:, j] for j, (i, s) in enumerate(zip(in_rows, in_signs, strict=True))]
-    result = np.empty((len(out_rows), len(in_rows), w.shape[1]))
+    lines = w.shape[1]
+    result = np.empty((len(out_rows), len(in_rows), lines))
     for o, i in enumerate(out_rows):
         for j, k in enumerate(in_rows):
-            parts, index = [by_hz * psi[o] * chi[j], by_zeta * psi[o] * chi[j]], [mode, n + mode]
+            parts = [by * (psi[o][of] * chi[j][of]) for by, of in zip((by_hz, by_zeta), modes, strict=True)]
+            index = [modes[0], n + modes[1]]
             seen_o, seen_j = kernel * chi[j], kernel * psi[o]
             for d in sorted({i, k, *touched.tolist()}):
+                of = at_dof[d]
                 a = (out_signs[o] if d == i else 0.0) - weights[:, d] @ left[o]
                 b = (in_signs[j] if d == k else 0.0) - weights[:, d] @ right[:, j]
-                parts.append(seen_o * a + seen_j * b)
-                index.append(2 * n + mode * m + d)
+                parts.append(seen_o[of] * a + seen_j[of] * b)
+                index.append(2 * n + of * m + d)
             gradient, where = np.concatenate(parts), np.concatenate(index)
             covariance = base.covariance[np.ix_(where, where)]
             both = np.concatenate([gradient.real, gradient.imag], axis=1)
             value = np.einsum("kl,kl->l", both, covariance @ both)
-            result[o, j] = np.maximum(value[: w.shape[1]] + value[w.shape[1] :], 0)
+            result[o, j] = np.maximum(value[:lines] + value[lines:], 0)
             if shared is not None:
-                result[o, j] += 2 * np.einsum("kl,kl->l", gradient.conj(), shared[0][where] @ shared[1][:, o, j]).real
+                by_others = shared[0][where].T @ both  # real and imaginary parts beside each other
+                with_others = by_others[:, :lines] * shared[1][:, o, j].real + by_others[:, lines:] * shared[1][:, o, j].imag
+                result[o, j] += 2 * with_others.sum(axis=0)
     return result
