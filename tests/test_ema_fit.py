@@ -22,6 +22,11 @@ HZ = np.array([22.0, 41.0, 63.0, 64.5, 90.0, 118.0])
 DOFS = tuple(Dof.parse(f"{i}+Z") for i in range(1, 7))
 
 
+def outside(*hz):
+    """Poles of kernels outside the band."""
+    return np.array(hz), np.full(len(hz), 0.01)
+
+
 def plate_like():
     """Chain shapes with chosen frequencies: two of them 1.5 Hz apart."""
     chain = Chain(6, zeta=np.array([0.006, 0.004, 0.01, 0.008, 0.007, 0.009]), spread=0.4, seed=3)
@@ -195,7 +200,7 @@ def test_gradient_is_that_of_the_cost(fitted):
     run = replace(run, force_variance=np.zeros_like(run.force_variance))
     rng = np.random.default_rng(2)
     theta = start_parameters(
-        [run], chain.hz * 1.0005, chain.zeta * 1.05, chain.phi * (1 + 0.01 * rng.standard_normal((6, 6))), np.array([150.0, 300.0])
+        [run], chain.hz * 1.0005, chain.zeta * 1.05, chain.phi * (1 + 0.01 * rng.standard_normal((6, 6))), outside(150.0, 300.0)
     )
     gradient = normal_equations(run, theta, 0)[1]
     n, m = 6, 6
@@ -219,7 +224,7 @@ def test_normal_equations_are_those_of_the_whole_noise_covariance(fitted, monkey
     chain, records, _, _ = fitted
     run = record_spectra(records[0], DOFS, (15, 130))
     run = run.lines(np.arange(run.frequencies_hz.size) % 7 == 0)
-    theta = start_parameters([run], chain.hz, chain.zeta, chain.phi, np.array([150.0, 300.0]))
+    theta = start_parameters([run], chain.hz, chain.zeta, chain.phi, outside(150.0, 300.0))
     state = residual(run, theta, 0)
     normal = normal_equations(run, theta, 0, state)[0]
     model = run_model(run, theta, 0, state.clean_force)
@@ -245,7 +250,7 @@ def test_a_normal_matrix_serves_for_more_than_one_step(fitted, monkeypatch):
 
     chain, records, _, _ = fitted
     runs = [record_spectra(record, DOFS, (15, 130)) for record in records]
-    start = start_parameters(runs, HZ * 1.0003, np.full(HZ.size, 0.008), 0.9 * chain.phi, np.array([150.0, 300.0]))
+    start = start_parameters(runs, HZ * 1.0003, np.full(HZ.size, 0.008), 0.9 * chain.phi, outside(150.0, 300.0))
     made = []
     monkeypatch.setattr(module, "linearised", lambda *given: made.append(1) or linearised(*given))
     fit = polish(runs, start)
@@ -304,7 +309,7 @@ def test_a_fit_that_cannot_reach_what_is_needed_is_given_up():
     """``needed_cost``: the steps that are left must reach it at the pace of the last one; what can reach it is the same fit."""
     chain, rng = plate_like(), np.random.default_rng(5)
     runs = [record_spectra(steady_record(chain, 0, rng), DOFS, (15, 130))]
-    start = start_parameters(runs, HZ * 1.002, np.full(HZ.size, 0.02), 0.3 * chain.phi, np.array([150.0]))
+    start = start_parameters(runs, HZ * 1.002, np.full(HZ.size, 0.02), 0.3 * chain.phi, outside(150.0))
     steps = []
     whole = polish(runs, start, tolerance=1e-3, progress=steps.append)
     assert whole.converged
@@ -332,7 +337,7 @@ def test_kernels_below_the_band_are_asked_for_where_a_mode_lies_there():
     np.testing.assert_allclose(theta.hz, hz[1:], rtol=2e-3)
     run = replace(above[0], forces=above[0].forces * [[1.0], [0.5]], force_rows=np.array([0, 3]))
     run = replace(run, force_variance=np.repeat(run.force_variance, 2, axis=0))
-    without = start_parameters([run], hz, zeta, chain.phi[:, rank], np.array([150.0, 200.0, 300.0]))
+    without = start_parameters([run], hz, zeta, chain.phi[:, rank], outside(150.0, 200.0, 300.0))
     without = replace(without, local=(rng.standard_normal(without.local[0].shape),))
     costs = [residual(run, theta, 0).cost for theta in (without, _with_lower([run], without))]
     np.testing.assert_allclose(costs[1], costs[0], rtol=1e-12)
@@ -354,3 +359,66 @@ def test_a_response_without_a_number_is_left_out_and_the_rest_is_fitted():
     np.testing.assert_allclose(model.frequencies_hz, without.frequencies_hz, rtol=1e-12)
     with pytest.raises(DataError, match="no value of the FRFs is a number"):
         fit_ema(Frf(np.full_like(data, np.nan), f, dofs, dofs[:2], si=True), band=(12, 155))
+
+
+def test_the_scale_of_a_mode_that_the_reference_hardly_moves():
+    """LEAST_RESIDUE: its drive residues scatter as their deviations say, and fits from wrong scales end at one minimum."""
+    chain, weak = plate_like(), 4
+    chain.phi[0, weak] = 0.04 * np.abs(chain.phi[:, weak]).max()
+    z = []
+    for seed in range(16):
+        run = record_spectra(steady_record(chain, 0, np.random.default_rng(100 + seed), x_noise=0.02), DOFS, (15, 130))
+        costs = []
+        for factor in (0.05, 1.0, -3.0):  # of the wrong size and, together with the other DOFs, of the wrong sense
+            shapes = chain.phi.copy()
+            shapes[0, weak] *= factor
+            start = start_parameters([run], chain.hz, chain.zeta, shapes, outside(150.0, 300.0))
+            fit = polish([run], start, tolerance=1e-3)
+            assert fit.converged
+            costs.append(fit.cost)
+        assert np.ptp(costs) < 0.02
+        value = fit.parameters.shapes[0, weak]
+        std = np.sqrt(fit.covariance[2 * HZ.size + weak * 6, 2 * HZ.size + weak * 6])
+        z.append((value**2 - chain.phi[0, weak] ** 2) / (2 * abs(value) * std))
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4
+    assert abs(np.mean(z)) < 0.6
+
+
+def test_a_start_whose_drive_residue_is_noise_has_the_products_right():
+    """LEAST_DRIVE: a drive residue of the wrong sense gives the scale its magnitude, the least share of the largest one at least."""
+    from operando.ema.start import LEAST_DRIVE, rank_one
+
+    chain = plate_like()
+    run = record_spectra(steady_record(chain, 0, np.random.default_rng(0)), DOFS, (15, 130))
+    for drive, scale in ((-0.02, 0.02), (1e-9, 3.0 * LEAST_DRIVE)):
+        residues = np.array([[drive, 1.0, -2.0, 3.0, 0.5, 0.1]])[..., None]
+        shapes, seen = rank_one([run], [residues], 6)
+        assert not seen[0] or drive > 0
+        np.testing.assert_allclose(shapes[0, 0] * shapes[1:, 0], residues[0, 1:, 0])
+        np.testing.assert_allclose(shapes[0, 0] ** 2, scale)
+
+
+def test_modes_above_the_lines_are_described_by_fixed_kernels():
+    """DAMPED_FACTORS, MORE_DAMPING: to 0.3 % of what modes 4 to 20 % above the lines, of any damping, add there."""
+    from operando.ema.start import outside_kernels
+    from operando.synthesis import modal_kernel
+
+    run = record_spectra(steady_record(plate_like(), 0, np.random.default_rng(0)), DOFS, (15, 130))
+    f = run.frequencies_hz
+    kernels = modal_kernel(f, *outside_kernels([run], np.array([90.0]), False), "accelerance")
+    for above in (1.04, 1.06, 1.1, 1.15, 1.2):
+        for zeta in (0.003, 0.007, 0.02):
+            mode = modal_kernel(f, np.array([above * f[-1]]), np.array([zeta]), "accelerance")[0]
+            left = mode.view(float) - np.linalg.lstsq(kernels.view(float).T, mode.view(float), rcond=None)[0] @ kernels.view(float)
+            assert np.linalg.norm(left) < 3e-3 * np.linalg.norm(mode.view(float))
+
+
+def test_the_fit_ends_between_modes():
+    """WIDER, VALLEY: not on the flank of a mode beyond its lines, nor at an antiresonance."""
+    from operando.ema.polished import WIDER, between_modes
+
+    chain, f = plate_like(), np.arange(5.0, 200.0, 0.1)
+    chain.hz[-2:] = 124.0, 141.0
+    frf = Frf(chain.accelerance(f, ref=[0]), f, DOFS, DOFS[:1])
+    assert 129 < between_modes(frf, WIDER[0] * 93.0, WIDER[1] * 93.0) < 137
+    assert between_modes(frf, 250.0, 300.0) == 300.0

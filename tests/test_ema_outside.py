@@ -43,6 +43,7 @@ def fitted(chain, runs, odd_shape, odd_std):
         np.full(n, 0.01),
         shapes,
         outside_hz,
+        np.full(outside_hz.size, 0.01),
         tuple(np.zeros((2, 0)) for _ in runs),
         tuple(np.full((N, outside_hz.size * run.force_rows.size), 1e-3) for run in runs),
     )

@@ -15,7 +15,7 @@ from operando.ema.linear import LinearFit, fit_linear, stated_covariance
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.pairs import Pairs, Real
 from operando.ema.polish import Polished
-from operando.ema.polish_model import Parameters
+from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters
 from operando.ema.polished import PolishedAnswer
 from operando.ema.projection import tail_columns
 from operando.ema.spectra import RunSpectra
@@ -250,7 +250,8 @@ def column_runs(fit: LinearFit, shapes: Real) -> tuple[list[RunSpectra], Paramet
     # the constant tail stands for free masses: a kernel far below the lines
     outside = np.array([k * top for k in OUTSIDE_FACTORS] + [LOWER_FACTORS[1] * bottom, LOWER_FACTORS[0] * bottom])
     empty = tuple(np.zeros((0, 0)) for _ in runs)
-    return runs, Parameters(fit.poles.hz, fit.poles.zeta, shapes, outside, empty, tuple(local))
+    damping = np.full(outside.size, OUTSIDE_DAMPING)
+    return runs, Parameters(fit.poles.hz, fit.poles.zeta, shapes, outside, damping, empty, tuple(local))
 
 
 def heldout_misfit(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_dofs: int) -> tuple[float, Real]:

@@ -109,7 +109,7 @@ LEAST_CHANGE = 0.5 * (LEAST_RESIDUE - 1)
 """The relative change of the scale, to first order, that leaves so much."""
 
 
-def _scales(theta: Parameters, driven: Sequence[int]) -> Real:
+def scales(theta: Parameters, driven: Sequence[int]) -> Real:
     """Relative change of each mode's scale at the driven DOFs by each global parameter, (n, p)."""
     m, n = theta.shapes.shape
     drive = theta.shapes[list(driven)]
@@ -155,7 +155,7 @@ class Equations:
             rest.append(gradient[p:] / own.scale)
             base.append(cho_solve(own.factor, rest[-1]) if rest[-1].size else rest[-1])
             right += gradient[:p] - own.slope.T @ rest[-1]
-        return cls(information, precision, right, tuple(base), tuple(rest), _scales(theta, driven))
+        return cls(information, precision, right, tuple(base), tuple(rest), scales(theta, driven))
 
     def step(self, damping: float) -> tuple[Real, list[Real], float]:
         """Levenberg step of the global parameters and of those of each run, and the fall of the cost it foresees.

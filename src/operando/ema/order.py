@@ -243,12 +243,12 @@ def _grown(runs: Sequence[RunSpectra], n_dofs: int, theta: Parameters, new: Sequ
     """The fitted parameters and a few more modes, these with the shapes of a linear start; in order of frequency."""
     hz = np.concatenate([theta.hz, [h for h, _ in new]])
     zeta = np.concatenate([theta.zeta, [z for _, z in new]])
-    residues = linear_residues(runs, hz, zeta, theta.outside_hz)
+    residues = linear_residues(runs, hz, zeta, (theta.outside_hz, theta.outside_zeta))
     shapes = np.c_[theta.shapes, rank_one(runs, residues, n_dofs)[0][:, theta.hz.size :]]
     rank = np.argsort(hz)
     more = np.zeros((2, len(new)))
     transients = tuple(np.c_[t, more][:, rank] if t.size else t for t in theta.transients)
-    return Parameters(hz[rank], zeta[rank], shapes[:, rank], theta.outside_hz, transients, theta.local)
+    return Parameters(hz[rank], zeta[rank], shapes[:, rank], theta.outside_hz, theta.outside_zeta, transients, theta.local)
 
 
 def _price(runs: Sequence[RunSpectra]) -> float:

@@ -164,15 +164,15 @@ def outside_modes(
     return _with_local(hz, shapes, covariance.reshape(size, size), refs, target, known, top, f)
 
 
-def _outside_kernel(f: Real, hz: Real) -> Real:
+def _outside_kernel(f: Real, hz: Real, zeta: Real | float = OUTSIDE_DAMPING) -> Real:
     """Real part of the kernels that stand for modes outside, (q, L)."""
-    return modal_kernel(f, hz, np.full(hz.size, OUTSIDE_DAMPING), "accelerance").real
+    return modal_kernel(f, hz, np.broadcast_to(zeta, hz.shape), "accelerance").real
 
 
 def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Real, NDArray[np.bool_], list[int]]:
     """Out-of-band part of the driven columns on lines ``f``: (K, M, L), which of them are measured (K, M), and their rows."""
     q = theta.outside_hz.size
-    g = _outside_kernel(f, theta.outside_hz)
+    g = _outside_kernel(f, theta.outside_hz, theta.outside_zeta)
     refs = list(dict.fromkeys(int(row) for run in runs for row in run.force_rows))
     m_dofs = theta.shapes.shape[0]
     total = np.zeros((len(refs), m_dofs, f.size))
@@ -190,7 +190,7 @@ def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Rea
 def _noise(runs: Sequence[RunSpectra], fit: Polished, f: Real) -> Real:
     """Mean variance of the out-of-band part on lines ``f``, from the information of its coefficients."""
     q = fit.parameters.outside_hz.size
-    g = _outside_kernel(f, fit.parameters.outside_hz)
+    g = _outside_kernel(f, fit.parameters.outside_hz, fit.parameters.outside_zeta)
     parts = []
     for run, (_, information) in zip(runs, fit.local_estimates, strict=True):
         m = run.response_rows.size

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.normal import LEAST_RESIDUE, Equations, Information, Residual, gradients, linearised, residual
+from operando.ema.normal import LEAST_RESIDUE, Equations, Information, Residual, gradients, linearised, residual, scales
 from operando.ema.polish_model import Parameters, Real, n_local
 from operando.ema.spectra import RunSpectra
 from operando.synthesis import power_of
@@ -66,14 +66,12 @@ class Polished:
     without: Information | None = None
 
 
-def start_parameters(runs: Sequence[RunSpectra], hz: Real, zeta: Real, shapes: Real, outside_hz: Real) -> Parameters:
+def start_parameters(runs: Sequence[RunSpectra], hz: Real, zeta: Real, shapes: Real, outside: tuple[Real, Real]) -> Parameters:
     """Parameters with empty transients and local terms."""
     n = len(hz)
     transients = tuple(np.zeros((2, 0 if run.step_s is None else n)) for run in runs)
-    local = tuple(np.zeros((run.response_rows.size, n_local(run, len(outside_hz)))) for run in runs)
-    return Parameters(
-        np.asarray(hz, float), np.asarray(zeta, float), np.asarray(shapes, float), np.asarray(outside_hz, float), transients, local
-    )
+    local = tuple(np.zeros((run.response_rows.size, n_local(run, len(outside[0])))) for run in runs)
+    return Parameters(np.asarray(hz, float), np.asarray(zeta, float), np.asarray(shapes, float), *outside, transients, local)
 
 
 def signed(run: RunSpectra) -> RunSpectra:
@@ -229,8 +227,13 @@ def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequen
     zeta = theta.zeta * np.exp(step[n : 2 * n])
     if np.any(zeta > 0.9) or np.any(zeta < 1e-7):
         return None
-    moves, driven = step[2 * n :].reshape(n, m_dofs).T, driven_rows(runs)
-    change, factor = _scale_step(theta.shapes, moves, driven)
+    # Measured are products of the shape at a driven DOF and that at another one, or a transient's amplitude. Where a reference hardly moves
+    # in a mode they are known far better than its scale. By sums they would be wrong by the square of the scale's step: a fit creeps along
+    # a bent valley and ends before its minimum. With a factor here and its inverse there they change as the step foresees; so do the drive
+    # residues, squares of the scale, by this factor.
+    driven, moves = driven_rows(runs), step[2 * n :].reshape(n, m_dofs).T
+    change = scales(theta, driven) @ step
+    factor = np.sqrt(np.maximum(1 + 2 * change, LEAST_RESIDUE))
     shapes = (theta.shapes + moves + change * theta.shapes) / factor
     shapes[driven] = (theta.shapes + moves - change * theta.shapes)[driven] * factor
     transients, local = [], []
@@ -240,19 +243,6 @@ def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequen
         transients.append((old + nuisance[i][:split].reshape(old.shape) - change[: old.shape[1]] * old) * factor[: old.shape[1]])
         local.append(theta.local[i] + nuisance[i][split:].reshape(run.response_rows.size, -1))
     return replace(theta, hz=hz, zeta=zeta, shapes=shapes, transients=tuple(transients), local=tuple(local))
-
-
-def _scale_step(shapes: Real, step: Real, driven: Sequence[int]) -> tuple[Real, Real]:
-    """Relative change of each mode's scale at the driven DOFs that a step foresees, and the factor by which it moves, (n,) each.
-
-    What is measured are products of the shape at a driven DOF and that at another one, or a transient's amplitude. Where a reference hardly
-    moves in a mode they are known far better than its scale. By sums they would be wrong by the square of the scale's step: a fit creeps
-    along a bent valley and ends before its minimum. With a factor here and its inverse there they change as the step foresees; so do the
-    drive residues, squares of the scale, by this factor.
-    """
-    power = np.sum(shapes[driven] ** 2, axis=0)
-    change = np.divide(np.sum(shapes[driven] * step[driven], axis=0), power, out=np.zeros(power.size), where=power > 0)
-    return change, np.sqrt(np.maximum(1 + 2 * change, 0.9 * LEAST_RESIDUE))
 
 
 def _covariance(total: Real) -> Real:

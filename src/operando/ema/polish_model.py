@@ -39,8 +39,8 @@ class Parameters:
         Poles.
     shapes : (M, n) array
         Real shapes of unit modal mass.
-    outside_hz : (q,) array
-        Frequencies of the fixed kernels that stand for modes outside the band.
+    outside_hz, outside_zeta : (q,) arrays
+        Poles of the fixed kernels that stand for modes outside the band.
     transients : tuple of (2, n) arrays
         Amplitudes of T_r for each run (empty for FRF columns).
     local : tuple of (m, b) arrays
@@ -51,6 +51,7 @@ class Parameters:
     zeta: Real
     shapes: Real
     outside_hz: Real
+    outside_zeta: Real
     transients: tuple[Real, ...]
     local: tuple[Real, ...]
     _known: dict[tuple[Any, ...], LineFunctions] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -147,7 +148,7 @@ def _line_functions(run: RunSpectra, theta: Parameters) -> LineFunctions:
     f = run.frequencies_hz
     return LineFunctions(
         kernel_derivatives(f, theta.hz, theta.zeta, run.window_rate),
-        modal_kernel(f, theta.outside_hz, np.full(theta.outside_hz.size, OUTSIDE_DAMPING), "accelerance", run.window_rate),
+        modal_kernel(f, theta.outside_hz, theta.outside_zeta, "accelerance", run.window_rate),
         () if run.step_s is None else decays(f, theta.hz, theta.zeta, run.step_s),
         np.zeros((0, f.size), complex) if run.step_s is None else end_basis(f, run.top_hz, run.step_s),
     )

@@ -24,6 +24,8 @@ from operando.synthesis import power_of
 WIDER = (1.3, 1.5)
 """The fit ends so far above the analysis band where the force reaches there, between two modes."""
 
+VALLEY = 0.01
+"""The power of the FRFs is averaged over so much of the frequency to both sides: antiresonances are no end."""
 
 POLISH_STEPS = 60
 """Steps that the searches, the final fit and the one that judges it take together, about (30 … 90 on the practice cases)."""
@@ -136,6 +138,8 @@ def between_modes(frf: Frf, first: float, last: float) -> float:
     power = power_of(np.nan_to_num(frf.data[:, :, lines]))
     typical = np.median(power, axis=2, keepdims=True)
     level = np.sum(np.divide(power, typical, out=np.zeros_like(power), where=typical > 0), axis=(0, 1))
+    window = np.ones(min(2 * int(np.sum(f[lines] > (1 - VALLEY) * f[lines[-1]])) + 1, level.size))
+    level = np.convolve(level, window, "same") / np.convolve(np.ones_like(level), window, "same")
     inner = np.flatnonzero((level[1:-1] <= level[:-2]) & (level[1:-1] <= level[2:])) + 1  # the ends may be flanks
     return float(f[lines[inner[np.argmin(level[inner])] if inner.size else np.argmin(level)]])
 
@@ -178,13 +182,14 @@ def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, 
 
 def _with_lower(runs: Sequence[RunSpectra], theta: Parameters) -> Parameters:
     """The parameters with kernels below the band that add nothing yet."""
-    lower = outside_kernels(runs, theta.hz, True)[-len(LOWER_FACTORS) :]
+    lower, lower_zeta = (part[-len(LOWER_FACTORS) :] for part in outside_kernels(runs, theta.hz, True))
     q, local = theta.outside_hz.size, []
     for run, old in zip(runs, theta.local, strict=True):
         k = run.forces.shape[0]
         kernels = np.pad(old[:, : q * k].reshape(-1, k, q), ((0, 0), (0, 0), (0, lower.size)))
         local.append(np.c_[kernels.reshape(old.shape[0], -1), old[:, q * k :]])
-    return replace(theta, outside_hz=np.append(theta.outside_hz, lower), local=tuple(local))
+    poles = np.append(theta.outside_hz, lower), np.append(theta.outside_zeta, lower_zeta)
+    return replace(theta, outside_hz=poles[0], outside_zeta=poles[1], local=tuple(local))
 
 
 def _final(
