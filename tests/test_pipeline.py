@@ -289,6 +289,30 @@ def test_a_fault_in_one_stage_is_a_finding_with_a_log(again, monkeypatch):
     assert "sum of nothing" in (out / "errors.log").read_text()
 
 
+def test_the_log_of_a_file_that_cannot_be_written_is_kept(again, monkeypatch):
+    path, out = again
+    monkeypatch.setattr("operando.report.write_report", lambda *given: 1 / 0)
+    (out / "report.html").unlink()
+    results = run(path, out, report=True)
+    said = [f for f in results.findings if f.kind == "stage_failed"]
+    assert [f.message for f in said] == ["stage report: report.html cannot be written: unexpected ZeroDivisionError: division by zero"]
+    assert str(out / "errors.log") in said[0].action
+    assert "division by zero" in (out / "errors.log").read_text()
+
+
+def test_without_operational_modes_no_ofrfs_are_made_and_nothing_failed(again, monkeypatch):
+    from operando.oma import fit_oma
+    from operando.report.assessment import assumptions
+
+    path, out = again
+    monkeypatch.setattr("operando.oma.fit_oma", lambda records, **settings: fit_oma(records, **settings).select_modes([]))
+    results = run(load_test(path).with_analysis(oma_max_order=40), out, until="ofrf")
+    assert results.left_out["ofrf"].startswith("the operational records show no mode in the band")
+    assert not [f for f in results.findings if f.kind == "stage_failed"]
+    assert results.operating is not None
+    assert "One of the two models has no mode." in [a.text for a in assumptions(results)]
+
+
 def test_what_was_made_without_a_failed_stage_is_made_again_with_it(again, monkeypatch):
     """The comparison judges whatever models there are: one that was missing for a while must not stay missing."""
     path, out = again

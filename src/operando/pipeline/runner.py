@@ -292,7 +292,7 @@ class _Run:
 
     def _write_outputs(self, report: bool) -> None:
         """Make the files that are missing, or not of these results; then all of them take their places at once."""
-        drop = [] if self.log else ["errors.log"]
+        drop: list[str] = []
         self.results.stages = {name: kept.rest(self.results) for name, kept in self.kept.items()}
         for output in OUTPUTS:
             if output.stage is not None and output.stage not in self.kept:
@@ -309,7 +309,7 @@ class _Run:
                 drop.append(output.name)  # it would show results that no longer hold
             else:
                 self._write(output, key, drop)
-        self.folder.commit(drop, self._in_model(drop))
+        self.folder.commit(drop if self.log else [*drop, "errors.log"], self._in_model(drop))
         if report:
             self.said.append(("report", UNCHANGED))
 

@@ -401,6 +401,8 @@ def _ema_better(results: Results) -> Assumption:
     idle, operating = results.idle, results.operating
     if idle is None or operating is None or idle.frequency_std_hz is None or operating.frequency_std_hz is None:
         return Assumption(name, "untested", "Uncertainties of both models are needed.")
+    if not idle.n_modes or not operating.n_modes:
+        return Assumption(name, "untested", "One of the two models has no mode.")
     a = np.median(idle.frequency_std_hz / idle.frequencies_hz)
     b = np.median(operating.frequency_std_hz / operating.frequencies_hz)
     text = f"Median relative standard deviation of frequency: idle {number(100 * a, 2)} %, operating {number(100 * b, 2)} %."

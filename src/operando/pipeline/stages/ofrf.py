@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from operando.pipeline.stages.scale import scaled
-from operando.pipeline.stages.work import Work, needed
+from operando.pipeline.stages.work import Lacking, Work, needed
 
 
 def hybrid(work: Work) -> dict[str, Any]:
@@ -15,6 +15,11 @@ def hybrid(work: Work) -> dict[str, Any]:
     idle = needed(work.results.idle, "idle modes")
     operating = needed(work.results.operating, "operational modes")
     scaled(idle, work.results.findings, "there is none to carry over")
+    if not operating.n_modes:
+        raise Lacking(
+            "the operational records show no mode in the band",
+            hint="the stabilisation diagram of the operating state shows what was rejected and why; try a wider band or a longer record",
+        )
     from operando.quality import check_shapes
 
     made = scale_operational(idle, operating, work.analysis.threshold, work.analysis.scaling)
