@@ -9,7 +9,7 @@ import numpy as np
 
 from operando.data import Geometry
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR
+from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR, PROMOTED
 from operando.diagnosis.days import promotions
 from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.idle import Idle
@@ -76,6 +76,14 @@ def search_both(
         if here is not None and score(here) > max(score(best), rival.score - EARNED):
             same = search(one_set_up, say, rival, start=Found(here, same.empty, same.pool | {here.key: here}), depth=depth)
             best = same.best
+    if not _explains(best, alone):
+        # a difference between days that no laboratory has may be an effect where nothing was touched
+        likely = max(known, key=score)
+        back = untouched(one_set_up, likely, max(likely.log_evidence, best.log_evidence)) if promotions(likely) else None
+        if back is not None and score(back) > max(score(best), score(likely)):
+            say(f"its differences beyond those of laboratories as effects, with nothing touched: {back.log_evidence:.1f}")
+            same = search(one_set_up, say, rival, start=Found(back, same.empty, same.pool | {back.key: back}), depth=depth)
+            best = same.best
     if _explains(best, alone) and not remounted(best):
         # the same effects on another day, and each left to what differs between days
         fewer = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
@@ -95,16 +103,20 @@ def search_both(
     say("on another day:")
     found = search(days, say, depth=depth, known=known)
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
-    sets = [found.best.terms, *(x.terms for x in promotions(found.best, _SOME))]
-    floor = max(found.best.log_evidence, best.log_evidence)
-    tried = each(lambda terms: fitted_if_can_be(one_set_up, started(one_set_up, terms), _ROUGH, floor=floor), [t for t in sets if t])
-    back = max((state for state in tried if state is not None), key=score, default=None)
+    back = untouched(one_set_up, found.best, max(found.best.log_evidence, best.log_evidence), _SOME)
     if back is not None and score(back) > max(score(found.best), score(best)):
         say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
         same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
         best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
     return (same if odds > 0 else found), odds
+
+
+def untouched(case: Case, state: State, floor: float, beyond: float = PROMOTED) -> State | None:
+    """The best fit with nothing touched of the effects of another day, and of these with a difference beyond so many spreads as one."""
+    sets = [terms for terms in (state.terms, *(x.terms for x in promotions(state, beyond))) if terms]
+    tried = each(lambda terms: fitted_if_can_be(case, started(case, terms), _ROUGH, floor=floor), sets)
+    return max((one for one in tried if one is not None), key=score, default=None)
 
 
 def _explains(state: State, alone: State) -> bool:
