@@ -199,6 +199,19 @@ def test_slopes_and_responses_of_a_scan_are_those_of_the_model():
         np.testing.assert_allclose(slope * 1e-4 * abs(size) * sign * term.sign, moved, atol=2e-3 * np.abs(moved).max())
 
 
+@pytest.mark.parametrize(("kind", "size"), [("global_stiffness", -0.02), ("global_damping", 0.5)])
+def test_a_change_of_the_whole_is_scanned_for_where_nothing_was_touched(kind, size):
+    """Between two days it is one of the differences, and comes by promotion; where there are none it is a candidate as any other."""
+    c = chain()
+    case = case_of(c, running(c, (kind, (), size)))
+    state = fit(case, case.forward.start)
+    found, none = LinearScan(state).run()
+    assert found[0].term.kind == kind
+    assert found[0].evidence > none + 10
+    want = term_of(case, kind, (), size)
+    assert (found[0].term.sign, found[0].term.values[0]) == (want.sign, pytest.approx(want.values[0], abs=0.2))
+
+
 @pytest.mark.parametrize("truth", TRUTHS, ids=[t[0] for t in TRUTHS])
 def test_each_kind_is_found_where_it_is_and_as_large_as_it_is(truth):
     c = chain()

@@ -158,6 +158,11 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
     return sorted(out, key=lambda row: -row[0])
 
 
+def _of_the_whole(term: Term) -> bool:
+    """Whether a kind changes the whole structure: all stiffness, all damping."""
+    return term.definition.acts == "modal_change"
+
+
 class LinearScan:
     """A state at first order, and what one effect more would add to its evidence.
 
@@ -211,8 +216,13 @@ class LinearScan:
         rq = self.whitened(r)
         none = -0.5 * float(np.sum(r**2) - np.sum(rq**2))
         rows = self._at_size(self._by_slope(places, r, rq, none), none)
-        rows += self._by_trials([p for p in places if not p.definition.parameters])
+        rows += self._by_trials([p for p in places if not p.definition.parameters or (_of_the_whole(p) and not self._differs(p))])
         return _best_of_each(rows), none
+
+    def _differs(self, term: Term) -> bool:
+        """Whether a change of the whole is one of what differs between the days: then it comes by promotion."""
+        part = self.case.between.shared[{"global_stiffness": "stiffness", "global_damping": "damping"}[term.kind]]
+        return part.stop > part.start
 
     def _at_size(self, rows: Sequence[Candidate], none: float) -> list[Candidate]:
         """Candidates by their evidence at first order about their size, with what is not known at their places.
@@ -329,8 +339,7 @@ class LinearScan:
         """Of residuals r (whitened: rq), or of what the effect does in whose place others are to be."""
         case = self.case
         out: list[tuple[float, Term, float, Array]] = []
-        # a change of the whole is one of what differs between the days, and comes by promotion
-        places = [p for p in places if p.definition.parameters and p.definition.acts != "modal_change"]
+        places = [p for p in places if p.definition.parameters and not _of_the_whole(p)]
         terms = [t for p in places for t in grid(case, p)]
         if instead is not None:
             terms += [p.moved((0.0, *instead.values[1:])) for p in places if p.kind == instead.kind and p.values[1:]]
