@@ -31,7 +31,7 @@ def chain():
 def test_what_shifts_the_modes_as_operation_does_is_suggested(chain, kind, places, size):
     """Of each kind: the effect that acts is among the first, and there are no more of them than are tried (_COUNT)."""
     idle, band = chain_at_rest(chain)
-    terms = suggested_by_modes(idle, by_modes.running(chain, (kind, places, size)), band, TOLD_BY_MODES, None)
+    terms = suggested_by_modes(idle, by_modes.running(chain, (kind, places, size)), band, TOLD_BY_MODES, None, print)
     assert len(terms) <= _COUNT
     assert (kind, set(places)) in [(t.kind, {str(idle.dofs[i]) for i in t.places}) for t in terms]
 
@@ -39,10 +39,12 @@ def test_what_shifts_the_modes_as_operation_does_is_suggested(chain, kind, place
 def test_nothing_is_suggested_where_modes_do_not_tell(chain):
     idle, band = chain_at_rest(chain)
     moved = by_modes.running(chain, by_modes.TRUTHS[0])
-    assert suggested_by_modes(idle, moved, band, ["sensor_gain", "tuned_absorber"], None) == []
-    assert suggested_by_modes(idle, moved, (1000.0, 2000.0), TOLD_BY_MODES, None) == []
+    assert suggested_by_modes(idle, moved, band, ["sensor_gain", "tuned_absorber"], None, print) == []
+    assert suggested_by_modes(idle, moved, (1000.0, 2000.0), TOLD_BY_MODES, None, print) == []
     elsewhere = replace(moved, dofs=tuple(replace(dof, node=dof.node + 100) for dof in moved.dofs))
-    assert suggested_by_modes(idle, elsewhere, band, TOLD_BY_MODES, None) == []
+    said = []
+    assert suggested_by_modes(idle, elsewhere, band, TOLD_BY_MODES, None, said.append) == []
+    assert said[0].startswith("the operational modes suggest no effect: ")
 
 
 def test_a_search_begins_with_what_is_suggested():

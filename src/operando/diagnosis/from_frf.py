@@ -144,7 +144,7 @@ def diagnose_frf(
         def suggested() -> list[Term]:
             if operating is None:
                 return []
-            return suggested_by_modes(model, operating, band, asked["kinds"], asked["places"])
+            return suggested_by_modes(model, operating, band, asked["kinds"], asked["places"], say)
 
         both, odds, asked_for_all = cases(model), None, kinds is None and places is None
         if between:

@@ -19,7 +19,7 @@ from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
 from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.posterior import State, approach, unfitted
 from operando.diagnosis.rival import fitted_if_can_be, started
-from operando.diagnosis.scan import LinearScan
+from operando.diagnosis.scan import LinearScan, Say
 from operando.diagnosis.terms import Term
 from operando.errors import DataError
 from operando.threads import each
@@ -29,7 +29,7 @@ _ROUGH = 0.03  # discrepancy that scan and fits begin with
 
 
 def suggested_by_modes(
-    idle: Idle, operating: ModalModel, band: tuple[float, float], kinds: Sequence[str], places: Sequence[int] | None
+    idle: Idle, operating: ModalModel, band: tuple[float, float], kinds: Sequence[str], places: Sequence[int] | None, say: Say
 ) -> list[Term]:
     """Effects that would shift the modes as operation does, at first order; the best first.
 
@@ -44,6 +44,8 @@ def suggested_by_modes(
         Looked for; those that modes do not tell are left out.
     places : sequence of int, optional
         DOFs where effects may be; default all.
+    say : callable
+        Told why there are none.
     """
     inside = (operating.frequencies_hz >= band[0]) & (operating.frequencies_hz <= band[1])
     asked = [kind for kind in TOLD_BY_MODES if kind in kinds]
@@ -51,12 +53,14 @@ def suggested_by_modes(
         return []
     try:
         case = ModesCase(idle, OperatingModes(idle, operating.select_modes(inside), []), band, spreads_of({}), asked, places)
-    except DataError:  # fewer than two DOFs in common
+    except DataError as error:  # fewer than two DOFs in common
+        say(f"the operational modes suggest no effect: {error.message}")
         return []
     try:
         with np.errstate(all="ignore"):
             found, _ = LinearScan(unfitted(case, case.forward.start, _ROUGH)).run()
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError as error:
+        say(f"the operational modes suggest no effect: {error}")
         return []
     return [row.term for row in found[:_COUNT]]
 
