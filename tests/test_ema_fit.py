@@ -422,3 +422,23 @@ def test_the_fit_ends_between_modes():
     frf = Frf(chain.accelerance(f, ref=[0]), f, DOFS, DOFS[:1])
     assert 129 < between_modes(frf, WIDER[0] * 93.0, WIDER[1] * 93.0) < 137
     assert between_modes(frf, 250.0, 300.0) == 300.0
+
+
+def test_poles_at_the_end_of_the_lines_are_held_in_the_last_fit(fitted, monkeypatch):
+    """BEYOND: all others are fitted."""
+    from operando.ema import polished as module
+    from operando.ema.order import OrderLog, refine
+
+    chain, records, _, _ = fitted
+    runs = [record_spectra(record, DOFS, (15, 119)) for record in records]
+    rank = np.argsort(chain.hz)
+    fit = refine(runs, 6, chain.hz[rank], chain.zeta[rank], lower=False, max_iterations=2)
+    held = []
+    monkeypatch.setattr(module, "refine", lambda *given, **how: held.append(how["hold_poles"]) or refine(*given, **how))
+    final = module._final(runs, 6, fit, False, OrderLog(), None)
+    assert [list(h) for h in held] == [[False] * 5 + [True]]
+    reach = fit.parameters.hz * (1 + module.BEYOND * fit.parameters.zeta)
+    assert list(reach > runs[0].top_hz) == list(held[0])
+    assert final.parameters.hz[-1] == fit.parameters.hz[-1]
+    assert final.parameters.zeta[-1] == fit.parameters.zeta[-1]
+    assert np.all(final.parameters.hz[:-1] != fit.parameters.hz[:-1])

@@ -71,7 +71,7 @@ def refine(
     want_covariance: bool = False,
     log: OrderLog | None = None,
     progress: Callable[[str], None] | None = None,
-    hold_poles: bool = False,
+    hold_poles: bool | NDArray[np.bool_] = False,
     needed_cost: float = np.inf,
     known: Information | None = None,
     apart: Sequence[NDArray[np.bool_]] | None = None,

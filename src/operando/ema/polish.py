@@ -102,7 +102,7 @@ def polish(
     start: Parameters,
     *,
     shape_std: Real | None = None,
-    hold_poles: bool = False,
+    hold_poles: bool | NDArray[np.bool_] = False,
     max_iterations: int = 30,
     tolerance: float = 0.05,
     progress: Callable[[str], None] | None = None,
@@ -121,8 +121,8 @@ def polish(
         Starting values.
     shape_std : (M, n) array, optional
         Standard deviation of a Gaussian prior of the shapes; wide, it only holds what the data do not see.
-    hold_poles : bool
-        Keep the poles as they are and fit shapes, transients and local terms only.
+    hold_poles : bool or (n,) bool array
+        Keep all poles or some as they are; with all of them shapes, transients and local terms alone are fitted.
     max_iterations : int
         Steps with a normal matrix of their own.
     tolerance : float
@@ -149,8 +149,7 @@ def polish(
     precision = np.zeros(n_global)
     if shape_std is not None:
         precision[2 * n :] = (0.5 / shape_std**2).T.ravel()
-    if hold_poles:
-        precision[: 2 * n] = 1e30
+    precision[: 2 * n][np.tile(np.broadcast_to(hold_poles, n), 2)] = 1e30
     damping = 1e-4
     cost, states = _evaluated(runs, theta, shape_std)
     converged, iteration, without, fresh = False, 0, None, known is None

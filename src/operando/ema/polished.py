@@ -27,6 +27,9 @@ WIDER = (1.3, 1.5)
 VALLEY = 0.01
 """The power of the FRFs is averaged over so much of the frequency to both sides: antiresonances are no end."""
 
+BEYOND = 2.0
+"""A pole whose resonance reaches the end of the lines by so many half bandwidths is held in the last fit."""
+
 POLISH_STEPS = 60
 """Steps that the searches, the final fit and the one that judges it take together, about (30 … 90 on the practice cases)."""
 
@@ -200,8 +203,13 @@ def _final(
     log: OrderLog,
     progress: Callable[[str], None] | None,
 ) -> Polished:
-    """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out."""
+    """Fit on all lines, to convergence; modes that turn out to be backgrounds there are taken out.
+
+    Poles at the end of the lines and beyond stay: they stand for what lies there, and the lines tell so little of them that they would
+    wander without end.
+    """
     theta, masks = fit.parameters.modes(np.argsort(fit.parameters.hz)), hold_out_masks(runs)
+    top = max(run.top_hz for run in runs)
     for _ in range(4):
         final = refine(
             runs,
@@ -210,6 +218,7 @@ def _final(
             theta.zeta,
             lower=lower,
             start=theta,
+            hold_poles=theta.hz * (1 + BEYOND * theta.zeta) > top,
             max_iterations=25,
             tolerance=0.05,
             want_covariance=True,
