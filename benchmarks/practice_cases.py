@@ -110,7 +110,7 @@ def undriven(case: Path, answer: dict, exact: dict, work: Path) -> dict[str, obj
 
 def bound(out: Path) -> dict[str, float]:
     """Stated standard deviations without the floors: the Cramér–Rao bound of the fit, median over the modes in band."""
-    from operando.ema.fit import DAMPING_FLOOR, FREQUENCY_FLOOR
+    from operando.ema.answers import DAMPING_FLOOR, FREQUENCY_FLOOR
     from operando.store import load_results
 
     idle = load_results(out / "model.h5").idle

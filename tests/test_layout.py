@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import importlib
 import inspect
 import json
+import pkgutil
 import re
 import subprocess
 import sys
@@ -208,3 +210,16 @@ def test_no_test_imports_the_tests_as_a_package():
     here = Path(__file__).parent
     pattern = re.compile(r"^\s*(?:from|import) tests\b", re.MULTILINE)
     assert not [p.name for p in here.glob("*.py") if pattern.search(p.read_text(encoding="utf-8"))]
+
+
+def test_what_benchmarks_import_exists():
+    """They are not run by the tests, so a name that moved would be missed until someone runs one."""
+    missing = []
+    for path in sorted((SOURCE.parents[1] / "benchmarks").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").split(".")[0] == "operando":
+                module = importlib.import_module(str(node.module))
+                parts = {part.name for part in pkgutil.iter_modules(getattr(module, "__path__", []))}
+                names = [alias.name for alias in node.names if alias.name not in parts and not hasattr(module, alias.name)]
+                missing += [f"{path.name}:{node.lineno} {node.module}.{name}" for name in names]
+    assert not missing
