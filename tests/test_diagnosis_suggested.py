@@ -63,6 +63,21 @@ def test_a_search_begins_with_what_is_suggested():
     assert begun_with(both[0], []) is None
 
 
+def test_a_gain_that_no_laboratory_has_is_tried_as_an_effect_where_nothing_was_touched():
+    """Beside another effect, without a step of the search: on another day the gain is one of the differences."""
+    gains = np.ones(N)
+    gains[2] = 0.8
+    both = (case(add_mass, gains=gains), case(add_mass, gains=gains, spreads=SAME_SET_UP))
+    said = []
+    found, odds = search_both(*both, said.append, depth=0, suggested=lambda: [Term("point_mass", (1,), (float(np.log(0.2)),))])
+    assert found.best.key == (("point_mass", (1,)), ("sensor_gain", (2,)))
+    values = {term.kind: term.values[0] for term in found.best.terms}
+    assert np.exp(values["point_mass"]) == pytest.approx(0.4, abs=0.02)
+    assert odds > 0
+    assert any("differences beyond those of laboratories as effects" in line for line in said)
+    assert not any("on another day:" in line for line in said)
+
+
 def test_fits_begin_with_more_than_they_end_with():
     """_ROUGH, of the FRFs: above what an explanation leaves."""
     state = begun_with(case(add_mass), [Term("point_mass", (1,), (float(np.log(0.2)),))])

@@ -79,7 +79,7 @@ def search_both(
     if not _explains(best, alone):
         # a difference between days that no laboratory has may be an effect where nothing was touched
         likely = max(known, key=score)
-        back = untouched(one_set_up, likely, max(likely.log_evidence, best.log_evidence)) if promotions(likely) else None
+        back = back_to_one_set_up(one_set_up, likely, max(likely.log_evidence, best.log_evidence)) if promotions(likely) else None
         if back is not None and score(back) > max(score(best), score(likely)):
             say(f"its differences beyond those of laboratories as effects, with nothing touched: {back.log_evidence:.1f}")
             same = search(one_set_up, say, rival, start=Found(back, same.empty, same.pool | {back.key: back}), depth=depth)
@@ -103,7 +103,7 @@ def search_both(
     say("on another day:")
     found = search(days, say, depth=depth, known=known)
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
-    back = untouched(one_set_up, found.best, max(found.best.log_evidence, best.log_evidence), _SOME)
+    back = back_to_one_set_up(one_set_up, found.best, max(found.best.log_evidence, best.log_evidence), _SOME)
     if back is not None and score(back) > max(score(found.best), score(best)):
         say(f"the same with nothing touched: {back.log_evidence:.1f}, discrepancy {back.alpha:.4f}")
         same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
@@ -112,7 +112,7 @@ def search_both(
     return (same if odds > 0 else found), odds
 
 
-def untouched(case: Case, state: State, floor: float, beyond: float = PROMOTED) -> State | None:
+def back_to_one_set_up(case: Case, state: State, floor: float, beyond: float = PROMOTED) -> State | None:
     """The best fit with nothing touched of the effects of another day, and of these with a difference beyond so many spreads as one."""
     sets = [terms for terms in (state.terms, *(x.terms for x in promotions(state, beyond))) if terms]
     tried = each(lambda terms: fitted_if_can_be(case, started(case, terms), _ROUGH, floor=floor), sets)

@@ -221,8 +221,9 @@ class LinearScan:
 
     def _differs(self, term: Term) -> bool:
         """Whether a change of the whole is one of what differs between the days: then it comes by promotion."""
-        part = self.case.between.shared[{"global_stiffness": "stiffness", "global_damping": "damping"}[term.kind]]
-        return part.stop > part.start
+        name = {"global_stiffness": "stiffness", "global_damping": "damping"}.get(term.kind)  # a kind of the user's own has none
+        part = slice(0, 0) if name is None else self.case.between.shared[name]
+        return bool(part.stop > part.start)
 
     def _at_size(self, rows: Sequence[Candidate], none: float) -> list[Candidate]:
         """Candidates by their evidence at first order about their size, with what is not known at their places.

@@ -22,7 +22,10 @@ from operando.ema.start import LOWER_FACTORS, inverted_forces, linear_residues, 
 from operando.synthesis import power_of
 
 WIDER = (1.3, 1.5)
-"""The fit ends so far above the analysis band where the force reaches there, between two modes."""
+"""The fit ends so far above the analysis band where the force reaches there, between two modes.
+
+Of 30 simulated tests with 259 modes in band the scales were off by up to 6.8 standard deviations where it could end from 1.2 times the band
+on (one test), 3.4 from 1.3 times on, 3.8 at 1.33 times wherever that was."""
 
 VALLEY = 0.01
 """The power of the FRFs is averaged over so much of the frequency to both sides: antiresonances are no end."""
