@@ -435,10 +435,12 @@ def test_poles_at_the_end_of_the_lines_are_held_in_the_last_fit(fitted, monkeypa
     fit = refine(runs, 6, chain.hz[rank], chain.zeta[rank], lower=False, max_iterations=2)
     held = []
     monkeypatch.setattr(module, "refine", lambda *given, **how: held.append(how["hold_poles"]) or refine(*given, **how))
-    final = module._final(runs, 6, fit, False, OrderLog(), None)
+    log = OrderLog()
+    final = module._final(runs, 6, fit, False, log, None)
     assert [list(h) for h in held] == [[False] * 5 + [True]]
     reach = fit.parameters.hz * (1 + module.BEYOND * fit.parameters.zeta)
     assert list(reach > runs[0].top_hz) == list(held[0])
     assert final.parameters.hz[-1] == fit.parameters.hz[-1]
     assert final.parameters.zeta[-1] == fit.parameters.zeta[-1]
     assert np.all(final.parameters.hz[:-1] != fit.parameters.hz[:-1])
+    assert f"held ({final.parameters.hz[-1]:.4g} Hz)" in log.rounds[-1]

@@ -103,7 +103,7 @@ class Information:
 
 
 LEAST_RESIDUE = 0.25
-"""Least share of its drive residues that a step leaves to a mode: the scale halves."""
+"""Least share of its drive residues that a step leaves to a mode: the scale halves. It limits how fast it falls, not where it ends."""
 
 LEAST_CHANGE = 0.5 * (LEAST_RESIDUE - 1)
 """The relative change of the scale, to first order, that leaves so much."""

@@ -17,13 +17,13 @@ OUTSIDE_FACTORS = (1.04, 1.1, 1.25, 1.6, 2.5, 5.0)
 
 DAMPED_FACTORS, MORE_DAMPING = (1.04, 1.1), 0.03
 """Further kernels there of more damping: sums of two dampings have any between. A mode 4 to 20 % above the lines, damped by 0.3 to 2 %, is
-then described to 0.3 % of what it adds to them (3 % without; least squares over the lines)."""
+then described to 0.3 % of what it adds to them (0.5 to 3 % without, damped by 0.7 %; least squares over the lines)."""
 
 LOWER_FACTORS = (0.02, 0.6)
 """The same below the band, in units of the lowest line: a mass line, and a suspension."""
 
 LEAST_DRIVE = 1e-4
-"""Least drive residue, as a share of the largest residue, that gives a mode's scale to start with."""
+"""Least drive residue, as a share of the largest residue, that gives a mode's scale to start with; the fit tells it."""
 
 GRID = 64
 """Frequencies asked at a time: their kernels on all lines are a few megabytes."""
