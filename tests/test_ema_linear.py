@@ -419,3 +419,33 @@ def test_modes_that_only_the_polish_needs_are_told_from_those_the_linear_stage_s
     seen = np.concatenate([HZ * (1 + 1e-3), [5.0, 140.0]])  # beyond the band nothing is asked
     assert unknown_to(fit, seen, BAND) == []
     assert unknown_to(fit, np.append(seen, 76.0), BAND) == [76.0]
+
+
+def nearly_one_pole(noise=1e-4):
+    """Pairs of the chain whose first mode is two of alike shapes, 4.2 and 8.6 % damped within a sixth of a bandwidth."""
+    rng = np.random.default_rng(5)
+    c, h = frfs(noise=0.0)
+    s, first = 2j * np.pi * F, np.outer(c.phi[:, 0], c.phi[[0, 3], 0])
+
+    def kernel(hz, zeta):
+        w = 2 * np.pi * hz
+        return s**2 / (w**2 + s**2 + 2 * zeta * w * s)
+
+    other = -0.5 * first * (1 + 0.1 * rng.standard_normal(first.shape))
+    h = h - first[:, :, None] * kernel(c.hz[0], c.zeta[0]) + 3 * first[:, :, None] * kernel(22.0, 0.042)
+    h = h + 3 * other[:, :, None] * kernel(22.15, 0.086)
+    size = noise * np.sqrt(np.mean(np.abs(h) ** 2))
+    h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    frf = as_frf(h)
+    pairs = frf_pairs(frf, model_dofs(frf), (5.0, 150.0))
+    return replace(pairs, noise=np.full_like(pairs.noise, size**2), noise_known=True)
+
+
+def test_two_modes_that_leave_noise_alone_stay_two_however_alike(monkeypatch):
+    start = Poles(np.r_[22.0, 22.15, HZ[1:]], np.r_[0.042, 0.086, np.full(5, 0.008)])
+    pairs = nearly_one_pole()
+    both = choose_modes(pairs, start, BAND)[0].poles
+    assert np.allclose(both.hz[:2], (22.0, 22.15), rtol=2e-3)
+    assert np.allclose(both.zeta[:2], (0.042, 0.086), rtol=0.05)
+    monkeypatch.setattr(choose, "NOISE_LEFT", 0.0)
+    assert np.sum(choose_modes(pairs, start, BAND)[0].poles.hz < 30) == 1
