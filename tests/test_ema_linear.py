@@ -421,31 +421,40 @@ def test_modes_that_only_the_polish_needs_are_told_from_those_the_linear_stage_s
     assert unknown_to(fit, np.append(seen, 76.0), BAND) == [76.0]
 
 
-def nearly_one_pole(noise=1e-4):
-    """Pairs of the chain whose first mode is two of alike shapes, 4.2 and 8.6 % damped within a sixth of a bandwidth."""
+def with_more(more, noise=1e-4):
+    """Pairs of the chain with more modes (Hz, damping ratio, residues (6, 2)), and a noise that is known."""
     rng = np.random.default_rng(5)
-    c, h = frfs(noise=0.0)
-    s, first = 2j * np.pi * F, np.outer(c.phi[:, 0], c.phi[[0, 3], 0])
-
-    def kernel(hz, zeta):
+    _, h = frfs(noise=0.0)
+    s = 2j * np.pi * F
+    for hz, zeta, residues in more:
         w = 2 * np.pi * hz
-        return s**2 / (w**2 + s**2 + 2 * zeta * w * s)
-
-    other = -0.5 * first * (1 + 0.1 * rng.standard_normal(first.shape))
-    h = h - first[:, :, None] * kernel(c.hz[0], c.zeta[0]) + 3 * first[:, :, None] * kernel(22.0, 0.042)
-    h = h + 3 * other[:, :, None] * kernel(22.15, 0.086)
+        h = h + residues[:, :, None] * s**2 / (w**2 + s**2 + 2 * zeta * w * s)
     size = noise * np.sqrt(np.mean(np.abs(h) ** 2))
-    h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    frf = as_frf(h)
+    frf = as_frf(h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2))
     pairs = frf_pairs(frf, model_dofs(frf), (5.0, 150.0))
     return replace(pairs, noise=np.full_like(pairs.noise, size**2), noise_known=True)
 
 
 def test_two_modes_that_leave_noise_alone_stay_two_however_alike(monkeypatch):
+    # 4.2 and 8.6 % damped within a sixth of a bandwidth, of nearly one shape: what a local damper does
+    c = chain()
+    first = np.outer(c.phi[:, 0], c.phi[[0, 3], 0])
+    other = -1.5 * first * (1 + 0.1 * np.random.default_rng(5).standard_normal(first.shape))
+    pairs = with_more([(22.0, 0.006, -first), (22.0, 0.042, 3 * first), (22.15, 0.086, other)])
     start = Poles(np.r_[22.0, 22.15, HZ[1:]], np.r_[0.042, 0.086, np.full(5, 0.008)])
-    pairs = nearly_one_pole()
-    both = choose_modes(pairs, start, BAND)[0].poles
-    assert np.allclose(both.hz[:2], (22.0, 22.15), rtol=2e-3)
-    assert np.allclose(both.zeta[:2], (0.042, 0.086), rtol=0.05)
+    fit, log = choose_modes(pairs, start, BAND)
+    assert not log.rejected
+    assert np.allclose(fit.poles.hz[:2], (22.0, 22.15), rtol=2e-3)
+    assert np.allclose(fit.poles.zeta[:2], (0.042, 0.086), rtol=0.05)
     monkeypatch.setattr(choose, "NOISE_LEFT", 0.0)
-    assert np.sum(choose_modes(pairs, start, BAND)[0].poles.hz < 30) == 1
+    assert [r.code for r in choose_modes(pairs, start, BAND)[1].rejected][:1] == ["twin"]
+
+
+@pytest.mark.parametrize(("hz", "zeta"), [(40.2, 0.08), (118.2, 0.035)])
+def test_a_broad_mode_beside_a_narrow_one_is_found(hz, zeta):
+    residues = 0.7 * np.outer(*(np.random.default_rng(2).standard_normal(n) for n in (N, 2)))
+    fit, _ = choose_modes(with_more([(hz, zeta, residues)]), Poles(HZ, np.full(N, 0.008)), BAND)
+    broad = np.argmin(np.abs(np.log(fit.poles.zeta / zeta)))
+    assert np.isclose(fit.poles.hz[broad], hz, rtol=2e-3)
+    assert np.isclose(fit.poles.zeta[broad], zeta, rtol=0.03)
+    assert all(np.min(np.abs(fit.poles.hz / f - 1)) < 1e-3 for f in HZ)
