@@ -11,6 +11,7 @@ from operando.data.time import Channel
 from operando.dof import Dof
 from operando.ema import fit_ema
 from operando.ema.normal import linearised, normal_equations, residual
+from operando.ema.order import refine
 from operando.ema.polish import polish, start_parameters
 from operando.ema.polish_model import run_model, transfer
 from operando.ema.spectra import excited_limits, noise_from_spectra, record_spectra
@@ -427,7 +428,7 @@ def test_the_fit_ends_between_modes():
 def test_poles_at_the_end_of_the_lines_are_held_in_the_last_fit(fitted, monkeypatch):
     """BEYOND: all others are fitted."""
     from operando.ema import polished as module
-    from operando.ema.order import OrderLog, refine
+    from operando.ema.order import OrderLog
 
     chain, records, _, _ = fitted
     runs = [record_spectra(record, DOFS, (15, 119)) for record in records]
@@ -444,3 +445,24 @@ def test_poles_at_the_end_of_the_lines_are_held_in_the_last_fit(fitted, monkeypa
     assert final.parameters.zeta[-1] == fit.parameters.zeta[-1]
     assert np.all(final.parameters.hz[:-1] != fit.parameters.hz[:-1])
     assert f"held ({final.parameters.hz[-1]:.4g} Hz)" in log.rounds[-1]
+
+
+def test_a_pole_that_is_held_takes_nothing_from_the_rest(fitted):
+    """All others move and keep their standard deviations: a mode that the data tell little of lost both once."""
+    chain, records, _, _ = fitted
+    runs = [record_spectra(record, DOFS, (15, 119)) for record in records]
+    rank = np.argsort(chain.hz)
+    start = refine(runs, 6, chain.hz[rank], chain.zeta[rank], lower=False, max_iterations=4).parameters
+    # shapes in units in which a standard deviation is a large number
+    runs = [replace(r, forces=r.forces * 1e-8, force_variance=r.force_variance * 1e-16) for r in runs]
+    transients, local = tuple(1e-4 * t for t in start.transients), tuple(1e8 * x for x in start.local)
+    start = replace(start, shapes=start.shapes * 1e4, transients=transients, local=local)
+    last = np.arange(6) == 5
+    free, held = (polish(runs, start, hold_poles=hold, max_iterations=8) for hold in (False, last))
+    others = np.concatenate([~last, ~last, np.repeat(~last, 6)])
+    ratio = np.sqrt(np.diag(held.covariance)[others] / np.diag(free.covariance)[others])
+    assert np.all((ratio > 0.3) & (ratio < 1.001))
+    assert np.all(np.diag(held.covariance)[[5, 11]] == 0)
+    assert held.parameters.hz[5] == start.hz[5]
+    assert np.all(held.parameters.zeta[:5] != start.zeta[:5])
+    assert np.all(held.parameters.shapes != start.shapes)

@@ -127,7 +127,7 @@ class Equations:
     ----------
     information : Information
     precision : (p,) array
-        Of the prior.
+        Of the prior; infinite for parameters that are held.
     right : (p,) array
         Gradient of the global parameters, everything of single runs eliminated.
     base, rest : tuples of (q,) arrays
@@ -149,12 +149,14 @@ class Equations:
     ) -> Equations:
         """Equations with the gradient of each run at ``theta``."""
         p = precision.size
-        right = -precision * np.concatenate([np.zeros(2 * theta.hz.size), theta.shapes.T.ravel()])
+        held = np.isinf(precision)
+        right = -np.where(held, 0, precision) * np.concatenate([np.zeros(2 * theta.hz.size), theta.shapes.T.ravel()])
         base, rest = [], []
         for own, gradient in zip(information.own, gradients, strict=True):
             rest.append(gradient[p:] / own.scale)
             base.append(cho_solve(own.factor, rest[-1]) if rest[-1].size else rest[-1])
             right += gradient[:p] - own.slope.T @ rest[-1]
+        right[held] = 0
         return cls(information, precision, right, tuple(base), tuple(rest), scales(theta, driven))
 
     def step(self, damping: float) -> tuple[Real, list[Real], float]:
@@ -163,7 +165,10 @@ class Equations:
         Noise can ask for negative drive residues, which no mode has. Such modes keep the share :data:`LEAST_RESIDUE` of theirs, and all
         other parameters move as is best with that.
         """
-        normal = self.information.normal + np.diag(self.precision)
+        held = np.isinf(self.precision)
+        normal = self.information.normal + np.diag(np.where(held, 0, self.precision))
+        normal[held], normal[:, held] = 0, 0
+        normal[held, held] = 1
         d = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         d[d < 1e-12 * d.max()] = d.max()  # a parameter without information stays where it is
         scaled = normal / np.outer(d, d)

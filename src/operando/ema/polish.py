@@ -149,7 +149,7 @@ def polish(
     precision = np.zeros(n_global)
     if shape_std is not None:
         precision[2 * n :] = (0.5 / shape_std**2).T.ravel()
-    precision[: 2 * n][np.tile(np.broadcast_to(hold_poles, n), 2)] = 1e30
+    precision[: 2 * n][np.tile(np.broadcast_to(hold_poles, n), 2)] = np.inf
     damping = 1e-4
     cost, states = _evaluated(runs, theta, shape_std)
     converged, iteration, without, fresh = False, 0, None, known is None
@@ -203,7 +203,7 @@ def polish(
             equations, since = Equations.of(known, slopes, theta, precision, driven), 0.0
     if want_covariance and since > tolerance and not _same(known.at, theta):
         known, without, _ = linearised(runs, theta, states, apart)
-    covariance = _covariance(known.normal + np.diag(precision)) if want_covariance else np.zeros((0, 0))
+    covariance = _covariance(known.normal, precision) if want_covariance else np.zeros((0, 0))
     estimates = tuple((local.ravel(), 2 * normal) for local, normal in zip(theta.local, known.local, strict=True))
     n_data = sum(run.responses.size for run in runs)
     return Polished(theta, covariance, estimates, cost, n_data, iteration, converged, without)
@@ -244,13 +244,17 @@ def _moved(theta: Parameters, step: Real, nuisance: Sequence[Real], runs: Sequen
     return replace(theta, hz=hz, zeta=zeta, shapes=shapes, transients=tuple(transients), local=tuple(local))
 
 
-def _covariance(total: Real) -> Real:
-    """Inverse Fisher information of the global parameters; the information of complex data is twice the normal matrix."""
+def _covariance(normal: Real, precision: Real) -> Real:
+    """Inverse Fisher information of the global parameters, 0 for those held; the information of complex data is twice the normal matrix."""
+    free = np.ix_(np.isfinite(precision), np.isfinite(precision))
+    total = normal[free] + np.diag(precision[np.isfinite(precision)])
     d = np.sqrt(np.maximum(np.diag(total), 1e-300))
     d[d < 1e-12 * d.max()] = d.max()
     values, vectors = np.linalg.eigh(total / np.outer(d, d))
     inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
-    return np.asarray(0.5 * inverse / np.outer(d, d))
+    out = np.zeros_like(normal)
+    out[free] = 0.5 * inverse / np.outer(d, d)
+    return out
 
 
 def run_misfit(runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDArray[np.bool_]]) -> tuple[float, Real]:
