@@ -30,7 +30,8 @@ MAX_PHASE_DEG = 45.0
 """Residues further from the real axis than from the imaginary one belong to a curved background."""
 
 SAME_WIDTHS, NEAR_WIDTHS, TWIN_WIDTHS, TWIN_MAC, CLOSE_TWIN_MAC = 0.5, 1.2, 3.0, 0.85, 0.5
-"""Neighbours within so many half bandwidths are asked whether one mode does; with alike residues (MAC) also further apart."""
+"""Neighbours within so many half bandwidths (the first: of the narrower, the others: of the broader) are asked whether one mode does; with
+alike residues (MAC) also further apart."""
 
 TWIN_SHARE = 0.02
 """One mode instead of two alike ones where that costs less of the mode's evidence: a mode that moves between rows, or bends."""
@@ -38,8 +39,9 @@ TWIN_SHARE = 0.02
 NOISE_LEFT = 3.0
 """Two poles are two modes, however alike, where they leave less than so many times the noise, and one so many times what they leave.
 
-A mode that bends is no sum of two poles, and leaves more than noise beside two as well. A local damper brings two modes to nearly one
-pole and one shape: of 4.2 and 8.6 % damping at 21.55 and 21.69 Hz, two left 1.2 times the noise, one 37 times."""
+A mode that bends is no sum of two poles: where the bend stands well above the noise, two leave more than noise as well; nearer the noise
+this cannot tell. A local damper brings two modes to nearly one pole and one shape: of 4.2 and 8.6 % damping at 21.55 and 21.69 Hz, two left
+1.2 times the noise, one 37 times."""
 
 DIP = 0.8
 """A dip of 1 dB (power 0.8) between two peaks shows two modes."""
@@ -219,7 +221,7 @@ def is_twin(fit: LinearFit, k: int) -> bool:
     """
     width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
     apart = float(fit.poles.hz[k + 1] - fit.poles.hz[k])
-    if apart < SAME_WIDTHS * min(width):  # a narrow mode on a broad one moves nowhere near the flanks of that
+    if apart < SAME_WIDTHS * min(width):  # no drift takes a narrow mode over the width of a broad one
         return True
     gap = apart / float(max(width))
     mac = residue_mac(fit, k, k + 1)
