@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from operando.data import Channel, TimeRecord
+from operando.data import Channel, StoredFile, StoredRow, TimeRecord, mapped_rows
 from operando.dof import Dof
 from operando.errors import DataError
 from operando.frf import cross_spectra, effective_averages, estimate_frf, local_rational, merge_runs, reciprocity_error
@@ -293,6 +293,33 @@ def test_effective_averages_of_a_single_block_and_of_touching_blocks():
     assert effective_averages(np.ones(8), [0, 0]) == 1
 
 
+def test_samples_in_single_precision_are_transformed_with_a_few_times_the_error_of_their_rounding():
+    block, effective = 8192, 1e5
+    tone = (effective * np.sqrt(2) * np.sin(2 * np.pi * 100.3 / 1024 * np.arange(block * 20))).astype(np.float32)
+    data, far = np.array([tone, tone]), slice(block // 4, block // 2)
+    floor = [np.sqrt(cross_spectra(x, [0], [1], 1.0, block).response[0, far].mean() / 2) for x in (data, data.astype(float))]
+    assert floor[1] == pytest.approx(2.8e-8 * effective, rel=0.1)  # what rounding the samples leaves, as white noise
+    assert 2 * floor[1] < floor[0] < 2e-7 * effective
+
+
+def test_samples_in_their_file_give_the_spectra_of_those_in_memory(tmp_path):
+    rng = np.random.default_rng(17)
+    samples = rng.standard_normal((3, 5000)).astype(np.float32)
+    samples[2, 2100] = np.nan
+    path = tmp_path / "samples.bin"
+    path.write_bytes(samples.tobytes())
+    rows = [StoredRow(4 * 5000 * i, np.dtype("<f4")) for i in range(3)]
+    mapped = mapped_rows(StoredFile(path), rows, 5000, np.float32)
+    assert mapped.rows_apart
+    assert not mapped.changed_by(lambda x, *_: x, np.float32).rows_apart
+    for finite, responses in ((True, [1]), (False, [1, 2])):
+        for data in (mapped, mapped.changed_by(lambda x, *_: x, np.float32)):
+            s, expected = (cross_spectra(x, [0], responses, 1.0, 256, finite=finite) for x in (data, samples))
+            assert s.blocks == expected.blocks == (38 if finite else 36)
+            np.testing.assert_array_equal(s.cross, expected.cross)
+            np.testing.assert_array_equal(s.response, expected.response)
+
+
 def test_variance_of_averaged_estimates_is_calibrated():
     # No dynamics, so no leakage: only the noise counts.
     rng = np.random.default_rng(14)
@@ -303,7 +330,7 @@ def test_variance_of_averaged_estimates_is_calibrated():
             f = rng.standard_normal((drives, 4096))
             x = gain[:, :drives] @ f + rng.standard_normal((3, 4096))
             s = cross_spectra(np.vstack([f, x]), range(drives), range(drives, drives + 3), 1.0, 512, lines=slice(5, 250))
-            h, variance, _, _ = estimate(s, "h1")
+            h, variance, *_ = estimate(s, "h1")
             squares.append(np.mean(np.abs(h - gain[:, :drives, None]) ** 2) / np.mean(variance))
         assert 0.8 < np.mean(squares) < 1.25
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from operando.data import Channel, MappedSamples, TimeRecord, mapped, pieces
+from operando.data import Channel, MappedSamples, TimeRecord, mapped, pieces, stored
 from operando.dof import Dof
 from operando.errors import FormatError
 from operando.frf import estimate_frf
@@ -103,13 +103,13 @@ def test_a_file_that_changes_is_an_error(tmp_path, everything_stays):
 
 
 def test_few_files_are_open_at_a_time(tmp_path, everything_stays, monkeypatch):
-    monkeypatch.setattr(mapped, "MOST_OPEN", 2)
+    monkeypatch.setattr(stored, "MOST_OPEN", 2)
     for i in range(5):
         write_uff(tmp_path / f"{i}.uff", record(2000))
     stays = [read(tmp_path / f"{i}.uff").records[0] for i in range(5)]
     for one in (*stays, *stays[::-1]):
         np.testing.assert_array_equal(one.data, record(2000).data)
-        assert sum(ref()._stream is not None for ref in mapped.StoredFile._recent if ref() is not None) <= 3
+        assert sum(ref()._stream is not None for ref in stored.StoredFile._recent if ref() is not None) <= 3
     again = pickle.loads(pickle.dumps(stays[0]))
     np.testing.assert_array_equal(again.data[1], record(2000).data[1])
     (tmp_path / "0.uff").unlink()

@@ -6,13 +6,14 @@ from operando.data.findings import Finding, group_findings, once_of_a_sense, wit
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
 from operando.data.levels import LEVEL_RATIO, one_level
-from operando.data.mapped import MappedSamples, RowStatistics, StoredFile, StoredRow, filling, mapped_rows, pieces, row_statistics
+from operando.data.mapped import MappedSamples, RowStatistics, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
 from operando.data.objects import Saved, Short, common_name, counted, expect, names_text, plots, several
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, quantity_named, unit_of
 from operando.data.receptances import Receptances
+from operando.data.stored import StoredFile, StoredRow
 from operando.data.time import Channel, TimeRecord
 from operando.files import file_hash
 

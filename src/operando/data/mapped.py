@@ -8,30 +8,25 @@ pieces (:func:`pieces`), so that its memory does not grow with the length.
 from __future__ import annotations
 
 import mmap
-import os
 import tempfile
-import threading
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import IO, Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import DTypeLike, NDArray
 
-from operando.errors import FormatError, WriteError
+from operando.data.stored import StoredFile, StoredRow
+from operando.errors import WriteError
 
 MAPPED_FROM = 1 << 26
 """Bytes of samples from which a record stays in its file (67 MB, 64 channels of 130 000 samples): so that a test of many such records stays
 far below the 1 GB that a run may take. What is read again comes from the cache of the system."""
 PIECE = 1 << 16
 """Samples of one channel taken at once by what goes through a whole record: in double precision they stay in the cache of a core."""
-
-MOST_OPEN = 100
-"""Files of samples that are open at a time: systems let a process have 256 or 1024."""
 
 _METHODS = {
     "T", "all", "any", "argmax", "argmin", "astype", "clip", "copy", "cumsum", "dot", "flatten", "max", "mean", "min", "nonzero",
@@ -75,6 +70,11 @@ class MappedSamples(NDArrayOperatorsMixin):
     def size(self) -> int:
         """Number of samples in all."""
         return self.shape[0] * self.shape[1]
+
+    @property
+    def rows_apart(self) -> bool:
+        """Whether a row can be read without the others: it lies in one piece."""
+        return isinstance(self._read, _RowReader | _MemmapReader)
 
     @property
     def nbytes(self) -> int:
@@ -170,125 +170,28 @@ def pieces(data: Any, length: int = PIECE) -> Iterator[tuple[int, NDArray[Any]]]
         yield first, np.asarray(data[:, first : first + length])
 
 
-def mapped_memmap(data: np.memmap[Any, Any]) -> MappedSamples:
-    """A large read-only memory map, whose pages go when they are read: they would count as memory of the process."""
-    flags = getattr(mmap, "MADV_DONTNEED", None)
-    read_since = 0
+class _MemmapReader:
+    """Rows of a memory map, whose pages go when they are read: they would count as memory of the process."""
 
-    def read(rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
-        nonlocal read_since
-        out = np.empty((len(rows), last - first), data.dtype.newbyteorder("="))
+    def __init__(self, data: np.memmap[Any, Any]) -> None:
+        self._data, self._read_since = data, 0
+
+    def __call__(self, rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
+        out = np.empty((len(rows), last - first), self._data.dtype.newbyteorder("="))
         for i, row in enumerate(rows):
-            out[i] = data[row, first:last]
-        read_since += out.nbytes
-        if flags is not None and read_since > MAPPED_FROM // 8:
-            data._mmap.madvise(flags)  # type: ignore[attr-defined]
-            read_since = 0
+            out[i] = self._data[row, first:last]
+        self._read_since += out.nbytes
+        flags = getattr(mmap, "MADV_DONTNEED", None)
+        if flags is not None and self._read_since > MAPPED_FROM // 8:
+            self._data._mmap.madvise(flags)  # type: ignore[attr-defined]
+            self._read_since = 0
         return out
 
+
+def mapped_memmap(data: np.memmap[Any, Any]) -> MappedSamples:
+    """A large read-only memory map as samples in a file."""
     rows, samples = data.shape
-    return MappedSamples(read, (rows, samples), data.dtype.newbyteorder("="))
-
-
-def _nothing() -> None:
-    """What there is to close of a file that was not opened."""
-
-
-class StoredFile:
-    """A file whose samples are read later: the same one as now, or an error says that it was changed.
-
-    Of all these files ``MOST_OPEN`` at most are open at a time; one that is asked for again is opened again.
-
-    Parameters
-    ----------
-    path : Path
-    stream : file, optional
-        A temporary file, which has no name to open it by.
-    """
-
-    _recent: ClassVar[list[weakref.ref[StoredFile]]] = []
-    _recent_lock: ClassVar[threading.Lock] = threading.Lock()
-
-    def __init__(self, path: Path, stream: IO[bytes] | None = None) -> None:
-        self.path, self._stream, self._lock = path, stream, threading.Lock()
-        self._reopens = stream is None
-        self._close: Callable[[], Any] = _nothing if stream is None else weakref.finalize(self, stream.close)
-        with self._lock:
-            self._stamp = self._now(self._open())
-
-    def _open(self) -> IO[bytes]:
-        if self._stream is None:
-            try:
-                self._stream = open(self.path, "rb")  # noqa: SIM115  (it stays open for the next piece)
-            except OSError as error:
-                raise FormatError(f"the file cannot be opened any more: {error.strerror}", where=str(self.path)) from error
-            self._close = weakref.finalize(self, self._stream.close)
-            self._close_others()
-        return self._stream
-
-    def _close_others(self) -> None:
-        """Note this file as open and close the one opened first, if they are too many and it is not being read."""
-        with StoredFile._recent_lock:
-            kept = [ref for ref in StoredFile._recent if ref() is not None and ref() is not self]
-            StoredFile._recent[:] = [*kept, weakref.ref(self)]
-            first = kept[0]() if len(kept) >= MOST_OPEN else None
-            if first is not None and first._lock.acquire(blocking=False):
-                try:
-                    first._close()
-                    first._stream = None
-                    StoredFile._recent.pop(0)
-                finally:
-                    first._lock.release()
-
-    @staticmethod
-    def _now(stream: IO[bytes]) -> tuple[int, int]:
-        state = os.fstat(stream.fileno())
-        return state.st_size, state.st_mtime_ns
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        if not self._reopens:
-            raise TypeError("samples in a temporary file belong to this process")
-        return StoredFile, (self.path,), {"_stamp": self._stamp}
-
-    def read_into(self, offset: int, view: memoryview) -> None:
-        """Fill ``view`` with the bytes from ``offset`` on.
-
-        Raises
-        ------
-        FormatError
-            If the file was changed since it was opened, or is not there any more.
-        """
-        with self._lock:
-            stream = self._open()
-            stream.seek(offset)
-            done = 0
-            while done < len(view):
-                got = stream.readinto(view[done:])  # type: ignore[attr-defined]
-                if not got:
-                    break
-                done += got
-            if done < len(view) or self._now(stream) != self._stamp:
-                hint = "read it again; do not write to files that are being analysed"
-                raise FormatError("the file was changed while it was read", where=str(self.path), hint=hint)
-
-
-@dataclass(frozen=True)
-class StoredRow:
-    """One channel in a file: samples one after the other.
-
-    Parameters
-    ----------
-    offset : int
-        Byte of the first sample.
-    dtype : dtype
-        As stored.
-    factor : float
-        To SI.
-    """
-
-    offset: int
-    dtype: np.dtype[Any]
-    factor: float = 1.0
+    return MappedSamples(_MemmapReader(data), (rows, samples), data.dtype.newbyteorder("="))
 
 
 @dataclass(frozen=True)
@@ -438,6 +341,17 @@ class RowStatistics:
         return ~(self.high > self.low)
 
 
+def _stretches(data: Any) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Row and samples of it, of at most ``PIECE`` samples: all rows in turn, or one after the other where a row lies apart."""
+    if isinstance(data, MappedSamples) and not data.rows_apart:
+        for _, part in pieces(data):
+            yield from enumerate(part)
+        return
+    for i in range(data.shape[0]):
+        for first in range(0, data.shape[1], PIECE):
+            yield i, np.asarray(data[i, first : first + PIECE])
+
+
 def row_statistics(data: Any) -> RowStatistics:
     """Statistics of the rows of a record, in one pass; made once for samples in a file.
 
@@ -472,28 +386,28 @@ def _row_statistics(data: Any) -> RowStatistics:
     finite = np.ones(n, bool)
     about, total, square, count = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
-    work, ones = np.empty(PIECE), np.ones(PIECE)
-    for _, part in pieces(data) if isinstance(data, MappedSamples) else [(0, data)]:
-        for i, row in enumerate(part):
-            for first in range(0, row.size, PIECE):
-                raw = row[first : first + PIECE]
-                x = work[: raw.size]
-                x[:] = raw
-                least, most = float(raw.min()), float(raw.max())
-                if not np.isfinite(most - least):  # NaN and infinity show in one of them
-                    good = np.isfinite(x)
-                    finite[i] &= bool(good.all())
-                    x = x[good]
-                    if not x.size:
-                        continue
-                    least, most = float(x.min()), float(x.max())
-                if not count[i]:
-                    about[i] = x.mean()
-                low[i], high[i] = min(low[i], least), max(high[i], most)
-                x -= about[i]
-                total[i] += x @ ones[: x.size]  # a product of BLAS is faster than the sum
-                square[i] += x @ x
-                count[i] += x.size
+    real = np.dtype(np.float32 if data.dtype == np.float32 else np.float64)
+    work, ones = np.empty(PIECE, real), np.ones(PIECE, real)
+    for i, raw in _stretches(data):
+        least, most = float(raw.min()), float(raw.max())
+        if not np.isfinite(most - least):  # NaN and infinity show in one of them
+            good = np.isfinite(raw)
+            finite[i] &= bool(good.all())
+            raw = raw[good]
+            if not raw.size:
+                continue
+            least, most = float(raw.min()), float(raw.max())
+        if not count[i]:
+            about[i] = raw.mean()
+        low[i], high[i] = min(low[i], least), max(high[i], most)
+        x = np.subtract(raw, real.type(about[i]), out=work[: raw.size])
+        squares = x @ x
+        if not np.isfinite(squares):  # beyond the range of single precision
+            x = x.astype(float)
+            squares = x @ x
+        total[i] += x @ ones[: x.size]  # a product of BLAS is faster than the sum
+        square[i] += squares
+        count[i] += x.size
     some = np.maximum(count, 1)
     with np.errstate(over="ignore", invalid="ignore"):
         variance = np.maximum(square / some - (total / some) ** 2, 0)

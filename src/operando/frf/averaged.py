@@ -10,7 +10,7 @@ import numpy as np
 from operando.data import Finding
 from operando.dof import Node
 from operando.errors import DataError
-from operando.frf.estimators import estimate, inverse_force_matrix
+from operando.frf.estimators import estimate
 from operando.frf.impact import ImpactBlocks, impact_spectra
 from operando.frf.inputs import RunInput
 from operando.frf.rational import roughness_variance
@@ -70,13 +70,12 @@ def averaged_run(
             finite=bool(record.statistics.finite[[*run.forces, *run.responses]].all()),
         )
         how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
-    h, variance, coherence, condition = estimate(spectra, estimator)
+    h, variance, coherence, condition, inverse = estimate(spectra, estimator)
     if spectra.averages <= len(run.forces):
         variance = roughness_variance(h, force_power=np.real(np.einsum("jjl->jl", spectra.force)))
         coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
-    inverse, _ = inverse_force_matrix(spectra.force)
     with np.errstate(divide="ignore"):
-        gain = spectra.averages / np.real(np.einsum("jjl->jl", inverse))
+        gain = spectra.averages / inverse
     findings = (*run.findings, *_average_findings(run, spectra, condition))
     return RunEstimate(
         spectra.frequencies_hz,

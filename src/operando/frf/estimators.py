@@ -45,7 +45,7 @@ def inverse_force_matrix(force: Array) -> tuple[Array, Array]:
     return np.moveaxis(inverse, 0, -1), condition
 
 
-def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array, Array, Array]:
+def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array, Array, Array, Array]:
     """FRF matrix from averaged spectra.
 
     H1 = Gxf·Gff⁻¹ (noise on the responses), H2 = Gxx/Gfx (noise on the force; one force at a time), Hv by total
@@ -67,6 +67,8 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
         Multiple coherence of each response with all forces (ordinary for one force).
     condition : (n_lines,) array
         Condition number of the scaled force matrix.
+    inverse : (n_forces, n_lines) array
+        Diagonal of Gff⁻¹, NaN where a force is absent.
 
     Raises
     ------
@@ -77,8 +79,10 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
         raise DataError(f"estimator {estimator!r} is none of {', '.join(ESTIMATORS)}, lrm")
     n_f = spectra.force.shape[0]
     inverse, condition = inverse_force_matrix(spectra.force)
-    h1 = np.einsum("ijl,jkl->ikl", spectra.cross, inverse)
-    explained = np.real(np.einsum("ijl,ijl->il", h1, spectra.cross.conj()))
+    cross = np.ascontiguousarray(spectra.cross)
+    h1 = np.einsum("ijl,jkl->ikl", cross, np.ascontiguousarray(inverse), out=np.empty_like(cross))
+    parts = np.einsum("ijl,ijl->il", h1.view(float), cross.view(float))  # products of real, of imaginary parts in turn
+    explained = parts[:, ::2] + parts[:, 1::2]
     power = spectra.response
     coherence = np.clip(np.divide(explained, power, out=np.zeros_like(power), where=power > 0), 0, 1)
     if estimator == "h1":
@@ -91,14 +95,14 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
             h = (power / conj)[:, None, :]
     else:
         h = _total_least_squares(spectra)
+    diagonal = np.real(np.einsum("jjl->jl", inverse))
     dof = spectra.averages - n_f
     if dof > 0:
         noise = power * (1 - coherence)
-        diagonal = np.real(np.einsum("jjl->jl", inverse))
         variance = noise[:, None, :] * diagonal[None] / dof
     else:
         variance = np.full(h.shape, np.nan)
-    return h, variance, coherence, condition
+    return h, variance, coherence, condition, diagonal
 
 
 def _total_least_squares(spectra: CrossSpectra) -> Array:

@@ -303,23 +303,25 @@ def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate],
     """The estimates without the lines at either end that no run of some reference excites; a finding where lines are left out."""
     spans = [excited_span(e) for e in estimates]
     axis = estimates[0].frequencies_hz
+    inside = [(axis >= low) & (axis <= high) for low, high in spans]
     keep = np.ones(axis.size, bool)
+    for run in estimates:
+        keep &= np.any([lines for e, lines in zip(estimates, inside, strict=True) if same_references(e, run)], axis=0)
+    if not keep.all() and np.count_nonzero(keep) < LEAST_LINES:
+        return list(estimates), []
     out = list(estimates)
-    for i, (run, (low, high)) in enumerate(zip(estimates, spans, strict=True)):
-        inside = (axis >= low) & (axis <= high)
-        group = [s for e, s in zip(estimates, spans, strict=True) if same_references(e, run)]
-        keep &= np.any([(axis >= a) & (axis <= b) for a, b in group], axis=0)
-        if not inside.all():
-            blank = lambda a, m=inside: np.where(m, a, np.nan)  # noqa: E731
+    for i, (run, lines) in enumerate(zip(estimates, inside, strict=True)):
+        if (keep & ~lines).any():
+            blank = lambda a, m=lines: np.where(m, a, np.nan)  # noqa: E731
             out[i] = replace(
                 run,
                 data=blank(run.data),
                 variance=blank(run.variance),
                 coherence=blank(run.coherence),
-                gain=np.where(inside, run.gain, 0.0),
+                gain=np.where(lines, run.gain, 0.0),
             )
-    if keep.all() or np.count_nonzero(keep) < LEAST_LINES:
-        return (list(estimates), []) if not keep.all() else (out, [])
+    if keep.all():
+        return out, []
     low, high = float(axis[keep][0]), float(axis[keep][-1])
     narrow = min(range(len(spans)), key=lambda i: spans[i][1] - spans[i][0])
     finding = Finding(
@@ -336,12 +338,14 @@ def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate],
 
 
 def at_lines(run: RunEstimate, keep: NDArray[np.bool_]) -> RunEstimate:
-    """The estimate on some of its lines."""
+    """The estimate on some of its lines; a view where they follow one another."""
+    kept = np.flatnonzero(keep)
+    lines = slice(kept[0], kept[-1] + 1) if kept.size and kept[-1] - kept[0] + 1 == kept.size else keep
     return replace(
         run,
-        frequencies_hz=run.frequencies_hz[keep],
-        data=run.data[..., keep],
-        variance=run.variance[..., keep],
-        coherence=run.coherence[..., keep],
-        gain=run.gain[..., keep],
+        frequencies_hz=run.frequencies_hz[lines],
+        data=run.data[..., lines],
+        variance=run.variance[..., lines],
+        coherence=run.coherence[..., lines],
+        gain=run.gain[..., lines],
     )

@@ -289,6 +289,8 @@ def _columns(kept: Sequence[RunEstimate], responses: Sequence[Dof], columns: Seq
 
     Columns of different groups do not overlap, except where a DOF was driven alone and together with others: the most informative wins.
     """
+    if len(kept) == 1 and kept[0].responses == tuple(responses) and kept[0].references == tuple(columns):
+        return kept[0].data, kept[0].variance, kept[0].coherence
     shape = (len(responses), len(columns), kept[0].frequencies_hz.size)
     data, variance, coherence = np.full(shape, np.nan, complex), np.full(shape, np.nan), np.full(shape, np.nan)
     for j, column in enumerate(columns):
