@@ -50,6 +50,8 @@ class Case:
         DOFs where effects may be; default all.
     correlated : float
         Neighbouring lines over which the noise is alike.
+    between : bool
+        Whether lines validate that lie between those that are fitted.
     like : Case, optional
         The same check and model with other spreads: lines, told directions of the model, and sizes of effects are taken over.
 
@@ -71,6 +73,7 @@ class Case:
         kinds: Sequence[str] = SEARCHED,
         places: Sequence[int] | None = None,
         correlated: float = CORRELATED_LINES,
+        between: bool = False,
         like: Case | None = None,
     ) -> None:
         responses = [i for i, d in enumerate(idle.dofs) if any(d.same_axis(o) for o in frf.responses)]
@@ -84,7 +87,7 @@ class Case:
         self.uncompressed = idle
         chosen = frf.select([idle.dofs[i] for i in responses], [idle.dofs[i] for i in references]).to_quantity("receptance")
         modes = idle.modes
-        self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated) if like is None else like.lines
+        self.lines = Lines(chosen.band(*band), idle.f[modes], idle.zeta[modes], number, correlated, between) if like is None else like.lines
         self.band = self.lines.band
         self._look_for(kinds, places, like)
         driven = np.array(references)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from operando.data import Finding, Frf, ModalCoupling, ModalModel
 from operando.data.modal_poles import PoleForm, pole_form
@@ -16,14 +17,17 @@ from operando.diagnosis.arrow import Factor
 from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
+from operando.ema import without_doubts
 from operando.ema.findings import misfit_findings
 from operando.errors import DataError, DofError
 from operando.frf import in_one_sense, opposed_dofs
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
-_STEPS = 3  # of Newton, to poles a few standard deviations away
+_STEPS = 8  # of Newton at most, to poles a few standard deviations away
 _OF_REAL_MODES = ("complex_modes", "misfit")
+_OF_REAL_SHAPES = ("twin", "complex_shape")
+"""Doubts of a pole that only real shapes call for: a damper in one place gives close modes nearly one shape, of any phase."""
 
 
 def with_complex_modes(
@@ -66,7 +70,8 @@ def with_complex_modes(
 
 def _fitted(model: ModalModel, frf: Frf, band: tuple[float, float], progress: Callable[[str], None] | None) -> ModalModel:
     """The model with complex modes where they are better, else as it was."""
-    known = Idle.of(model, band, frf.references)
+    tied = without_doubts(model, _OF_REAL_SHAPES)
+    known = Idle.of(tied, band, frf.references)
     rest = at_rest(known, frf, band)
     if not rest.again or rest.state.alpha > EXPLAINED:
         return model
@@ -78,12 +83,12 @@ def _fitted(model: ModalModel, frf: Frf, band: tuple[float, float], progress: Ca
         return model
     idle = rest.idle
     if getattr(model.details, "answer", None) == "linear" and model.covariance is not None:
-        idle = _with_poles_of(model, idle)
-    found = _tied(model, idle)
+        idle = _with_poles_of(tied, idle)
+    found = _tied(tied, idle)
     (before, _), (after, chi) = (_left(m, rest) for m in (model, found))
     if not after < before:
         return model
-    kept = tuple(f for f in model.findings if f.kind not in _OF_REAL_MODES)
+    kept = tuple(f for f in tied.findings if f.kind not in _OF_REAL_MODES)
     return replace(found, misfit=chi, findings=(*kept, _finding(before, after), *misfit_findings(chi)))
 
 
@@ -134,11 +139,13 @@ def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
     the fit says is what else there is, given the poles (Jeffrey, The Logic of Decision, 1965, ch. 11).
     """
     terms, n = model.terms, model.terms.n
-    proper = np.flatnonzero(terms.in_band)
+    proper = np.flatnonzero(terms.in_band & ~terms.residual)
     rows = np.concatenate([proper, n + proper])
     wanted = np.concatenate([terms.frequencies_hz, terms.damping_ratios])[rows]
     assert model.covariance is not None
     known = model.covariance[np.ix_(rows, rows)]
+    at = _nearest_poles(terms.frequencies_hz[proper], terms.damping_ratios[proper], _poles(model, idle)[0], idle.modes)
+    rows = np.concatenate([at, n + at])
     std = np.maximum(np.sqrt(np.diag(known)), 1e-12 * np.abs(wanted))
     spread = std[:, None] * np.linalg.cholesky(known / np.outer(std, std) + 1e-9 * np.eye(rows.size))
     size, extra = idle.f_root.shape[1], idle.shapes.own.shape[2]
@@ -147,10 +154,19 @@ def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
         form, slopes = _poles(model, idle)
         move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
         off = wanted - np.concatenate([form.frequencies_hz, form.damping_ratios])[rows]
+        if np.abs(off / std).max() < 1e-3:
+            break
         idle = idle.moved(move @ off, np.zeros((len(idle.dofs), extra)), still)
     _, slopes = _poles(model, idle)
     move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
     return idle.along(np.concatenate([np.eye(size) - move @ slopes[rows], move @ spread], axis=1), still.inverse)
+
+
+def _nearest_poles(hz: Array, zeta: Array, form: PoleForm, among: Array) -> Array:
+    """Which terms have these poles: a pole belongs to the term that moves most in it, which two close ones may exchange."""
+    wanted = hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    there = form.frequencies_hz[among] * (-form.damping_ratios[among] + 1j * np.sqrt(1 - form.damping_ratios[among] ** 2))
+    return np.asarray(among[linear_sum_assignment(np.abs(there - wanted[:, None]) / hz[:, None])[1]])
 
 
 def _tied(model: ModalModel, idle: Idle) -> ModalModel:

@@ -18,9 +18,10 @@ _NOTHING = 1e12  # variance of a pair that was not measured, over the mean squar
 
 
 class Lines:
-    """Lines where FRFs change, a level for the discrepancy, and two sets: each third block of lines validates.
+    """Lines where FRFs change, a level for the discrepancy, and two sets: to fit, and to validate.
 
-    Blocks at the ends of the band never validate: beyond them nothing is fitted.
+    Each third block of lines validates, which tells what a model is worth where nothing was fitted; blocks at the ends of the band never
+    do. Or lines in between validate, so that each peak is fitted: where a model is to be known, a block may hold a whole mode.
 
     Parameters
     ----------
@@ -32,6 +33,8 @@ class Lines:
         Lines to fit.
     correlated : float
         Neighbouring lines over which the noise is alike.
+    between : bool
+        Whether lines in between validate.
 
     Attributes
     ----------
@@ -51,7 +54,15 @@ class Lines:
 
     stride, sizes = 2, 24  # each second line is enough to rank candidates; trial sizes that meet every peak
 
-    def __init__(self, frf: Frf, f: Array, zeta: Array, number: int = FIT_LINES, correlated: float = CORRELATED_LINES) -> None:
+    def __init__(
+        self,
+        frf: Frf,
+        f: Array,
+        zeta: Array,
+        number: int = FIT_LINES,
+        correlated: float = CORRELATED_LINES,
+        between: bool = False,
+    ) -> None:
         self.f, self.zeta, self.correlated = f, zeta, correlated
         hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
         variance = (0.01 * np.abs(h)) ** 2 if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
@@ -72,11 +83,19 @@ class Lines:
         change = np.median((np.abs(np.gradient(h, axis=0)) ** 2 / variance)[:, self.there], axis=1)
         density = np.convolve(change, np.ones(5) / 5, "same") ** 0.25
         level = np.sqrt(_mean(np.abs(h) ** 2, np.maximum(2, (0.01 * hz / np.median(np.diff(hz))).astype(int))))
-        chosen = []
-        for validates, count in ((False, number), (True, VALIDATION_LINES)):
-            at = np.flatnonzero((block % 3 == 1) == validates)
+
+        def some(at: Array, count: int) -> Array:
             share = np.cumsum(0.6 * density[at] / density[at].sum() + 0.4 / at.size)
-            chosen.append(np.unique(at[np.searchsorted(share, (np.arange(count) + 0.5) / count * share[-1] * 0.999999)]))
+            return np.unique(at[np.searchsorted(share, (np.arange(count) + 0.5) / count * share[-1] * 0.999999)])
+
+        if between:
+            every = some(np.arange(hz.size), number + VALIDATION_LINES)
+            out = np.linspace(0, every.size, VALIDATION_LINES + 2)[1:-1].astype(int)
+            chosen = [np.delete(every, out), every[out]]
+        else:
+            chosen = [
+                some(np.flatnonzero((block % 3 == 1) == validates), n) for validates, n in ((False, number), (True, VALIDATION_LINES))
+            ]
         i = np.concatenate(chosen)
         self.fit, self.validation = np.split(np.arange(i.size), [chosen[0].size])
         self.w, self.h, self.variance, self.level = 2 * np.pi * hz[i], h[i], variance[i], level[i]

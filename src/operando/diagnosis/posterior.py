@@ -346,7 +346,7 @@ def on_idle_frfs(
     idle: Idle, frf: Frf, band: tuple[float, float], number: int, correlated: float, robust: bool, enough: float = 0.0
 ) -> State:
     """A model on so many lines of the FRFs at rest, whose noise is alike over ``correlated`` neighbours; ``robust`` from far away."""
-    case = Case(idle, frf, band, spreads={}, number=number, correlated=correlated)
+    case = Case(idle, frf, band, spreads={}, number=number, correlated=correlated, between=True)
     start = case.forward.start
     return fit(case, approach(case, start)[1] if robust else start, alpha=0.02, enough=enough)
 

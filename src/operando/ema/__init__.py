@@ -1,6 +1,6 @@
 """Experimental modal analysis: candidate poles, maximum-likelihood fit of real modes, residual modes, comparison with sdypy-EMA."""
 
-from operando.ema.by_hand import poles_by_hand
+from operando.ema.by_hand import poles_by_hand, without_doubts
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.fit import EmaDetails, fit_ema
 from operando.ema.indicator_functions import cmif, mmif
@@ -30,4 +30,5 @@ __all__ = [
     "rigid_body_mass",
     "second_opinion",
     "stabilization_diagram",
+    "without_doubts",
 ]

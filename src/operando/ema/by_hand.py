@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import ModalModel, numbers_of
 from operando.ema.answers import LinearModes
+from operando.ema.findings import doubtful_findings
 from operando.ema.linear import LinearFit
 from operando.ema.pairs import Real
 from operando.ema.unit_mass import UnitMassShapes
@@ -114,6 +115,39 @@ def poles_by_hand(automatic: ModalModel) -> list[tuple[float, float, int]]:
     # a candidate within a few half bandwidths of a pole that the answer has is that pole, less exactly
     apart = lambda c: all(abs(c.frequency_hz - h) > NEAR_WIDTHS * z * h for h, z, _ in poles)  # noqa: E731
     return poles + [(c.frequency_hz, c.damping_ratio, -1) for c in automatic.details.candidates if apart(c)]
+
+
+def without_doubts(model: ModalModel, codes: Collection[str]) -> ModalModel:
+    """The model with those poles in doubt as modes whose doubts are all of some kinds, which are void.
+
+    Parameters
+    ----------
+    model : ModalModel
+        Of :func:`operando.fit_ema`.
+    codes : collection of str
+        Kinds of doubts, as in :class:`operando.ema.doubts.Evidence`.
+    """
+    linear = getattr(model.details, "linear", None)
+    if linear is None:
+        return model
+    terms = _doubtful_terms(model)
+    poles = {i: int(np.argmin(np.abs(linear.frequencies_hz - model.terms.frequencies_hz[i]))) for i in terms}
+    poles = {i: k for i, k in poles.items() if linear.evidence[k].doubts and all(code in codes for code, _ in linear.evidence[k].doubts)}
+    low, high = model.band_hz or (0.0, np.inf)
+    poles = {i: k for i, k in poles.items() if low <= model.terms.frequencies_hz[i] <= high}
+    if not poles:
+        return model
+    residual = model.terms.residual.copy()
+    residual[list(poles)] = False
+    evidence = tuple(replace(e, doubts=()) if k in poles.values() else e for k, e in enumerate(linear.evidence))
+    hz = linear.frequencies_hz[list(poles.values())]
+    kept = tuple(p for p in model.details.rejected if p.code not in codes or np.min(np.abs(hz - p.frequency_hz)) > 1e-9 * p.frequency_hz)
+    findings = tuple(f for f in model.findings if f.kind != "doubtful_pole")
+    inside = [(float(h), e) for h, e in zip(linear.frequencies_hz, evidence, strict=True) if low <= h <= high]
+    out = _with_marks(replace(model, findings=(*findings, *doubtful_findings(inside))), residual)
+    order = np.concatenate([np.argsort(out.frequencies_hz), np.arange(out.n_modes, out.terms.n)])
+    own = replace(model.details, linear=replace(linear, evidence=evidence), rejected=kept)
+    return replace(out.select_terms(order), details=replace(own, stabilization=_diagram_of(own.stabilization, out)))
 
 
 def _doubtful_terms(model: ModalModel) -> list[int]:

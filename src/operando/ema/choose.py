@@ -113,11 +113,12 @@ def choose_modes(
         if number >= SEARCH_ROUNDS:
             break
         new = _missing_mode(fit, band, peaks, tried)
-        if new is None:
+        grown = _with_mode(fit, *new) if new is not None else _all_that_is_missing(fit, band, tried)
+        if grown is None:
             break
-        log.rounds.append(f"in: {new[0]:.5g} Hz")
-        tried.append((new[0], 0.5 * new[1]))
-        fit = _with_mode(fit, *new)
+        fit, (hz, zeta) = grown
+        log.rounds.append(f"in: {hz:.5g} Hz")
+        tried.append((hz, 0.5 * zeta))
     if fit.n_modes == 0:
         raise IdentificationError("no mode is left that the FRFs speak for", hint="widen the band, or check the FRFs")
     fit = _settled(fit)
@@ -136,7 +137,7 @@ def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:
     return fit_linear(fit.pairs, poles, fit.ends_hz, start=start, before=fit.variance, rounds=2)
 
 
-def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
+def _with_mode(fit: LinearFit, hz: float, zeta: float) -> tuple[LinearFit, tuple[float, float]]:
     poles, at = fit.poles, int(np.searchsorted(fit.poles.hz, hz))
     grown = Poles(
         np.insert(poles.hz, at, hz),
@@ -145,7 +146,22 @@ def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
         np.insert(poles.drift, at, float(np.median(poles.drift))),
     )
     a, b, shift = (np.insert(values, at, 0.0, axis=1) for values in fit.projection.coefficients)
-    return fit_linear(fit.pairs, grown, fit.ends_hz, start=(a, b, shift), before=fit.variance, rounds=SETTLE_ROUNDS)
+    more = fit_linear(fit.pairs, grown, fit.ends_hz, start=(a, b, shift), before=fit.variance, rounds=SETTLE_ROUNDS)
+    return more, (hz, zeta)
+
+
+def _all_that_is_missing(
+    fit: LinearFit, band: tuple[float, float], tried: Sequence[tuple[float, float]]
+) -> tuple[LinearFit, tuple[float, float]] | None:
+    """The fit with one more mode that shows no peak, where it leaves noise alone; None where it does not, or noise rules already.
+
+    A broad mode among narrow ones may have no peak, and the fit without it a model error that its own absence makes.
+    """
+    if fit.noise_limited or not fit.pairs.noise_known:
+        return None
+    new = _missing_mode(fit, band, None, tried)
+    grown = None if new is None else _with_mode(fit, *new)
+    return grown if grown is not None and grown[0].noise_limited else None
 
 
 def poor_poles(fit: LinearFit) -> list[tuple[int, str, str]]:
@@ -318,12 +334,12 @@ def visible_peaks(pairs: Pairs) -> Real:
 
 
 def _missing_mode(
-    fit: LinearFit, band: tuple[float, float], peaks: Real, tried: Sequence[tuple[float, float]]
+    fit: LinearFit, band: tuple[float, float], peaks: Real | None, tried: Sequence[tuple[float, float]]
 ) -> tuple[float, float] | None:
     """Frequency and damping of one more mode whose gain is twice its unknowns, or None.
 
     The gain is taken under the model error of all pairs: that of a pair has grown around the mode it misses. Where the model error rules,
-    only visible peaks that no pole explains are asked, since the residuals of a moving or bending mode look like another one.
+    only visible peaks that no pole explains are asked (if given), since the residuals of a moving or bending mode look like another one.
     """
     f = fit.pairs.frequencies_hz
     hz, width = fit.poles.hz, fit.poles.zeta * fit.poles.hz
@@ -331,7 +347,7 @@ def _missing_mode(
     for h, z in tried:
         allowed &= np.abs(f - h) > max(z * h, 0.002 * h)
     allowed &= np.min(np.abs(f[None] - hz[:, None]) / width[:, None], axis=0) > 0.5
-    if not fit.noise_limited:
+    if not fit.noise_limited and peaks is not None:
         step = float(np.median(np.diff(f)))
         near = np.zeros(f.size, bool)
         for p in peaks:

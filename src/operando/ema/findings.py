@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from operando.data import Finding, Frf
 from operando.dof import Dof
 from operando.ema.answers import LinearModes
+from operando.ema.doubts import Evidence
 from operando.ema.linear import LinearFit
 from operando.ema.unit_mass import SEEN, UnitMassShapes
 from operando.frf import reversing
@@ -169,18 +170,7 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
                 action="local dampers, close modes and modes that move between rows look like this",
             )
         )
-    doubtful = [(float(h), e) for h, e in inside if e.doubts]
-    if doubtful:
-        first = "; ".join(f"{h:.5g} Hz: {e.doubts[0][1]}" for h, e in doubtful[:4])
-        out.append(
-            Finding(
-                "doubtful_pole",
-                f"{len(doubtful)} poles in band are not reported as modes ({first}{'; …' if len(doubtful) > 4 else ''})",
-                "info",
-                consequence="they stay in the synthesis of the FRFs as residual terms",
-                action="name those that are modes in select_hz",
-            )
-        )
+    out += doubtful_findings(inside)
     if modes.model_error > NOTABLE_ERROR:
         out.append(
             Finding(
@@ -213,3 +203,20 @@ def quantity_finding(taken_as: str) -> Finding:
         consequence=f"they were taken for {taken_as}",
         action="check quantity and unit of response and force in the files, or give them in [channels]",
     )
+
+
+def doubtful_findings(poles: Sequence[tuple[float, Evidence]]) -> list[Finding]:
+    """The finding that names poles in band [Hz] that are not reported as modes."""
+    doubtful = [(h, e) for h, e in poles if e.doubts]
+    if not doubtful:
+        return []
+    first = "; ".join(f"{h:.5g} Hz: {e.doubts[0][1]}" for h, e in doubtful[:4])
+    return [
+        Finding(
+            "doubtful_pole",
+            f"{len(doubtful)} poles in band are not reported as modes ({first}{'; …' if len(doubtful) > 4 else ''})",
+            "info",
+            consequence="they stay in the synthesis of the FRFs as residual terms",
+            action="name those that are modes in select_hz",
+        )
+    ]
