@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
-from operando.diagnosis.posterior import State, approach, on_validation_lines
+from operando.diagnosis.posterior import State, approach, names, on_validation_lines
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, responses
-from operando.diagnosis.terms import FREE_LAW, Term
+from operando.diagnosis.terms import FREE_LAW, Term, added
 from operando.indicators import INTERVAL
 from operando.structure.effects.effect import with_spread
 from operando.threads import each
@@ -22,6 +23,7 @@ from operando.units import engineering_unit
 Array = NDArray[Any]
 
 _APPROACHED, _FITTED = 8, 2  # locations from which the way to a fit begins, and goes on: the true one was among the first six of the scan
+_ALIKE = 3  # kinds whose law is nearest, which are fitted
 _TURNS = 3  # of the robust least squares of a law
 _ROUGH = 0.03  # discrepancy that a fit begins with
 
@@ -91,6 +93,49 @@ def _law(case: Case, places: tuple[int, ...], w: Array, by_force: Array, own: Ar
         weights = 1 / (1 + np.abs(error) ** 2)
     scale = float(np.sqrt(np.mean(np.abs(z) ** 2))) or 1.0
     return Term(FREE_LAW.kind, places, (float(np.log(scale)), *(float(v) for v in c / scale)), fixed=(0,))
+
+
+def of_a_kind(law: State, say: Say = lambda text: None) -> State | None:
+    """The effect of the catalogue whose force law this one is, where its location with that kind is as probable; else None.
+
+    A scan about the idle model starts far from a large effect, and may not come to it. The law's own curve is where it starts from.
+    """
+    case, (free,) = law.case, law.terms
+    fits = (_with_curve_of(law, Term(t.kind, t.places, sign=sign)) for t in case.candidates(()) if _acts_there(t, free) for sign in (1, -1))
+    near = sorted((fit for fit in fits if fit is not None), key=lambda row: row[0])
+    say("  kinds with such a law: " + ", ".join(names(case, [term for _, term in near[:_ALIKE]])))
+    starts = each(lambda row: approach(case, started(case, (row[1],)))[1], near[:_ALIKE])
+    ends = each(lambda start: fitted_if_can_be(case, start, _ROUGH, floor=law.log_evidence), starts)
+    best = max((state for state in ends if state is not None), key=score, default=None)
+    return best if best is not None and score(best) > score(law) else None
+
+
+def _acts_there(term: Term, free: Term) -> bool:
+    """Whether a kind acts along the one coordinate of a law."""
+    if not term.structural or term.definition.coordinates not in ("difference", "node"):
+        return False
+    if term.definition.coordinates == "node":
+        return len(free.places) == 1 and free.places[0] in term.places
+    return set(term.places) == set(free.places)
+
+
+def _with_curve_of(law: State, term: Term) -> tuple[float, Term] | None:
+    """A term of the values that bring its dynamic stiffness nearest to the curve of a law, and its distance in standard deviations."""
+    case, (free,) = law.case, law.terms
+    w = case.lines.w[case.lines.fit]
+    basis, scale = FREE_LAW.basis(w, case.band), np.exp(free.values[0])
+    z, covariance = scale * (basis @ free.values[1:]), law.covariance[1:, 1:]
+    std = scale * np.sqrt(np.einsum("ij,jk,ik->i", basis, covariance, basis.conj()).real)
+
+    def off(values: Array) -> Array:
+        left = (added(term.moved(values), w, case.band)[:, 0, 0] - z) / std
+        return np.nan_to_num(np.concatenate([left.real, left.imag]), nan=1e9, posinf=1e9, neginf=-1e9)
+
+    mean = case.prior(term)[0]
+    with np.errstate(all="ignore"):
+        size = np.mean(np.abs(z)) / np.mean(np.abs(added(term.moved((0.0, *mean[1:])), w, case.band)[:, 0, 0]))
+        found = least_squares(off, np.array([np.log(size), *mean[1:]]), max_nfev=200)
+    return (float(found.cost), term.moved(found.x)) if np.isfinite(found.x).all() else None
 
 
 def free_law_text(state: State) -> str:

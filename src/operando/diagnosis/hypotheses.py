@@ -11,7 +11,7 @@ from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR, PROMOTED
 from operando.diagnosis.days import promotions
-from operando.diagnosis.free_law import with_free_law
+from operando.diagnosis.free_law import of_a_kind, with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
@@ -143,6 +143,12 @@ def no_effect_at_a_sensor(
         return there
     floor = max(alone.log_evidence, best.log_evidence)
     law = with_free_law(case, floor, say)
+    kind = None if law is None else of_a_kind(law, say)
+    if kind is not None:
+        there = search(case, say, rival, start=Found(kind, found.empty, found.pool | {kind.key: kind}), depth=AT_FIRST)
+        odds = score(there.best) - rival.asked([there.best.terms], there.best.alpha, there.best.log_evidence)
+        if _explains(there.best, alone) and odds > EARNED:
+            return there, odds
     if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
         odds = score(law) - max(score(best), rival.asked([best.terms] if best.terms else [], best.alpha))
         if odds > EARNED:

@@ -197,20 +197,40 @@ def unlike_neighbours(state: State) -> str:
 
 def supported(state: State) -> bool:
     """Whether the interval of each effect's size excludes zero."""
-    std, at = np.sqrt(np.diag(state.covariance)) if state.terms else np.zeros(0), 0
+    return len(_with_sizes(state)) == len(state.terms)
+
+
+def _with_sizes(state: State) -> list[Term]:
+    """Effects whose size has an interval that excludes zero."""
+    std, at, out = np.sqrt(np.diag(state.covariance)) if state.terms else np.zeros(0), 0, []
     for term in state.terms:
-        if term.values and std[at] > (abs(term.values[0]) / 2 if term.linear else SUPPORTED):
-            return False
+        if not term.values or std[at] <= (abs(term.values[0]) / 2 if term.linear else SUPPORTED):
+            out.append(term)
         at += len(term.values)
-    return True
+    return out
+
+
+def with_sizes(found: Found) -> Found:
+    """With the effects alone whose sizes are known, where the most probable state has others beside them.
+
+    An effect whose size may be none takes nothing from one that is sure. That something is likely beside it is then said by the verdict.
+    """
+    keys = {t.key for t in _with_sizes(found.best)}
+    if not keys or len(keys) == len(found.best.terms):
+        return found
+    state = next((s for key, s in found.pool.items() if set(key) == keys), None)
+    if state is None or not supported(state) or score(state) < score(found.empty) + RIVALS:
+        return found
+    return replace(found, best=state)
 
 
 def with_validation(found: Found) -> Found:
-    """With the discrepancy of the best state as its validation lines ask for it, where the fitted ones are left with less.
+    """With effects of known sizes, and the discrepancy as the validation lines ask for it, where the fitted ones are left with less.
 
     A model that is not exact follows the lines it is fitted to, and its intervals are too narrow: the share of an FRF that no
     parameter explains is the one on lines that were never fitted.
     """
+    found = with_sizes(found)
     best = found.best
     if best.alpha >= EXPLAINED or on_validation_lines(best)[0] < MOST_CHI_SQUARE:
         return found
@@ -292,6 +312,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
         return "no_misfit", ""
     if not supported(best) or not all(sets):
         return "inconclusive", "an effect is likely, but none is as likely"
+    if any(set(best.key) < set(s.key) and score(s) > score(best) + EARNED for s in found.pool.values()):
+        return "partial", "something more is likely beside the effects, and no size of it is known"
     if sets:
         return "ambiguous", "other effects fit as well"
     return "explained", ""

@@ -20,6 +20,7 @@ from operando.synthesis import modal_kernel, power_of, real_inner
 MAX_ROUNDS = 14
 SEARCH_ROUNDS = 9
 SETTLE_ROUNDS = 10
+MOST_HIDDEN = 2
 """Rounds of the last fit, and of one with a mode more, at most: twice the five after which one with drifts of 0.35 ζ has settled
 (tests/test_ema_linear.py). What a broad mode is shows late: judged after two rounds, modes of 3.5 to 8 % beside narrow ones were lost."""
 
@@ -94,7 +95,9 @@ def choose_modes(
         if progress is not None:
             progress(f"EMA linear stage, round {number + 1}: {fit.n_modes} poles, model error {100 * np.median(fit.variance.alpha):.2g} %")
         out = poor_poles(fit)
-        if out:
+        # a pole that looks poor beside the error of a missing one may be a mode
+        grown = _all_that_is_missing(fit, band, tried) if number == 0 and out else None
+        if grown is None and out:
             if len(out) == fit.n_modes:
                 out = out[:-1]
             if not out:
@@ -105,20 +108,21 @@ def choose_modes(
             log.rounds.append("out: " + ", ".join(f"{fit.poles.hz[k]:.5g} Hz ({code})" for k, code, _ in out))
             fit = _refitted(fit, np.setdiff1d(np.arange(fit.n_modes), [k for k, _, _ in out]))
             continue
-        joined = _one_for_two(fit, merged, log)
+        joined = _one_for_two(fit, merged, log) if grown is None else None
         if joined is not None:
             tried.append((log.rejected[-1].frequency_hz, 1.5 * log.rejected[-1].damping_ratio))
             fit = joined
             continue
         if number >= SEARCH_ROUNDS:
             break
-        new = _missing_mode(fit, band, peaks, tried)
-        grown = _with_mode(fit, *new) if new is not None else _all_that_is_missing(fit, band, tried)
+        if grown is None:
+            new = _missing_mode(fit, band, peaks, tried)
+            grown = (_with_mode(fit, *new), [new]) if new is not None else _all_that_is_missing(fit, band, tried)
         if grown is None:
             break
-        fit, (hz, zeta) = grown
-        log.rounds.append(f"in: {hz:.5g} Hz")
-        tried.append((hz, 0.5 * zeta))
+        fit, added = grown
+        log.rounds.append("in: " + ", ".join(f"{hz:.5g} Hz" for hz, _ in added))
+        tried += [(hz, 0.5 * zeta) for hz, zeta in added]
     if fit.n_modes == 0:
         raise IdentificationError("no mode is left that the FRFs speak for", hint="widen the band, or check the FRFs")
     fit = _settled(fit)
@@ -137,7 +141,7 @@ def _refitted(fit: LinearFit, keep: NDArray[np.int_]) -> LinearFit:
     return fit_linear(fit.pairs, poles, fit.ends_hz, start=start, before=fit.variance, rounds=2)
 
 
-def _with_mode(fit: LinearFit, hz: float, zeta: float) -> tuple[LinearFit, tuple[float, float]]:
+def _with_mode(fit: LinearFit, hz: float, zeta: float) -> LinearFit:
     poles, at = fit.poles, int(np.searchsorted(fit.poles.hz, hz))
     grown = Poles(
         np.insert(poles.hz, at, hz),
@@ -146,22 +150,41 @@ def _with_mode(fit: LinearFit, hz: float, zeta: float) -> tuple[LinearFit, tuple
         np.insert(poles.drift, at, float(np.median(poles.drift))),
     )
     a, b, shift = (np.insert(values, at, 0.0, axis=1) for values in fit.projection.coefficients)
-    more = fit_linear(fit.pairs, grown, fit.ends_hz, start=(a, b, shift), before=fit.variance, rounds=SETTLE_ROUNDS)
-    return more, (hz, zeta)
+    return fit_linear(fit.pairs, grown, fit.ends_hz, start=(a, b, shift), before=fit.variance, rounds=SETTLE_ROUNDS)
 
 
 def _all_that_is_missing(
     fit: LinearFit, band: tuple[float, float], tried: Sequence[tuple[float, float]]
-) -> tuple[LinearFit, tuple[float, float]] | None:
-    """The fit with one more mode that shows no peak, where it leaves noise alone; None where it does not, or noise rules already.
+) -> tuple[LinearFit, list[tuple[float, float]]] | None:
+    """The fit with one or two more modes that show no peak, where they leave noise alone and the fit without them does not; else None.
 
-    A broad mode among narrow ones may have no peak, and the fit without it a model error that its own absence makes.
+    A broad mode among narrow ones may have no peak, and the fit without it a model error that its own absence makes. Poles of such a fit
+    were judged by what it left, so places that were tried are tried again.
     """
-    if fit.noise_limited or not fit.pairs.noise_known:
+    if not fit.pairs.noise_known:
         return None
-    new = _missing_mode(fit, band, None, tried)
-    grown = None if new is None else _with_mode(fit, *new)
-    return grown if grown is not None and grown[0].noise_limited else None
+    before = _over_noise(fit)
+    for known in (tried, ()):
+        grown, added, left = fit, [], before
+        while left > NOISE_LEFT and len(added) < MOST_HIDDEN:
+            new = _missing_mode(grown, band, None, [*known, *added])
+            if new is None:
+                break
+            grown = _with_mode(grown, *new)
+            added.append(new)
+            left, last = _over_noise(grown), left
+            if left > 0.5 * last:
+                break
+        if added and left < NOISE_LEFT < before / left:
+            return grown, added
+        if not tried:
+            break
+    return None
+
+
+def _over_noise(fit: LinearFit) -> float:
+    """Power of what a fit leaves over that of the noise, mean of all lines."""
+    return float(np.mean(power_of(fit.projection.error) / fit.pairs.noise))
 
 
 def poor_poles(fit: LinearFit) -> list[tuple[int, str, str]]:
