@@ -9,7 +9,7 @@ import pytest
 from operando import ModalModel
 from operando.data.modal_poles import pole_form
 from operando.diagnosis import with_complex_modes
-from operando.diagnosis.complex_idle import EARNED
+from operando.diagnosis.complex_idle import EARNED, _nearest_poles
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lines import Lines
 from test_coupling import HZ, chain, whole
@@ -192,3 +192,21 @@ def test_a_line_that_is_exactly_zero_leaves_the_variance_of_the_others():
 def test_a_model_without_scale_stays_as_it_is():
     model = replace(real_modes(), scaling="unscaled")
     assert with_complex_modes(model, idle_frf()) is model
+
+
+def test_each_peak_has_lines_that_are_fitted_and_lines_that_validate():
+    frf, (w, zeta, *_) = idle_frf(), modes()
+    f = w / 2 / np.pi
+    lines = Lines(frf.to_quantity("receptance"), f, zeta, 160, 1.0, between=True)
+    w = lines.w / 2 / np.pi
+    assert not set(lines.fit) & set(lines.validation)
+    assert lines.validation.size == 50
+    for hz, width in zip(f, 3 * zeta * f, strict=True):
+        near = np.abs(w - hz) < width
+        assert near[lines.fit].sum() > near[lines.validation].sum() > 0
+
+
+def test_close_poles_that_terms_exchange_are_still_those_named():
+    form = SimpleNamespace(frequencies_hz=np.array([21.69, 40.0, 21.55]), damping_ratios=np.array([0.086, 0.01, 0.042]))
+    at = _nearest_poles(np.array([21.554, 21.677, 40.0]), np.array([0.042, 0.087, 0.01]), form, np.arange(3))
+    assert at.tolist() == [2, 0, 1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,11 @@ from operando.compare import compare_all, gets_worse, recommended
 from operando.compare.route import ALIKE_DB, CLOSE_DB, WITHIN, is_good
 from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, verdict_of
 from operando.data import Finding, Frf, ModalModel
-from operando.diagnosis import apply_effects, diagnose
-from operando.diagnosis.criteria import UNUSUAL
-from operando.diagnosis.verdict import moved_peaks, peaks_text
+from operando.diagnosis import apply_effects, diagnose, verdict
+from operando.diagnosis.criteria import SUPPORTED, UNUSUAL
+from operando.diagnosis.search import Found
+from operando.diagnosis.terms import Term
+from operando.diagnosis.verdict import moved_peaks, peaks_text, with_sizes
 from operando.results import CheckRun
 from operando.scaling.no_scale import no_scale
 from operando.structure.effects import parse_effect
@@ -239,3 +243,23 @@ def test_frfs_without_variance_are_exact(chain, idle):  # noqa: F811
     run = running(chain, [0, 3])
     plain = CheckRun("check", "as given", Frf(run.frf.data, HZ, DOFS, run.frf.references))
     assert compare_all({"idle": idle}, [plain])["models"]["idle"]["misfit_meas"] is None
+
+
+def state_of(*terms, score, std):
+    """A stand-in: effects, log probability, and the standard deviations of their values on the search scale."""
+    return SimpleNamespace(terms=terms, key=tuple(sorted(t.key for t in terms)), score=score, covariance=np.diag(np.square(std)))
+
+
+def test_an_effect_of_unknown_size_takes_nothing_from_one_that_is_sure(monkeypatch):
+    monkeypatch.setattr(verdict, "score", lambda state: state.score)
+    damper, spring = Term("ground_damper", (1,), (7.0,)), Term("ground_spring", (3,), (9.0,))
+    empty, sure = state_of(score=-300.0, std=[]), state_of(damper, score=-21.0, std=[0.03])
+    both = state_of(damper, spring, score=-18.0, std=[0.03, SUPPORTED + 0.1])
+    pool = {s.key: s for s in (empty, sure, both)}
+    assert with_sizes(Found(both, empty, pool)).best is sure
+    known = state_of(damper, spring, score=-18.0, std=[0.03, SUPPORTED - 0.1])
+    assert with_sizes(Found(known, empty, pool | {known.key: known})).best is known
+    alone = state_of(spring, score=-18.0, std=[SUPPORTED + 0.1])
+    assert with_sizes(Found(alone, empty, {s.key: s for s in (empty, alone)})).best is alone
+    weak = state_of(damper, score=-299.0, std=[0.03])  # no more than nothing is
+    assert with_sizes(Found(both, empty, pool | {weak.key: weak})).best is both

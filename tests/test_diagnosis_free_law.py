@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operando.diagnosis.farther_off import farther_off
-from operando.diagnosis.free_law import free_law_text, scanned, with_free_law
+from operando.diagnosis.free_law import free_law_text, of_a_kind, scanned, with_free_law
 from operando.diagnosis.posterior import fit
 from operando.diagnosis.rival import score, started
 from operando.diagnosis.terms import FREE_LAW, Term, added, slopes
@@ -149,3 +149,30 @@ def test_an_effect_that_serves_one_response_and_spoils_others_is_told():
     said = farther_off(wrong)
     assert said is not None
     assert "farther off" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "places", "size"),
+    [
+        (lambda m, c, k: m.__setitem__((1, 1), m[1, 1] + 0.5), "point_mass", (1,), 0.5),
+        (lambda m, c, k: k.__setitem__((2, 2), k[2, 2] + 6e4), "ground_spring", (2,), 6e4),
+        (lambda m, c, k: c.__setitem__((3, 3), c[3, 3] + 40.0), "ground_damper", (3,), 40.0),
+    ],
+)
+def test_a_law_of_the_catalogue_is_told_by_its_kind(change, kind, places, size):
+    """From its own curve: a large effect is far from where a scan about the idle model looks."""
+    law = with_free_law(case(change, spreads={}), -np.inf)
+    assert law is not None
+    assert law.terms[0].kind == FREE_LAW.kind
+    found = of_a_kind(law)
+    assert found is not None
+    (term,) = found.terms
+    assert (term.kind, term.places) == (kind, places)
+    assert np.exp(term.values[0]) == pytest.approx(size, rel=0.02)
+    assert score(found) > score(law)
+
+
+def test_a_law_of_no_kind_stays_one():
+    law = with_free_law(case(add_inerter, spreads={}), -np.inf)
+    assert law is not None
+    assert of_a_kind(law) is None

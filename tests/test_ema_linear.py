@@ -458,3 +458,27 @@ def test_a_broad_mode_beside_a_narrow_one_is_found(hz, zeta):
     assert np.isclose(fit.poles.hz[broad], hz, rtol=2e-3)
     assert np.isclose(fit.poles.zeta[broad], zeta, rtol=0.03)
     assert all(np.min(np.abs(fit.poles.hz / f - 1)) < 1e-3 for f in HZ)
+
+
+@pytest.mark.parametrize(("hz", "size", "seed"), [(44.28, 0.3, 2), (59.22, 0.3, 2), (92.7, 0.3, 2), (73.44, 0.7, 2), (84.6, 0.7, 2)])
+def test_a_broad_mode_without_a_peak_is_found(hz, size, seed, monkeypatch):
+    # 6 % damped on the flank of narrow modes: without it model error rules, and where that rules only peaks are asked
+    residues = size * np.outer(*(rng.standard_normal(n) for rng in [np.random.default_rng(seed)] for n in (N, 2)))
+    pairs, start = with_more([(hz, 0.06, residues)]), Poles(HZ, np.full(N, 0.008))
+    fit, log = choose_modes(pairs, start, BAND)
+    assert np.allclose(np.sort(np.r_[HZ, hz]), fit.poles.hz, rtol=1e-3)
+    assert np.isclose(fit.poles.zeta[np.argmin(np.abs(fit.poles.hz - hz))], 0.06, rtol=0.02)
+    assert any(text.startswith("in: ") for text in log.rounds)
+    monkeypatch.setattr(choose, "MOST_HIDDEN", 0)
+    assert choose_modes(pairs, start, BAND)[0].n_modes < N + 1
+
+
+def test_a_model_error_that_is_no_missing_mode_brings_none():
+    _, h = frfs()
+    wrong = h * (1 + 0.03 * np.cos(F / 3))[None, None] * np.random.default_rng(4).uniform(0.97, 1.03, h.shape[:2])[:, :, None]
+    frf = as_frf(wrong)
+    pairs = frf_pairs(frf, model_dofs(frf), (5.0, 150.0))
+    size = 1e-3 * np.sqrt(np.mean(np.abs(h) ** 2))
+    pairs = replace(pairs, noise=np.full_like(pairs.noise, size**2), noise_known=True)
+    fit, _ = choose_modes(pairs, Poles(HZ, np.full(N, 0.008)), BAND)
+    assert fit.n_modes == N

@@ -103,7 +103,7 @@ def of_a_kind(law: State, say: Say = lambda text: None) -> State | None:
     case, (free,) = law.case, law.terms
     fits = (_with_curve_of(law, Term(t.kind, t.places, sign=sign)) for t in case.candidates(()) if _acts_there(t, free) for sign in (1, -1))
     near = sorted((fit for fit in fits if fit is not None), key=lambda row: row[0])
-    say("  kinds with such a law: " + ", ".join(names(case, [term for _, term in near[:_ALIKE]])))
+    say("  kinds with such a force law: " + ", ".join(names(case, [term for _, term in near[:_ALIKE]])))
     starts = each(lambda row: approach(case, started(case, (row[1],)))[1], near[:_ALIKE])
     ends = each(lambda start: fitted_if_can_be(case, start, _ROUGH, floor=law.log_evidence), starts)
     best = max((state for state in ends if state is not None), key=score, default=None)

@@ -135,7 +135,8 @@ def no_effect_at_a_sensor(
 ) -> tuple[Found, float] | None:
     """What explains the lines with nothing touched where effects at sensors do not, with its log odds against another day.
 
-    In this order: an effect at a place between sensors, a force law of no kind in the catalogue, a law on motions that no sensor shows.
+    In this order: an effect at a place between sensors, a force law at sensors (told as the kind that has it, else of no kind in the
+    catalogue), a law on motions that no sensor shows.
     """
     best = found.best
     there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say)
@@ -145,10 +146,10 @@ def no_effect_at_a_sensor(
     law = with_free_law(case, floor, say)
     kind = None if law is None else of_a_kind(law, say)
     if kind is not None:
-        there = search(case, say, rival, start=Found(kind, found.empty, found.pool | {kind.key: kind}), depth=AT_FIRST)
-        odds = score(there.best) - rival.asked([there.best.terms], there.best.alpha, there.best.log_evidence)
-        if _explains(there.best, alone) and odds > EARNED:
-            return there, odds
+        named = search(case, say, rival, start=Found(kind, found.empty, found.pool | {kind.key: kind}), depth=AT_FIRST)
+        odds = score(named.best) - rival.asked([named.best.terms], named.best.alpha, named.best.log_evidence)
+        if _explains(named.best, alone) and odds > EARNED:
+            return named, odds
     if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
         odds = score(law) - max(score(best), rival.asked([best.terms] if best.terms else [], best.alpha))
         if odds > EARNED:

@@ -126,6 +126,20 @@ def without_doubts(model: ModalModel, codes: Collection[str]) -> ModalModel:
         Of :func:`operando.fit_ema`.
     codes : collection of str
         Kinds of doubts, as in :class:`operando.ema.doubts.Evidence`.
+
+    Returns
+    -------
+    ModalModel
+        The same one where no pole is in such a doubt.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> from operando.ema import without_doubts
+    >>> model = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
+    >>> found = operando.fit_ema(model.frf(np.arange(5, 80, 0.1), references="1+Z"), band=(10, 70))
+    >>> without_doubts(found, ["twin"]) is found
+    True
     """
     linear = getattr(model.details, "linear", None)
     if linear is None:
