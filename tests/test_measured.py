@@ -106,7 +106,7 @@ def test_plate_below_500_hz(state):
 
 @pytest.mark.parametrize("state", [s if s in ("ref_1", "ref_2", "s5") else pytest.param(s, marks=pytest.mark.slow) for s in PLATE_HZ])
 def test_plate_below_950_hz(state):
-    """Beside a curved background from 920 Hz up, which brings poles to leave out: 782 and 886 Hz were lost where that used up the rounds."""
+    """Beside a curved background from 920 Hz up: leaving its poles out once used up all rounds, and 782 and 886 Hz were lost."""
     assert_plate(fit_ema(plate(state), band=(20.0, 950.0)), PLATE_HZ[state], 0.003 if state != "ref_3" else 0.004)
 
 
