@@ -885,3 +885,17 @@ def test_a_fit_ends_where_values_stay_out_of_their_range(monkeypatch):
         assert not state.terms[0].within_range(BAND)
         count.append(len(turns))
     assert count[0] < count[1]
+
+
+def test_the_best_state_is_fitted_without_what_joints_on_another_day_do_too():
+    # a damper of a few per cent of a mode's damping counts as a difference of days: what stands beside it is the answer
+    days = case(gains=np.r_[1.3, np.ones(N - 1)])
+    gain, joint = Term("sensor_gain", (0,), (float(np.log(1.25)),)), Term("coupling_damper", (1, 2), (float(np.log(0.5)),))
+    search = Search(days, lambda text: None)
+    search.fitted([Start(started(days, terms), 0.05, days) for terms in ((), (gain, joint))])
+    assert [t.kind for t in search.best().terms] == ["sensor_gain", "coupling_damper"]
+    assert score(search.best()) == -np.inf
+    search._leave_to_days()
+    best = max(search.pool.values(), key=score)
+    assert [t.kind for t in best.terms] == ["sensor_gain"]
+    assert np.exp(best.terms[0].values[0]) == pytest.approx(1.3, rel=0.01)

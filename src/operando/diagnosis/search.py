@@ -14,6 +14,7 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
 from operando.diagnosis.days import promotions, strained
 from operando.diagnosis.forward import Point
+from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, approach, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
@@ -256,9 +257,17 @@ class Search:
                 break
             if self._enough():
                 break
+        self._leave_to_days()
         if self.own_spreads:
             self._settle()
         return Found(max(self.pool.values(), key=score), empty, self.pool)
+
+    def _leave_to_days(self) -> None:
+        """The most probable state without effects that are no more than days are: with them it is no answer, however it fits."""
+        best = self.best()
+        rest = [t for t in best.terms if not no_more_than_days(self.case, t, best.x.d)]
+        if len(rest) < len(best.terms) and self.once(rest):
+            self.fitted([Start(best.carried(rest), best.alpha, best.case)])
 
     def _settle(self) -> None:
         """The most probable state to the end of its fit, beside the states with one effect less; then what could stand in its place."""
