@@ -17,7 +17,7 @@ from operando.diagnosis.arrow import Factor
 from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
-from operando.ema import without_doubts
+from operando.ema.by_hand import without_doubts
 from operando.ema.findings import misfit_findings
 from operando.errors import DataError, DofError
 from operando.frf import in_one_sense, opposed_dofs
