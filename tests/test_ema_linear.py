@@ -7,7 +7,7 @@ import pytest
 
 from operando.data import Frf
 from operando.dof import Dof
-from operando.ema import choose, fit_ema, linear
+from operando.ema import choose, fit_ema, linear, without_doubts
 from operando.ema.choose import SETTLE_ROUNDS, choose_modes
 from operando.ema.discrepancy import fit_variance
 from operando.ema.doubts import unknown_to
@@ -482,3 +482,26 @@ def test_a_model_error_that_is_no_missing_mode_brings_none():
     pairs = replace(pairs, noise=np.full_like(pairs.noise, size**2), noise_known=True)
     fit, _ = choose_modes(pairs, Poles(HZ, np.full(N, 0.008)), BAND)
     assert fit.n_modes == N
+
+
+def test_a_pole_whose_doubts_are_void_is_a_mode_in_its_place():
+    # the two close modes of a local damper: alike where shapes are real, two where they are complex
+    c, s = chain(), 2j * np.pi * F
+    first = np.outer(c.phi[:, 0], c.phi[[0, 3], 0])
+    other = -1.5 * first * (1 + 0.1 * np.random.default_rng(5).standard_normal(first.shape))
+    _, h = frfs(noise=0.0)
+    for hz, zeta, residues in ((22.0, 0.006, -first), (22.0, 0.042, 3 * first), (22.15, 0.086, other)):
+        w = 2 * np.pi * hz
+        h = h + residues[:, :, None] * s**2 / (w**2 + s**2 + 2 * zeta * w * s)
+    size, rng = 1e-4 * np.sqrt(np.mean(np.abs(h) ** 2)), np.random.default_rng(5)
+    noise = size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    model = fit_ema(as_frf(h + noise, variance=np.full(h.shape, size**2)), band=BAND, ema="linear")
+    assert model.n_modes == N
+    assert "doubtful_pole" in kinds(model)
+    assert without_doubts(model, ["complex_shape"]) is model
+    found = without_doubts(model, ["twin", "complex_shape"])
+    np.testing.assert_allclose(found.frequencies_hz, np.r_[22.0, 22.15, HZ[1:]], rtol=1e-3)
+    np.testing.assert_allclose(found.damping_ratios[:2], (0.042, 0.086), rtol=0.01)
+    assert "doubtful_pole" not in kinds(found)
+    assert "twin" not in {pole.code for pole in found.details.rejected}
+    np.testing.assert_array_equal(found.details.stabilization.selected_hz, found.frequencies_hz)

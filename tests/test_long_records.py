@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from operando.data import Channel, MappedSamples, TimeRecord, mapped, pieces, stored
+from operando.data import Channel, MappedSamples, TimeRecord, mapped, pieces, row_statistics, stored
 from operando.dof import Dof
 from operando.errors import FormatError
 from operando.frf import estimate_frf
@@ -249,3 +249,13 @@ def test_lines_of_a_long_row_are_those_of_its_transform(monkeypatch, samples):
     monkeypatch.setattr(rational, "LONGEST", 700)
     found = rational.spectrum_lines((x - 0.5)[np.newaxis], [0], lines, samples)[0]
     np.testing.assert_allclose(found, whole, rtol=1e-11)
+
+
+def test_statistics_in_single_precision_hold_for_numbers_of_any_size_and_a_large_offset():
+    small = np.random.default_rng(0).standard_normal(50_000)
+    for size, offset in ((1.0, 0.0), (1.0, 1e4), (1e30, 0.0)):
+        samples = (offset + size * small).astype(np.float32)
+        found = row_statistics(samples[None])
+        assert found.finite.all()
+        np.testing.assert_allclose(found.std, samples.astype(float).std(), rtol=1e-5)
+        np.testing.assert_allclose(found.mean, samples.astype(float).mean(), atol=1e-5 * size)

@@ -401,7 +401,8 @@ def _row_statistics(data: Any) -> RowStatistics:
             about[i] = raw.mean()
         low[i], high[i] = min(low[i], least), max(high[i], most)
         x = np.subtract(raw, real.type(about[i]), out=work[: raw.size])
-        squares = x @ x
+        with np.errstate(over="ignore"):
+            squares = x @ x
         if not np.isfinite(squares):  # beyond the range of single precision
             x = x.astype(float)
             squares = x @ x

@@ -23,7 +23,7 @@ from operando.units import engineering_unit
 Array = NDArray[Any]
 
 _APPROACHED, _FITTED = 8, 2  # locations from which the way to a fit begins, and goes on: the true one was among the first six of the scan
-_ALIKE = 3  # kinds whose law is nearest, which are fitted
+_ALIKE = 3  # kinds whose law is nearest, which are fitted: the true one was first or second of those seen
 _TURNS = 3  # of the robust least squares of a law
 _ROUGH = 0.03  # discrepancy that a fit begins with
 

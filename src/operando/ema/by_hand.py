@@ -159,9 +159,9 @@ def without_doubts(model: ModalModel, codes: Collection[str]) -> ModalModel:
     findings = tuple(f for f in model.findings if f.kind != "doubtful_pole")
     inside = [(float(h), e) for h, e in zip(linear.frequencies_hz, evidence, strict=True) if low <= h <= high]
     out = _with_marks(replace(model, findings=(*findings, *doubtful_findings(inside))), residual)
-    order = np.concatenate([np.argsort(out.frequencies_hz), np.arange(out.n_modes, out.terms.n)])
+    out = out.select_terms(np.concatenate([np.argsort(out.frequencies_hz), np.arange(out.n_modes, out.terms.n)]))
     own = replace(model.details, linear=replace(linear, evidence=evidence), rejected=kept)
-    return replace(out.select_terms(order), details=replace(own, stabilization=_diagram_of(own.stabilization, out)))
+    return replace(out, details=replace(own, stabilization=_diagram_of(own.stabilization, out)))
 
 
 def _doubtful_terms(model: ModalModel) -> list[int]:

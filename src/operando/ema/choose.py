@@ -181,7 +181,7 @@ def _all_that_is_missing(
             grown = _with_mode(grown, *new)
             added.append(new)
             left, last = _over_noise(grown), left
-            if left > 0.5 * last:
+            if left > 0.5 * last:  # the modes that are missing make most of what is left: no need to go on
                 break
         if added and left < NOISE_LEFT < before / left:
             return grown, added
