@@ -94,7 +94,11 @@ class MappedSamples(NDArrayOperatorsMixin):
         rows, columns = key if isinstance(key, tuple) and len(key) == 2 else (key, slice(None))
         plain = isinstance(columns, slice) and columns.step in (None, 1)
         if isinstance(rows, int | np.integer):
-            return self._view([int(rows)], columns).filled()[0] if plain else self[rows][columns]
+            if not plain:
+                return self[rows][columns]
+            first, last, _ = columns.indices(self.shape[1])
+            begin = self._span[0]
+            return self._samples([int(self._rows[rows])], begin + first, begin + max(first, last), self.dtype)[0]
         if plain and (isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim == 1)):
             return self._view(rows, columns)
         return self.filled()[key]
@@ -110,18 +114,20 @@ class MappedSamples(NDArrayOperatorsMixin):
 
     def filled(self, dtype: DTypeLike | None = None) -> NDArray[Any]:
         """All samples as an array, read in pieces."""
-        kind = self.dtype if dtype is None else np.dtype(dtype)
-        first, last = self._span
-        step = max(PIECE, (1 << 24) // max(len(self), 1))
-        if self.size and last - first <= step and kind == self.dtype:
-            return self._read(self._rows.tolist(), first, last)
-        out = np.empty(self.shape, kind)
+        return self._samples(self._rows.tolist(), *self._span, self.dtype if dtype is None else np.dtype(dtype))
+
+    def _samples(self, rows: list[int], first: int, last: int, kind: np.dtype[Any]) -> NDArray[Any]:
+        """Samples of rows of the file, read in pieces."""
+        step = max(PIECE, (1 << 24) // max(len(rows), 1))
+        if rows and 0 < last - first <= step and kind == self.dtype:
+            return self._read(rows, first, last)
+        out = np.empty((len(rows), last - first), kind)
         if isinstance(self._read, _RowReader) and kind == self.dtype:
-            self._read.read_into(out, self._rows.tolist(), first, last)
+            self._read.read_into(out, rows, first, last)
             return out
         for start in range(first, last, step):
             stop = min(start + step, last)
-            out[:, start - first : stop - first] = self._read(self._rows.tolist(), start, stop)
+            out[:, start - first : stop - first] = self._read(rows, start, stop)
         return out
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
@@ -174,7 +180,7 @@ class _MemmapReader:
     """Rows of a memory map, whose pages go when they are read: they would count as memory of the process."""
 
     def __init__(self, data: np.memmap[Any, Any]) -> None:
-        self._data, self._read_since = data, 0
+        self._data, self._map, self._read_since = data.view(np.ndarray), data._mmap, 0  # type: ignore[attr-defined]
 
     def __call__(self, rows: Sequence[int], first: int, last: int) -> NDArray[Any]:
         out = np.empty((len(rows), last - first), self._data.dtype.newbyteorder("="))
@@ -183,7 +189,7 @@ class _MemmapReader:
         self._read_since += out.nbytes
         flags = getattr(mmap, "MADV_DONTNEED", None)
         if flags is not None and self._read_since > MAPPED_FROM // 8:
-            self._data._mmap.madvise(flags)  # type: ignore[attr-defined]
+            self._map.madvise(flags)
             self._read_since = 0
         return out
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Frf, ModalModel, Provenance
 from operando.dof import Dof
+from operando.ema.discrepancy import fit_variance
 from operando.ema.doubts import Evidence
 from operando.ema.linear import LinearFit, fit_linear, stated_covariance
 from operando.ema.outside import OutsideModes, outside_modes
@@ -17,7 +18,7 @@ from operando.ema.pairs import Pairs, Real
 from operando.ema.polish import Polished
 from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters
 from operando.ema.polished import PolishedAnswer
-from operando.ema.projection import tail_columns
+from operando.ema.projection import modal_power, tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
 from operando.ema.unit_mass import ModalCovariance, UnitMassShapes
@@ -269,11 +270,13 @@ def heldout_misfit(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_do
     used = pairs.lines((np.isin(f, thin) | (number % 3 == 0)) & ~held)
     if used.frequencies_hz.size < 8 or not held.any():
         return float("nan"), np.full(n_dofs, np.nan)
-    again = fit_linear(used, fit.poles, fit.ends_hz, start=fit.projection.coefficients, rounds=2)
+    again = fit_linear(used, fit.poles, fit.ends_hz, start=fit.carried_to(used), rounds=1)
+    power = modal_power(used, again.poles, again.projection, fit.ends_hz)
+    kappa = fit_variance(again.projection.error, power, used.noise, used.noise_known).kappa
     seen = pairs.lines(held & (f >= band[0]) & (f <= band[1]))
     if not seen.frequencies_hz.size:
         return float("nan"), np.full(n_dofs, np.nan)
-    error = np.abs(seen.accelerance - again.on_lines(seen)) ** 2 / (again.variance.kappa[:, None] * seen.noise)
+    error = np.abs(seen.accelerance - again.on_lines(seen)) ** 2 / (kappa[:, None] * seen.noise)
     by_pair = error.mean(axis=1)
     by_row = np.full(n_dofs, np.nan)
     for row in np.unique(pairs.rows):

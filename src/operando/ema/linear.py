@@ -125,9 +125,14 @@ class LinearFit:
 
     def on_lines(self, pairs: Pairs) -> Complex:
         """FRFs of the fitted pairs on the lines of ``pairs``, (P, L)."""
-        linear = synthesis(pairs, self.poles, self.projection, self.ends_hz)
+        return np.asarray(pairs.accelerance - self.carried_to(pairs).error)
+
+    def carried_to(self, pairs: Pairs) -> Projection:
+        """The projection on other lines of the same pairs with nothing fitted anew: where a fit of those lines starts."""
         least = CURVED_SHARE * self.model_error
-        return linear + shift_curvature(pairs.frequencies_hz, self.poles, self.projection.coefficients, pairs.window_rate, least)
+        curvature = shift_curvature(pairs.frequencies_hz, self.poles, self.projection.coefficients, pairs.window_rate, least)
+        model = synthesis(pairs, self.poles, self.projection, self.ends_hz) + curvature
+        return replace(self.projection, error=pairs.accelerance - model, curvature=curvature)
 
     def turned(self, dofs: NDArray[np.int_]) -> LinearFit:
         """The fit with the staying sensors at some DOFs in the opposite sense."""

@@ -285,11 +285,11 @@ def excited_span(run: RunEstimate) -> tuple[float, float]:
     n = run.frequencies_hz.size
     width = int(min(max(8, round(0.01 * n)), max(n // 4, 1)))
     edges = np.arange(0, n, width)
-    seen = np.nanmax(np.where(np.isfinite(run.coherence), run.coherence, 0.0), axis=(0, 1))
-    coherence = np.array([np.median(part) for part in np.split(seen, edges[1:])])
+    seen = np.max(np.where(np.isfinite(run.coherence), run.coherence, 0.0), axis=(0, 1))
+    coherence = _medians(seen, width)
     low, high = 0, edges.size - 1
     for gain in run.gain:
-        power = np.array([np.median(part) for part in np.split(np.nan_to_num(gain), edges[1:])])
+        power = _medians(np.nan_to_num(gain), width)
         order = np.sort(power)[::-1]
         typical = float(order[int(np.searchsorted(np.cumsum(order), 0.5 * order.sum()))]) if order.sum() > 0 else 0.0
         there = np.flatnonzero((power > ABSENT * typical) & ((power > FAINT * typical) | (coherence > UNSEEN)))
@@ -297,6 +297,13 @@ def excited_span(run: RunEstimate) -> tuple[float, float]:
             low, high = max(low, int(there[0])), min(high, int(there[-1]))
     stop = edges[high + 1] - 1 if high + 1 < edges.size else n - 1
     return float(run.frequencies_hz[edges[low]]), float(run.frequencies_hz[stop])
+
+
+def _medians(values: Array, width: int) -> Array:
+    """Medians of so many values at a time; the last of what is left."""
+    whole = values.size - values.size % width
+    medians = np.median(values[:whole].reshape(-1, width), axis=1)
+    return medians if whole == values.size else np.append(medians, np.median(values[whole:]))
 
 
 def within_excited(estimates: Sequence[RunEstimate]) -> tuple[list[RunEstimate], list[Finding]]:

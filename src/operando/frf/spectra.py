@@ -205,6 +205,7 @@ def cross_spectra(
     conjugate = np.empty((most, n_f, n_l), np.result_type(real, np.complex64))
     total, scratch = np.empty((2, n_f, n_l), conjugate.dtype)
     rows = [*forces, *responses]
+    weights = w_force.astype(real), w.astype(real)
     mean = np.full(block, 1 / block, real)  # a product of BLAS is faster than the mean
 
     def transform(place: int, w: NDArray[np.floating[Any]]) -> NDArray[Any]:
@@ -242,14 +243,14 @@ def cross_spectra(
             if not at:
                 continue
         used += [begin + k for k in at]
-        f = [transform(i, w_force.astype(real)) for i in range(n_f)]
+        f = [transform(i, weights[0]) for i in range(n_f)]
         for i in range(n_f):
             np.conjugate(f[i], out=conjugate[: len(at), i])
         for i in range(n_f):
             gff[i] += products(f[i])
         for k in range(n_x):
             # One response at a time: its sums and the spectra of the forces stay in the cache over the blocks.
-            x = transform(n_f + k, w.astype(real))
+            x = transform(n_f + k, weights[1])
             if n_f:
                 gxf[k] += products(x)
             parts = np.ascontiguousarray(x).view(real)
