@@ -6,14 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from operando import ModalModel
+from operando import ModalModel, Model
 from operando.data.modal_poles import pole_form
 from operando.diagnosis import with_complex_modes
-from operando.diagnosis.complex_idle import EARNED, _nearest_poles
-from operando.diagnosis.idle import Idle
+from operando.diagnosis.case import Case
+from operando.diagnosis.complex_idle import EARNED, _nearest_poles, _tied
+from operando.diagnosis.idle import NEAR, Idle
 from operando.diagnosis.lines import Lines
+from operando.diagnosis.terms import Term
 from test_coupling import HZ, chain, whole
-from test_diagnosis import BAND, DOFS, N, identified, matrices, measured, modes
+from test_diagnosis import BAND, DOFS, N, case, complex_modes, identified, matrices, measured, modes
 
 REFERENCES = (0, 3)
 
@@ -210,3 +212,42 @@ def test_close_poles_that_terms_exchange_are_still_those_named():
     form = SimpleNamespace(frequencies_hz=np.array([21.69, 40.0, 21.55]), damping_ratios=np.array([0.086, 0.01, 0.042]))
     at = _nearest_poles(np.array([21.554, 21.677, 40.0]), np.array([0.042, 0.087, 0.01]), form, np.arange(3))
     assert at.tolist() == [2, 0, 1]
+
+
+@pytest.mark.parametrize(("effect", "term"), [
+    ("global_stiffness=change:-0.2", Term("global_stiffness", (), (np.log(0.2),), -1)),
+    ("global_damping=change:-0.6", Term("global_damping", (), (np.log(0.4),))),
+])  # fmt: skip
+def test_all_stiffness_and_all_damping_take_the_lag_of_shapes_along(effect, term):
+    """Damping that ties modes to what lies outside the band, over the stiffness there: as in the model that is handed out."""
+    one = case(lag=0.4)
+    forward, w = one.forward, one.lines.w[one.lines.fit]
+    model = _tied(identified(), one.idle)
+    responses, references = ([DOFS[i] for i in at] for at in (forward.responses, forward.references))
+    h = np.moveaxis(forward.predict(replace(forward.start, terms=(term,)), w, derivatives=False).h, 0, 2)
+    wanted = Model(model).add(effect).frf(w / 2 / np.pi, responses, references, "receptance").data
+    np.testing.assert_allclose(h, wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
+    still = Model(model.with_terms(coupling=replace(model.coupling, lag=0 * model.coupling.lag))).add(effect)
+    without = still.frf(w / 2 / np.pi, responses, references, "receptance").data
+    assert np.abs(without - wanted).max() > 1e-3 * np.abs(wanted).max()  # the lag is seen in this case
+
+
+def test_residual_terms_near_the_band_are_tied_as_modes():
+    band = BAND[0], float(modes()[0][-1] / 2 / np.pi) - 1
+    known = complex_modes(Idle.of(identified(residual=1), band, [DOFS[i] for i in REFERENCES]), 0.3)
+    assert known.modes.size == N - 1
+    near = known.with_near(band)
+    assert near.modes.size == N
+    assert near.with_near(band) is near
+    assert known.with_near((band[0], band[1] / NEAR)) is known  # farther off it only follows
+    lines = 2 * np.pi * np.linspace(*band, 40)
+    before, after = (Case(idle, idle_frf(), band, correlated=1.0).forward for idle in (known, near))
+    at_rest = before.predict(before.start, lines, derivatives=False).h
+    np.testing.assert_allclose(after.predict(after.start, lines, derivatives=False).h, at_rest, rtol=1e-9)
+    driven = np.flatnonzero(known.driven)
+    assert known.loose(driven, band).modes.size == N
+    assert known.loose(driven, band, complex_modes=False).modes.size == N - 1
+    # and stay tied in the model that is told
+    tied = replace(near, between=np.full(near.between.size, 0.1))
+    again = Idle.of(_tied(identified(residual=1), tied), band, [DOFS[i] for i in REFERENCES])
+    np.testing.assert_allclose(again.between, tied.between, rtol=1e-6)

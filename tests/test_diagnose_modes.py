@@ -154,10 +154,12 @@ UNKNOWNS = [
 
 @pytest.mark.parametrize("terms", UNKNOWNS, ids=["spring", "mass"])
 @pytest.mark.parametrize("driven", [DOFS, DOFS[:2]], ids=["all_driven", "two_driven"])
-def test_derivatives_agree_with_differences(terms, driven):
+@pytest.mark.parametrize("lag", [0.0, 1e-4], ids=["real", "complex"])
+def test_derivatives_agree_with_differences(terms, driven, lag):
     """By all unknowns: idle model, two days, what lies outside the band at undriven places, the values, shapes, channels."""
     c = chain()
     idle = Idle.of(idle_of(c), idle_of(c).band_hz, tuple(d for d in idle_of(c).dofs if str(d) in driven))
+    idle = replace(idle, lag=lag * np.random.default_rng(1).standard_normal(idle.lag.shape))
     case = ModesCase(idle, OperatingModes(idle, running(c, TRUTHS[1])), idle_of(c).band_hz)
     chosen = tuple(term_of(case, *t) for t in terms)
     problem = Problem(case, chosen, case.lines.w)

@@ -46,10 +46,10 @@ def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effec
     return tuple(out)
 
 
-def coupling_of(state: State, more: float) -> ModalCoupling | None:
+def coupling_of(state: State, more: float, stiffer: float) -> ModalCoupling | None:
     """Damping that ties the terms to each other and to what lies outside the band, as a state has it; None where modes are real.
 
-    All damping is ``more`` times as large as at rest; effects stay out.
+    All damping is ``more`` times as large as at rest, all stiffness ``stiffer`` times; effects stay out.
     """
     forward, x = state.case.forward, state.x
     idle, known, n, modes = forward.idle, forward.between, forward.idle.f.size, forward.modes
@@ -60,7 +60,7 @@ def coupling_of(state: State, more: float) -> ModalCoupling | None:
     damping, lag = np.zeros((n, n)), np.zeros((len(idle.dofs), n))
     damping[known.first, known.second] = between * known.damping_scale * more
     if idle.complex:
-        lag[:, modes] = idle.late(x.g, x.own[:, : forward.n_shape])[0]
+        lag[:, modes] = idle.late(x.g, x.own[:, : forward.n_shape], more / stiffer)[0]
     return ModalCoupling(damping + damping.T, lag)
 
 
@@ -129,7 +129,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     used = {i for t in state.terms for i in t.places}
     kept = np.array([i for i in range(dofs) if i not in moved.midway or i in used])
     at_rest = np.array([r for r in range(n) if r != moved.lacking])
-    coupling = coupling_of(state, more)
+    coupling = coupling_of(state, more, float(root**2))
     # b bᵀ + b δᵀ + δ bᵀ = (b + δ)(b + δ)ᵀ − δ δᵀ
     change = phi[:, moved.linear] - moved.phi[:, moved.linear]
     taken, change = moved.linear[change.any(axis=0)], change[:, change.any(axis=0)]

@@ -59,6 +59,11 @@ class Moved:
     by_mode: Array
     by_damping: Array
 
+    @property
+    def later(self) -> float:
+        """Factor on the lags of shapes: damping that ties modes to what lies outside the band, over the stiffness there."""
+        return self.more / self.root**2
+
 
 @dataclass(frozen=True)
 class FirstOrder:
@@ -106,6 +111,7 @@ class Parts:
     reaching_dofs: list[int]
     w: Array
     moved: Moved
+    lag: Array | None
     lags: Moves | None
     k: Compliance
     first_order: FirstOrder
@@ -316,20 +322,31 @@ class Derivatives:
         if self.between is not None and p.idle.between_root.any():
             out += self.between @ (p.damping_scale[:, None] * p.idle.between_root)
 
+    def _by_later(self) -> Array | float:
+        """Rows by the logarithm of all lags."""
+        p = self.of
+        if p.lag is None:
+            return 0.0
+        moves = np.concatenate([np.zeros((len(p.lag), self.n_terms)), p.lag], 1)
+        out = self.response @ moves[p.order][:, None, None, :, None] + self.driven @ moves[p.references][:, None, :, None]
+        for rows, dof in zip(self.touched, p.here, strict=True):
+            out += rows @ moves[dof][:, None]
+        return np.asarray(out)
+
     def _by_whole(self) -> Array:
-        """Factors on the products of poles, by the relative stiffness of the whole."""
+        """Rows by the relative stiffness of the whole."""
         made = self.of.moved
         change = self.following / (2 * (1 + made.whole))
-        out = self._by_pole(made.f[self.moving, None] * change, -made.zeta[self.moving, None] * change)
-        out[-2] = 1
-        return out
+        factors = self._by_pole(made.f[self.moving, None] * change, -made.zeta[self.moving, None] * change)
+        factors[-2] = 1
+        return np.asarray(self.poles @ factors - self._by_later() / (1 + made.whole))
 
     def _by_all_damping(self) -> Array:
         """Rows by the logarithm of all damping."""
         made = self.of.moved
         factors = self._by_pole(np.zeros((self.moving.size, 1)), self.following * made.zeta[self.moving, None])
         factors[-1] = 1
-        out = np.asarray(self.poles @ factors)
+        out = np.asarray(self.poles @ factors + self._by_later())
         return out if self.between is None else out + self.between @ (self.of.damping_scale * self.of.damping_between)[:, None]
 
     def _by_d(self, out: Array) -> None:
@@ -356,7 +373,7 @@ class Derivatives:
             return self.poles @ damping + self.between @ (p.damping_scale[:, None] * known.local_pairs)
 
         by_name: dict[str, Callable[[], Array]] = {
-            "stiffness": lambda: self.poles @ self._by_whole(),
+            "stiffness": self._by_whole,
             "damping": lambda: self.poles @ self._by_pole(none, each * zeta),
             "damping_whole": self._by_all_damping,
             "damping_local": local,
@@ -421,7 +438,7 @@ class Derivatives:
         if term.structural or not term.values:
             return
         if term.kind == "global_stiffness":
-            out[...] = self.poles @ self._by_whole() * (term.size or 0.0)
+            out[...] = self._by_whole() * (term.size or 0.0)
         elif term.kind == "global_damping":
             out[...] = self._by_all_damping()
         elif p.idle.lacking is not None and term.kind == "missing_mode":

@@ -257,13 +257,25 @@ class Sides:
         out[:, known.second, pair] += scale * self.q[:, known.first]
         return out
 
-    def _whole(self) -> Array:
-        made = self.system.moved
-        return np.asarray((self._by_f * made.f - self._by_zeta * made.zeta) / 2 / (1 + made.whole))[..., None]
+    def _later(self) -> tuple[Array, Array]:
+        """By the logarithm of all lags."""
+        side, shown = self._none(1)
+        if not self.forward.idle.complex:
+            return side, shown
+        moves = -self.s[:, None, None, None] * self.system.lag[..., None]
+        more, held = self._through(moves[:, self.system.here])
+        return side + more, np.einsum("kitn,kt->kin", moves, self.q) + held
 
-    def _all_damping(self) -> Array:
+    def _whole(self) -> tuple[Array, Array]:
+        made = self.system.moved
+        side, shown = self._later()
+        by_poles = (self._by_f * made.f - self._by_zeta * made.zeta) / 2
+        return (by_poles[..., None] - side) / (1 + made.whole), -shown / (1 + made.whole)
+
+    def _all_damping(self) -> tuple[Array, Array]:
         between = self.system.damping_tie / (self.forward.between.damping_scale * self.system.moved.more)
-        return np.asarray(self._by_zeta * self.system.moved.zeta + self._ties(True) @ between)[..., None]
+        side, shown = self._later()
+        return side + (self._by_zeta * self.system.moved.zeta + self._ties(True) @ between)[..., None], shown
 
     def _of_d(self) -> list[tuple[Array, Array]]:
         forward, known, made, m = self.forward, self.forward.between, self.system.moved, self.forward.modes
@@ -274,19 +286,22 @@ class Sides:
             return out
 
         by_name: dict[str, Callable[[], Array]] = {
-            "stiffness": self._whole,
             "damping": lambda: each(self._by_zeta * made.zeta),
-            "damping_whole": self._all_damping,
             "damping_local": lambda: each(self._by_zeta * made.zeta) @ known.local_modes + self._ties(True) @ known.local_pairs,
             "mode": lambda: each(self._by_f * made.f),
             "stiffness_between": lambda: self._ties(False),
             "damping_between": lambda: self._ties(True),
         }
+        of_all = {"stiffness": self._whole, "damping_whole": self._all_damping}
         out = []
         for name, where in forward.between.shared.items():
             count = where.stop - where.start
             if count:  # what all channels share and no mode shows, as a delay, moves nothing
                 side, shown = self._none(count)
+                if name in of_all:
+                    side, shown = of_all[name]()
+                    out.append((side * forward.between.shared_spread[where], shown * forward.between.shared_spread[where]))
+                    continue
                 out.append((by_name[name]() * forward.between.shared_spread[where] if name in by_name else side, shown))
         return out
 
@@ -321,9 +336,9 @@ class Sides:
                     side[..., number] = (np.swapaxes(self.phi_here, 1, 2) @ force)[..., 0]
                     shown[..., number] = -(self.r @ force)[..., 0]
             elif term.kind == "global_stiffness":
-                side = self._whole() * (term.size or 0.0)
+                side, shown = (part * (term.size or 0.0) for part in self._whole())
             elif term.kind == "global_damping":
-                side = self._all_damping()
+                side, shown = self._all_damping()
             out.append((side, shown))
         return out
 

@@ -56,7 +56,7 @@ class System:
         shape_own, rest = x.own[:, : forward.n_shape], x.own[:, forward.n_shape :]
         part, own = known.shared_parts(x.d), known.own_parts(rest)
         moved = forward.moved(x)
-        late, late_moves = idle.late(x.g, shape_own)
+        late, late_moves = idle.late(x.g, shape_own, moved.later)
         lag = np.zeros_like(moved.phi)
         lag[:, m] = late
         seen = np.zeros_like(moved.phi)

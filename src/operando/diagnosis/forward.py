@@ -195,10 +195,10 @@ class Forward:
         shape_own, rest = x.own[:, : self.n_shape], x.own[:, self.n_shape :]
         part, own = known.shared_parts(x.d), known.own_parts(rest)
         terms, line = x.terms, w[:, None]
-        made, lags = self.moved(x), None
+        made, lag, lags = self.moved(x), None, None
         phi = made.phi
         if idle.complex:
-            lag, lags = idle.late(x.g, shape_own)
+            lag, lags = idle.late(x.g, shape_own, made.later)
             phi = np.broadcast_to(phi, (n, nd, self.n_terms)).astype(complex)
             phi[:, :, m] -= 1j * w[:, None, None] * lag
         wr = 2 * np.pi * made.f
@@ -242,8 +242,8 @@ class Forward:
         sensors, forces = self._channels(terms, part, own, laws, w)
         factor = sensors[:, order, None] * forces[:, None]
         return Parts(
-            idle, known, refs, terms, self.reaching, self.reaching_dofs(terms), w, made, lags, k, first, phi, shape_k, columns, inner,
-            stiff, force, kx, acting, structure, here, outside, by_values, order, laws, sensors, forces, factor,
+            idle, known, refs, terms, self.reaching, self.reaching_dofs(terms), w, made, lag, lags, k, first, phi, shape_k, columns,
+            inner, stiff, force, kx, acting, structure, here, outside, by_values, order, laws, sensors, forces, factor,
             structure[:, order] * factor, damping_between, damping_scale,
         )  # fmt: skip
 

@@ -232,10 +232,11 @@ class Idle:
         """Numbers of the terms that are linear in their changes."""
         return np.flatnonzero(self.residual) if self.first_order else np.zeros(0, int)
 
-    def late(self, g: Array, own: Array) -> tuple[Array, Moves]:
-        """Lags of shapes, which scale as these do."""
+    def late(self, g: Array, own: Array, times: float = 1.0) -> tuple[Array, Moves]:
+        """Lags of shapes, which scale as these do; so many times as large as at rest."""
         scale = self.shapes.scale(self.phi, self.driven)[self.modes]
-        return self.lags.at(self.lag, scale, g, own)
+        lag, moves = self.lags.at(self.lag, scale, g, own)
+        return times * lag, Moves(times * moves.shared, times * moves.own)
 
     def with_near(self, band: tuple[float, float]) -> Idle:
         """With the residual terms near the band [Hz] as modes, which damping may tie to others: no peak, but more than a flank is there."""
