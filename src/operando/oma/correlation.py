@@ -76,12 +76,14 @@ def correlate(
             f"{n_samples} samples are too few for {n_blocks} blocks and {n_lags} lags",
             hint="take a longer record, a narrower band, or fewer block rows",
         )
-    q = len(references)
+    q, every = len(references), np.array_equal(references, np.arange(r))
     total = np.zeros((n_lags + 1, r, q))
     blocks = np.empty((n_blocks, n_lags + 1, r, q), np.float32) if keep_blocks else None
-    # eight times the lags a transform, where blocks are longer: spectra stay in the cache
-    step = -(-length // max(1, round(length / max(1024, 8 * n_lags))))
-    size = fft.next_fast_len(step + n_lags, real=True)
+    # eight times the lags a transform, where blocks are longer: spectra stay in the cache; powers of two are transformed fastest
+    size = 1 << int(np.ceil(np.log2(max(1024, 8 * n_lags))))
+    step = size - n_lags
+    if length <= step:
+        step, size = length, fft.next_fast_len(length + n_lags, real=True)
     group = max(1, CACHE_VALUES // (r * size), min(r, MOST_VALUES // (r * size)))
     spectrum = np.zeros((size // 2 + 1, r, q), complex)
     offset = row_statistics(data).mean[:, None] if centre else 0.0
@@ -93,7 +95,9 @@ def correlate(
         window = np.lib.stride_tricks.as_strided(stretch, (count, r, samples + n_lags), (samples * near, far, near), writeable=False)
         ahead = np.subtract(window, offset, dtype=float)
         x = np.ascontiguousarray(fft.rfft(ahead, size, axis=2).transpose(2, 1, 0))
-        y = np.ascontiguousarray(fft.rfft(ahead[:, references, :samples], size, axis=2).transpose(2, 0, 1))
+        own = ahead if every else ahead[:, references]
+        own[:, :, samples:] = 0  # times of this piece alone
+        y = np.ascontiguousarray(fft.rfft(own, size, axis=2).transpose(2, 0, 1))
         np.add(spectrum, x @ np.conj(y, out=y), out=spectrum)
 
     for b in range(n_blocks):
