@@ -162,11 +162,17 @@ def test_channels_that_are_as_they_were_tell_that_it_was_no_other_day():
         weights += mean / np.sqrt(mean @ covariance @ mean)
     by = -UNUSUAL * covariance @ weights / np.sqrt(weights @ covariance @ weights)
     usual = np.exp(-UNUSUAL * SPREAD_FACTOR)
-    for less, shift, still in ((0.99, 1.0, False), (1.01, 1.0, True), (1.01, 1.01 * usual, True), (1.01, 0.99 * usual, False)):
+    known = state.std()[0][one.between.shared["mode"]]
+    for less, shift, std, still in (
+        (0.99, 1.0, 0.01, False), (1.01, 1.0, 0.01, True), (1.01, 1.01 * usual, 0.01, True), (1.01, 0.99 * usual, 0.01, False),
+        (1.01, 1.0, 1.01 / UNUSUAL, False),
+    ):  # fmt: skip
         problem, x = rescaled(state.problem, state.problem.packed(state.x), less * by)
         point = problem.point(x)
         point.d[problem.case.between.shared["mode"]] = shift
-        assert untouched(replace(state, problem=problem, x=point)) is still
+        times = (known.max() if still or less < 1 or shift < 1 else known.min()) / std
+        factor = replace(state.factor, lower=state.factor.lower * times)
+        assert untouched(replace(state, problem=problem, x=point, factor=factor)) is still
 
 
 @pytest.mark.parametrize("size", [5.0, 40.0, 300.0])

@@ -47,13 +47,14 @@ def untouched(state: State) -> bool:
     """Whether channels are as they were, as on no other day, and yet modes have moved one by one: the structure has changed.
 
     By the spreads estimated of gains and positions of sensors and positions of forces, together. Modes have not moved where their shifts
-    are as far below those of laboratories. What a temperature does moves all modes alike.
+    are as far below those of laboratories, or no more than what is not known of them. What a temperature does moves all modes alike.
     """
     between, known = state.case.between, _by_name(state)
     moved = 0.0
     for (name, _, where), by in zip(between.groups, between.log_factors, strict=True):
         if name == "mode":
-            moved = float(np.sqrt(np.mean((np.exp(by) * state.x.d[where]) ** 2)))
+            shift, std = state.x.d[where], state.std()[0][where]
+            moved = float(np.exp(by) * np.sqrt(np.mean(np.where(np.abs(shift) > UNUSUAL * std, shift, 0.0) ** 2)))
     touched = [known[name] for name in ("sensor", "seen", "driven") if name in known]
     if not touched or moved < np.exp(-UNUSUAL * SPREAD_FACTOR):
         return False
