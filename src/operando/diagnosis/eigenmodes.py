@@ -300,9 +300,10 @@ class Sides:
                 side, shown = self._none(count)
                 if name in of_all:
                     side, shown = of_all[name]()
-                    out.append((side * forward.between.shared_spread[where], shown * forward.between.shared_spread[where]))
-                    continue
-                out.append((by_name[name]() * forward.between.shared_spread[where] if name in by_name else side, shown))
+                elif name in by_name:
+                    side = by_name[name]()
+                spread = forward.between.shared_spread[where]
+                out.append((side * spread, shown * spread))
         return out
 
     def _of_u(self) -> list[tuple[Array, Array]]:
