@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from operando.data import Finding, Frf, ModalCoupling, ModalModel
-from operando.data.modal_poles import PoleForm, pole_form
-from operando.data.modal_terms import ModalTerms
+from operando.data import Finding, Frf, ModalModel
+from operando.data.modal_poles import PoleForm
 from operando.diagnosis.arrow import Factor
 from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.poles import poles
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
 from operando.ema.by_hand import without_doubts
 from operando.ema.findings import misfit_findings
@@ -102,36 +102,6 @@ def _left(model: ModalModel, rest: AtRest) -> tuple[float, float]:
     return lines.error(h, at), float(chi.mean())
 
 
-def _terms(model: ModalModel, idle: Idle) -> tuple[ModalTerms, Array]:
-    """Terms of an idle model, told by the diagonals of the modal matrices; and how g moves the damping of its pairs of modes [1/s]."""
-    n, modes, (first, second) = idle.f.size, idle.modes, np.triu_indices(idle.modes.size, 1)
-    loss = 4 * np.pi * (idle.zeta * idle.f)[modes]
-    scale = np.sqrt(loss[first] * loss[second])
-    damping, lag = np.zeros((n, n)), np.zeros((len(idle.dofs), n))
-    damping[modes[first], modes[second]] = idle.between * scale
-    lag[:, modes] = idle.lag
-    terms = replace(
-        model.terms,
-        frequencies_hz=idle.f,
-        damping_ratios=idle.zeta,
-        shapes=idle.phi,
-        covariance=None,
-        std=None,
-        coupling=ModalCoupling(damping + damping.T, lag),
-    )
-    return terms, scale[:, None] * idle.between_root
-
-
-def _poles(model: ModalModel, idle: Idle) -> tuple[PoleForm, Array]:
-    """The poles of an idle model, and how g moves their frequencies [Hz] and damping ratios, (2n, g)."""
-    terms, ties = _terms(model, idle)
-    form = pole_form(terms)
-    assert form is not None
-    modes, (first, second) = idle.modes, np.triu_indices(idle.modes.size, 1)
-    by_ties = 2 * form.by_damping[:, modes[first], modes[second]]  # both triangles
-    return form, form.by_terms @ np.concatenate([idle.f_root, idle.zeta_root]) + by_ties @ ties
-
-
 def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
     """With the poles of the modes in band of a model and their covariance, and everything else as it goes with them.
 
@@ -144,20 +114,20 @@ def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
     wanted = np.concatenate([terms.frequencies_hz, terms.damping_ratios])[rows]
     assert model.covariance is not None
     known = model.covariance[np.ix_(rows, rows)]
-    at = _nearest_poles(terms.frequencies_hz[proper], terms.damping_ratios[proper], _poles(model, idle)[0], idle.modes)
+    at = _nearest_poles(terms.frequencies_hz[proper], terms.damping_ratios[proper], poles(idle)[0], idle.modes)
     rows = np.concatenate([at, n + at])
     std = np.maximum(np.sqrt(np.diag(known)), 1e-12 * np.abs(wanted))
     spread = std[:, None] * np.linalg.cholesky(known / np.outer(std, std) + 1e-9 * np.eye(rows.size))
     size, extra = idle.f_root.shape[1], idle.shapes.own.shape[2]
     still = Factor(np.tile(np.eye(extra), (len(idle.dofs), 1, 1)), np.zeros((len(idle.dofs), extra, size)), np.eye(size))
     for _ in range(_STEPS):
-        form, slopes = _poles(model, idle)
+        form, slopes = poles(idle)
         move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
         off = wanted - np.concatenate([form.frequencies_hz, form.damping_ratios])[rows]
         if np.abs(off / std).max() < 1e-3:
             break
         idle = idle.moved(move @ off, np.zeros((len(idle.dofs), extra)), still)
-    _, slopes = _poles(model, idle)
+    _, slopes = poles(idle)
     move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
     return idle.along(np.concatenate([np.eye(size) - move @ slopes[rows], move @ spread], axis=1), still.inverse)
 
@@ -172,8 +142,8 @@ def _nearest_poles(hz: Array, zeta: Array, form: PoleForm, among: Array) -> Arra
 def _tied(model: ModalModel, idle: Idle) -> ModalModel:
     """The model as an idle model has it, told by its poles, with its covariance."""
     n, m = model.terms.n, len(model.dofs)
-    form, poles = _poles(model, idle)
-    shared = np.concatenate([poles, np.swapaxes(idle.shapes.shared, 0, 1).reshape(n * m, -1)])
+    form, slopes = poles(idle)
+    shared = np.concatenate([slopes, np.swapaxes(idle.shapes.shared, 0, 1).reshape(n * m, -1)])
     covariance = shared @ shared.T
     at = 2 * n + np.arange(n) * m
     for dof, own in enumerate(idle.shapes.own):

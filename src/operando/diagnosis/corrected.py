@@ -120,8 +120,8 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     more = float(np.exp(part["damping_whole"].sum()))
     by_mode, by_damping = np.ones(n), np.full(n, more)
     by_mode[modes], by_damping[modes] = np.exp(part["mode"]), more * np.exp(part["damping"])
-    f = (moved.f + moved.f_root @ x.g) * root * by_mode
-    zeta = (moved.zeta + moved.zeta_root @ x.g) / root * by_damping
+    f, zeta, by_f, by_zeta = moved.diagonals(x.g)
+    f, zeta = f * root * by_mode, zeta / root * by_damping
     phi, shapes = moved.shape(x.g, x.own[:, : forward.n_shape])
     zeta = np.maximum(zeta, 1e-9)
     effects = effects_of(state)
@@ -165,8 +165,8 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
     shared = np.zeros((problem.n_shared, rows))
     own = np.zeros((dofs, forward.n_own, rows))
     g = slice(0, forward.n_g)
-    shared[g, :n] = (moved.f_root * (root * by_mode)[:, None]).T
-    shared[g, n : 2 * n] = (moved.zeta_root * (by_damping / root)[:, None]).T
+    shared[g, :n] = (by_f * (root * by_mode)[:, None]).T
+    shared[g, n : 2 * n] = (by_zeta * (by_damping / root)[:, None]).T
     slopes = {
         "stiffness": (f / 2 / root**2, -zeta / 2 / root**2),
         "damping_whole": (np.zeros(n), zeta),
@@ -174,12 +174,12 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
         "damping": (np.zeros((modes.size, n)), np.diag(zeta)[modes]),
         "damping_local": (np.zeros((dofs, n)), between.local_modes.T @ np.diag(zeta)[modes]),
     }
-    for name, (by_f, by_zeta) in slopes.items():
+    for name, (f_slope, zeta_slope) in slopes.items():
         where = between.shared[name]
         if where.stop > where.start:
             at = slice(forward.n_g + where.start, forward.n_g + where.stop)
             spread = between.shared_spread[where][:, None]
-            shared[at, :n], shared[at, n : 2 * n] = np.atleast_2d(by_f) * spread, np.atleast_2d(by_zeta) * spread
+            shared[at, :n], shared[at, n : 2 * n] = np.atleast_2d(f_slope) * spread, np.atleast_2d(zeta_slope) * spread
     for i in range(dofs):
         at_shape = 2 * n + np.arange(n) * dofs + i  # θ has shapes term by term
         shared[g, at_shape] = shapes.shared[i].T

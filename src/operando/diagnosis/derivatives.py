@@ -38,6 +38,8 @@ class Moved:
     ----------
     f, zeta : (terms,) arrays
         Hz, ratio.
+    by_f, by_zeta : (terms, g) arrays
+        How g moves them.
     phi : (DOFs, terms) array
     shapes : Moves
         How they move from there.
@@ -45,19 +47,17 @@ class Moved:
         Factors on all frequencies and on all damping.
     whole : float
         Relative change of the stiffness of the whole.
-    by_mode, by_damping : (terms,) arrays
-        Further factors on each frequency; all factors on each damping.
     """
 
     f: Array
     zeta: Array
+    by_f: Array
+    by_zeta: Array
     phi: Array
     shapes: Moves
     root: float
     more: float
     whole: float
-    by_mode: Array
-    by_damping: Array
 
     @property
     def later(self) -> float:
@@ -154,7 +154,7 @@ class Derivatives:
         self.modes = parts.idle.modes
         self.n_shape = parts.idle.shapes.own.shape[2]
         self.n_terms = parts.moved.f.size
-        by_g = np.flatnonzero((parts.idle.f_root != 0).any(axis=1) | (parts.idle.zeta_root != 0).any(axis=1))
+        by_g = np.flatnonzero((parts.moved.by_f != 0).any(axis=1) | (parts.moved.by_zeta != 0).any(axis=1))
         self.moving = np.union1d(by_g, self.modes)  # terms whose poles move by themselves
         self.following = (self.moving != parts.idle.lacking).astype(float)[:, None]  # those that differ with the day
         self.dofs = parts.order.tolist()
@@ -306,8 +306,7 @@ class Derivatives:
 
     def _by_g(self, out: Array) -> None:
         p, made = self.of, self.of.moved
-        root, damping = (made.root * made.by_mode)[:, None], (made.by_damping / made.root)[:, None]
-        by_poles = self._by_pole((p.idle.f_root * root)[self.moving], (p.idle.zeta_root * damping)[self.moving])
+        by_poles = self._by_pole(made.by_f[self.moving], made.by_zeta[self.moving])
         moves = self._moves("shared")
         k, size = by_poles.shape[0], moves.shape[1]
         products = np.concatenate([self.poles, self.response, self.driven, *self.touched], -1)

@@ -238,8 +238,7 @@ class Sides:
 
     def _of_g(self) -> tuple[Array, Array]:
         idle, made, system = self.forward.idle, self.system.moved, self.system
-        side = self._by_f[..., None] * (idle.f_root * (made.root * made.by_mode)[:, None])
-        side = side + self._by_zeta[..., None] * (idle.zeta_root * (made.by_damping / made.root)[:, None])
+        side = self._by_f[..., None] * made.by_f + self._by_zeta[..., None] * made.by_zeta
         if idle.between_root.any():
             side = side + self._ties(True) @ idle.between_root
         moves = self._shapes(made.shapes.shared, system.lags.shared if idle.complex else None)

@@ -177,8 +177,9 @@ class Forward:
         more = np.exp(part["damping_whole"].sum() + sum(t.values[0] for t in terms if t.kind == "global_damping"))
         by_mode, by_damping = np.ones(self.n_terms), np.full(self.n_terms, more)
         by_mode[m], by_damping[m] = np.exp(part["mode"]), more * np.exp(part["damping"])
-        f = (idle.f + idle.f_root @ x.g) * root * by_mode
-        zeta = (idle.zeta + idle.zeta_root @ x.g) / root * by_damping
+        f, zeta, by_f, by_zeta = idle.diagonals(x.g)
+        f_factor, zeta_factor = root * by_mode, by_damping / root
+        f, zeta, by_f, by_zeta = f * f_factor, zeta * zeta_factor, by_f * f_factor[:, None], by_zeta * zeta_factor[:, None]
         phi, shapes = idle.shape(x.g, x.own[:, : self.n_shape])
         if idle.lacking is not None:
             mode = next((t for t in terms if t.kind == "missing_mode"), None)
@@ -187,7 +188,7 @@ class Forward:
             else:
                 # told as it is in operation, so no difference between the days moves it
                 f[idle.lacking], zeta[idle.lacking] = np.exp(mode.values)
-        return Moved(f, zeta, phi, shapes, float(root), float(more), whole, by_mode, by_damping)
+        return Moved(f, zeta, by_f, by_zeta, phi, shapes, float(root), float(more), whole)
 
     def _parts(self, x: Point, w: Array) -> Parts:
         """FRFs at a point, and what they are made of."""

@@ -88,6 +88,9 @@ class Idle:
         DOF between sensors → its position [m]; None of a motion that no sensor shows, which has none.
     lacking : int, optional
         A mode that the idle model lacks, there only with an effect of that kind.
+    bend : (2, terms, g, g) array, optional
+        How g moves ``f_root`` and ``zeta_root`` themselves: where damping ties modes, a straight way of the poles is a bent one of these
+        (:func:`operando.diagnosis.poles.with_straight_poles`).
     first_order : bool
         Whether what residual terms add is linear in their changes δ: b bᵀ + b δᵀ + δ bᵀ. Their products were measured and are known well,
         where the shapes b are not, and the squares of these make a valley that fits crawl along.
@@ -108,6 +111,7 @@ class Idle:
     driven: Array
     midway: dict[int, tuple[float, float, float] | None] = field(default_factory=dict)
     lacking: int | None = None
+    bend: Array | None = None
     first_order: bool = True
 
     @property
@@ -221,6 +225,16 @@ class Idle:
             was_driven,
         )  # fmt: skip
 
+    def diagonals(self, g: Array) -> tuple[Array, Array, Array, Array]:
+        """Frequencies [Hz] and damping ratios of the terms at g, and how g moves them from there, (terms, g)."""
+        by_f, by_zeta = self.f_root, self.zeta_root
+        f, zeta = self.f + by_f @ g, self.zeta + by_zeta @ g
+        if self.bend is None:
+            return f, zeta, by_f, by_zeta
+        turn = self.bend @ g
+        f_turn, zeta_turn = turn @ g / 2
+        return f + f_turn, zeta + zeta_turn, by_f + turn[0], by_zeta + turn[1]
+
     def shape(self, g: Array, own: Array) -> tuple[Array, Moves]:
         """Shapes at g and own (DOFs, e), and how they move from there."""
         scale = self.shapes.scale(self.phi, self.driven)
@@ -300,6 +314,7 @@ class Idle:
             between_root=between,
             shapes=Moves(shape_shared, shape_own),
             lags=Moves(lag_shared, lag_own),
+            bend=None,
             first_order=False,
         )
 
@@ -316,6 +331,7 @@ class Idle:
             between_root=self.between_root @ shared,
             shapes=turned(self.shapes),
             lags=turned(self.lags),
+            bend=None if self.bend is None else shared.T @ self.bend @ shared,
         )
 
     def moved(self, g: Array, own: Array, factor: Factor) -> Idle:
@@ -323,9 +339,9 @@ class Idle:
         root = np.linalg.inv(factor.lower).T  # of the covariance of g
         turned = np.swapaxes(factor.inverse, 1, 2)
         follow = -turned @ factor.across @ root  # of each DOF's unknowns, as g moves
-        f, zeta = self.f_root @ g, self.zeta_root @ g
+        f, zeta, by_f, by_zeta = self.diagonals(g)
         first, second = np.triu_indices(self.modes.size, 1)
-        loss = np.abs((self.zeta + zeta) * (self.f + f) / (self.zeta * self.f))[self.modes]
+        loss = np.abs(zeta * f / (self.zeta * self.f))[self.modes]
         scale = 1 / np.sqrt(loss[first] * loss[second])  # it is told over the damping of its modes
         phi, shapes = self.shape(g, own)
         lag, lags = self.late(g, own)
@@ -335,16 +351,17 @@ class Idle:
 
         return replace(
             self,
-            f=self.f + f,
-            zeta=self.zeta + zeta,
+            f=f,
+            zeta=zeta,
             phi=phi,
             between=(self.between + self.between_root @ g) * scale,
             lag=lag,
-            f_root=self.f_root @ root,
-            zeta_root=self.zeta_root @ root,
+            f_root=by_f @ root,
+            zeta_root=by_zeta @ root,
             between_root=scale[:, None] * (self.between_root @ root),
             shapes=after(shapes),
             lags=after(lags),
+            bend=None if self.bend is None else root.T @ self.bend @ root,
             first_order=True,
         )
 

@@ -212,7 +212,7 @@ def unseen_share(state: State) -> tuple[Array, Array]:
     idle, term, problem = state.case.forward.idle, state.terms[0], state.problem
     modes, moved = idle.modes, state.case.forward.moved(state.x)
     w0, zeta = 2 * np.pi * moved.f[modes], moved.zeta[modes]
-    f_root, zeta_root = idle.f_root[modes] / moved.f[modes, None], idle.zeta_root[modes] / zeta[:, None]
+    f_root, zeta_root = moved.by_f[modes] / moved.f[modes, None], moved.by_zeta[modes] / zeta[:, None]
     whole, by_g = {
         "point_mass": (np.ones(modes.size), 0 * f_root),
         "ground_spring": (w0**2, 2 * f_root),

@@ -1,0 +1,65 @@
+"""Poles of an idle model whose modes are tied by damping, and how what is not known of it moves them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import ModalCoupling
+from operando.data.modal_poles import PoleForm, pole_form
+from operando.data.modal_terms import ModalTerms
+from operando.diagnosis.idle import Idle
+
+Array = NDArray[Any]
+_STEP = 1e-3  # standard deviations of a difference: slopes are then right to 1e-8 of the largest
+
+
+def poles(idle: Idle) -> tuple[PoleForm, Array]:
+    """The poles, and how g moves their frequencies [Hz] and damping ratios, (2n, g)."""
+    return _poles_at(idle, np.zeros(idle.f_root.shape[1]))
+
+
+def with_straight_poles(idle: Idle) -> Idle:
+    """The model with unknowns that move the poles of its modes in band in proportion, to second order.
+
+    Poles are known far better than what ties modes. A pole changes with the square of a tie, so along a straight way of frequencies
+    and ties, on which it stands still at first order, it moves by many of its standard deviations, always to the same side. The
+    diagonals of the modal matrices turn with g by as much as holds the poles (Bates & Watts, J. R. Stat. Soc. B 42, 1980, 1–25:
+    curvature of parameters).
+
+    Parameters
+    ----------
+    idle : Idle
+        As a fit left it.
+    """
+    if not idle.between_root.any():
+        return idle
+    n, size = idle.f_root.shape
+    moving = np.flatnonzero(~idle.residual & (idle.f_root != 0).any(axis=1) & (idle.zeta_root != 0).any(axis=1))
+    rows = np.concatenate([moving, n + moving])
+    held = np.linalg.inv(poles(idle)[0].by_terms[np.ix_(rows, rows)])
+    bend = np.zeros((2 * n, size, size))
+    for at, step in enumerate(_STEP * np.eye(size)):
+        ahead, behind = (_poles_at(idle, g)[1][rows] for g in (step, -step))
+        bend[rows, at] = -held @ (ahead - behind) / (2 * _STEP)
+    bend = (bend + np.swapaxes(bend, 1, 2)) / 2
+    return replace(idle, bend=bend.reshape(2, n, size, size))
+
+
+def _poles_at(idle: Idle, g: Array) -> tuple[PoleForm, Array]:
+    """The poles at g, and how g moves them from there, told by the diagonals of the modal matrices and what ties modes [1/s]."""
+    n, modes, (first, second) = idle.f.size, idle.modes, np.triu_indices(idle.modes.size, 1)
+    loss = 4 * np.pi * (idle.zeta * idle.f)[modes]
+    scale = np.sqrt(loss[first] * loss[second])
+    f, zeta, by_f, by_zeta = idle.diagonals(g)
+    damping, lag = np.zeros((n, n)), np.zeros((len(idle.dofs), n))
+    damping[modes[first], modes[second]] = (idle.between + idle.between_root @ g) * scale
+    lag[:, modes] = idle.lag
+    ties = ModalCoupling(damping + damping.T, lag)
+    form = pole_form(ModalTerms(f, zeta, idle.phi, idle.dofs, idle.residual, ~idle.residual, coupling=ties))
+    assert form is not None
+    by_ties = 2 * form.by_damping[:, modes[first], modes[second]]  # both triangles
+    return form, form.by_terms @ np.concatenate([by_f, by_zeta]) + by_ties @ (scale[:, None] * idle.between_root)
