@@ -1,7 +1,6 @@
 """Complex modes in the idle model: told by their poles, against the eigenvalues of the structure's own matrices."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +11,11 @@ from operando.diagnosis import with_complex_modes
 from operando.diagnosis.arrow import Factor
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
-from operando.diagnosis.complex_idle import EARNED, _nearest_poles, _tied
+from operando.diagnosis.complex_idle import EARNED, _tied
+from operando.diagnosis.force_noise import common_variance, moved_by_force_noise
 from operando.diagnosis.idle import NEAR, Idle
 from operando.diagnosis.lines import Lines
-from operando.diagnosis.poles import poles, with_straight_poles
+from operando.diagnosis.poles import poles
 from operando.diagnosis.posterior import at_rest, fit
 from operando.diagnosis.terms import Term
 from test_coupling import HZ, chain, whole
@@ -52,6 +52,11 @@ def real_modes():
 def idle_frf(seed=0, noise=2e-4):
     mass, damping, stiff, *_ = chain()
     return measured(mass, damping, stiff, REFERENCES, noise, seed)
+
+
+def still(idle):
+    """Forces without noise."""
+    return np.zeros((idle.f_root.shape[1], 0)), np.zeros((N, idle.shapes.own.shape[2], 0))
 
 
 def test_a_model_told_by_its_poles_has_them_and_the_same_frfs():
@@ -112,22 +117,6 @@ def test_complex_modes_are_fitted_where_real_ones_do_not_explain_the_idle_frfs()
     assert with_complex_modes(model, idle_frf()) is model  # once is enough
 
 
-def test_poles_of_a_fit_that_does_not_rest_on_real_modes_stay_with_their_spread():
-    """Those of complex residues, fitted to all lines: the rest of the model goes with them."""
-    form, real = pole_form(whole().terms), real_modes()
-    std = np.concatenate([np.full(N, 1e-4), np.full(N, 2e-6), np.full(N * N, 2e-4)])
-    off = np.random.default_rng(3).standard_normal(2 * N) * std[: 2 * N]
-    hz, zeta = form.frequencies_hz + off[:N], form.damping_ratios + off[N:]
-    known = replace(real, frequencies_hz=hz, damping_ratios=zeta, covariance=np.diag(std**2), details=SimpleNamespace(answer="linear"))
-    model = with_complex_modes(known, idle_frf(noise=1e-2))
-    assert model.coupling is not None
-    np.testing.assert_allclose(model.frequencies_hz, hz, atol=0.1 * std[0])
-    np.testing.assert_allclose(model.damping_ratios, zeta, atol=0.1 * std[N])
-    np.testing.assert_allclose(np.sqrt(np.diag(model.covariance))[: 2 * N], std[: 2 * N], rtol=1e-3)
-    other = with_complex_modes(replace(known, details=None), idle_frf(noise=1e-2))  # real modes: their poles are those of a worse model
-    assert np.abs(other.frequencies_hz - hz).max() > 1e-4
-
-
 def test_modes_outside_the_band_stay_as_they_were_known():
     band = BAND[0], 46.0
     real = replace(real_modes(), band_hz=band, in_band=np.arange(N) < N - 1)
@@ -174,12 +163,9 @@ def test_real_modes_stand_where_complex_ones_cannot_be_looked_for():
     assert any(f.kind == "complex_modes" and f.consequence == "the idle model has real modes" for f in model.findings)
 
 
-def test_real_modes_stand_where_the_way_to_complex_poles_fails(monkeypatch):
-    """A covariance without a root, for example."""
-    covariance = -np.eye(2 * N + N * N)
-    known = replace(real_modes(), details=SimpleNamespace(answer="linear"))
-    monkeypatch.setattr("operando.diagnosis.complex_idle._with_poles_of", lambda model, idle: np.linalg.cholesky(covariance))
-    model = with_complex_modes(known, idle_frf())
+def test_real_modes_stand_where_the_covariance_of_complex_ones_fails(monkeypatch):
+    monkeypatch.setattr("operando.diagnosis.complex_idle.moved_by_force_noise", lambda state: np.linalg.cholesky(-np.eye(3)))
+    model = with_complex_modes(real_modes(), idle_frf())
     assert model.coupling is None
     assert [f.kind for f in model.findings] == ["complex_modes"]
 
@@ -212,12 +198,6 @@ def test_each_peak_has_lines_that_are_fitted_and_lines_that_validate():
         assert near[lines.fit].sum() > near[lines.validation].sum() > 0
 
 
-def test_close_poles_that_terms_exchange_are_still_those_named():
-    form = SimpleNamespace(frequencies_hz=np.array([21.69, 40.0, 21.55]), damping_ratios=np.array([0.086, 0.01, 0.042]))
-    at = _nearest_poles(np.array([21.554, 21.677, 40.0]), np.array([0.042, 0.087, 0.01]), form, np.arange(3))
-    assert at.tolist() == [2, 0, 1]
-
-
 @pytest.mark.parametrize(("effect", "term"), [
     ("global_stiffness=change:-0.2", Term("global_stiffness", (), (np.log(0.2),), -1)),
     ("global_damping=change:-0.6", Term("global_damping", (), (np.log(0.4),))),
@@ -226,13 +206,13 @@ def test_all_stiffness_and_all_damping_take_the_lag_of_shapes_along(effect, term
     """Damping that ties modes to what lies outside the band, over the stiffness there: as in the model that is handed out."""
     one = case(lag=0.4)
     forward, w = one.forward, one.lines.w[one.lines.fit]
-    model = _tied(identified(), one.idle)
+    model = _tied(identified(), one.idle, still(one.idle))
     responses, references = ([DOFS[i] for i in at] for at in (forward.responses, forward.references))
     h = np.moveaxis(forward.predict(replace(forward.start, terms=(term,)), w, derivatives=False).h, 0, 2)
     wanted = Model(model).add(effect).frf(w / 2 / np.pi, responses, references, "receptance").data
     np.testing.assert_allclose(h, wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
-    still = Model(model.with_terms(coupling=replace(model.coupling, lag=0 * model.coupling.lag))).add(effect)
-    without = still.frf(w / 2 / np.pi, responses, references, "receptance").data
+    unlagged = Model(model.with_terms(coupling=replace(model.coupling, lag=0 * model.coupling.lag))).add(effect)
+    without = unlagged.frf(w / 2 / np.pi, responses, references, "receptance").data
     assert np.abs(without - wanted).max() > 1e-3 * np.abs(wanted).max()  # the lag is seen in this case
 
 
@@ -253,20 +233,20 @@ def test_residual_terms_near_the_band_are_tied_as_modes():
     assert known.loose(driven, band, complex_modes=False).modes.size == N - 1
     # and stay tied in the model that is told
     tied = replace(near, between=np.full(near.between.size, 0.1))
-    again = Idle.of(_tied(identified(residual=1), tied), band, [DOFS[i] for i in REFERENCES])
+    again = Idle.of(_tied(identified(residual=1), tied, still(tied)), band, [DOFS[i] for i in REFERENCES])
     np.testing.assert_allclose(again.between, tied.between, rtol=1e-6)
 
 
 def moved(idle, g):
     """The model at g, as known as it was."""
     extra = idle.shapes.own.shape[2]
-    still = Factor(np.tile(np.eye(extra), (N, 1, 1)), np.zeros((N, extra, g.size)), np.eye(g.size))
-    return idle.moved(g, np.zeros((N, extra)), still)
+    known = Factor(np.tile(np.eye(extra), (N, 1, 1)), np.zeros((N, extra, g.size)), np.eye(g.size))
+    return idle.moved(g, np.zeros((N, extra)), known)
 
 
 def test_poles_move_in_proportion_where_ties_are_hardly_known():
-    idle = at_rest(Idle.of(real_modes(), BAND, DOFS[:1]), idle_frf(noise=2e-3), BAND).idle
-    straight = with_straight_poles(idle)
+    straight = at_rest(Idle.of(real_modes(), BAND, DOFS[:1]), idle_frf(noise=2e-3), BAND).idle
+    idle = replace(straight, bend=None)
     form, slopes = poles(idle)
     std, size = np.linalg.norm(slopes, axis=1), slopes.shape[1]
     at_start = np.concatenate([form.frequencies_hz, form.damping_ratios])
@@ -297,7 +277,8 @@ def test_a_change_of_all_stiffness_is_as_sure_as_the_poles_are():
         frf = [measured(mass, damping, k, (0,), 2e-3, 2 * seed + i) for i, k in enumerate((stiff, 1.01 * stiff))]
         rest = at_rest(Idle.of(real_modes(), BAND, DOFS[:1]), frf[0], BAND)
         for straight, rows in off.items():
-            case_of = Case(with_straight_poles(rest.idle) if straight else rest.idle, frf[1], BAND, SAME_SET_UP, correlated=rest.correlated)
+            idle = rest.idle if straight else replace(rest.idle, bend=None)
+            case_of = Case(idle, frf[1], BAND, SAME_SET_UP, correlated=rest.correlated)
             terms = (Term("global_stiffness", (), (float(np.log(0.01)),)),)
             found = fit(case_of, replace(case_of.forward.start, terms=terms), 0.01)
             rows.append((np.log(found.terms[0].size / 0.01), np.sqrt(found.covariance[0, 0])))
@@ -306,3 +287,30 @@ def test_a_change_of_all_stiffness_is_as_sure_as_the_poles_are():
     assert std.mean() < 0.7 * std_bent.mean()
     assert abs(np.mean(error / std)) < 1.96 / np.sqrt(error.size)
     assert 0.5 < np.sqrt(np.mean((error / std) ** 2)) < 1.5
+
+
+def with_force_noise(frf, share, seed):
+    """FRFs with an error that all responses to a force share, as their variance has it."""
+    rng = np.random.default_rng(seed)
+    shape = 1, *frf.data.shape[1:]
+    error = share * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+    return replace(frf, data=frf.data * (1 + error), variance=frf.variance + (share * np.abs(frf.data)) ** 2)
+
+
+def test_intervals_of_the_poles_hold_what_the_noise_of_the_forces_does():
+    values, _ = eigen()
+    exact = np.concatenate([np.abs(values) / 2 / np.pi, -values.real / np.abs(values)])
+    share, told, off, off_without = 5e-3, [], [], []
+    for seed in range(8):
+        frf = with_force_noise(idle_frf(seed, 3e-4), share, 100 + seed)
+        rest = at_rest(Idle.of(real_modes(), BAND, [DOFS[i] for i in REFERENCES]), frf, BAND)
+        told.append(np.sqrt(common_variance(rest.state)))
+        form, slopes = poles(rest.idle)
+        error = np.concatenate([form.frequencies_hz, form.damping_ratios]) - exact
+        std, by_force = np.linalg.norm(slopes, axis=1), np.linalg.norm(slopes @ moved_by_force_noise(rest.state)[0], axis=1)
+        off.append(error / np.hypot(std, by_force))
+        off_without.append(error / std)
+    np.testing.assert_allclose(np.mean(told, axis=0), share, rtol=0.1)
+    inside, without = (np.mean(np.abs(rows) < 1.96) for rows in (off, off_without))
+    assert 0.9 < inside < 0.99
+    assert without < 0.8  # each response counted for itself

@@ -19,7 +19,6 @@ from operando.diagnosis.from_frf import chosen_run, searched
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, located, with_midway
-from operando.diagnosis.poles import with_straight_poles
 from operando.diagnosis.posterior import State, approach, at_rest, fit
 from operando.diagnosis.rival import fitted_if_can_be, started
 from operando.diagnosis.scan import LinearScan, robust_scan
@@ -100,7 +99,7 @@ def apply_effects(
         band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
         known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
         rest = None if idle_frf is None else at_rest(known, idle_frf, band)
-        known = known if rest is None else with_straight_poles(rest.idle)
+        known = known if rest is None else rest.idle
         correlated = CORRELATED_LINES if rest is None else rest.correlated
         known, places, geometry = _placed(known, wanted, geometry)
         kinds = searched(None, poor=rest is not None and rest.state.alpha > EXPLAINED)

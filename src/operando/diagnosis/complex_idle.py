@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from operando.data import Finding, Frf, ModalModel
-from operando.data.modal_poles import PoleForm
-from operando.diagnosis.arrow import Factor
 from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
+from operando.diagnosis.force_noise import moved_by_force_noise
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.poles import poles
 from operando.diagnosis.posterior import AtRest, at_rest, on_idle_frfs
+from operando.ema.answers import floor_variance
 from operando.ema.by_hand import without_doubts
 from operando.ema.findings import misfit_findings
 from operando.errors import DataError, DofError
@@ -24,7 +23,6 @@ from operando.frf import in_one_sense, opposed_dofs
 from operando.threads import one_blas_thread
 
 Array = NDArray[Any]
-_STEPS = 8  # of Newton at most, to poles a few standard deviations away
 _OF_REAL_MODES = ("complex_modes", "misfit")
 _OF_REAL_SHAPES = ("twin", "complex_shape")
 """Doubts of a pole that only real shapes call for: a damper in one place gives close modes nearly one shape, of any phase."""
@@ -81,10 +79,7 @@ def _fitted(model: ModalModel, frf: Frf, band: tuple[float, float], progress: Ca
     plain = on_idle_frfs(real, frf, band, REST_LINES, rest.correlated, True)
     if rest.state.log_evidence < plain.log_evidence + EARNED:
         return model
-    idle = rest.idle
-    if getattr(model.details, "answer", None) == "linear" and model.covariance is not None:
-        idle = _with_poles_of(tied, idle)
-    found = _tied(tied, idle)
+    found = _tied(tied, rest.idle, moved_by_force_noise(rest.state))
     (before, _), (after, chi) = (_left(m, rest) for m in (model, found))
     if not after < before:
         return model
@@ -102,52 +97,20 @@ def _left(model: ModalModel, rest: AtRest) -> tuple[float, float]:
     return lines.error(h, at), float(chi.mean())
 
 
-def _with_poles_of(model: ModalModel, idle: Idle) -> Idle:
-    """With the poles of the modes in band of a model and their covariance, and everything else as it goes with them.
-
-    Poles of residues of any phase do not rest on real modes, and were fitted to all lines: they are known better than by this fit. What
-    the fit says is what else there is, given the poles (Jeffrey, The Logic of Decision, 1965, ch. 11).
-    """
-    terms, n = model.terms, model.terms.n
-    proper = np.flatnonzero(terms.in_band & ~terms.residual)
-    rows = np.concatenate([proper, n + proper])
-    wanted = np.concatenate([terms.frequencies_hz, terms.damping_ratios])[rows]
-    assert model.covariance is not None
-    known = model.covariance[np.ix_(rows, rows)]
-    at = _nearest_poles(terms.frequencies_hz[proper], terms.damping_ratios[proper], poles(idle)[0], idle.modes)
-    rows = np.concatenate([at, n + at])
-    std = np.maximum(np.sqrt(np.diag(known)), 1e-12 * np.abs(wanted))
-    spread = std[:, None] * np.linalg.cholesky(known / np.outer(std, std) + 1e-9 * np.eye(rows.size))
-    size, extra = idle.f_root.shape[1], idle.shapes.own.shape[2]
-    still = Factor(np.tile(np.eye(extra), (len(idle.dofs), 1, 1)), np.zeros((len(idle.dofs), extra, size)), np.eye(size))
-    for _ in range(_STEPS):
-        form, slopes = poles(idle)
-        move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
-        off = wanted - np.concatenate([form.frequencies_hz, form.damping_ratios])[rows]
-        if np.abs(off / std).max() < 1e-3:
-            break
-        idle = idle.moved(move @ off, np.zeros((len(idle.dofs), extra)), still)
-    _, slopes = poles(idle)
-    move = np.linalg.pinv(slopes[rows] / std[:, None]) / std
-    return idle.along(np.concatenate([np.eye(size) - move @ slopes[rows], move @ spread], axis=1), still.inverse)
-
-
-def _nearest_poles(hz: Array, zeta: Array, form: PoleForm, among: Array) -> Array:
-    """Which terms have these poles: a pole belongs to the term that moves most in it, which two close ones may exchange."""
-    wanted = hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    there = form.frequencies_hz[among] * (-form.damping_ratios[among] + 1j * np.sqrt(1 - form.damping_ratios[among] ** 2))
-    return np.asarray(among[linear_sum_assignment(np.abs(there - wanted[:, None]) / hz[:, None])[1]])
-
-
-def _tied(model: ModalModel, idle: Idle) -> ModalModel:
-    """The model as an idle model has it, told by its poles, with its covariance."""
+def _tied(model: ModalModel, idle: Idle, by_force_noise: tuple[Array, Array]) -> ModalModel:
+    """The model as an idle model has it, told by its poles, with its covariance and what the noise of the forces adds to that."""
     n, m = model.terms.n, len(model.dofs)
     form, slopes = poles(idle)
     shared = np.concatenate([slopes, np.swapaxes(idle.shapes.shared, 0, 1).reshape(n * m, -1)])
-    covariance = shared @ shared.T
+    by_g, by_own = by_force_noise
+    covariance, by_force = shared @ shared.T, shared @ by_g
     at = 2 * n + np.arange(n) * m
     for dof, own in enumerate(idle.shapes.own):
         covariance[np.ix_(at + dof, at + dof)] += own @ own.T
+        by_force[at + dof] += own @ by_own[dof]
+    covariance += by_force @ by_force.T
+    modes = np.concatenate([np.tile(~model.terms.residual, 2), np.repeat(~model.terms.residual, m)])
+    covariance[np.diag_indices_from(covariance)] += modes * floor_variance(form.frequencies_hz, form.damping_ratios, idle.phi)
     if model.covariance is not None:  # poles outside the band were held where they were
         held = np.flatnonzero(~model.terms.residual & ~model.terms.in_band)
         held = np.concatenate([held, n + held])

@@ -34,7 +34,6 @@ from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.midway import located
-from operando.diagnosis.poles import with_straight_poles
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
@@ -130,7 +129,7 @@ def diagnose_frf(
         if idle_frf is not None:
             say("idle model on the idle FRFs")
             rest = at_rest(known, idle_frf, band)
-        model = known if rest is None else with_straight_poles(rest.idle)
+        model = known if rest is None else rest.idle
         asked: dict[str, Any] = {
             "kinds": searched(kinds, rest is not None and rest.state.alpha > EXPLAINED),
             "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],

@@ -107,6 +107,11 @@ class Lines:
         self.band = float(hz[0]), float(hz[-1])
         self._warped = self._warp(hz[i])
 
+    def alike(self, at: Array) -> Array:
+        """Correlation of the noise of some lines, (lines, lines)."""
+        line = self._number[at]
+        return np.asarray(np.maximum(0, 1 - np.abs(line[:, None] - line) / self.correlated) + 1e-9 * np.eye(at.size))
+
     def basis(self, at: Array) -> tuple[Array, Array]:
         """Independent combinations of some lines, and λ of their variances 1 + α²λ.
 
@@ -119,9 +124,7 @@ class Lines:
         """
         key = tuple(at)
         if key not in self._bases:
-            line = self._number[at]
-            noise = np.maximum(0, 1 - np.abs(line[:, None] - line) / self.correlated)
-            whiten = np.linalg.inv(np.linalg.cholesky(noise + 1e-9 * np.eye(at.size)))
+            whiten = np.linalg.inv(np.linalg.cholesky(self.alike(at)))
             smooth = np.exp(-np.abs(self._warped[at][:, None] - self._warped[at]))
             variance = np.moveaxis(self.variance[at], 0, -1)[:, :, None]
             level = np.moveaxis(self.level[at], 0, -1)[:, :, None]

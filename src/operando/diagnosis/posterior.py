@@ -16,6 +16,7 @@ from operando.diagnosis.criteria import CORRELATED_LINES, FIT_LINES, LEAST_DISCR
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.poles import with_straight_poles
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.products import Rows
 from operando.diagnosis.spreads import WIDER, likely_spreads, log_prior, rescaled
@@ -339,7 +340,7 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     own[state.problem.order], across[state.problem.order] = factor.inverse, factor.across
     g = case.forward.n_g
     after = case.idle.moved(state.x.g, state.x.own, Factor(own, across[:, :, :g], factor.lower[:g, :g]))
-    return AtRest(after, state, correlated, True)
+    return AtRest(with_straight_poles(after), state, correlated, True)
 
 
 def on_idle_frfs(

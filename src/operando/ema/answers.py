@@ -39,6 +39,12 @@ MOST_PARAMETERS = 4000
 """Largest covariance that is kept whole (128 MB): beyond it the own compliance of undriven DOFs is left out of the residual terms."""
 
 
+def floor_variance(hz: Real, zeta: Real, shapes: Real) -> Real:
+    """Variance of [f; ζ; shapes mode by mode] that no likelihood sees, (2n + n m,)."""
+    rms = np.sqrt(np.mean(shapes**2, axis=0))
+    return np.asarray(np.concatenate([FREQUENCY_FLOOR * hz, DAMPING_FLOOR * zeta, np.repeat(SHAPE_FLOOR * rms, len(shapes))]) ** 2)
+
+
 @dataclass(frozen=True)
 class LinearModes:
     """The linear stage's own answer, kept beside the polished one.
@@ -121,8 +127,7 @@ def _assemble(
     sign = np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
     sign[sign == 0] = 1
     units = np.concatenate([np.ones(2 * n), np.repeat(sign, m)])
-    rms = np.sqrt(np.mean(shapes**2, axis=0))
-    floor = np.concatenate([FREQUENCY_FLOOR * hz, DAMPING_FLOOR * zeta, np.repeat(SHAPE_FLOOR * rms, m)]) ** 2
+    floor = floor_variance(hz, zeta, shapes)
     total = n + outside.hz.size
     whole = np.zeros((total * (2 + m), total * (2 + m)))
     # frequencies, damping ratios and shape values of the modes, and where they stand among those of all terms
