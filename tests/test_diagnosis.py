@@ -769,6 +769,35 @@ def test_an_effect_at_the_wrong_place_is_exchanged_once_the_other_is_there():
     assert run.best().alpha < EXPLAINED
 
 
+def test_a_second_effect_is_looked_for_about_the_neighbourhoods_of_the_first():
+    def both(m, c, k):
+        add_mass(m, c, k)
+        k[3, 3] += 1e3
+
+    run = Search(case(both, spreads=SAME_SET_UP), lambda text: None)
+    run.fitted([Start(run.case.forward.start, 0.1, run.case)])
+    empty = run.best()
+    near = run._robust_stage(empty)
+    assert len(run.best().terms) == 1
+    assert run.best().alpha > LOOSE
+    run.one_more_about(empty, near)
+    assert {t.key for t in run.best().terms} == {("point_mass", (1,)), ("ground_spring", (3,))}
+    assert run.best().alpha < EXPLAINED
+
+
+@pytest.mark.parametrize("stiffness", [20.0, 40.0, 80.0])
+def test_a_weak_effect_beside_what_days_could_be_is_looked_for(stiffness):
+    """All stiffness 2 % up leaves little without the spring, and another day explains both, but for an effect of all stiffness."""
+
+    def both(m, c, k):
+        k *= 1.02
+        k[3, 3] += stiffness
+
+    days, same = case(both, spreads=None), case(both, spreads=SAME_SET_UP)
+    found = search(same, rival=Rival(days, fit(days, days.forward.start)), depth=2)
+    assert {t.key for t in found.best.terms} == {("global_stiffness", ()), ("ground_spring", (3,))}
+
+
 def test_a_weak_effect_adds_no_more_than_it_is_worth():
     run = Search(case(), lambda text: None)
     mass = Term("point_mass", (1,), (float(np.log(1e-4)),))

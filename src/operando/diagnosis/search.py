@@ -26,10 +26,11 @@ Key = tuple[tuple[str, tuple[int, ...]], ...]
 
 DEPTH = 5  # effects that a search looks for, one after the other, and the most of a state
 _FITTED, _APPROACHED, _BEAM = 3, 6, 3
+_ABOUT = 2  # neighbourhoods of a first effect, at different places, about which a second one is looked for
 _OTHERS = 5  # of what may stand in the place of an effect: so many are fitted
 _SHORT = 20.0  # nats below what its scan promises from which a fit counts as lost on its way
 _SMALL_PART = 0.5  # of the squares left, below which a second effect is none where days differ: 0.3 there, 0.8 to 1 where one is missing
-_LITTLE = 0.75  # of what is missing to another hypothesis, left by the best single effect, from which no pair of effects makes up for it
+_LITTLE = 0.75  # of what is missing to another hypothesis, left by the best effect, from which no further one makes up for it
 RIVALS = 40.0  # nats below the best state up to which others are compared with it again
 _SURE = 160.0  # nats that an effect is worth at first order, from which the state without it is no answer
 MOST_SETTLED = 6  # states to the end of their fit, and searches for what could stand in their place
@@ -237,7 +238,9 @@ class Search:
             was = self.best()
             if was.alpha > LOOSE and not was.robustly:  # else a scan about it, of first order in all unknowns, sees what can be seen
                 was.robustly = True
-                self._robust_stage(was)
+                approached = self._robust_stage(was)
+                if self.depth > 1 and self.best().alpha > LOOSE:
+                    self.one_more_about(was, approached)
                 if self._enough() or self._behind(was, _LITTLE, ()):
                     break
             self._grow()
@@ -319,9 +322,14 @@ class Search:
         return self.rival.score > score(state) and gain < _SMALL_PART * left
 
     def _enough(self) -> bool:
-        """Whether the lines are explained, before spreads are estimated: what is left is looked for with these."""
+        """Whether the lines are explained, before spreads are estimated: what is left is looked for with these.
+
+        Not where the rival explains them better: a weak effect beside a strong one is no more than a small discrepancy.
+        """
         best = self.best()
-        return not self.own_spreads and best.alpha < EXPLAINED and not strained(best)
+        if self.own_spreads or best.alpha >= EXPLAINED or strained(best):
+            return False
+        return self.rival is None or score(best) > self.rival.score - EARNED
 
     def _grow(self) -> None:
         """One effect more about each of the leaders."""
@@ -367,10 +375,22 @@ class Search:
             rows = [row.term for row in found[:_APPROACHED] if self.once([*rest, row.term])]
             self._nearest(state.case, [state.carried([*rest, t], about) for t in rows])
 
-    def _nearest(self, case: Case, starts: Sequence[Point]) -> None:
-        """The neighbourhoods of some starts; the nearest are fitted."""
+    def _nearest(self, case: Case, starts: Sequence[Point]) -> list[Point]:
+        """The neighbourhoods of some starts, the nearest first; these are fitted."""
         near = sorted(each(partial(approach, case), starts), key=lambda row: row[0])
         self.fitted([Start(x, 0.03, case) for cost, x in near[:_FITTED] if cost < 1.5 * near[0][0] + _SHORT])
+        return [x for _, x in near]
+
+    def one_more_about(self, state: State, near: Sequence[Point]) -> None:
+        """A second effect about neighbourhoods of the first: with one missing, a fit by squares leaves the right place of the other."""
+        case, starts = state.case, []
+        about: dict[tuple[int, ...], Point] = {}
+        for x in near:
+            about.setdefault(x.terms[-1].places, x)
+        for x in list(about.values())[:_ABOUT]:
+            rows = robust_scan(case, x)[:_APPROACHED] if len(x.terms) < DEPTH else []
+            starts += [state.carried([*x.terms, term], x) for _, term, _ in rows if self.once([*x.terms, term])]
+        self._nearest(case, starts)
 
     def _approached(self, state: State, terms: Sequence[Term]) -> None:
         """Fits that ended far below what their scan promises, again: robustly from the idle model."""
@@ -381,8 +401,8 @@ class Search:
 
         self.fitted([Start(x, 0.03, state.case) for x in each(way, terms)])
 
-    def _robust_stage(self, state: State) -> None:
-        """The neighbourhoods of the leaders of two scans about the idle model; the nearest are fitted.
+    def _robust_stage(self, state: State) -> list[Point]:
+        """The neighbourhoods of the leaders of two scans about the idle model, the nearest first; these are fitted.
 
         One frees nothing and is robust; the other frees all unknowns at first order, which places that the idle model hardly knows need.
         """
@@ -405,7 +425,7 @@ class Search:
         for term, cut in places:
             x = state.carried([*state.terms, term], about)
             starts.append(replace(x, u=x.u + without_rest(case, x.terms, term.places)) if cut else x)
-        self._nearest(case, starts)
+        return self._nearest(case, starts)
 
     def _others(self, best: State) -> None:
         """What could stand in the place of each effect: simpler kinds that it contains, and what changes the FRFs as it does."""
