@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from operando.data import Frf
 from operando.diagnosis.arrow import Factor, Information
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import CORRELATED_LINES, FIT_LINES, LEAST_DISCREPANCY, MOST_DISCREPANCY, REST_DISCREPANCY, REST_LINES
+from operando.diagnosis.criteria import (
+    CORRELATED_LINES,
+    EXPLAINED,
+    FIT_LINES,
+    LEAST_DISCREPANCY,
+    MOST_DISCREPANCY,
+    REST_DISCREPANCY,
+    REST_LINES,
+)
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
@@ -340,7 +348,8 @@ def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
     own[state.problem.order], across[state.problem.order] = factor.inverse, factor.across
     g = case.forward.n_g
     after = case.idle.moved(state.x.g, state.x.own, Factor(own, across[:, :, :g], factor.lower[:g, :g]))
-    return AtRest(with_straight_poles(after), state, correlated, True)
+    explained = state.alpha <= EXPLAINED  # else nothing is found that would need it
+    return AtRest(with_straight_poles(after) if explained else after, state, correlated, True)
 
 
 def on_idle_frfs(
