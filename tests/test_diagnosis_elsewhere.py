@@ -197,6 +197,23 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
     assert found.model.modes().n_modes == N
 
 
+@pytest.mark.parametrize("size", [0.04, 0.06])
+def test_a_weak_mode_is_looked_for_before_another_day_is(size):
+    """Another day leaves little of the lines, and takes the weaker one for what days do (``no_misfit``)."""
+    w, _, phi, damping = modes()
+    mass, stiff = matrices()
+    frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
+    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
+    shape = size * phi[:, 1] * np.array([1, -1, 1, 1, -1])
+    mode = np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * 0.01 * pole * line)
+    said = []
+    check = CheckRun("run", "1 N", replace(frf, data=frf.data + mode))
+    found = diagnose_frf(identified(), [check], idle_frf=rest(), progress=said.append)
+    assert [e.kind for e in found.effects] == ["missing_mode"]
+    assert found.effects[0].values["frequency"] == pytest.approx(pole / 2 / np.pi, rel=1e-3)
+    assert not any(line.startswith("on another day") for line in said)
+
+
 def test_a_lacking_mode_is_told_as_it_is_in_operation():
     """No difference between the days moves it: it was seen on one of them alone."""
     check = check_of(lambda m, c, k: None).frf

@@ -95,11 +95,9 @@ def search_both(
         other = no_effect_at_a_sensor(same, alone, rival, one_set_up, again, geometry, say)
         if other is not None:
             return other
-    lacking = None
-    if again is not None and alone.alpha >= LOOSE and (grown := grown_by_a_mode([alone])):
-        lacking = with_mode(grown[0], again, max(rival.score, score(best)), say)
-    if lacking is not None and lacking.best.alpha < LOOSE:
-        return search(lacking.best.case, say, start=lacking), lacking.odds or 0.0
+        there = mode_with_nothing_touched(same, alone, rival, again, geometry, say)
+        if there is not None:
+            return there
     say("on another day:")
     found = search(days, say, depth=depth, known=known)
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
@@ -163,6 +161,34 @@ def no_effect_at_a_sensor(
             return there
     odds = score(hidden) - max(score(best), rival.score)
     return (replace(found, unnamed=hidden), odds) if odds > EARNED else None
+
+
+def mode_with_nothing_touched(
+    found: Found,
+    alone: State,
+    rival: Rival,
+    again: Callable[[Idle], Sequence[Case]],
+    geometry: Geometry | None,
+    say: Say,
+) -> tuple[Found, float] | None:
+    """A mode that the idle model lacks where that explains the lines, with its log odds against another day; None where it does not.
+
+    At the pole that takes most from what the idle model leaves as it is, or as another day has it. What acts as an absorber at a place
+    between sensors makes a mode, too.
+    """
+    bar = max(rival.score, score(found.best))
+    for grown in grown_by_a_mode([replace(found.empty, x=found.empty.case.forward.start), alone]):
+        lacking = with_mode(grown, again, bar, say)
+        if lacking is None or lacking.best.alpha >= LOOSE:
+            continue
+        odds = lacking.odds or 0.0
+        if alone.alpha < LOOSE and not (odds > EARNED and _explains(lacking.best, alone)):
+            continue  # another day leaves little, and may explain that with an effect
+        there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say, led=False)
+        if there is not None and score(there[0].best) > score(lacking.best):
+            return there
+        return search(lacking.best.case, say, start=lacking), odds
+    return None
 
 
 def with_nothing_touched(
