@@ -36,7 +36,7 @@ from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.poles import with_straight_poles
-from operando.diagnosis.posterior import State, at_rest, fit, names, on_validation_lines
+from operando.diagnosis.posterior import State, approach, at_rest, fit, names, on_validation_lines
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.search import (
@@ -767,6 +767,21 @@ def test_an_effect_at_the_wrong_place_is_exchanged_once_the_other_is_there():
     run.exchange(wrong)
     assert {t.key for t in run.best().terms} == {("point_mass", (1,)), ("ground_damper", (3,))}
     assert run.best().alpha < EXPLAINED
+
+
+def test_a_start_without_derivatives_is_no_neighbourhood(monkeypatch):
+    """Where two poles are one, for example: operational modes with a mode missing ended a diagnosis."""
+    one = case(add_mass)
+
+    def singular(*args):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(type(one.forward), "derived", singular)
+    start = one.forward.start
+    assert approach(one, start) == (np.inf, start)
+    run = Search(one, lambda text: None)
+    assert run._nearest(one, [start]) == [start]
+    assert run.pool == {}
 
 
 def test_a_second_effect_is_looked_for_about_the_neighbourhoods_of_the_first():

@@ -250,7 +250,10 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
         for _ in range(turns):
             residual = problem.measured - h
             rows = Rows(weights=np.sqrt(2 / (noise + np.abs(residual) ** 2)))
-            made = case.forward.derived(problem.point(x), problem.w, rows)
+            try:
+                made = case.forward.derived(problem.point(x), problem.w, rows)
+            except np.linalg.LinAlgError:  # two poles in one
+                return np.inf, start
             information = Information.of(made.shared, made.own)
             gradient = problem.gradient(made.shared, made.own, rows.flat(residual[..., None])[..., 0], x)
             for _ in range(9):
