@@ -11,19 +11,20 @@ import pytest
 
 from operando.data import ModalModel
 from operando.diagnosis import diagnose, diagnose_modes
-from operando.diagnosis.between import SAME_SET_UP
+from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.criteria import ASSUMED_MODES, MODES_FLOOR, NEAR_HZ, PARTNER_LOG_HZ, PARTNER_MAC, SECOND_ORDER
 from operando.diagnosis.forward import Point
 from operando.diagnosis.idle import Idle
+from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
 from operando.diagnosis.operating_modes import OperatingModes, partners
-from operando.diagnosis.posterior import fit, left_on
+from operando.diagnosis.posterior import fit, left_on, unfitted
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.scan import LinearScan
 from operando.diagnosis.terms import Term
 from operando.errors import ConfigError, DataError
 from operando.structure import Model
-from operando.structure.effects import Effect
+from operando.structure.effects import Effect, kind_of
 from structures import Chain
 
 DOFS = tuple(f"{i + 1}+Z" for i in range(7))
@@ -228,6 +229,164 @@ def test_each_kind_is_found_where_it_is_and_as_large_as_it_is(truth):
     assert effect.std[name] < 0.2 * abs(size)
     before, after = found.ladder[0], found.ladder[-1]
     assert after["heldout_misfit"] < min(2.0, 0.8 * before["heldout_misfit"])
+
+
+def swinging(c, place, mass, hz, zeta):
+    """Modes of the chain with a mass on a spring and damper of its own at a sensor; those in band, and the one it brings."""
+    n, w = len(c.hz), 2 * np.pi * hz
+    damp = c.M @ c.phi @ np.diag(4 * np.pi * c.zeta * c.hz) @ c.phi.T @ c.M
+    between = np.r_[np.eye(n)[NODE[place]], -1]
+    square = np.outer(between, between)
+    wider = [np.pad(a, (0, 1)) for a in (c.M, damp, c.K)]
+    wider[0][n, n] = mass
+    return modes_of(wider[0], wider[1] + 2 * zeta * w * mass * square, wider[2] + w**2 * mass * square, IN_BAND + 1)
+
+
+def modes_of(mass, damp, stiff, count):
+    """Poles and shapes at the sensors of M, C, K; K may be complex, as it is in the upper half of the s-plane."""
+    n = len(mass)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damp)]])
+    poles, v = np.linalg.eig(a)
+    up = np.flatnonzero(poles.imag > 0)
+    up = up[np.argsort(np.abs(poles[up]))][:count]
+    return poles[up], v[:n][:, up][list(SENSORS)]
+
+
+def on_a_law(c, place, law):
+    """Modes of the chain with a dynamic stiffness to ground at a sensor, one by one: K at the pole, until it is its own."""
+    b = np.eye(len(c.hz))[NODE[place]]
+    damp = c.M @ c.phi @ np.diag(4 * np.pi * c.zeta * c.hz) @ c.phi.T @ c.M
+    s, shapes = 2j * np.pi * c.hz[:IN_BAND], []
+    for k in range(IN_BAND):
+        for _ in range(40):
+            poles, v = modes_of(c.M, damp, c.K + law(s[k]) * np.outer(b, b), IN_BAND)
+            s[k] = poles[k]
+        shapes.append(v[:, k])
+    return s, np.stack(shapes, 1)
+
+
+def measured(s, shapes, seed=0, noise=1.0):
+    """Operational modes of these poles and shapes, with scatter as SSI leaves it."""
+    rng = np.random.default_rng(100 + seed)
+    hz, zeta, shapes = np.abs(s) / 2 / np.pi, -s.real / np.abs(s), shapes / np.abs(shapes).max(axis=0)
+    f_std, z_std, s_std = 4e-4 * hz, 0.06 * zeta, np.full(shapes.shape, 3e-3)
+    gauss = lambda like: noise * rng.standard_normal(like.shape)  # noqa: E731
+    return ModalModel(
+        hz + f_std * gauss(hz),
+        zeta + z_std * gauss(zeta),
+        shapes + s_std * (gauss(s_std) + 1j * gauss(s_std)),
+        DOFS,
+        covariance=np.diag(np.r_[f_std**2, z_std**2, np.tile((s_std.T**2).ravel(), 2)]),
+    )
+
+
+BAND = (1.0, 1.1 * float(chain().hz[IN_BAND - 1]))
+REFERENCE = 0.5 * sum(BAND)
+FURTHER = [
+    ("tuned_absorber", "4+Z", (0.2, 75.0, 0.04), lambda c: swinging(c, "4+Z", 0.2, 75.0, 0.04)),
+    (
+        "ground_hysteretic_spring",
+        "2+Z",
+        (3e4, 0.4),
+        lambda c: on_a_law(c, "2+Z", lambda s: 3e4 * (1 + 0.4j)),
+    ),
+    (
+        "ground_rubber",
+        "5+Z",
+        (6e4, 0.4),
+        lambda c: on_a_law(c, "5+Z", lambda s: 6e4 * (s / (2 * np.pi * REFERENCE)) ** 0.4),
+    ),
+]
+NAMES = [t[0] for t in FURTHER]
+
+
+def further_term(kind, place, values):
+    """A kind of more than one value on the search scale."""
+    names = kind_of(kind).names
+    law = Effect(kind, (place,), dict(zip(names, values, strict=True)), band_hz=BAND)
+    return Term.of(law, (DOFS.index(place),))
+
+
+@pytest.mark.parametrize(("kind", "place", "values", "truth"), FURTHER, ids=NAMES)
+def test_kinds_of_several_values_are_predicted_from_their_laws(kind, place, values, truth):
+    """An absorber has a coordinate of its own and brings a mode; the others are no M, C, K: each pole has the stiffness at itself."""
+    c = chain()
+    case = case_of(c, measured(*truth(c), noise=0.0), exact=True)
+    x = case.forward.start
+    term = further_term(kind, place, values)
+    with_it = case.forward.predict(Point(x.g, x.d, x.own, x.u, (term,)), case.lines.w, derivatives=False).h
+    left = (case.lines.h - with_it).reshape(-1, case.lines.sets[0].per_mode)
+    assert np.abs(left[:, 0]).max() < 1e-8
+    assert np.abs(left[:, 1]).max() < 1e-6
+    assert np.abs(left[:, 2:]).max() < 1e-6
+    found = case.forward.scannable(x, case.lines.w).responses([term])[:, 0, 0, 0]
+    bare = case.forward.predict(x, case.lines.w, derivatives=False).h[:, 0, 0] if kind != "tuned_absorber" else 0 * found
+    far = np.abs(found - with_it[:, 0, 0]).max()
+    assert far < 0.35 * np.abs(with_it[:, 0, 0] - bare).max()
+    problem = Problem(case, (term,), case.lines.w)
+    at = problem.packed(Point(x.g, x.d, x.own, np.zeros(problem.n_u), (term,)))
+    slopes = problem.predict(at).shared[:, 0, 0]
+    for number in range(problem.values_at, problem.values_at + len(values)):
+        unit = 1e-5 * (np.arange(at.shared.size) == number)
+        up, down = (problem.predict(at + Step(side * unit, 0 * at.own), False).h[:, 0, 0] for side in (1, -1))
+        np.testing.assert_allclose(slopes[:, number], (up - down) / 2e-5, rtol=1e-4, atol=1e-5 * np.abs(slopes[:, number]).max())
+
+
+@pytest.mark.parametrize(("kind", "place", "values", "truth"), FURTHER, ids=NAMES)
+def test_kinds_of_several_values_are_found_with_all_of_them(kind, place, values, truth):
+    c = chain()
+    found = diagnose_modes(idle_of(c), measured(*truth(c)))
+    assert found.verdict in ("explained", "ambiguous")
+    effect = found.effects[0]
+    assert [(e.kind, str(e.location[0])) for e in found.effects] == [(kind, place)]
+    for name, value in zip(effect.definition.names, values, strict=True):
+        assert abs(effect.values[name] - value) < 4 * effect.std[name]
+    assert effect.std[effect.definition.names[0]] < 0.3 * values[0]
+
+
+def with_a_mode_more(c, seed=0):
+    """Modes of the chain as it is, and one of a shape that it does not have: at 75 Hz, 1.2 % of damping."""
+    damp = c.M @ c.phi @ np.diag(4 * np.pi * c.zeta * c.hz) @ c.phi.T @ c.M
+    s, shapes = modes_of(c.M, damp, c.K, IN_BAND)
+    shape = np.random.default_rng(5).standard_normal(len(SENSORS))
+    s, shapes = np.append(s, 2 * np.pi * 75.0 * (1j - 0.012)), np.c_[shapes, shape]
+    order = np.argsort(np.abs(s))
+    return measured(s[order], shapes[:, order], seed)
+
+
+def test_a_mode_that_the_idle_model_lacks_is_told_as_one():
+    """No effect at a location brings a mode of such a shape. Of its values all derivatives agree with differences."""
+    c = chain()
+    found = diagnose_modes(idle_of(c), with_a_mode_more(c))
+    assert found.verdict == "explained"
+    (effect,) = found.effects
+    assert effect.kind == "missing_mode"
+    for name, value in (("frequency", 75.0), ("damping_ratio", 0.012)):
+        assert abs(effect.values[name] - value) < 4 * effect.std[name]
+    shape = np.array([effect.shape[d] for d in DOFS])
+    true = np.random.default_rng(5).standard_normal(len(SENSORS))
+    assert (shape @ true) ** 2 / (shape @ shape) / (true @ true) > 0.999
+    case = case_of(c, with_a_mode_more(c), spreads=spreads_of({}))
+    grown = with_lacking(unfitted(case, case.forward.start, 0.1))
+    assert grown.f[grown.lacking] == pytest.approx(75.0, rel=2e-3)
+    case = ModesCase(grown, case.lines, case.band, spreads_of({}))
+    problem = Problem(case, grown.lacking_term, case.lines.w)
+    start = case.forward.start
+    x = problem.packed(Point(start.g, start.d, start.own, np.zeros(problem.n_u), grown.lacking_term))
+    slopes = problem.predict(x).shared[:, 0, 0]
+    for number in range(x.shared.size):
+        unit = 1e-4 * (np.arange(x.shared.size) == number)
+        up, down = (problem.predict(x + Step(side * unit, 0 * x.own), False).h[:, 0, 0] for side in (1, -1))
+        exact = (up - down) / 2e-4
+        np.testing.assert_allclose(slopes[:, number], exact, rtol=1e-4, atol=1e-5 * np.abs(exact).max() + 1e-10)
+
+
+def test_what_swings_and_weighs_next_to_nothing_is_a_mode_more():
+    """As light as one likes, it brings its mode, and no operational mode tells its mass: that a part swings there is not claimed."""
+    c = chain()
+    found = diagnose_modes(idle_of(c), measured(*swinging(c, "4+Z", 1e-4, 75.0, 0.012)))
+    assert [e.kind for e in found.effects] == ["missing_mode"]
+    assert found.effects[0].values["frequency"] == pytest.approx(75.0, rel=2e-3)
 
 
 def test_nothing_is_found_where_nothing_is_hidden():

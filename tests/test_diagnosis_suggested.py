@@ -39,7 +39,7 @@ def test_what_shifts_the_modes_as_operation_does_is_suggested(chain, kind, place
 def test_nothing_is_suggested_where_modes_do_not_tell(chain):
     idle, band = chain_at_rest(chain)
     moved = by_modes.running(chain, by_modes.TRUTHS[0])
-    assert suggested_by_modes(idle, moved, band, ["sensor_gain", "tuned_absorber"], None, print) == []
+    assert suggested_by_modes(idle, moved, band, ["sensor_gain", "sensor_delay"], None, print) == []
     assert suggested_by_modes(idle, moved, (1000.0, 2000.0), TOLD_BY_MODES, None, print) == []
     elsewhere = replace(moved, dofs=tuple(replace(dof, node=dof.node + 100) for dof in moved.dofs))
     said = []

@@ -62,6 +62,8 @@ class Case:
     """
 
     lines: Lines
+    elsewhere = True
+    """Whether places without a sensor, and force laws of no kind, are looked for."""
 
     def __init__(
         self,

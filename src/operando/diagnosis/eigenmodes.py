@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.between import OF_A_CHANNEL, channel_laws
-from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial
+from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial, with_inside
 from operando.diagnosis.forward import Forward, Point, Prediction
 from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.products import Rows
-from operando.diagnosis.terms import Term, added, slopes
+from operando.diagnosis.sides import Sides
+from operando.diagnosis.terms import Term, added, resonator
 
 Array = NDArray[Any]
 _NEAR = 1.3  # terms up to so many times beyond the band are scanned as modes
@@ -115,14 +116,24 @@ class Eigenmodes(Forward):
         f = np.abs(s[up]) / 2 / np.pi
         return [up[self.observed.sets[i].pairs(f, (shown[up] * channel[self._modes[i]].mean(axis=0)).T)] for i in used]
 
+    def alone(self, x: Point) -> int:
+        """The mode of the whole record that is farthest from what stands for it."""
+        s, _, shown = self._rough(System.of(self, x))
+        up = s.imag > 1e-3 * np.abs(s)
+        return self.observed.sets[0].alone(np.abs(s[up]) / 2 / np.pi, shown[up].T)
+
+    def _rough(self, system: System) -> tuple[Array, Array, Array]:
+        """Poles, modal coordinates and displacements at the sensors of all modes, but for what lies outside the band."""
+        kept = involved(system.moved.phi, system.here)
+        s, some = eigenmodes(*system.quadratic(kept))
+        q = np.zeros((s.size, self.n_terms), complex)
+        q[:, kept] = some[:, : kept.size]
+        return s, q, q @ (system.moved.phi + system.seen)[self.shown_dofs(system.terms)].T
+
     def _solved(self, system: System, used: Sequence[int], channel: Array) -> Solved:
         shown = self.shown_dofs(system.terms)
-        kept = involved(system.moved.phi, system.here)
-        matrices = (a[np.ix_(kept, kept)] for a in system.quadratic())
-        s, some = eigenmodes(*matrices)
-        q = np.zeros((s.size, self.n_terms), complex)
-        q[:, kept] = some
-        paired = self.pair(s, q @ (system.moved.phi + system.seen)[shown].T, used, channel)
+        s, q, roughly = self._rough(system)
+        paired = self.pair(s, roughly, used, channel)
         every = np.unique(np.concatenate(paired))
         s, q = system.refined(s[every], q[every])
         return Solved(s, q, system.displacement(s, q)[:, shown], [np.searchsorted(every, p) for p in paired])
@@ -193,174 +204,47 @@ class Eigenmodes(Forward):
         return out
 
 
-class Sides:
-    """∂T/∂p q and, with q and s held, ∂x/∂p of all DOFs x, for all unknowns p: (k, terms, n) and (k, DOFs, n)."""
+@dataclass(frozen=True)
+class Near:
+    """What a state is made of in and near the band, and as far as that goes.
 
-    def __init__(self, forward: Eigenmodes, system: System, s: Array, q: Array) -> None:
-        self.forward, self.system, self.s, self.q = forward, system, s, q
-        here = system.here
-        self.phi_here = system.phi(s)[:, here]
-        self.w_force, self.r = system.force(s), system.r(s)
-        self.back = np.swapaxes(self.phi_here, 1, 2) @ self.w_force  # of displacements at the places, (k, terms, places)
-        self.held = (self.w_force @ (self.phi_here @ q[..., None]))[..., 0]  # force at the places
+    Attributes
+    ----------
+    matrices : tuple of (n, n) arrays
+        M, C, K over the terms there, then over what resonates inside effects.
+    phi : (DOFs, terms) array
+    shown : (responses, terms) array
+        What sensors show of them.
+    rest : (2, DOFs, DOFs) complex array
+        Receptance of the other terms at the ends of the band.
+    bare : (values, 1) array
+        Values of the measured modes without an effect more.
+    """
 
-    def all(self) -> tuple[Array, Array]:
-        """Blocks in the order of the unknowns."""
-        blocks = [self._of_g(), *self._of_d(), *self._of_u(), *self._of_terms(), *self._of_own()]
-        return tuple(np.concatenate([b[i] for b in blocks], -1) for i in (0, 1))  # type: ignore[return-value]
+    matrices: tuple[Array, ...]
+    phi: Array
+    shown: Array
+    rest: Array
+    bare: Array
 
-    def _none(self, count: int) -> tuple[Array, Array]:
-        k = self.s.size
-        return np.zeros((k, self.forward.n_terms, count), complex), np.zeros((k, self.forward.n_dofs, count), complex)
 
-    @property
-    def _by_f(self) -> Array:
-        w, zeta = self.system.w, self.system.moved.zeta
-        return np.asarray((2 * w + 2 * zeta * self.s[:, None]) * 2 * np.pi * self.q)
+@dataclass(frozen=True)
+class Trial:
+    """An effect more about a state.
 
-    @property
-    def _by_zeta(self) -> Array:
-        return np.asarray(2 * self.system.w * self.s[:, None] * self.q)
+    Attributes
+    ----------
+    matrices : tuple of (n, n) arrays
+        M, C, K with it.
+    law : callable
+        Its dynamic stiffness (k, places, places) at s, with what lies outside the band.
+    beyond : callable, optional
+        What it has beyond M, C and K; the poles follow to first order.
+    """
 
-    def _shapes(self, moves: Array, lags: Array | None) -> Array:
-        """Moves (DOFs, terms, n) at s, (k, DOFs, terms, n)."""
-        if lags is None:
-            return np.broadcast_to(moves, (self.s.size, *moves.shape))
-        out = np.repeat(moves[None].astype(complex), self.s.size, 0)
-        out[:, :, self.forward.modes] -= self.s[:, None, None, None] * lags
-        return out
-
-    def _through(self, moves: Array) -> tuple[Array, Array]:
-        """Shapes that move at the places, (k, places, terms, n): T, and the force that shows through R."""
-        motion = np.einsum("kjtn,kt->kjn", moves, self.q)
-        side = np.einsum("kjtn,kj->ktn", moves, self.held) + self.back @ motion
-        return side, -self.r @ (self.w_force @ motion)
-
-    def _of_g(self) -> tuple[Array, Array]:
-        idle, made, system = self.forward.idle, self.system.moved, self.system
-        side = self._by_f[..., None] * made.by_f + self._by_zeta[..., None] * made.by_zeta
-        if idle.between_root.any():
-            side = side + self._ties(True) @ idle.between_root
-        moves = self._shapes(made.shapes.shared, system.lags.shared if idle.complex else None)
-        shown = np.einsum("kitn,kt->kin", moves, self.q)
-        more, held = self._through(moves[:, system.here])
-        return side + more, shown + held
-
-    def _ties(self, damping: bool) -> Array:
-        """By what ties two modes, (k, terms, pairs)."""
-        known = self.forward.between
-        pair = np.arange(known.first.size)
-        out = np.zeros((self.s.size, self.forward.n_terms, pair.size), complex)
-        scale = self.s[:, None] * known.damping_scale * self.system.moved.more if damping else known.stiffness_scale
-        out[:, known.first, pair] += scale * self.q[:, known.second]
-        out[:, known.second, pair] += scale * self.q[:, known.first]
-        return out
-
-    def _later(self) -> tuple[Array, Array]:
-        """By the logarithm of all lags."""
-        side, shown = self._none(1)
-        if not self.forward.idle.complex:
-            return side, shown
-        moves = -self.s[:, None, None, None] * self.system.lag[..., None]
-        more, held = self._through(moves[:, self.system.here])
-        return side + more, np.einsum("kitn,kt->kin", moves, self.q) + held
-
-    def _whole(self) -> tuple[Array, Array]:
-        made = self.system.moved
-        side, shown = self._later()
-        by_poles = (self._by_f * made.f - self._by_zeta * made.zeta) / 2
-        return (by_poles[..., None] - side) / (1 + made.whole), -shown / (1 + made.whole)
-
-    def _all_damping(self) -> tuple[Array, Array]:
-        between = self.system.damping_tie / (self.forward.between.damping_scale * self.system.moved.more)
-        side, shown = self._later()
-        return side + (self._by_zeta * self.system.moved.zeta + self._ties(True) @ between)[..., None], shown
-
-    def _of_d(self) -> list[tuple[Array, Array]]:
-        forward, known, made, m = self.forward, self.forward.between, self.system.moved, self.forward.modes
-
-        def each(values: Array) -> Array:
-            out = np.zeros((self.s.size, forward.n_terms, m.size), complex)
-            out[:, m, np.arange(m.size)] = values[:, m]
-            return out
-
-        by_name: dict[str, Callable[[], Array]] = {
-            "damping": lambda: each(self._by_zeta * made.zeta),
-            "damping_local": lambda: each(self._by_zeta * made.zeta) @ known.local_modes + self._ties(True) @ known.local_pairs,
-            "mode": lambda: each(self._by_f * made.f),
-            "stiffness_between": lambda: self._ties(False),
-            "damping_between": lambda: self._ties(True),
-        }
-        of_all = {"stiffness": self._whole, "damping_whole": self._all_damping}
-        out = []
-        for name, where in forward.between.shared.items():
-            count = where.stop - where.start
-            if count:  # what all channels share and no mode shows, as a delay, moves nothing
-                side, shown = self._none(count)
-                if name in of_all:
-                    side, shown = of_all[name]()
-                elif name in by_name:
-                    side = by_name[name]()
-                spread = forward.between.shared_spread[where]
-                out.append((side * spread, shown * spread))
-        return out
-
-    def _of_u(self) -> list[tuple[Array, Array]]:
-        system, out = self.system, []
-        for row in system.outside:
-            here, slope = system.here, row.spread * (self.s**-2.0 if row.below else np.ones(self.s.size))
-            side, shown = self._none(1)
-            reached = np.zeros_like(shown[..., 0])
-            reached[:, row.other] += slope * self.held[:, here.index(row.place)]
-            if row.other in here and row.other != row.place:
-                reached[:, row.place] += slope * self.held[:, here.index(row.other)]
-            motion = reached[:, here, None]
-            side[:] = -self.back @ motion
-            shown[:] = self.r @ (self.w_force @ motion) - reached[..., None]
-            out.append((side, shown))
-        return out
-
-    def _of_terms(self) -> list[tuple[Array, Array]]:
-        system, here, out = self.system, self.system.here, []
-        at_rest = (self.phi_here @ self.q[..., None])[..., 0]
-        motion = at_rest - (self.r[:, here] @ self.held[..., None])[..., 0]
-        left = np.eye(len(here)) + system.z(self.s) @ self.r[:, here]
-        for term in system.terms:
-            side, shown = self._none(len(term.values))
-            if term.structural:
-                b = [here.index(i) for i in term.places]
-                for number, slope in enumerate(slopes(term, -1j * self.s, self.forward.band)):
-                    force = np.zeros((self.s.size, len(here), 1), complex)
-                    force[:, b] = slope @ motion[:, b, None]
-                    force = np.linalg.solve(left, force)
-                    side[..., number] = (np.swapaxes(self.phi_here, 1, 2) @ force)[..., 0]
-                    shown[..., number] = -(self.r @ force)[..., 0]
-            elif term.kind == "global_stiffness":
-                side, shown = (part * (term.size or 0.0) for part in self._whole())
-            elif term.kind == "global_damping":
-                side, shown = self._all_damping()
-            out.append((side, shown))
-        return out
-
-    def _of_own(self) -> list[tuple[Array, Array]]:
-        forward, system, out = self.forward, self.system, []
-        made, n_shape, seen = system.moved, forward.n_shape, forward.between.own["seen"]
-        complex_shapes = forward.idle.complex
-        for i in range(forward.n_dofs):
-            side, shown = self._none(forward.n_own)
-            moves = self._shapes(made.shapes.own[i : i + 1], system.lags.own[i : i + 1] if complex_shapes else None)
-            shown[:, i, :n_shape] = np.einsum("ktn,kt->kn", moves[:, 0], self.q)
-            if i in system.here:
-                at = np.zeros((self.s.size, len(system.here), *moves.shape[2:]), moves.dtype)
-                at[:, system.here.index(i)] = moves[:, 0]
-                side[..., :n_shape], held = self._through(at)
-                shown[..., :n_shape] += held
-            if seen.stop > seen.start:
-                columns = slice(n_shape + seen.start, n_shape + seen.stop)
-                across = forward.between.across(self.q[:, forward.modes], i)
-                shown[:, i, columns] = across * forward.between.own_spread[i, seen]
-            out.append((side, shown))
-        return out
+    matrices: tuple[Array, ...]
+    law: Callable[[Array], Array]
+    beyond: Callable[[Array], Array] | None = None
 
 
 @dataclass
@@ -383,7 +267,7 @@ class ScannableModes:
     channel: Array
     h: Array
     columns: None = None
-    _base: tuple[Array, list[Array], Array, Array] | None = None
+    _known: Near | None = None
 
     @property
     def at_rest(self) -> bool:
@@ -418,45 +302,60 @@ class ScannableModes:
 
     def _changed(self, terms: Sequence[Term]) -> Array:
         """Over the terms in and near the band; what lies farther follows at once, with its receptance at both ends of the band."""
-        if self._base is None:
-            self._base = self._near()
-        near, matrices, shown, rest = self._base
-        places, ends = np.array(terms[0].places), self.system.ends
-        at, still = self.system.moved.phi[np.ix_(places, near)], rest[:, places][:, :, places]
-        stacks, laws = [[m] for m in matrices], [np.zeros((3, len(places), len(places)))]
-        for term in terms:
-            z = added(term, ends, self.forward.band)
-            laws.append(np.stack(polynomial(np.linalg.solve(np.eye(len(places)) + z @ still, z), ends)))
-            for stack, base, part in zip(stacks, matrices, laws[-1], strict=True):
-                stack.append(base + at.T @ part @ at)
-        follows = rest[:, self.forward.shown_dofs(self.x.terms)][:, :, places].real.mean(axis=0)
-        out = np.full((self.w.size, len(terms) + 1), np.nan)
-        every = [np.stack(stack) for stack in stacks]
-        fine = np.linalg.eigvalsh(every[0])[:, 0] > 0
+        near, places, ends, band = self._near(), np.array(terms[0].places), self.system.ends, self.forward.band
+        at, still = near.phi[places], near.rest[:, places][:, :, places]
+        rest = still.mean(axis=0)
+
+        def trial(term: Term) -> Trial:
+            form = resonator(term, band)
+            if form is not None:
+                return Trial(with_inside(near.matrices, at, form), lambda s: added(term, -1j * s, band))
+            law = polynomial(_with_rest(added(term, ends, band), still), ends)
+
+            def roughly(s: Array) -> Array:
+                return np.asarray(s[:, None, None] ** 2 * law[0] + s[:, None, None] * law[1] + law[2])
+
+            beyond = lambda s: _with_rest(added(term, -1j * s, band), rest) - roughly(s)  # noqa: E731
+            return Trial(with_inside(near.matrices, at, law), roughly, beyond)
+
+        # what is left out of the state itself is left out with an effect more, too
+        return (self._of_each(near, [trial(term) for term in terms], places) + self.h[:, 0] - near.bare)[:, None, None]
+
+    def _of_each(self, near: Near, trials: Sequence[Trial], places: Array) -> Array:
+        """Values (values, n) of n trials at some places; NaN where none are."""
+        follows = near.rest[:, self.forward.shown_dofs(self.x.terms)][:, :, places].real.mean(axis=0)
+        out, every = np.full((self.w.size, len(trials)), np.nan), [np.stack(a) for a in zip(*(t.matrices for t in trials), strict=True)]
+        fine = np.flatnonzero(np.linalg.eigvalsh(every[0])[:, 0] > 0).tolist()
         poles, coordinates = eigenmodes(*(a[fine] for a in every))
-        for number, s, q in zip(np.flatnonzero(fine).tolist(), poles, coordinates, strict=True):
-            mass, damping, stiffness = (q @ at.T @ part.T for part in laws[number])
-            held = s[:, None] ** 2 * mass + s[:, None] * damping + stiffness
-            psi = q @ shown.T - held @ follows.T
+        for number, s, whole in zip(fine, poles, coordinates, strict=True):
+            q = whole[:, : near.phi.shape[1]]
+            motion = q @ near.phi[places].T
+            one = trials[number]
+            if one.beyond is not None:
+                mass, damping = one.matrices[:2]
+                by_s = 2 * s * np.sum(whole @ mass * whole, axis=1) + np.sum(whole @ damping * whole, axis=1)
+                s = s - np.einsum("ki,kij,kj->k", motion, one.beyond(s), motion) / by_s
+            psi = q @ near.shown.T - (one.law(s) @ motion[..., None])[..., 0] @ follows.T
             try:
                 numbers = self.forward.pair(s, psi, self.used, self.channel)
             except np.linalg.LinAlgError:  # a damper of this size leaves fewer modes than were measured: its values stay NaN
                 continue
             out[:, number] = self.forward.values(s, psi, numbers, self.used, self.channel)[self.w]
-        # what is left out of the state itself is left out with an effect more, too
-        return (out[:, 1:] + self.h[:, 0] - out[:, :1])[:, None, None]
+        return out
 
-    def _near(self) -> tuple[Array, list[Array], Array, Array]:
-        """Terms in and near the band: numbers, M, C, K, shapes at the sensors; the receptance of the others at the band's ends."""
-        system, phi = self.system, self.system.moved.phi
-        w, zeta, ends = system.w, system.moved.zeta, system.ends
-        close = involved(phi, system.here)
-        near = close[(w[close] > ends[0] / _NEAR) & (w[close] < ends[1] * _NEAR)]
-        far = np.setdiff1d(np.arange(w.size), near)
-        matrices = [a[np.ix_(near, near)] for a in system.quadratic()]
-        shown = (phi + system.seen)[np.ix_(self.forward.shown_dofs(self.x.terms), near)]
-        k = 1 / (w[far] ** 2 - ends[:, None] ** 2 + 2j * zeta[far] * w[far] * ends[:, None])
-        return near, matrices, shown, (phi[:, far] * k[:, None]) @ phi[:, far].T
+    def _near(self) -> Near:
+        if self._known is None:
+            system, phi = self.system, self.system.moved.phi
+            w, zeta, ends = system.w, system.moved.zeta, system.ends
+            close = involved(phi, system.here)
+            some = close[(w[close] > ends[0] / _NEAR) & (w[close] < ends[1] * _NEAR)]
+            far = np.setdiff1d(np.arange(w.size), some)
+            shown = (phi + system.seen)[np.ix_(self.forward.shown_dofs(self.x.terms), some)]
+            k = 1 / (w[far] ** 2 - ends[:, None] ** 2 + 2j * zeta[far] * w[far] * ends[:, None])
+            near = Near(system.quadratic(some), phi[:, some], shown, (phi[:, far] * k[:, None]) @ phi[:, far].T, np.zeros(0))
+            bare = self._of_each(near, [Trial(near.matrices, lambda s: np.zeros((s.size, 0, 0)))], np.zeros(0, int))
+            self._known = replace(near, bare=bare)
+        return self._known
 
     def slopes(self, terms: Sequence[Term]) -> Array:
         """By the size of each term, at size zero, (values, 1, 1, n)."""
@@ -477,3 +376,8 @@ class ScannableModes:
                 gains[:, term.places[0], number] = -1j * forward._w if term.kind.endswith("_delay") else 1
         slopes_of = forward.passed_on(system, self.solved, self.used, self.channel, sides, None, gains)
         return slopes_of[self.w][:, None, None]
+
+
+def _with_rest(z: Array, rest: Array) -> Array:
+    """Dynamic stiffness of an effect with the receptance at its places that no mode near the band has, (k, places, places)."""
+    return np.asarray(np.linalg.solve(np.eye(z.shape[-1]) + z @ rest, z))

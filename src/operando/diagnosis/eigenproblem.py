@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from operando.diagnosis.derivatives import Moved, Outside
 from operando.diagnosis.forward import Forward, Point
 from operando.diagnosis.idle import Moves
-from operando.diagnosis.terms import Term, added, touched
+from operando.diagnosis.terms import Term, added, resonator, touched
 
 Array = NDArray[Any]
 _TURNS, _CLOSE = 30, 1e-11  # of Newton's method; relative change of a pole at which it ends
@@ -78,10 +78,10 @@ class System:
         """Shapes at s, (k, DOFs, terms)."""
         return np.asarray(self.moved.phi - s[:, None, None] * self.lag)
 
-    def z(self, s: Array) -> Array:
-        """Dynamic stiffness of the effects, (k, places, places)."""
+    def z(self, s: Array, terms: Sequence[Term] | None = None) -> Array:
+        """Dynamic stiffness of the effects, or of some of them, (k, places, places)."""
         out = np.zeros((s.size, len(self.here), len(self.here)), complex)
-        for term in self.terms:
+        for term in self.terms if terms is None else terms:
             if term.structural:
                 b = np.array([self.here.index(i) for i in term.places])
                 out[:, b[:, None], b] += added(term, -1j * s, self.forward.band)
@@ -97,9 +97,9 @@ class System:
                 out[:, row.place, self.here.index(row.other)] += change
         return out
 
-    def force(self, s: Array) -> Array:
+    def force(self, s: Array, terms: Sequence[Term] | None = None) -> Array:
         """W(s): what displacements of the modes at the places hold them back by, (k, places, places)."""
-        z = self.z(s)
+        z = self.z(s, terms)
         return np.linalg.solve(np.eye(len(self.here)) + z @ self.r(s)[:, self.here], z)
 
     def tied(self, s: Array) -> Array:
@@ -161,16 +161,25 @@ class System:
                 return s, q
         raise np.linalg.LinAlgError("poles were not found")
 
-    def quadratic(self) -> tuple[Array, Array, Array]:
-        """M, C, K whose T(s) agrees with this one at both ends of the band, without lags."""
+    def quadratic(self, some: Array) -> tuple[Array, ...]:
+        """M, C, K whose T(s) agrees with this one at both ends of the band, without lags.
+
+        Over some of the terms, then over what resonates inside effects: that exactly, but for what lies outside the band at its places.
+        """
         w, zeta, known = self.w, self.moved.zeta, self.forward.between
         mass, damping, stiffness = np.eye(w.size), np.diag(2 * zeta * w), np.diag(w**2)
         for matrix, tie in ((damping, self.damping_tie), (stiffness, self.stiffness_tie)):
             matrix[known.first, known.second] += tie
             matrix[known.second, known.first] += tie
-        at = self.moved.phi[self.here]
-        parts = polynomial(self.force(1j * self.ends), self.ends)
-        return tuple(a + at.T @ part @ at for a, part in zip((mass, damping, stiffness), parts, strict=True))
+        inside = [(term, form) for term in self.terms if (form := resonator(term, self.forward.band)) is not None]
+        own = [term for term, _ in inside]
+        parts = polynomial(self.force(1j * self.ends, [t for t in self.terms if t not in own]), self.ends)
+        phi = self.moved.phi[:, some]
+        at, square = phi[self.here], np.ix_(some, some)
+        out = tuple(a[square] + at.T @ part @ at for a, part in zip((mass, damping, stiffness), parts, strict=True))
+        for term, form in inside:
+            out = with_inside(out, phi[list(term.places)], form)
+        return out
 
     @property
     def ends(self) -> Array:
@@ -178,10 +187,24 @@ class System:
         return 2 * np.pi * np.array(self.forward.band)
 
 
+def with_inside(matrices: Sequence[Array], at: Array, form: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """M, C, K (n, n) with the coordinates inside an effect more, given its shapes (places, n or fewer) and its own M, C, K."""
+    places, n, more = len(at), len(matrices[0]), len(form[0]) - len(at)
+    to = np.zeros((places + more, n + more))
+    to[:places, : at.shape[1]], to[places:, n:] = at, np.eye(more)
+    mass, damping, stiffness = (to.T @ part @ to for part in form)
+    for a, out in zip(matrices, (mass, damping, stiffness), strict=True):
+        out[:n, :n] += a
+    return mass, damping, stiffness
+
+
 def polynomial(z: Array, w: Array) -> tuple[Array, Array, Array]:
-    """M, C, K of a dynamic stiffness at two frequencies, exact where it is one of them, (2, k, k) → three (k, k)."""
+    """M, C, K of a dynamic stiffness at two frequencies, exact where it is one of them, (2, k, k) → three (k, k).
+
+    Else the dissipated force by least squares: loss that does not grow with frequency would be a damper without bound at a low one.
+    """
     mass = (z[0] - z[1]).real / (w[1] ** 2 - w[0] ** 2)
-    return mass, np.mean(z.imag / w[:, None, None], axis=0), z[0].real + w[0] ** 2 * mass
+    return mass, np.tensordot(w, z.imag, 1) / (w @ w), z[0].real + w[0] ** 2 * mass
 
 
 def eigenmodes(mass: Array, damping: Array, stiffness: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
+from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import MOST_CHI_SQUARE
 from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder, odds_text
@@ -92,13 +93,18 @@ def diagnose_modes(
             model = rest.idle
         lines = OperatingModes(model, operating, parts)
         where = None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)]
-        days = ModesCase(model, lines, band, spreads_of(between or {}), asked, where)
-        odds: float | None = None
+
+        def cases(model: Idle) -> list[Case]:
+            """Two days in a laboratory and one set-up, or what the test states."""
+            days = ModesCase(model, lines, band, spreads_of(between or {}), asked, where)
+            return [days] if between else [days, ModesCase(model, lines, band, SAME_SET_UP, asked, where, like=days)]
+
+        both, odds = cases(model), None
         if between:
-            found = search(days, say)
+            found = search(both[0], say)
         else:
-            one = ModesCase(model, lines, band, SAME_SET_UP, asked, where, like=days)
-            found, odds = search_both(days, one, say, 0.0 if rest is None else rest.state.alpha)
+            again = cases if kinds is None and places is None else None
+            found, odds = search_both(both[0], both[1], say, 0.0 if rest is None else rest.state.alpha, again)
         return _diagnosis(idle, with_validation(found), rest, geometry, odds)
 
 

@@ -22,6 +22,7 @@ from operando.diagnosis.search import DEPTH, HALVED, Found, remounted, search
 from operando.diagnosis.suggested import begun_with
 from operando.diagnosis.terms import Term
 from operando.diagnosis.unseen import with_unseen_motion
+from operando.diagnosis.verdict import supported
 from operando.threads import each
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
@@ -63,6 +64,10 @@ def search_both(
         return Found(alone, alone, {alone.key: alone}), -np.inf
     say("with nothing touched between the measurements:")
     rival = Rival(days, alone)
+    mode = None
+    if again is not None and not days.elsewhere and alone.alpha >= LOOSE:  # a mode that was measured, and stands for none predicted
+        mode = max((m for g in grown_by_a_mode([alone]) if (m := with_mode(g, again, rival.score, say))), key=_of_best, default=None)
+        rival.score = max(rival.score, -np.inf if mode is None else score(mode.best))
     same = search(one_set_up, say, rival, depth=depth)
     best = same.best
     known = [alone]
@@ -84,6 +89,9 @@ def search_both(
             say(f"its differences beyond those of laboratories as effects, with nothing touched: {back.log_evidence:.1f}")
             same = search(one_set_up, say, rival, start=Found(back, same.empty, same.pool | {back.key: back}), depth=depth)
             best = same.best
+    if mode is not None and _explains(mode.best, alone) and not (_explains(best, alone) and supported(best)):
+        # of what swings on its own operational modes tell no mass: as light as one likes, it brings its mode
+        return search(mode.best.case, say, start=mode), mode.odds or 0.0
     if _explains(best, alone) and not remounted(best):
         # the same effects on another day, and each left to what differs between days
         fewer = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
@@ -92,7 +100,7 @@ def search_both(
             return same, odds
     # where kinds or locations were asked for by name (no ``again``), what has none of them is no answer
     if again is not None and not _explains(best, alone):
-        other = no_effect_at_a_sensor(same, alone, rival, one_set_up, again, geometry, say)
+        other = no_effect_at_a_sensor(same, alone, rival, one_set_up, again, geometry, say) if days.elsewhere else None
         if other is not None:
             return other
         there = mode_with_nothing_touched(same, alone, rival, again, geometry, say)
@@ -108,6 +116,10 @@ def search_both(
         best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
     return (same if odds > 0 else found), odds
+
+
+def _of_best(found: Found) -> float:
+    return score(found.best)
 
 
 def back_to_one_set_up(case: Case, state: State, floor: float, beyond: float = PROMOTED) -> State | None:

@@ -1,4 +1,4 @@
-"""A mode that the idle model lacks: where one more pole takes most from the error, and its shape."""
+"""A mode that the idle model lacks: where one more pole takes most from the error, or a measured mode stands for none; and its shape."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.criteria import ROBUST
 from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.modes_case import ModesCase
 from operando.diagnosis.posterior import State
 from operando.synthesis import modal_kernel
 
@@ -22,6 +23,8 @@ _WIDE = 2.0  # standard deviation of its shape, over the rms of what is seen: no
 
 def with_lacking(state: State, hz: float | None = None) -> Idle | None:
     """The idle model with one more mode, at the pole whose free residues take most from what a state leaves; None where none takes any.
+
+    Of operational modes the one that is farthest from what stands for it.
 
     Parameters
     ----------
@@ -36,6 +39,8 @@ def with_lacking(state: State, hz: float | None = None) -> Idle | None:
         Its last mode is there only with its effect, ``lacking_term``.
     """
     case, forward = state.case, state.case.forward
+    if isinstance(case, ModesCase):
+        return _of_modes(state, case, hz)
     lines, measured, variance, level = case.lines.every
     error = measured - forward.predict(state.x, case.lines.w_all, derivatives=False).h
     # a line that one pole cannot explain must not rule
@@ -69,6 +74,18 @@ def with_lacking(state: State, hz: float | None = None) -> Idle | None:
     # a mode adds to its drive points; near a node there, what is left of other modes hides the sign, and the fit decides
     shape[forward.responses] = u[:, 0] * np.sqrt(s[0] * float(vh[0, columns] @ vh[0, columns]) / abs(across))
     return _grown(state, at, zeta, shape)
+
+
+def _of_modes(state: State, case: ModesCase, hz: float | None) -> Idle | None:
+    """One mode more for the measured one without which the others are nearest to predicted ones; its scale is that of the others."""
+    modes, forward = case.lines.sets[0], case.forward
+    k = forward.alone(state.x) if hz is None else int(np.argmin(np.abs(np.log(modes.f / hz))))
+    y = modes.shapes[:, k]
+    real = (y * np.exp(-0.5j * np.angle(np.sum(y**2)))).real
+    shape = np.zeros(forward.n_dofs)
+    others = np.linalg.norm(case.idle.phi[np.ix_(forward.responses, case.idle.modes)], axis=0)
+    shape[forward.responses] = real / np.linalg.norm(real) * np.median(others)
+    return _grown(state, float(modes.f[k]), float(modes.zeta[k]), shape)
 
 
 def _grown(state: State, hz: float, zeta: float, shape: Array) -> Idle:

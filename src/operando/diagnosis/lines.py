@@ -52,6 +52,7 @@ class Lines:
         If fewer than ``BLOCKS`` lines are finite.
     """
 
+    frequencies = 40  # trial ones of an absorber
     stride, sizes = 2, 24  # each second line is enough to rank candidates; trial sizes that meet every peak
 
     def __init__(

@@ -14,10 +14,11 @@ from operando.diagnosis.eigenmodes import Eigenmodes
 from operando.diagnosis.forward import Forward, Point, Scannable
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.operating_modes import OperatingModes
-from operando.diagnosis.terms import BY_SLOPE
+from operando.diagnosis.terms import SEARCHED
+from operando.structure.effects import kind_of
 
-TOLD_BY_MODES = (*BY_SLOPE, "global_stiffness", "global_damping")
-"""Kinds looked for in operational modes where the test file names none: those of one size."""
+TOLD_BY_MODES = tuple(kind for kind in SEARCHED if kind_of(kind).group == "structure")
+"""Kinds looked for in operational modes where the test file names none: all of the structure, none of sensors or forces."""
 
 
 class ModesCase(Case):
@@ -40,6 +41,7 @@ class ModesCase(Case):
 
     lines: OperatingModes  # type: ignore[assignment]
     forward: Eigenmodes
+    elsewhere = False
 
     def __init__(
         self,

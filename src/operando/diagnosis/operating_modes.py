@@ -113,10 +113,23 @@ class ModeSet:
         """
         if f.size < self.n:
             raise np.linalg.LinAlgError("fewer modes than were measured")
+        return np.asarray(linear_sum_assignment(self._apart(f, shapes))[1])
+
+    def alone(self, f: Array, shapes: Array) -> int:
+        """The mode without which the others lie nearest to some predicted ones."""
+        apart = self._apart(f, shapes)
+
+        def left(k: int) -> float:
+            cost = np.delete(apart, k, axis=0)
+            return float(cost[linear_sum_assignment(cost)].sum())
+
+        return min(range(self.n), key=left)
+
+    def _apart(self, f: Array, shapes: Array) -> Array:
+        """How far predicted modes are, (n, predicted)."""
         norm = np.maximum(np.linalg.norm(shapes, axis=0), 1e-300)
         mac = np.abs(self.shapes.conj().T @ shapes / norm) ** 2
-        cost = np.abs(np.log(self.f)[:, None] - np.log(f)) / NEAR_HZ + _FREQUENCY_OVER_MAC * (1 - mac)
-        return np.asarray(linear_sum_assignment(cost)[1])
+        return np.asarray(np.abs(np.log(self.f)[:, None] - np.log(f)) / NEAR_HZ + _FREQUENCY_OVER_MAC * (1 - mac))
 
 
 class OperatingModes:
@@ -149,7 +162,7 @@ class OperatingModes:
         If fewer than two DOFs or no mode in band is common to both states.
     """
 
-    stride, sizes = 1, 8  # every value counts in a scan; modes move smoothly with a size
+    stride, sizes, frequencies = 1, 8, 20  # every value counts in a scan; modes move smoothly with a size, and with what resonates
 
     def __init__(self, idle: Idle, whole: ModalModel, halves: Sequence[ModalModel] = ()) -> None:
         common = tuple(d for d in whole.dofs if any(d.same_axis(o) for o in idle.dofs))

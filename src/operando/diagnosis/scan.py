@@ -23,7 +23,7 @@ from operando.threads import each
 Array = NDArray[Any]
 
 _AT_ONCE, _PLACES = 128, 8  # responses to trial effects at a time; places whose trial effects are looked at together
-_SIZES, _FREQUENCIES = 8, 40  # trial sizes; trial frequencies of an absorber
+_SIZES = 8  # trial sizes
 _DAMPING = (0.01, 0.04, 0.1)  # trial damping ratios of an absorber
 _OTHER_FREQUENCY = 0.1  # of an absorber, as a logarithm: another start
 _TOP, _SLOPES = 24, 12  # candidates that are refined, and those told by their slope
@@ -57,7 +57,7 @@ def trials(case: Case, term: Term, count: int) -> list[Term]:
         return [Term(kind, (), (float(v),), sign) for v in sizes for sign in (1, -1)]
     low, high = case.size_range(kind, term.places)
     if kind == "tuned_absorber":
-        at = np.linspace(float(np.log(case.band[0])), float(np.log(case.band[1])), _FREQUENCIES)
+        at = np.linspace(float(np.log(case.band[0])), float(np.log(case.band[1])), case.lines.frequencies)
         return [term.moved((s, f, z)) for s in np.linspace(low, high, 3) for f in at for z in np.log((0.01, 0.05))]
     signs = (1, -1) if definition.removable or definition.coordinates == "separate" else (1,)
     further = [np.linspace(m - s, m + s, 3) for m, s in zip(*(v[1:] for v in case.prior(term)), strict=True)]
@@ -422,7 +422,7 @@ def grid(case: Case, place: Term) -> list[Term]:
     further: list[tuple[float, ...]] = [()]
     if place.kind == "tuned_absorber":
         low, high = np.log(case.band)
-        further = [(float(f), float(z)) for f in np.linspace(low, high, _FREQUENCIES) for z in np.log(_DAMPING)]
+        further = [(float(f), float(z)) for f in np.linspace(low, high, case.lines.frequencies) for z in np.log(_DAMPING)]
     elif means.size:
         further = [tuple(float(v) for v in row) for row in np.stack([means - stds, means, means + stds])]
     return [place.moved((0.0, *values)) for values in further]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from operando.dof import Dof
 from operando.structure.effects import Effect, EffectKind, Parameter, kind_of
@@ -234,6 +235,22 @@ def added_by_each(terms: Sequence[Term], w: Array, band: tuple[float, float]) ->
         if term.values[1:] not in units:
             units[term.values[1:]] = added(replace(term.moved((0.0, *term.values[1:])), sign=1), w, band)
     return np.stack([term.sign * np.exp(term.values[0]) * units[term.values[1:]] for term in terms], -1)
+
+
+def resonator(term: Term, band: tuple[float, float]) -> tuple[Array, Array, Array] | None:
+    """M, C, K of a kind that has coordinates of its own, as an absorber: over its places, then over these; None of other kinds."""
+    if not term.structural or isinstance(term.definition, FreeLaw):
+        return None
+    single = term.definition.coordinates == "difference"
+    size = 1 if single else len(term.places)
+    form = term.definition.quadratic(term.sizes(band), size)
+    if form is None or form.internal <= size:
+        return None
+    along = np.array([[1.0, -1.0][: len(term.places)]]) if single else np.eye(size)
+    to = block_diag(along, np.eye(form.internal - size))
+    sign = term.sign if term.definition.removable else 1
+    mass, damping, stiffness = (sign * to.T @ part @ to for part in (form.mass, form.damping, form.stiffness))
+    return mass, damping, stiffness
 
 
 def _proportional(kind: str) -> bool:
