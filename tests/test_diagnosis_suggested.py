@@ -50,12 +50,16 @@ def test_nothing_is_suggested_where_modes_do_not_tell(chain):
 def test_a_search_begins_with_what_is_suggested():
     """Without a step of its own (``depth=0``) it ends there; and no effect is begun with from none."""
     gains = 1 + 0.01 * np.random.default_rng(3).standard_normal(N)
-    both = (case(add_mass, gains=gains), case(add_mass, gains=gains, spreads=SAME_SET_UP))
-    mass = Term("point_mass", (1,), (float(np.log(0.2)),))
+
+    def heavy(m, c, k):  # beyond what days could be
+        m[1, 1] += 0.8
+
+    both = (case(heavy, gains=gains), case(heavy, gains=gains, spreads=SAME_SET_UP))
+    mass = Term("point_mass", (1,), (float(np.log(0.4)),))
     said = []
     found, odds = search_both(*both, said.append, depth=0, suggested=lambda: [Term("ground_spring", (2,), (6.0,)), mass])
     assert found.best.key == (("point_mass", (1,)),)
-    assert np.exp(found.best.terms[0].values[0]) == pytest.approx(0.4, abs=0.02)
+    assert np.exp(found.best.terms[0].values[0]) == pytest.approx(0.8, abs=0.02)
     assert odds < 0
     assert any("operational modes suggest" in line for line in said)
     alone, _ = search_both(*both, depth=0)

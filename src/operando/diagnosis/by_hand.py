@@ -12,7 +12,7 @@ from operando.diagnosis.applied import Applied, words_of
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE
 from operando.diagnosis.days import strained
 from operando.diagnosis.document import judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run, searched
@@ -100,12 +100,11 @@ def apply_effects(
         known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
         rest = None if idle_frf is None else at_rest(known, idle_frf, band)
         known = known if rest is None else rest.idle
-        correlated = CORRELATED_LINES if rest is None else rest.correlated
         known, places, geometry = _placed(known, wanted, geometry)
         kinds = searched(None, poor=rest is not None and rest.state.alpha > EXPLAINED)
 
         def of_check(model: Idle, spreads: Mapping[str, float]) -> Case:
-            return Case(model, run.frf, band, dict(spreads), kinds=kinds, correlated=correlated)
+            return Case(model, run.frf, band, dict(spreads), kinds=kinds)
 
         lacking = next((e for e in wanted if e.kind == "missing_mode"), None)
         if lacking is not None:

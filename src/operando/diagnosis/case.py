@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from operando.data import Frf
 from operando.diagnosis.between import SPREADS, Between
-from operando.diagnosis.criteria import CHANGES_DB, CORRELATED_LINES, FIT_LINES, LEAST_MOVE, REMOVED
+from operando.diagnosis.criteria import CHANGES_DB, FIT_LINES, LEAST_MOVE, REMOVED
 from operando.diagnosis.forward import Forward, Scannable
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lines import Lines
@@ -48,8 +48,8 @@ class Case:
         Kinds of effects looked for.
     places : sequence of int, optional
         DOFs where effects may be; default all.
-    correlated : float
-        Neighbouring lines over which the noise is alike.
+    correlated : float, optional
+        Neighbouring lines over which the noise is alike; default from the check itself.
     between : bool
         Whether lines validate that lie between those that are fitted.
     like : Case, optional
@@ -74,7 +74,7 @@ class Case:
         number: int = FIT_LINES,
         kinds: Sequence[str] = SEARCHED,
         places: Sequence[int] | None = None,
-        correlated: float = CORRELATED_LINES,
+        correlated: float | None = None,
         between: bool = False,
         like: Case | None = None,
     ) -> None:

@@ -15,7 +15,7 @@ from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import CORRELATED_LINES, EXPLAINED, ONE_SYSTEM
+from operando.diagnosis.criteria import EXPLAINED, ONE_SYSTEM
 from operando.diagnosis.days import unlike_days
 from operando.diagnosis.document import (
     between_rows,
@@ -133,7 +133,6 @@ def diagnose_frf(
         asked: dict[str, Any] = {
             "kinds": searched(kinds, rest is not None and rest.state.alpha > EXPLAINED),
             "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],
-            "correlated": CORRELATED_LINES if rest is None else rest.correlated,
         }
 
         def cases(model: Idle) -> list[Case]:

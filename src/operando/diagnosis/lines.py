@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import find_peaks
 
 from operando.data import Frf
 from operando.diagnosis.criteria import BLOCKS, CORRELATED_LINES, FIT_LINES, POOLED_LINES, VALIDATION_LINES
@@ -14,6 +16,11 @@ from operando.errors import DataError
 Array = NDArray[Any]
 _FLOOR_LINES = 25  # to each side, for the floor of the noise: wider than any peak
 _LEAST_VARIANCE = 1e-12  # of the mean of a pair: sums of its inverse keep four digits
+_ROUGH, _STEPS = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), (1, 4)  # difference of the fourth order; of lines so far apart
+_OWN = 0.1  # of the variance, that each line has of its own where lines are alike: of a local model of order 2 over 17 lines 0.08 by the
+# differences of neighbours, 0.12 by what a model leaves; beside it the correlation falls evenly to none at 11
+_MOST_ALIKE = 60  # lines over which noise can be alike
+_LEAST_BLOCK = 8  # lines from peak to peak
 _NOTHING = 1e12  # variance of a pair that was not measured, over the mean square of those that were
 
 
@@ -21,7 +28,8 @@ class Lines:
     """Lines where FRFs change, a level for the discrepancy, and two sets: to fit, and to validate.
 
     Each third block of lines validates, which tells what a model is worth where nothing was fitted; blocks at the ends of the band never
-    do. Or lines in between validate, so that each peak is fitted: where a model is to be known, a block may hold a whole mode.
+    do. Blocks end at the peaks, so that one flank of each is fitted: a mode that no line tells could be moved at will. Or lines in between
+    validate, so that both flanks are.
 
     Parameters
     ----------
@@ -31,8 +39,8 @@ class Lines:
         Hz, ratio.
     number : int
         Lines to fit.
-    correlated : float
-        Neighbouring lines over which the noise is alike.
+    correlated : float, optional
+        Neighbouring lines over which the noise is alike; default from the FRFs (:func:`alike_lines`).
     between : bool
         Whether lines in between validate.
 
@@ -61,10 +69,10 @@ class Lines:
         f: Array,
         zeta: Array,
         number: int = FIT_LINES,
-        correlated: float = CORRELATED_LINES,
+        correlated: float | None = None,
         between: bool = False,
     ) -> None:
-        self.f, self.zeta, self.correlated = f, zeta, correlated
+        self.f, self.zeta = f, zeta
         hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
         variance = (0.01 * np.abs(h)) ** 2 if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
         finite = np.isfinite(h) & np.isfinite(variance)
@@ -78,15 +86,21 @@ class Lines:
             )
         hz, h = hz[good], np.where(self.there, h[good], 0)
         variance = np.maximum(_pooled(np.where(self.there, variance[good], 1.0), np.abs(h) ** 2), 1e-8 * np.abs(h) ** 2)
+        told = frf.variance is not None
+        measured = h[:, self.there], variance[:, self.there]
+        self.correlated = correlated or (alike_lines(*measured) if told else CORRELATED_LINES)
         # a pair that was not measured weighs nothing
         variance = np.where(self.there, variance, _NOTHING * np.mean(np.abs(h[:, self.there]) ** 2))
-        block = np.minimum(np.arange(hz.size) * BLOCKS // hz.size, BLOCKS - 1)
+        block = _blocks(np.mean(np.log(np.maximum(np.abs(h[:, self.there]) ** 2, 1e-300)), axis=1), np.searchsorted(hz, f))
         change = np.median((np.abs(np.gradient(h, axis=0)) ** 2 / variance)[:, self.there], axis=1)
         density = np.convolve(change, np.ones(5) / 5, "same") ** 0.25
         level = np.sqrt(_mean(np.abs(h) ** 2, np.maximum(2, (0.01 * hz / np.median(np.diff(hz))).astype(int))))
 
+        self.band = float(hz[0]), float(hz[-1])
+        moves = np.gradient(self._warp(hz))  # each mode of the model as much, however narrow
+
         def some(at: Array, count: int) -> Array:
-            share = np.cumsum(0.6 * density[at] / density[at].sum() + 0.4 / at.size)
+            share = np.cumsum(0.6 * density[at] / density[at].sum() + 0.4 * moves[at] / moves[at].sum())
             return np.unique(at[np.searchsorted(share, (np.arange(count) + 0.5) / count * share[-1] * 0.999999)])
 
         if between:
@@ -95,23 +109,23 @@ class Lines:
             chosen = [np.delete(every, out), every[out]]
         else:
             chosen = [
-                some(np.flatnonzero((block % 3 == 1) == validates), n) for validates, n in ((False, number), (True, VALIDATION_LINES))
+                some(np.flatnonzero(((block % 3 == 1) & (block < block[-1])) == validates), n)
+                for validates, n in ((False, number), (True, VALIDATION_LINES))
             ]
         i = np.concatenate(chosen)
         self.fit, self.validation = np.split(np.arange(i.size), [chosen[0].size])
-        self.w, self.h, self.variance, self.level = 2 * np.pi * hz[i], h[i], variance[i], level[i]
         edges = np.flatnonzero(np.diff(block)) + 1
-        self.validation_hz = [(float(b[0]), float(b[-1])) for k, b in enumerate(np.split(hz, edges)) if k % 3 == 1]
+        self.validation_hz = [(float(b[0]), float(b[-1])) for k, b in enumerate(np.split(hz, edges)) if k % 3 == 1 and k < block[-1]]
+        self.w, self.h, self.variance, self.level = 2 * np.pi * hz[i], h[i], variance[i], level[i]
         self._number = i
         self._all = hz, h, variance, level
         self._bases: dict[tuple[int, ...], tuple[Array, Array]] = {}
-        self.band = float(hz[0]), float(hz[-1])
         self._warped = self._warp(hz[i])
 
     def alike(self, at: Array) -> Array:
         """Correlation of the noise of some lines, (lines, lines)."""
         line = self._number[at]
-        return np.asarray(np.maximum(0, 1 - np.abs(line[:, None] - line) / self.correlated) + 1e-9 * np.eye(at.size))
+        return _alike(np.abs(line[:, None] - line), self.correlated)
 
     def basis(self, at: Array) -> tuple[Array, Array]:
         """Independent combinations of some lines, and λ of their variances 1 + α²λ.
@@ -170,7 +184,8 @@ class Lines:
     def correlation(self, predicted: Array, alpha: float) -> float:
         """Neighbouring lines over which the noise is alike, from what a prediction on all lines (``w_all``) leaves.
 
-        1 + 2 Σ ρ_k of the residuals over their standard deviation, to the first below 0.1; single large ones cut to three.
+        1 + 2 Σ ρ_k of the residuals over their standard deviation, to the first below 0.1, without what each has of its own; single large
+        ones are cut to three.
         """
         _, h, variance, level = self._all
         left = (h - predicted) / np.sqrt(variance + (alpha * level) ** 2)
@@ -182,7 +197,7 @@ class Lines:
             if rho < 0.1:
                 break
             total += 2 * rho
-        return total
+        return max(CORRELATED_LINES, (total - _OWN) / (1 - _OWN))
 
     @property
     def every(self) -> tuple[Array, Array, Array, Array]:
@@ -201,6 +216,50 @@ class Lines:
         nearest = np.argmin(away, axis=1)
         width = np.maximum(np.abs(self.zeta[nearest]) * self.f[nearest], away.min(1) / 2)
         return np.asarray(np.interp(f, fine, np.concatenate([[0], np.cumsum(np.diff(fine) / width[1:])])))
+
+
+def alike_lines(h: Array, variance: Array) -> float:
+    """Neighbouring lines over which the noise of FRFs (lines, pairs) is alike, by their differences of the fourth order.
+
+    These take away what changes slowly, and the median over lines and pairs does without the peaks: from lines that follow each other, and
+    from each fourth. The variance of such a difference over that of a line is 70 where lines are independent, and less the farther they
+    are alike (:func:`_alike`). Where the FRFs themselves are seen in the differences, lines count as independent.
+    """
+    counts = np.arange(1.0, _MOST_ALIKE + 1)
+    missed = np.zeros(counts.size)
+    for step in _STEPS:
+        size = step * (_ROUGH.size - 1)
+        if len(h) <= size:
+            return CORRELATED_LINES
+        rough = sum(a * h[step * k : len(h) - size + step * k] for k, a in enumerate(_ROUGH))
+        middle = variance[size // 2 : len(h) - size + size // 2]
+        power = max(float(np.median(np.abs(rough) ** 2 / middle)) / np.log(2), 1e-300)  # a squared modulus is exponential
+        apart = step * np.abs(np.subtract.outer(np.arange(_ROUGH.size), np.arange(_ROUGH.size)))
+        wanted = [float(_ROUGH @ _alike(apart, c) @ _ROUGH) for c in counts]
+        missed += np.log(min(power, _ROUGH @ _ROUGH) / np.array(wanted)) ** 2
+    return float(counts[int(np.argmin(missed))])
+
+
+def _alike(apart: Array, count: float) -> Array:
+    """Correlation of the noise of lines so far apart: it falls evenly over ``count`` lines, beside what each line has of its own."""
+    return np.asarray(np.where(apart == 0, 1.0, (1 - _OWN) * np.maximum(0, 1 - apart / count)))
+
+
+def _blocks(level: Array, modes: Array) -> Array:
+    """Number of the block of each line, given the logarithm of the mean power of all FRFs, and the lines of the modes of the model.
+
+    Blocks end at the peaks (of 3 dB or more) and at the modes, and are no longer than the band over ``BLOCKS``.
+    """
+    count = level.size
+    smooth = np.convolve(np.pad(level, 1, "edge"), np.ones(3) / 3, "valid")
+    peaks, _ = find_peaks(smooth, prominence=np.log(2), distance=max(_LEAST_BLOCK, count // (4 * BLOCKS)))
+    ends = [0, count]
+    for line in [*peaks.tolist(), *modes.tolist()]:
+        if min(abs(line - end) for end in ends) >= _LEAST_BLOCK:
+            ends.append(line)
+    inner = [np.linspace(a, b, max(1, round((b - a) * BLOCKS / count)) + 1)[:-1] for a, b in pairwise(sorted(ends))]
+    starts = np.unique(np.concatenate(inner).astype(int))
+    return np.asarray(np.searchsorted(starts, np.arange(count), side="right") - 1)
 
 
 def _pooled(variance: Array, power: Array) -> Array:
