@@ -20,6 +20,7 @@ from operando.diagnosis.criteria import (
     EARNED,
     EXPLAINED,
     HOPELESS,
+    LEAST_CHANGE,
     LEAST_DISCREPANCY,
     LOOSE,
     POOLED_LINES,
@@ -36,11 +37,10 @@ from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.poles import with_straight_poles
-from operando.diagnosis.posterior import State, approach, at_rest, fit, names, on_validation_lines
+from operando.diagnosis.posterior import State, approach, at_rest, fit, names, on_validation_lines, unfitted
 from operando.diagnosis.problem import Problem
-from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
+from operando.diagnosis.rival import Rival, changes_too_little, fitted_if_can_be, score, started
 from operando.diagnosis.search import (
-    HALVED,
     MOST_SETTLED,
     RIVALS,
     WAYS,
@@ -48,7 +48,6 @@ from operando.diagnosis.search import (
     Search,
     Start,
     contained,
-    exchangeable,
     leaders,
     replaceable,
     search,
@@ -751,22 +750,41 @@ def test_values_out_of_the_range_of_a_kind_are_told_by_a_simpler_one():
     assert [t.kind for t in run.best().terms] == ["point_mass"]
 
 
-def test_an_effect_at_the_wrong_place_is_exchanged_once_the_other_is_there():
+@pytest.mark.parametrize(("change", "little"), [(0.9, True), (1.1, False)])
+def test_a_further_effect_that_changes_hardly_anything_is_none(change, little):
+    """Less than ``LEAST_CHANGE``, rms of the logarithms of all FRFs; of a single effect that is not asked."""
+
     def both(m, c, k):
         add_mass(m, c, k)
         add_damper(m, c, k)
 
-    run = Search(case(both), lambda text: None)
-    mass, damper = Term("point_mass", (2,), (float(np.log(0.4)),)), Term("ground_damper", (3,), (float(np.log(40.0)),))
-    run.fitted([Start(started(run.case, (mass, damper)), 0.1, run.case)])
-    wrong = run.best()
+    one = case(both, spreads=SAME_SET_UP)
+    first, w = Term("point_mass", (1,), (float(np.log(0.4)),)), one.lines.w[one.lines.fit[:: one.lines.stride]]
+    bare = one.forward.predict(started(one, (first,)), w, derivatives=False).h
+
+    def moved(size):
+        second = Term("ground_damper", (3,), (float(np.log(size)),))
+        h = one.forward.predict(started(one, (first, second)), w, derivatives=False).h
+        return second, float(np.sqrt(np.mean(np.abs(np.log(h / bare)) ** 2)))
+
+    _, unit = moved(1e-3)
+    second, changed = moved(1e-3 * change * LEAST_CHANGE / unit)
+    assert changed == pytest.approx(change * LEAST_CHANGE, rel=0.01)
+    assert changes_too_little(unfitted(one, started(one, (first, second)), 0.1)) == little
+    assert not changes_too_little(unfitted(one, started(one, (second,)), 0.1))
+    state = replace(unfitted(one, started(one, (first, second)), 0.1), log_evidence=0.0)
+    assert (score(state) == -np.inf) == little
+
+
+def test_a_search_looks_beside_what_was_suggested_where_that_explains_little():
+    """A wrong suggestion, better than nothing, would else be all that the search starts from."""
+    one = case(add_mass)
+    wrong = fit(one, started(one, (Term("ground_spring", (3,), (float(np.log(500.0)),)),)), 0.1)
+    bare = fit(one, one.forward.start, 0.1)
     assert wrong.alpha > LOOSE
-    assert exchangeable(wrong, replace(wrong, alpha=1.01 * wrong.alpha / HALVED))
-    assert not exchangeable(wrong, replace(wrong, alpha=0.99 * wrong.alpha / HALVED))
-    assert not exchangeable(replace(wrong, alpha=LOOSE), replace(wrong, alpha=1.0))
-    run.exchange(wrong)
-    assert {t.key for t in run.best().terms} == {("point_mass", (1,)), ("ground_damper", (3,))}
-    assert run.best().alpha < EXPLAINED
+    run = Search(one, lambda text: None, depth=1)
+    run.pool |= {s.key: s for s in (bare, replace(wrong, log_evidence=bare.log_evidence + 1e-3))}
+    assert [t.key for t in run.run().best.terms] == [("point_mass", (1,))]
 
 
 def test_a_start_without_derivatives_is_no_neighbourhood(monkeypatch):
@@ -906,6 +924,7 @@ def test_a_search_that_settles_on_nothing_ends(monkeypatch):
         asked.append(closely)
         x = replace(state.x, terms=(Term("point_mass", (1,), (0.0,)),) * len(asked))
         new = replace(state, x=x, log_evidence=state.log_evidence + 50.0 * len(asked))
+        new.least_change = 1.0
         self.pool[new.key] = new
         return [new]
 

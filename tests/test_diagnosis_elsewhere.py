@@ -8,18 +8,22 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, Geometry, ModalModel
-from operando.diagnosis import diagnose_frf
+from operando.diagnosis import diagnose_frf, hypotheses
 from operando.diagnosis.arrow import ROUNDING, Factor, Information
+from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
+from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
-from operando.diagnosis.hypotheses import _apart, grown_by_a_mode, with_mode
+from operando.diagnosis.hypotheses import _apart, grown_by_a_mode, search_elsewhere, with_mode
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import located, midway, with_midway
 from operando.diagnosis.posterior import fit
-from operando.diagnosis.rival import score
+from operando.diagnosis.rival import score, started
+from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
+from operando.diagnosis.sizes import _KNOWN, with_likely_sizes
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import unlike_neighbours, unseen
 from operando.dof import Dof
@@ -76,31 +80,43 @@ def test_how_shapes_move_is_the_derivative_of_where_they_are():
     np.testing.assert_allclose(slope, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
-def test_a_mass_between_sensors_is_found_there():
-    """A beam on two supports: its shapes are sines, so the truth between sensors is known."""
-    at, spot, mass = np.arange(1, 8) / 8, 5 / 16, 0.05
-    order, hz, zeta = np.arange(1, 5), np.array([10.0, 18.0, 27.0, 38.0]), 0.01
-    phi, here = np.sqrt(2) * np.sin(np.pi * np.outer(at, order)), np.sqrt(2) * np.sin(np.pi * spot * order)
-    dofs = tuple(Dof(i + 1, "Z", 1) for i in range(at.size))
-    line, w = 2 * np.pi * HZ[:, None], 2 * np.pi * hz
+AT, ORDER, FREE, ZETA = np.arange(1, 8) / 8, np.arange(1, 5), np.array([10.0, 18.0, 27.0, 38.0]), 0.01
+ON_BEAM = tuple(Dof(i + 1, "Z", 1) for i in range(AT.size))
+BEAM = Geometry(tuple(range(1, 8)), np.column_stack([AT, np.zeros(7), np.zeros(7)]))
+
+
+def shapes_of_beam(at):
+    """Of a beam on two supports: sines, so the truth between sensors is known."""
+    return np.sqrt(2) * np.sin(np.pi * np.multiply.outer(at, ORDER))
+
+
+def on_beam(spot, law):
+    """FRFs of the beam with a dynamic stiffness law(s) to ground at a spot."""
+    phi, here, line, w = shapes_of_beam(AT), shapes_of_beam(spot), 2 * np.pi * HZ[:, None], 2 * np.pi * FREE
     rng = np.random.default_rng(5)
+    k = 1 / (w**2 - line**2 + 2j * ZETA * w * line)
+    h, column = np.einsum("ir,nr,jr->nij", phi, k, phi[[1, 4]]), (phi[None] * k[:, None]) @ here
+    own, row = (k * here**2).sum(1), (here * k) @ phi[[1, 4]].T
+    z = law(1j * line[:, 0])
+    h = h - column[:, :, None] * (z / (1 + z * own))[:, None, None] * row[:, None]
+    h = np.moveaxis(-(line[:, :, None] ** 2) * h, 0, 2)
+    size = 2e-4 * np.sqrt(np.mean(np.abs(h) ** 2))
+    h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    return Frf(h, HZ, ON_BEAM, (ON_BEAM[1], ON_BEAM[4]), variance=np.full(h.shape, size**2))
 
-    def frf(grown):
-        k = 1 / (w**2 - line**2 + 2j * zeta * w * line)
-        h, column = np.einsum("ir,nr,jr->nij", phi, k, phi[[1, 4]]), (phi[None] * k[:, None]) @ here
-        own, row = (k * here**2).sum(1), (here * k) @ phi[[1, 4]].T
-        z = -grown * line[:, 0] ** 2
-        h = h - column[:, :, None] * (z / (1 + z * own))[:, None, None] * row[:, None]
-        h = np.moveaxis(-(line[:, :, None] ** 2) * h, 0, 2)
-        size = 2e-4 * np.sqrt(np.mean(np.abs(h) ** 2))
-        h = h + size * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-        return Frf(h, HZ, dofs, (dofs[1], dofs[4]), variance=np.full(h.shape, size**2))
 
-    std = np.r_[1e-5 * hz, np.full(4, 1e-5), np.full(28, 2e-4)]
-    model = ModalModel(hz, np.full(4, zeta), phi, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
-    known = Geometry(tuple(range(1, 8)), np.column_stack([at, np.zeros(7), np.zeros(7)]))
+def model_of_beam():
+    std = np.r_[1e-5 * FREE, np.full(4, 1e-5), np.full(28, 2e-4)]
+    zeta = np.full(4, ZETA)
+    return ModalModel(FREE, zeta, shapes_of_beam(AT), ON_BEAM, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
+
+
+def test_a_mass_between_sensors_is_found_there():
+    spot, mass = 5 / 16, 0.05
+    here, w = shapes_of_beam(spot), 2 * np.pi * FREE
+    run = CheckRun("run", "1 N", on_beam(spot, lambda s: mass * s**2))
     said = []
-    found = diagnose_frf(model, [CheckRun("run", "1 N", frf(mass))], idle_frf=frf(0.0), geometry=known, progress=said.append)
+    found = diagnose_frf(model_of_beam(), [run], idle_frf=on_beam(spot, lambda s: 0 * s), geometry=BEAM, progress=said.append)
     assert not any("another day" in line for line in said)  # where nothing was touched, what explains the lines spares that search
     assert found.verdict in ("explained", "ambiguous")
     [effect] = found.effects
@@ -112,6 +128,51 @@ def test_a_mass_between_sensors_is_found_there():
     assert found.model.covariance.shape == (4 + 4 + 32 + 1,) * 2
     wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(np.eye(4) + mass * np.outer(here, here), np.diag(w**2))).real) / 2 / np.pi
     np.testing.assert_allclose(np.sort(found.model.modes().frequencies_hz), np.sort(wanted), rtol=1e-3)
+
+
+def test_a_size_between_sensors_is_the_one_of_the_largest_evidence_with_it_held():
+    """With each second sensor the shape between them is hardly known: size and shape trade; the likeliest point has too large a size."""
+    spot, size, kept = 0.25, 400.0, [0, 2, 4, 6]
+    whole = model_of_beam()
+    std = np.r_[1e-5 * FREE, np.full(4, 1e-5), np.full(16, 2e-4)]
+    dofs, shapes = tuple(ON_BEAM[i] for i in kept), whole.shapes[kept]
+    few = ModalModel(FREE, whole.damping_ratios, shapes, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
+    wider = with_midway(Idle.of(few, BAND, [ON_BEAM[4]]), BEAM)
+    place = next(i for i, p in wider.midway.items() if p == pytest.approx((spot, 0.0, 0.0)))
+    one = Case(wider, on_beam(spot, lambda s: size * s).select(dofs, [ON_BEAM[4]]), BAND, SAME_SET_UP)
+    far = fit(one, started(one, (Term("ground_damper", (place,), (float(np.log(30 * size)),)),)), 0.03, closely=True)
+    found = with_likely_sizes(Found(far, far, {far.key: far})).best
+    std = float(np.sqrt(found.covariance[0, 0]))
+    assert found.terms[0].fixed == (0,)
+    assert np.log(size) < found.terms[0].values[0] < far.terms[0].values[0] < np.log(size) + 3 * std
+    assert std == pytest.approx(np.sqrt(found.sizes[0][0]), rel=1e-3)
+    assert std > _KNOWN
+    # of a valley that hardly bends the evidence is that of the whole, and so is the spread
+    assert found.log_evidence == pytest.approx(far.log_evidence, abs=0.2)
+    assert std == pytest.approx(np.sqrt(far.covariance[0, 0]), rel=0.1)
+    (effect,) = effects_of(found)
+    assert effect.std["damping"] == pytest.approx(effect.values["damping"] * std, rel=0.01)
+    # an effect at a sensor, and one whose size is known better, stay as they are
+    sensor = fit(one, started(one, (Term("ground_damper", (1,), (float(np.log(size)),)),)), 0.03)
+    assert with_likely_sizes(Found(sensor, sensor, {})).best is sensor
+
+
+@pytest.mark.parametrize(("count", "worth", "taken"), [(2, 40.0, False), (1, 40.0, True), (1, -WAYS + 1, True), (1, -WAYS - 1, False)])
+def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count, worth, taken):
+    """Where effects at sensors explain the lines: their shapes are known, so no as many elsewhere take their place; one does for two."""
+    idle = SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})
+    at_sensors = SimpleNamespace(
+        terms=(Term("ground_damper", (1,), (1.0,)), Term("ground_damper", (2,), (1.0,))), alpha=1e-3, log_evidence=0.0
+    )
+    elsewhere = SimpleNamespace(terms=tuple(Term("ground_damper", (9 + i,), (1.0,)) for i in range(count)), alpha=1e-3, log_evidence=worth)
+    monkeypatch.setattr(hypotheses, "with_midway", lambda *args: idle)
+    monkeypatch.setattr(hypotheses, "search", lambda *args, **how: SimpleNamespace(best=elsewhere))
+    monkeypatch.setattr(hypotheses, "with_likely_sizes", lambda found, say: found)
+    monkeypatch.setattr(hypotheses, "score", lambda state: state.log_evidence)
+    empty = SimpleNamespace(case=SimpleNamespace(uncompressed=SimpleNamespace(midway={})))
+    found = SimpleNamespace(best=at_sensors, empty=empty)
+    best, _ = search_elsewhere(found, 10.0, lambda idle: [None, None], BEAM, lambda text: None, 1, False)
+    assert (best.best is elsewhere) == taken
 
 
 def test_places_between_sensors_are_those_of_neighbours_with_what_they_suggest():
@@ -334,3 +395,14 @@ def test_an_information_that_rounding_made_singular_is_factored():
     factor = Factor.of(Information.of(shared, own), np.array([1e-9]), np.ones((1, 2)))
     assert ROUNDING < 1e-12
     assert np.isfinite(factor.lower).all()
+
+
+def test_an_effect_between_sensors_is_tried_at_the_places_beside_it():
+    """The nearest ones of the same axis (``_BESIDE``); one at a sensor, whose shapes are known, stays there."""
+    wider = with_midway(Idle.of(identified(), BAND, [DOFS[0], DOFS[3]]), LINE)
+    run = Search(Case(wider, check_of(add_mass).frf, BAND, SAME_SET_UP), lambda text: None)
+    beside = run.beside(Term("point_mass", (N,), (-1.0,)))
+    assert [wider.midway[t.places[0]][0] for t in beside] == [1.5, 2.5, 3.5]
+    assert len(beside) <= _BESIDE
+    assert {(t.kind, t.values) for t in beside} == {("point_mass", (-1.0,))}
+    assert run.beside(Term("point_mass", (1,), (-1.0,))) == []

@@ -31,9 +31,9 @@ def effects_of(state: State, terms: Sequence[Term] | None = None) -> tuple[Effec
     """
     std = np.sqrt(np.diag(state.covariance)) if state.problem.n_values else np.zeros(0)
     out, at = [], 0
-    for term in state.terms:
+    for number, term in enumerate(state.terms):
         scaled = term.structural or term.kind.endswith("_gain")  # on a logarithmic scale
-        if scaled and 0 not in term.fixed:
+        if scaled and (0 not in term.fixed or number in state.sizes):
             std[at] = np.hypot(std[at], state.alpha)
         if terms is None or term in terms:
             idle = state.case.idle

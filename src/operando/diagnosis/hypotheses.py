@@ -18,7 +18,8 @@ from operando.diagnosis.midway import midway, with_midway
 from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_scan
-from operando.diagnosis.search import DEPTH, HALVED, Found, remounted, search
+from operando.diagnosis.search import DEPTH, WAYS, Found, remounted, search
+from operando.diagnosis.sizes import with_likely_sizes
 from operando.diagnosis.suggested import begun_with
 from operando.diagnosis.terms import Term
 from operando.diagnosis.unseen import with_unseen_motion
@@ -28,6 +29,9 @@ from operando.threads import each
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
 _SOME = 1.0  # spreads of a difference between days from which the effect of its name is tried where nothing was touched
 _ROUGH = 0.05  # discrepancy that such a fit begins with
+_HALVED = (
+    0.5  # of the discrepancy that effects leave, from which a force law of no kind is no answer: small differences between days may be
+)
 _ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
 
 
@@ -160,7 +164,7 @@ def no_effect_at_a_sensor(
         odds = score(named.best) - rival.asked([named.best.terms], named.best.alpha, named.best.log_evidence)
         if _explains(named.best, alone) and odds > EARNED:
             return named, odds
-    if law is not None and law.alpha < HALVED * best.alpha:  # else small differences between days may be what both leave
+    if law is not None and law.alpha < _HALVED * best.alpha:  # else small differences between days may be what both leave
         odds = score(law) - max(score(best), rival.asked([best.terms] if best.terms else [], best.alpha))
         if odds > EARNED:
             return replace(found, unnamed=law), odds
@@ -219,7 +223,7 @@ def with_nothing_touched(
         return None
     say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
     rival = Rival(days, alone)
-    there = search(one_set_up, say, rival, depth=1)
+    there = with_likely_sizes(search(one_set_up, say, rival, depth=1), say)
     best = there.best
     if not _explains(best, alone) or not wider.midway.keys() & {i for t in best.terms for i in t.places}:
         return None
@@ -272,7 +276,11 @@ def search_elsewhere(
         else:  # where effects are found that explain the lines, by the hypothesis that they are of
             known_spreads = places > 1 and (bool(found.best.terms) or found.best.alpha >= EXPLAINED)
             other = search(cases[1 if same else 0], say, depth=places, own_spreads=not known_spreads)
-        if score(other.best) > score(best.best) and any(t.places and t.places[0] in wider.midway for t in other.best.terms):
+        other = with_likely_sizes(other, say)
+        bar = score(best.best)
+        if places == 1:  # what is there explains the lines, with shapes that are known: one effect is an answer where it stands for several
+            bar = bar - WAYS if len(other.best.terms) < len(best.best.terms) and other.best.alpha < EXPLAINED else np.inf
+        if score(other.best) > bar and any(t.places and t.places[0] in wider.midway for t in other.best.terms):
             best, odds = other, its_odds
     if modes:
         # what the idle model leaves as it is, and as the check moved it: where days differ, peaks aside leave most

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -52,8 +52,10 @@ class State:
     log_evidence: float
     factor: Factor
     problem: Problem = field(repr=False)
+    sizes: Mapping[int, tuple[float, Array]] = field(default_factory=dict)  # variance of sizes held, and how all values follow each
     scanned: bool = False
     robustly: bool = False
+    least_change: float | None = field(default=None, init=False, repr=False)  # of the FRFs by one of its effects, once it is asked for
     _validated: tuple[float, float] | None = field(default=None, init=False, repr=False)
 
     @property
@@ -72,7 +74,10 @@ class State:
     def covariance(self) -> Array:
         """Of the effects' values on the search scale."""
         first, size = self.problem.values_at, self.problem.n_values
-        return self.factor.shared_covariance(first)[:size, :size]
+        out = self.factor.shared_covariance(first)[:size, :size]
+        for variance, moves in self.sizes.values():
+            out = out + variance * np.outer(moves, moves)
+        return out
 
     def carried(self, terms: Sequence[Term], x: Point | None = None) -> Point:
         """Its unknowns where other effects act: the same u at the same places, zero at new ones."""

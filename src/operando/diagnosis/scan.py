@@ -280,8 +280,8 @@ class LinearScan:
         at = self.problem.values_at + sum(len(t.values) for t in self.x.terms[: self.x.terms.index(term)])
         return np.asarray(self.shared[..., at : at + 1] * (term.values[0] if term.linear else 1.0))
 
-    def exchanged(self) -> list[Candidate]:
-        """Candidates about a state that was not fitted, as one with an effect taken out: by their responses to trial sizes."""
+    def at_trial_sizes(self) -> list[Candidate]:
+        """Candidates about a point that was not fitted, by their responses to trial sizes."""
         return _best_of_each(self._by_trials(self.case.candidates(self.x.terms)))
 
     def _by_trials(self, places: Sequence[Term]) -> list[Candidate]:
