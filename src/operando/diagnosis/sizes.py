@@ -80,7 +80,7 @@ def at_likely_size(state: State, number: int) -> State:
     best = max(known, key=lambda s: known[s])
     around = [best - step, best, best + step]
     low, top, high = (known[s] if s in known else evidence(s) for s in around)
-    if best not in held:
+    if not np.isfinite((low, top, high)).all():  # a size beside it leads to numbers that cannot be
         return state
     curvature = max((2 * top - low - high) / step**2, _WIDEST**-2)
     likely = best + float(np.clip((high - low) / (2 * step) / curvature, -step, step))
