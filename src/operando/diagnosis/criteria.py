@@ -9,7 +9,7 @@ BLOCKS = 18
 """Blocks of lines, each third of which validates: about one a mode of the cases in ``benchmarks/hidden_effects``."""
 
 CORRELATED_LINES = 1.0
-"""Neighbouring lines over which noise is alike where no FRFs at rest tell: of plain averages 1, of a local model of order 2 over 17 lines
+"""Neighbouring lines over which noise is alike where FRFs bring no variance: of plain averages 1, of a local model of order 2 over 17 lines
 6 to 9 (``benchmarks/hidden_effects``); white noise taken for alike over 6 lines counts as a misfit of 0.5 %, the other way round the lines
 chosen stand apart."""
 
