@@ -387,6 +387,10 @@ def test_what_swings_and_weighs_next_to_nothing_is_a_mode_more():
     found = diagnose_modes(idle_of(c), measured(*swinging(c, "4+Z", 1e-4, 75.0, 0.012)))
     assert [e.kind for e in found.effects] == ["missing_mode"]
     assert found.effects[0].values["frequency"] == pytest.approx(75.0, rel=2e-3)
+    # nor is it ruled out: the verdict names both, and what tells them apart
+    assert found.verdict == "ambiguous"
+    assert ("tuned_absorber", "4+Z") in [(e.kind, e.place) for e in found.ambiguous_with]
+    assert "4+Z" in found.proposed_measurement
 
 
 def test_nothing_is_found_where_nothing_is_hidden():

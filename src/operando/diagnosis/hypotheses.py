@@ -92,8 +92,9 @@ def search_both(
             same = search(one_set_up, say, rival, start=Found(back, same.empty, same.pool | {back.key: back}), depth=depth)
             best = same.best
     if mode is not None and _explains(mode.best, alone) and not (_explains(best, alone) and supported(best)):
-        # of what swings on its own operational modes tell no mass: as light as one likes, it brings its mode
-        return search(mode.best.case, say, start=mode), mode.odds or 0.0
+        # of what swings on its own operational modes tell no mass: as light as one likes, it brings its mode, and stays a second answer
+        answer, swinging = search(mode.best.case, say, start=mode), same.pool if _explains(best, alone) else {}
+        return replace(answer, pool=answer.pool | {k: s for k, s in swinging.items() if _explains(s, alone)}), mode.odds or 0.0
     if _explains(best, alone) and not remounted(best):
         # the same effects on another day, and each left to what differs between days
         fewer = {best.terms, *(tuple(t for t in best.terms if t is not one) for one in best.terms)} - {()}
