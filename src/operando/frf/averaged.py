@@ -10,6 +10,7 @@ import numpy as np
 from operando.data import Finding
 from operando.dof import Node
 from operando.errors import DataError
+from operando.frf.cut_off import with_whole_decays
 from operando.frf.estimators import estimate
 from operando.frf.impact import ImpactBlocks, impact_spectra
 from operando.frf.inputs import RunInput
@@ -18,6 +19,7 @@ from operando.frf.runs import RunEstimate, coherence_of, same_references
 from operando.frf.spectra import CrossSpectra, block_starts, cross_spectra
 
 FEW_AVERAGES = 4.0
+_SAID = 1e-4  # part of its amplitude that a peak lost to the length of blocks, from which its history names it
 
 
 def _lines(band: tuple[float, float] | None, sampling_hz: float, block: int) -> slice | None:
@@ -56,6 +58,7 @@ def averaged_run(
         spectra, rate = impact_spectra(record, run.forces[0], responses, blocks, window=window, end=end, lines=lines, bad=run.bad)
         run = replace(run, responses=tuple(responses))
         how = f"hits={spectra.blocks}, block_seconds={block / record.sampling_hz:g}, window={window!r}"
+        used = np.array([s for s in blocks.starts if not any(s <= last and s + block > begin for begin, last in run.bad)])
     else:
         spectra = cross_spectra(
             record.data,
@@ -74,6 +77,10 @@ def averaged_run(
     if spectra.averages <= len(run.forces):
         variance = roughness_variance(h, force_power=np.real(np.einsum("jjl->jl", spectra.force)))
         coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
+    if blocks is not None and not rate:
+        force = np.asarray(record.data[run.forces[0]], float) - blocks.hits.offset
+        h[:, 0], put_right = with_whole_decays(spectra.frequencies_hz, h[:, 0], variance[:, 0], force, used, block, record.sampling_hz)
+        how += "".join(f", cut off at {hz:.4g} Hz and put back: {100 * part:.1g} %" for hz, part in put_right if part > _SAID)
     with np.errstate(divide="ignore"):
         gain = spectra.averages / inverse
     findings = (*run.findings, *_average_findings(run, spectra, condition))

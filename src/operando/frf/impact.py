@@ -271,6 +271,6 @@ def overlap_finding(blocks: ImpactBlocks, name: str | None, dof: str, whole_reco
         dof=dof,
         consequence="the whole record is used with its transient"
         if whole_record
-        else "blocks at the hits hold the end of the hit before: the FRF is biased",
+        else "blocks at the hits hold the end of the hit before; what follows from the poles of the peaks is taken off",
         action="" if whole_record else "leave estimator and hits at auto, or wait longer between hits",
     )

@@ -1,0 +1,110 @@
+"""What blocks at hits cut off, and what rings into them from the hits before: put right by the poles of the peaks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from operando.frf.leakage import Peak, resonance_peaks
+
+Array = NDArray[Any]
+
+LEAST = 1e-5
+"""Part of its amplitude that a peak must keep at the end of a block to be put right: far below any noise."""
+_LINES, _WIDTHS = 5.5, 2.5  # half the stretch that a pole is fitted to: lines, or half-power bandwidths where these are more
+_PASSES = 3  # each takes the error down by the part that is cut off
+
+
+def with_whole_decays(
+    frequencies_hz: ArrayLike,
+    h: Array,
+    variance: Array,
+    force: Array,
+    starts: NDArray[np.intp],
+    block: int,
+    sampling_hz: float,
+) -> tuple[Array, list[tuple[float, float]]]:
+    """FRFs of hits without the error of what their blocks cut off, and of what rings into them from the hits before.
+
+    Of a mode with the pole p = exp(λΔt), whose motion is y[n] = p·y[n−1] + f[n], a block of N samples from s holds
+
+        Y(z) (1 − p/z) = F(z) + p·(y[s−1] − y[s+N−1])        at the lines of the block, where z^N = 1:
+
+    the error has the pole of the mode itself, and the force alone tells how large it is against the response. Poles and residues are fitted
+    to the lines around each peak, all responses together.
+
+    Parameters
+    ----------
+    frequencies_hz : (n_lines,) array
+        Lines of the blocks [Hz].
+    h, variance : (n_responses, n_lines) arrays
+        FRFs averaged over the blocks (H1), and their variance.
+    force : (n_samples,) array
+        The whole record, without offset: hits that are not used ring on as well.
+    starts : array of int
+        First sample of each block.
+    block : int
+        Samples a block.
+    sampling_hz : float
+
+    Returns
+    -------
+    h : (n_responses, n_lines) array
+    said : list of (float, float)
+        Of each peak put right its frequency [Hz], and the part of its amplitude that was wrong.
+    """
+    f = np.asarray(frequencies_hz, float)
+    seconds = block / sampling_hz
+    peaks = [p for p in resonance_peaks(f, h[:, None], variance[:, None]) if np.exp(-np.pi * p.bandwidth_hz * seconds) > LEAST]
+    if not peaks:
+        return h, []
+    lines = np.rint(f * seconds).astype(int)
+    spectra = np.array([np.fft.rfft(force[s : s + block])[lines] for s in starts])
+    power = np.maximum(np.sum(np.abs(spectra) ** 2, axis=0), 1e-300)
+    out, said = h, {}
+    for _ in range(_PASSES):
+        wrong = np.zeros_like(h)
+        for peak in peaks:
+            pole, residue = _pole_and_residues(f, out, variance, peak, peaks, _WIDTHS * peak.bandwidth_hz, _LINES / seconds)
+            if not pole.real < 0 or np.exp(pole.real * seconds) < LEAST or not f[0] <= pole.imag / (2 * np.pi) <= f[-1]:
+                continue
+            p = np.exp(pole / sampling_hz)
+            y = np.append(lfilter([1.0], [1.0, -p], force.astype(complex)), 0.0)  # the motion before the first sample is none
+            part = (p * (y[starts - 1] - y[starts + block - 1])) @ spectra.conj() / power
+            wrong += residue[:, None] * part / (2j * np.pi * f - pole)
+            said[peak.frequency_hz] = float(np.abs(np.interp(peak.frequency_hz, f, np.abs(part))))
+        out = h - wrong
+    return out, sorted(said.items())
+
+
+def _pole_and_residues(
+    f: Array, h: Array, variance: Array, peak: Peak, peaks: list[Peak], widths: float, lines: float
+) -> tuple[complex, Array]:
+    """Pole [rad/s] and residues of a peak: by least squares of all responses, beside its neighbours and a parabola."""
+    far = max(widths, lines)
+    near = np.abs(f - peak.frequency_hz) < far
+    inside = [q for q in peaks if abs(q.frequency_hz - peak.frequency_hz) < far]
+    w = 2 * np.pi * f[near]
+    across = (f[near] - peak.frequency_hz) / far
+    weight = 1 / np.sqrt(np.maximum(np.mean(variance[:, near], axis=1), 1e-12 * np.mean(np.abs(h[:, near]) ** 2, axis=1) + 1e-300))
+    rows = (h[:, near] * np.where(np.isfinite(weight), weight, 0.0)[:, None]).T
+    first = np.array([-np.pi * q.bandwidth_hz + 2j * np.pi * q.frequency_hz for q in inside])
+    unit = np.abs(first.real)
+
+    def poles(x: Array) -> Array:
+        return np.asarray(first + unit * (x[::2] + 1j * x[1::2]))
+
+    def basis(pole: Array) -> Array:
+        return np.concatenate([unit / (1j * w[:, None] - pole), across[:, None] ** np.arange(3)], axis=1)
+
+    def left(x: Array) -> Array:
+        q = np.linalg.qr(basis(poles(x)))[0]
+        return np.ascontiguousarray(rows - q @ (q.conj().T @ rows)).view(float).ravel()
+
+    found = poles(least_squares(left, np.zeros(2 * len(inside)), max_nfev=30).x)
+    k = inside.index(peak)
+    return complex(found[k]), np.asarray(unit[k] * np.linalg.lstsq(basis(found), h[:, near].T, rcond=None)[0][k])
