@@ -109,6 +109,7 @@ class Case:
         self.nodes = [tuple(v) for v in nodes.values()]
         self.allowed = tuple(range(len(self.dofs))) if places is None else tuple(places)
         self._ranges: dict[tuple[str, tuple[int, ...]], tuple[float, float]] = {} if like is None else like._ranges
+        self.like = like
         self.at_rest: dict[str, Any] = {} if like is None else like.at_rest  # scans about the model as it is, whatever the spreads
         self._base: tuple[Array, Scannable] | None = None
         self._places: Counter[str] = Counter()

@@ -341,11 +341,14 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
 
 
 def between_sensors(state: State, geometry: Geometry | None) -> bool:
-    """Whether effects stand at both sensors beside a place: one effect between them moves both."""
-    if geometry is None or len(state.terms) < 2:
+    """Whether several effects stand at the sensors beside a place, and at both: one effect between them moves both."""
+    if geometry is None:
         return False
-    at = {i for t in state.terms for i in t.places}
-    return any(set(place.ends) <= at for place in midway(state.case.dofs, geometry))
+    for place in midway(state.case.dofs, geometry):
+        beside = [set(t.places) for t in state.terms if set(t.places) & set(place.ends)]
+        if len(beside) > 1 and set(place.ends) <= set().union(*beside):
+            return True
+    return False
 
 
 def _apart(state: State) -> bool:

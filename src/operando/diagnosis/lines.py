@@ -61,7 +61,8 @@ class Lines:
     """
 
     frequencies = 40  # trial ones of an absorber
-    stride, sizes = 2, 24  # each second line is enough to rank candidates; trial sizes that meet every peak
+    stride, rough = 2, 4  # each second line ranks candidates about a state, each fourth those about what is not fitted yet
+    sizes = 24  # trial ones, that meet every peak
 
     def __init__(
         self,

@@ -240,10 +240,10 @@ def with_discrepancy(state: State, alpha: float) -> State:
 
 def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
     """Robust way from a start to the neighbourhood of a fit: Student weights, damped steps. Its cost, and where it ends."""
-    problem = Problem(case, start.terms, case.lines.fit[:: case.lines.stride])
-    x, damping = problem.packed(start), 1.0
-    lines = case.lines
+    lines, damping, now = case.lines, 1.0, np.inf
     for alpha in _APPROACH:
+        problem = Problem(case, start.terms, lines.fit[:: lines.stride if alpha == _APPROACH[-1] else lines.rough])
+        x = problem.packed(start)
         noise = lines.correlated / 2 * lines.variance[problem.at] + alpha**2 * lines.level[problem.at] ** 2
 
         def cost(h: Array, x: Step, noise: Array = noise) -> float:
@@ -273,7 +273,8 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
             x, h, damping, gain, now = there, ahead, damping / 10, now - new, new
             if gain < max(NEAR, 1e-3 * abs(now + gain)):
                 break
-    return now, problem.point(x)
+        start = problem.point(x)
+    return now, start
 
 
 def on_validation_lines(state: State) -> tuple[float, float]:

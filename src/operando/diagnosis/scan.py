@@ -112,7 +112,7 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
     places : sequence of Term, optional
         Kinds at places; default all.
     """
-    at, forward = case.lines.fit[:: case.lines.stride], case.forward
+    at, forward = case.lines.fit[:: case.lines.rough], case.forward
     w, measured = case.lines.w[at], case.lines.h[at]
     state = forward.scannable(x, w)
     root = 1 / np.sqrt(case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)
@@ -172,13 +172,14 @@ class LinearScan:
     """
 
     def __init__(self, state: State, x: Point | None = None, held: Term | None = None) -> None:
-        """Of a state, or about another point; values of the effect ``held`` stay as they are."""
+        """Of a state, or about another point, on fewer lines; values of the effect ``held`` stay as they are."""
         case = self.case = state.case
         self.fitted = state
         self.x = state.x if x is None else x
-        self.at = case.lines.fit[:: case.lines.stride]
+        self.stride = case.lines.stride if x is None else case.lines.rough
+        self.at = case.lines.fit[:: self.stride]
         self.w = case.lines.w[self.at]
-        problem = self.problem = Problem(case, self.x.terms, self.at, case.lines.stride)
+        problem = self.problem = Problem(case, self.x.terms, self.at, self.stride)
         packed = self.packed = problem.packed(self.x)
         shared, own, _ = problem.derived(packed)
         self.state = case.forward.scannable(self.x, self.w)
@@ -242,7 +243,7 @@ class LinearScan:
 
     def _about(self, x: Point) -> float:
         """Evidence of the model that is linear about a point, but for a constant."""
-        problem = Problem(self.case, x.terms, self.at, self.case.lines.stride)
+        problem = Problem(self.case, x.terms, self.at, self.stride)
         packed = problem.packed(x)
         try:
             with np.errstate(all="ignore"):

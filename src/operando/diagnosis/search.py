@@ -224,7 +224,12 @@ class Search:
                 if not self.own_spreads:
                     self.pool[state.key] = state
             if self.own_spreads:
-                self.fitted([Start(s.x, s.alpha, s.case) for s in states])
+                starts = [Start(s.x, s.alpha, s.case) for s in states]
+                # with nothing touched wider spreads lift no state to another: the rest is held against the best
+                ahead = 1 if self.case.like is not None else len(starts)
+                for some in (starts[:ahead], starts[ahead:]):
+                    if some:
+                        self.fitted(some)
                 self.pool = self.pool or {first.best.key: first.best}
                 for key, state in self.pool.items():  # the idle model that it is about is the same
                     state.robustly = key in first.pool and first.pool[key].robustly
