@@ -40,6 +40,7 @@ from operando.diagnosis.poles import with_straight_poles
 from operando.diagnosis.posterior import State, approach, at_rest, fit, names, on_validation_lines, unfitted
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import Rival, changes_too_little, fitted_if_can_be, score, started
+from operando.diagnosis.scan import robust_scan
 from operando.diagnosis.search import (
     MOST_SETTLED,
     RIVALS,
@@ -932,6 +933,35 @@ def test_a_search_that_settles_on_nothing_ends(monkeypatch):
     monkeypatch.setattr(Search, "unsure", lambda self, state: [])
     Search(days, lambda text: None, Found(state, state, {(): state}), own_spreads=True, depth=0).run()
     assert asked == [False] + [True] * MOST_SETTLED
+
+
+def test_with_spreads_estimated_states_are_held_against_the_best_where_nothing_was_touched(monkeypatch):
+    """On another day wider spreads may lift any of them over it, so each is fitted to its end."""
+    days = case(add_mass)
+    same = case(add_mass, spreads=SAME_SET_UP, like=days)
+    calls = []
+    monkeypatch.setattr(Search, "fitted", lambda self, starts, closely=False: calls.append(len(starts)) or [])
+    monkeypatch.setattr(Search, "_settle", lambda self: None)
+    for one, wanted in ((days, [2]), (same, [1, 1])):
+        empty = fit(one, one.forward.start)
+        mass = replace(empty, x=replace(empty.x, terms=(Term("point_mass", (1,), (0.0,)),)), log_evidence=empty.log_evidence + 50)
+        calls.clear()
+        Search(one, lambda text: None, Found(mass, empty, {s.key: s for s in (mass, empty)}), own_spreads=True, depth=0).run()
+        assert calls[: len(wanted)] == wanted
+
+
+@pytest.mark.parametrize("change", [add_mass, add_damper])
+def test_each_fourth_line_ranks_candidates_as_all_lines_do(change, monkeypatch):
+    """``rough``: the location and the size found robustly about the idle model, and where the robust way to its fit ends."""
+    one = case(change)
+    few = robust_scan(one, one.forward.start)
+    way = approach(one, started(one, (few[0][1],)))[1]
+    monkeypatch.setattr(type(one.lines), "rough", 1)
+    every = robust_scan(one, one.forward.start)
+    assert few[0][1].key == every[0][1].key
+    assert few[0][1].values[0] == pytest.approx(every[0][1].values[0], abs=0.5)
+    exact = approach(one, started(one, (every[0][1],)))[1]
+    assert way.terms[0].values[0] == pytest.approx(exact.terms[0].values[0], abs=0.02)
 
 
 def test_one_set_up_is_given_up_where_no_second_effect_takes_half_of_what_is_left():

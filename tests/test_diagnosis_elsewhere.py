@@ -15,7 +15,7 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
-from operando.diagnosis.hypotheses import _apart, grown_by_a_mode, search_elsewhere, with_mode
+from operando.diagnosis.hypotheses import _apart, between_sensors, grown_by_a_mode, search_elsewhere, with_mode
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import located, midway, with_midway
@@ -173,6 +173,22 @@ def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count
     found = SimpleNamespace(best=at_sensors, empty=empty)
     best, _ = search_elsewhere(found, 10.0, lambda idle: [None, None], BEAM, lambda text: None, 1, False)
     assert (best.best is elsewhere) == taken
+
+
+@pytest.mark.parametrize(
+    ("terms", "asked"),
+    [
+        ([("point_mass", (1,)), ("point_mass", (2,))], True),
+        ([("ground_spring", (1,)), ("coupling_spring", (1, 2))], True),
+        ([("coupling_spring", (1, 2)), ("ground_spring", (4,))], False),  # one effect alone joins the two sensors
+        ([("coupling_spring", (1, 2))], False),
+        ([("point_mass", (1,)), ("point_mass", (3,))], False),
+    ],
+)
+def test_one_effect_between_sensors_is_looked_for_where_several_stand_beside_its_place(terms, asked):
+    state = SimpleNamespace(terms=tuple(Term(kind, places, (0.0,)) for kind, places in terms), case=SimpleNamespace(dofs=DOFS))
+    assert between_sensors(state, LINE) == asked
+    assert not between_sensors(state, None)
 
 
 def test_places_between_sensors_are_those_of_neighbours_with_what_they_suggest():

@@ -171,8 +171,8 @@ def no_effect_at_a_sensor(
     if hidden is None:
         return None
     if geometry is not None and len(hidden.terms) == 1:  # it may be that of a place between sensors, whose shapes are nearly known
-        there = with_nothing_touched(found, alone, again, geometry, say, led=False)
-        if there is not None and score(there[0].best) > score(hidden):
+        there = with_nothing_touched(found, alone, again, geometry, say, score(hidden))
+        if there is not None:
             return there
     odds = score(hidden) - max(score(best), rival.score)
     return (replace(found, unnamed=hidden), odds) if odds > EARNED else None
@@ -199,32 +199,37 @@ def mode_with_nothing_touched(
         odds = lacking.odds or 0.0
         if alone.alpha < LOOSE and not (odds > EARNED and _explains(lacking.best, alone)):
             continue  # another day leaves little, and may explain that with an effect
-        there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say, led=False)
-        if there is not None and score(there[0].best) > score(lacking.best):
+        there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say, score(lacking.best))
+        if there is not None:
             return there
         return search(lacking.best.case, say, start=lacking), odds
     return None
 
 
 def with_nothing_touched(
-    found: Found, alone: State, again: Callable[[Idle], Sequence[Case]], geometry: Geometry, say: Say, led: bool = True
+    found: Found, alone: State, again: Callable[[Idle], Sequence[Case]], geometry: Geometry, say: Say, bar: float | None = None
 ) -> tuple[Found, float] | None:
     """One effect at a place between sensors where nothing was touched, with its log odds; None where none explains the lines.
 
-    Where ``led``, searched only where such a place leaves less than all sensors do, robustly and with nothing else freed.
+    It has to score more than a ``bar``; without one it is searched only where such a place leaves less than all sensors do, robustly and
+    with nothing else freed.
     """
     wider = with_midway(found.empty.case.uncompressed, geometry)
     if wider is None:
         return None
     days, one_set_up = again(wider)
     scanned = one_set_up.at_rest["robust"] = robust_scan(one_set_up, one_set_up.forward.start)
-    if not scanned or (led and not wider.midway.keys() & set(scanned[0][1].places)):
+    if not scanned or (bar is None and not wider.midway.keys() & set(scanned[0][1].places)):
         return None
     say(f"{len(wider.midway)} locations between sensors, with nothing touched:")
-    rival = Rival(days, alone)
-    there = with_likely_sizes(search(one_set_up, say, rival, depth=1), say)
+    rival, least = Rival(days, alone), -np.inf if bar is None else bar
+    rival.score = max(rival.score, least)
+    there = search(one_set_up, say, rival, depth=1)
+    if score(there.best) < least - WAYS:
+        return None
+    there = with_likely_sizes(there, say)
     best = there.best
-    if not _explains(best, alone) or not wider.midway.keys() & {i for t in best.terms for i in t.places}:
+    if not _explains(best, alone) or score(best) < least or not wider.midway.keys() & {i for t in best.terms for i in t.places}:
         return None
     odds = score(best) - rival.asked([best.terms], best.alpha, best.log_evidence)
     return (there, odds) if odds > EARNED else None

@@ -239,14 +239,14 @@ def with_discrepancy(state: State, alpha: float) -> State:
 
 
 def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
-    """Robust way from a start to the neighbourhood of a fit: Student weights, damped steps. Its cost, and where it ends."""
+    """Robust way from a start to the neighbourhood of a fit, on few lines, then more: Student weights, damped steps. Cost and end."""
     lines, damping, now = case.lines, 1.0, np.inf
     for alpha in _APPROACH:
         problem = Problem(case, start.terms, lines.fit[:: lines.stride if alpha == _APPROACH[-1] else lines.rough])
         x = problem.packed(start)
         noise = lines.correlated / 2 * lines.variance[problem.at] + alpha**2 * lines.level[problem.at] ** 2
 
-        def cost(h: Array, x: Step, noise: Array = noise) -> float:
+        def cost(h: Array, x: Step, problem: Problem = problem, noise: Array = noise) -> float:
             return float(np.sum(np.log1p(np.abs(problem.measured - h) ** 2 / noise))) + problem.penalty(x)
 
         h, now = problem.tried(x, cost)
