@@ -213,12 +213,15 @@ def _proposal(name: str, effects: Sequence[Effect], ambiguous: Sequence[Effect])
     one = next(iter(effects), None)
     if ambiguous:
         other = ambiguous[0]
-        first = f"{one.kind} at {one.place or 'the whole structure'}" if one else "nothing"
+        first, second = (_named(e) if e else "nothing" for e in (one, other))
         at = (one.place if one else "") or other.place or "two points"
         return (
-            f"operational modes alone do not tell {first} from {other.kind} at {other.place or 'the whole structure'}: measure FRFs in "
-            f"operation with a force at {at}; or {other.confirm}"
+            f"operational modes alone do not tell {first} from {second}: measure FRFs in operation with a force at {at}; or {other.confirm}"
         )
     if name in ("partial", "unexplained", "inconclusive"):
         return "measure FRFs in operation with a known force: they tell more than operational modes"
     return None
+
+
+def _named(effect: Effect) -> str:
+    return f"{effect.kind} at {effect.place}" if effect.place else effect.kind
