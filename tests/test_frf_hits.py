@@ -20,7 +20,7 @@ from operando.frf import (
     opposed_dofs,
     reciprocity_error,
 )
-from operando.frf.impact import impact_blocks
+from operando.frf.impact import REMAINING, impact_blocks
 from structures import Chain
 from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
 
@@ -145,6 +145,25 @@ def test_what_blocks_cut_off_and_what_rings_into_them_is_put_right(zeta, left, m
     monkeypatch.setattr("operando.frf.averaged.with_whole_decays", lambda f, h, *rest: (h, []))
     assert after < 1e-3 * np.sum(squares(exact)[0])
     assert np.mean(squares(noisy)[0]) > 1.3 * np.mean(error)
+
+
+@pytest.mark.parametrize("gap", [0.002, 0.01, 0.04])
+def test_what_two_modes_in_one_peak_leave_is_put_right(gap):
+    """To what the model of the whole record errs by: nearer than their half-power widths, one line apart, and as two peaks."""
+    chain = Chain(4, zeta=0.003)
+    chain.hz[1] = chain.hz[0] * (1 + gap)
+    record = tapped(chain, [0.3, 4.4, 8.4, 12.5, 16.2], [100, 90, 110, 95, 105], np.random.default_rng(0), int(20.5 * FS), noise=1e-3)
+
+    def error(estimator):
+        frf = estimate_frf(record, band=(10, 160), estimator=estimator)
+        return relative(frf.data, sampled_accelerance(chain, frf.frequencies_hz, FS, range(4), [0]))
+
+    assert error("h1") < 1.2 * error("lrm")
+
+
+def test_a_peak_is_one_line_wide_where_a_block_ends_at_the_largest_share():
+    """``REMAINING``: exp(−σT) of it, and a half-power bandwidth of σ/π, in lines of 1/T."""
+    assert -np.log(REMAINING) / np.pi == pytest.approx(1, abs=0.05)
 
 
 def test_an_inconsistent_hit_is_rejected():

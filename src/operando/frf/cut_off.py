@@ -16,6 +16,8 @@ Array = NDArray[Any]
 LEAST = 1e-5
 """Part of its amplitude that a peak must keep at the end of a block to be put right: far below any noise."""
 _LINES, _WIDTHS = 5.5, 2.5  # half the stretch that a pole is fitted to: lines, or half-power bandwidths where these are more
+_ALONE, _HALVED = 3.0, 0.5  # squares over their number under noise that one pole leaves where a peak hides two, and the part that two do
+_EXPLAINED = 30.0  # the same, above which nothing is put right
 _PASSES = 3  # each takes the error down by the part that is cut off
 
 
@@ -69,42 +71,63 @@ def with_whole_decays(
     for _ in range(_PASSES):
         wrong = np.zeros_like(h)
         for peak in peaks:
-            pole, residue = _pole_and_residues(f, out, variance, peak, peaks, _WIDTHS * peak.bandwidth_hz, _LINES / seconds)
-            if not pole.real < 0 or np.exp(pole.real * seconds) < LEAST or not f[0] <= pole.imag / (2 * np.pi) <= f[-1]:
-                continue
-            p = np.exp(pole / sampling_hz)
-            y = np.append(lfilter([1.0], [1.0, -p], force.astype(complex)), 0.0)  # the motion before the first sample is none
-            part = (p * (y[starts - 1] - y[starts + block - 1])) @ spectra.conj() / power
-            wrong += residue[:, None] * part / (2j * np.pi * f - pole)
-            said[peak.frequency_hz] = float(np.abs(np.interp(peak.frequency_hz, f, np.abs(part))))
+            for pole, residue in _poles_and_residues(f, out, variance, peak, peaks, max(_WIDTHS * peak.bandwidth_hz, _LINES / seconds)):
+                if not pole.real < 0 or np.exp(pole.real * seconds) < LEAST or not f[0] <= pole.imag / (2 * np.pi) <= f[-1]:
+                    continue
+                p = np.exp(pole / sampling_hz)
+                y = np.append(lfilter([1.0], [1.0, -p], force.astype(complex)), 0.0)  # the motion before the first sample is none
+                part = (p * (y[starts - 1] - y[starts + block - 1])) @ spectra.conj() / power
+                wrong += residue[:, None] * part / (2j * np.pi * f - pole)
+                said[peak.frequency_hz] = float(np.abs(np.interp(peak.frequency_hz, f, np.abs(part))))
         out = h - wrong
     return out, sorted(said.items())
 
 
-def _pole_and_residues(
-    f: Array, h: Array, variance: Array, peak: Peak, peaks: list[Peak], widths: float, lines: float
-) -> tuple[complex, Array]:
-    """Pole [rad/s] and residues of a peak: by least squares of all responses, beside its neighbours and a parabola."""
-    far = max(widths, lines)
+def _poles_and_residues(f: Array, h: Array, variance: Array, peak: Peak, peaks: list[Peak], far: float) -> list[tuple[complex, Array]]:
+    """Pole [rad/s] and residues of a peak, or of two that it hides: by least squares of all responses, beside neighbours and a parabola.
+
+    None where the lines around it are not explained.
+    """
     near = np.abs(f - peak.frequency_hz) < far
-    inside = [q for q in peaks if abs(q.frequency_hz - peak.frequency_hz) < far]
-    w = 2 * np.pi * f[near]
-    across = (f[near] - peak.frequency_hz) / far
-    weight = 1 / np.sqrt(np.maximum(np.mean(variance[:, near], axis=1), 1e-12 * np.mean(np.abs(h[:, near]) ** 2, axis=1) + 1e-300))
-    rows = (h[:, near] * np.where(np.isfinite(weight), weight, 0.0)[:, None]).T
-    first = np.array([-np.pi * q.bandwidth_hz + 2j * np.pi * q.frequency_hz for q in inside])
-    unit = np.abs(first.real)
+    w, across = 2 * np.pi * f[near], (f[near] - peak.frequency_hz) / far
+    noise = np.mean(variance[:, near], axis=1)
+    rows = (h[:, near] / np.sqrt(np.maximum(noise, 1e-12 * np.mean(np.abs(h[:, near]) ** 2, axis=1) + 1e-300))[:, None]).T
+    rows = rows[:, np.isfinite(noise)]
+    others = [_start(q, 0.0) for q in peaks if q is not peak and abs(q.frequency_hz - peak.frequency_hz) < far]
+    free = rows.shape[1] * (w.size - 3 - len(others) - 2)
+    if free <= 0:
+        return []
 
-    def poles(x: Array) -> Array:
-        return np.asarray(first + unit * (x[::2] + 1j * x[1::2]))
+    def fitted(first: Array) -> tuple[float, Array, Array]:
+        unit = np.abs(first.real)
 
-    def basis(pole: Array) -> Array:
-        return np.concatenate([unit / (1j * w[:, None] - pole), across[:, None] ** np.arange(3)], axis=1)
+        def poles(x: Array) -> Array:
+            return np.asarray(first + unit * (x[::2] + 1j * x[1::2]))
 
-    def left(x: Array) -> Array:
-        q = np.linalg.qr(basis(poles(x)))[0]
-        return np.ascontiguousarray(rows - q @ (q.conj().T @ rows)).view(float).ravel()
+        def basis(pole: Array) -> Array:
+            return np.concatenate([unit / (1j * w[:, None] - pole), across[:, None] ** np.arange(3)], axis=1)
 
-    found = poles(least_squares(left, np.zeros(2 * len(inside)), max_nfev=30).x)
-    k = inside.index(peak)
-    return complex(found[k]), np.asarray(unit[k] * np.linalg.lstsq(basis(found), h[:, near].T, rcond=None)[0][k])
+        def left(x: Array) -> Array:
+            q = np.linalg.qr(basis(poles(x)))[0]
+            return np.ascontiguousarray(rows - q @ (q.conj().T @ rows)).view(float).ravel()
+
+        ended = least_squares(left, np.zeros(2 * first.size), max_nfev=30)
+        found = poles(ended.x)
+        residues = unit[:, None] * np.linalg.lstsq(basis(found), h[:, near].T, rcond=None)[0][: first.size]
+        return float(2 * ended.cost), found, residues
+
+    hidden = False
+    squares, poles, residues = fitted(np.array([_start(peak, 0.0), *others]))
+    if squares > _ALONE * free:
+        two = fitted(np.array([_start(peak, -0.25), _start(peak, 0.25), *others]))
+        hidden = two[0] < _HALVED * squares
+        squares, poles, residues = two if hidden else (squares, poles, residues)
+    if squares > _EXPLAINED * free:
+        return []
+    its = [k for k in range(1 + hidden) if peak is min(peaks, key=lambda q: abs(poles[k].imag - 2 * np.pi * q.frequency_hz))]
+    return [(complex(poles[k]), residues[k]) for k in its]
+
+
+def _start(peak: Peak, aside: float) -> complex:
+    """A pole that a peak suggests, so many of its bandwidths aside."""
+    return complex(-np.pi * peak.bandwidth_hz * (1 - abs(aside)), 2 * np.pi * (peak.frequency_hz + aside * peak.bandwidth_hz))

@@ -17,8 +17,9 @@ from operando.frf.remaining import remaining_share
 from operando.frf.spectra import CrossSpectra, cross_spectra
 from operando.limits import IMPACT_WINDOWS
 
-REMAINING = 0.01
-"""Largest share of its amplitude that a mode may keep at the end of a block."""
+REMAINING = 0.05
+"""Largest share of its amplitude that a mode may keep at the end of a block: its peak is one line wide there, and a narrower one needs the
+lines of the whole record."""
 INCONSISTENT_RATIO = 6.0
 INCONSISTENT = 0.05
 """A hit is inconsistent where the FRF of the others misses more of its response energy than this part, and so many times the median."""
