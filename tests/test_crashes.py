@@ -11,7 +11,7 @@ import pytest
 import measurements
 from nonlinear_truth import Strip, measure, place
 from operando.config import load_test
-from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, one_level
+from operando.data import LEVEL_RATIO, FrequencyAxis, Frf, ModalModel, level_groups, one_level
 from operando.diagnosis import diagnose_records
 from operando.dof import MAX_NUMBER_DIGITS, Dof
 from operando.ema import fit_ema
@@ -22,7 +22,6 @@ from operando.frf import estimate_frf
 from operando.io import from_sep005
 from operando.limits import LEAST_LINES
 from operando.pipeline import run
-from operando.pipeline.levels import level_groups
 from operando.scaling import scale_operational
 from operando.scaling.missing import missing_modes
 from operando.scaling.no_scale import no_scale

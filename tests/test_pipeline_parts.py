@@ -12,14 +12,14 @@ import models
 from measurements import record, running_chain
 from operando.atomic import write_json
 from operando.config import State, Test
-from operando.data import Finding, Provenance
+from operando.data import Finding, Provenance, force_rms, level_groups
 from operando.errors import DataError
 from operando.frf import merge_frfs
 from operando.io import write_uff
 from operando.pipeline import run
 from operando.pipeline.folder import key_of
 from operando.pipeline.inputs import Inputs
-from operando.pipeline.levels import check_frfs, force_rms, level_groups
+from operando.pipeline.levels import check_frfs
 from operando.pipeline.stages import offered, runs_behind
 
 

@@ -5,7 +5,7 @@ from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
-from operando.data.levels import LEVEL_RATIO, one_level
+from operando.data.levels import LEVEL_RATIO, force_rms, level_groups, one_level
 from operando.data.mapped import MappedSamples, RowStatistics, filling, mapped_rows, pieces, row_statistics
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.modal_terms import ModalTerms, ResidualTerms
@@ -48,7 +48,9 @@ __all__ = [
     "expect",
     "file_hash",
     "filling",
+    "force_rms",
     "group_findings",
+    "level_groups",
     "mapped_rows",
     "names_text",
     "node_motion",

@@ -101,6 +101,10 @@ standard deviations."""
 ONE_SYSTEM = 2.0
 """Mean squared difference of runs of different level over the variance of their noise from which they are not one linear system."""
 
+LEVEL_CHANGE = 0.1
+"""Share of itself by which the size of an effect differs between the lowest and the highest level where it is no constant. Levels are a
+factor of 1.4 apart or more: what grows with the square of the motion has doubled there, what falls with the motion has lost 29 %."""
+
 NEAR_HZ = 0.05
 """Distance of two modes, as a logarithm of frequency, that counts as much as a MAC of 0.75 when they are paired."""
 

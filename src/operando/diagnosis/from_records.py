@@ -12,6 +12,7 @@ from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_it_fails
+from operando.diagnosis.size_by_level import sizes_by_level
 from operando.dof import Node
 from operando.errors import MissingError, OperandoError
 from operando.results import CheckRun
@@ -122,6 +123,20 @@ def diagnose_levels(
                 return merged(seen, idle, check, band, compared, (reason,))
             notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
     found = linear()
+    if reason is None and found.model is not None and found.effects:
+        changing = [row for row in sizes_by_level(found.model, records, band) if row.changes]
+        if changing:
+            reason, levels = "; ".join(map(str, changing)), True
+            if progress:
+                progress(f"look at the records: {reason}")
+            try:
+                seen = look()
+            except OperandoError as error:
+                notes.append(f"{reason}; the records cannot tell why: {error.message}")
+            else:
+                if seen.nonlinear:
+                    return merged(seen, idle, check, band, compared, (reason,))
+                notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
         doubt = found.verdict == "explained" and (seen is None or levels)
