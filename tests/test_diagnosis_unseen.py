@@ -174,6 +174,24 @@ def test_laws_and_numbers_of_motions_far_from_the_least_cost_are_not_fitted(monk
     assert set(fitted) == set(costs[:2])
 
 
+def test_the_best_of_each_law_that_was_followed_is_fitted_however_far_it_is(monkeypatch):
+    """With the idle model as it is the right law may be caught in a valley; a fit with all unknowns leaves it."""
+    case, again = asked(spring)
+    fitted, one = [], np.ones((case.idle.modes.size, 1))
+    costs = {True: (1.0, 1.01 * _NEAR), False: (3 * _NEAR, 2 * _NEAR)}
+    first: list[tuple[str, int]] = []
+
+    def followed(self, way):
+        first.append(way.law)
+        return [Way(way.law, one, cost) for cost in costs[way.law == first[0]]]
+
+    monkeypatch.setattr(LowRank, "followed", followed)
+    monkeypatch.setattr(unseen, "each", lambda function, items: [function(item) for item in items])
+    monkeypatch.setattr(unseen, "_fitted", lambda case, again, way, floor: fitted.append(way.cost))
+    assert with_unseen_motion(case, again, -np.inf) is None
+    assert fitted == [1.0, 2 * _NEAR]
+
+
 def test_sensors_are_named_that_move_as_the_motion_does():
     """_LIKE: at least half of what they do in the modes is along it."""
     state = with_unseen_motion(*asked(spring), -np.inf)

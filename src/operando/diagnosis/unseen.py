@@ -151,12 +151,15 @@ def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floo
         model = LowRank(case)
         nothing = Way(("", 1), np.zeros((model.modes.size, 0)), float(np.sum(np.log1p(np.abs(model.left * model.root) ** 2))))
         firsts = each(lambda law: model.one_more(replace(nothing, law=law)), [law for law in _KINDS if law[0] in case.kinds])
-        ways = [way for some in each(model.followed, sorted(firsts, key=lambda way: way.cost)[:_LAWS]) for way in some]
-    least = min((way.cost for way in ways), default=np.inf)
+        followed = each(model.followed, sorted(firsts, key=lambda way: way.cost)[:_LAWS])
+    best_of = [min(way.cost for way in ways) for ways in followed]
+    least = min(best_of, default=np.inf)
     if not least < _COST * nothing.cost:
         return None
+    # the best of each law, too: with the idle model as it is one law may be caught in a valley that a fit with all unknowns leaves
+    near = [way for ways, its in zip(followed, best_of, strict=True) for way in ways if way.cost < max(_NEAR * least, its * 1.001)]
     best: State | None = None
-    for way in sorted((way for way in ways if way.cost < _NEAR * least), key=lambda way: way.cost):
+    for way in sorted((way for way in near if way.cost < _COST * nothing.cost), key=lambda way: way.cost):
         state = _fitted(case, again, way, floor if best is None else max(floor, best.log_evidence))
         best = state if best is None or (state is not None and score(state) > score(best)) else best
     if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
