@@ -108,35 +108,30 @@ def diagnose_levels(
 
     if linear is None:
         return merged(look(), idle, check, band, compared)
-    reason, notes = suspicion(check, idle_frf), []
-    levels = levels_disagree(check)
-    seen: RecordsDiagnosis | None = None
-    if reason is not None:
+    notes: list[str] = []
+
+    def seen_because(reason: str) -> RecordsDiagnosis | None:
         if progress:
             progress(f"look at the records: {reason}")
         try:
             seen = look()
         except OperandoError as error:
             notes.append(f"{reason}; the records cannot tell why: {error.message}")
-        else:
-            if seen.nonlinear:
-                return merged(seen, idle, check, band, compared, (reason,))
+            return None
+        if not seen.nonlinear:
             notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
-    found = linear()
-    if reason is None and found.model is not None and found.effects:
-        changing = [row for row in sizes_by_level(found.model, records, band) if row.changes]
-        if changing:
+        return seen
+
+    reason, levels = suspicion(check, idle_frf), levels_disagree(check)
+    seen = None if reason is None else seen_because(reason)
+    if reason is None or seen is None or not seen.nonlinear:
+        found = linear()
+        changing = [] if reason is not None or found.model is None else sizes_by_level(found.model, records, band)
+        if changing := [row for row in changing if row.changes]:
             reason, levels = "; ".join(map(str, changing)), True
-            if progress:
-                progress(f"look at the records: {reason}")
-            try:
-                seen = look()
-            except OperandoError as error:
-                notes.append(f"{reason}; the records cannot tell why: {error.message}")
-            else:
-                if seen.nonlinear:
-                    return merged(seen, idle, check, band, compared, (reason,))
-                notes.append(f"{reason}, but no level-dependent effect of the catalogue improves the model")
+            seen = seen_because(reason)
+    if reason is not None and seen is not None and seen.nonlinear:
+        return merged(seen, idle, check, band, compared, (reason,))
     if reason is not None:
         # Where levels agree and linear effects leave what noise does, more than at rest that is not proportional to the force is noise.
         doubt = found.verdict == "explained" and (seen is None or levels)
