@@ -470,6 +470,8 @@ def test_modes_are_paired_by_frequency_and_mac():
     np.testing.assert_array_equal(one.pairs(f, one.shapes), np.arange(one.n))
     with pytest.raises(np.linalg.LinAlgError):
         one.pairs(f[:3], one.shapes[:, :3])
+    with pytest.raises(np.linalg.LinAlgError, match="cannot be"):
+        one.pairs(np.where(np.arange(f.size) == 1, np.nan, f), one.shapes)
 
 
 def test_a_size_that_leaves_too_few_modes_is_not_chosen():

@@ -109,11 +109,14 @@ class ModeSet:
         Raises
         ------
         numpy.linalg.LinAlgError
-            If fewer modes are predicted than measured.
+            If fewer modes are predicted than measured, or some that cannot be.
         """
         if f.size < self.n:
             raise np.linalg.LinAlgError("fewer modes than were measured")
-        return np.asarray(linear_sum_assignment(self._apart(f, shapes))[1])
+        apart = self._apart(f, shapes)
+        if not np.isfinite(apart).all():  # an exponent or a size far out of its range
+            raise np.linalg.LinAlgError("modes that cannot be")
+        return np.asarray(linear_sum_assignment(apart)[1])
 
     def alone(self, f: Array, shapes: Array) -> int:
         """The mode without which the others lie nearest to some predicted ones."""
