@@ -165,12 +165,8 @@ class OperatingModes:
         If fewer than two DOFs or no mode in band is common to both states.
     """
 
-    stride, rough, sizes, frequencies = (
-        1,
-        1,
-        8,
-        20,
-    )  # every value counts in a scan; modes move smoothly with a size, and with what resonates
+    stride = rough = 1  # every value counts in a scan
+    sizes, frequencies = 8, 20  # modes move smoothly with a size, and with what resonates
 
     def __init__(self, idle: Idle, whole: ModalModel, halves: Sequence[ModalModel] = ()) -> None:
         common = tuple(d for d in whole.dofs if any(d.same_axis(o) for o in idle.dofs))
