@@ -179,6 +179,13 @@ def test_output_only_counts_in_standard_deviations():
     assert "dB" not in words.sentences[0]
 
 
+def test_one_measurement_that_confirms_and_decides_is_named_once():
+    once = diagnosis_words(document("explained", (MASS,))).decide
+    [confirm] = [s.removeprefix("To confirm: ").removesuffix(".") for s in once if s.startswith("To confirm")]
+    again = diagnosis_words(document("explained", (MASS,), proposed_measurement=confirm)).decide
+    assert [s for s in again if confirm in s] == [f"To confirm: {confirm}."]
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_each_verdict_has_its_words(verdict):
     effects = () if verdict == "no_misfit" else (MASS,)

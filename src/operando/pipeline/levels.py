@@ -34,4 +34,6 @@ def _run(records: Sequence[TimeRecord], frf: Frf, several: bool = False) -> Chec
     forces = [force_rms(r) for r in records]
     low, high = min(forces), max(forces)
     text = f"{low:.4g} N rms" if high < 1.05 * low else f"{low:.4g} … {high:.4g} N rms"
-    return CheckRun(", ".join(r.name for r in records), f"{text}, all levels agree" if several else text, frf, low, several)
+    return CheckRun(
+        ", ".join(r.name for r in records), f"{text}, all levels agree within their noise" if several else text, frf, low, several
+    )

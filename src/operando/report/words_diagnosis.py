@@ -433,13 +433,12 @@ def _others(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectW
 
 def _deciding(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectWords]) -> tuple[str, ...]:
     out = []
-    proposed = document.get("proposed_measurement")
-    if proposed and verdict != BY_HAND[0]:
-        out.append(_stopped(f"What would decide: {str(proposed).replace('_', ' ')}"))
-    if verdict in ("explained", "partial"):
-        for e in effects[:2]:
-            if e.confirm:
-                out.append(_stopped(f"To confirm{'' if len(effects) == 1 else f' the {e.label}'}: {e.confirm}"))
+    proposed = str(document.get("proposed_measurement") or "").replace("_", " ")
+    confirmed = [e for e in effects[:2] if e.confirm] if verdict in ("explained", "partial") else []
+    if proposed and verdict != BY_HAND[0] and proposed not in [e.confirm for e in confirmed]:
+        out.append(_stopped(f"What would decide: {proposed}"))
+    for e in confirmed:
+        out.append(_stopped(f"To confirm{'' if len(effects) == 1 else f' the {e.label}'}: {e.confirm}"))
     return tuple(out)
 
 
