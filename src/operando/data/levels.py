@@ -54,8 +54,8 @@ def force_rms(record: TimeRecord) -> float:
     Examples
     --------
     >>> import numpy as np, operando
-    >>> record = operando.TimeRecord(np.array([[3.0, -3.0], [0.1, 0.2]]), 100.0, [("1+Z", "N"), ("2+Z", "m/s2")])
-    >>> force_rms(record)
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
+    >>> force_rms(operando.TimeRecord(np.array([[3.0, -3.0], [0.1, 0.2]]), 100.0, channels))
     3.0
     """
     return float(np.sqrt(np.mean([np.mean(np.square(record.data[i], dtype=float)) for i in record.force_indices])))
@@ -79,7 +79,7 @@ def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
     Examples
     --------
     >>> import numpy as np, operando
-    >>> channels = [("1+Z", "N"), ("2+Z", "m/s2")]
+    >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
     >>> runs = [operando.TimeRecord(size * np.ones((2, 4)), 100.0, channels) for size in (10.0, 1.0, 10.5)]
     >>> [len(group) for group in level_groups(runs)]
     [1, 2]

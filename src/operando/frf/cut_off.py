@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from operando.frf.leakage import Peak, resonance_peaks
 
@@ -59,6 +57,8 @@ def with_whole_decays(
     said : list of (float, float)
         Of each peak put right its frequency [Hz], and the part of its amplitude that was wrong.
     """
+    from scipy.signal import lfilter
+
     f = np.asarray(frequencies_hz, float)
     seconds = block / sampling_hz
     peaks = [p for p in resonance_peaks(f, h[:, None], variance[:, None]) if np.exp(-np.pi * p.bandwidth_hz * seconds) > LEAST]
@@ -88,6 +88,8 @@ def _poles_and_residues(f: Array, h: Array, variance: Array, peak: Peak, peaks: 
 
     None where the lines around it are not explained.
     """
+    from scipy.optimize import least_squares
+
     near = np.abs(f - peak.frequency_hz) < far
     w, across = 2 * np.pi * f[near], (f[near] - peak.frequency_hz) / far
     noise = np.mean(variance[:, near], axis=1)
