@@ -20,6 +20,7 @@ from operando.frf import (
     opposed_dofs,
     reciprocity_error,
 )
+from operando.frf.cut_off import LEAST, with_whole_decays
 from operando.frf.impact import REMAINING, impact_blocks
 from structures import Chain
 from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
@@ -159,6 +160,18 @@ def test_what_two_modes_in_one_peak_leave_is_put_right(gap):
         return relative(frf.data, sampled_accelerance(chain, frf.frequencies_hz, FS, range(4), [0]))
 
     assert error("h1") < 1.2 * error("lrm")
+
+
+@pytest.mark.parametrize(("left", "touched"), [(10 * LEAST, True), (0.1 * LEAST, False)])
+def test_a_peak_that_keeps_next_to_nothing_is_left_as_it_is(left, touched):
+    """``LEAST``: of its amplitude, at the end of a block of one second."""
+    hz = np.arange(1.0, 400.0)
+    h = 1 / (2j * np.pi * (hz - 100.3) - np.log(left))[None]
+    force = np.zeros(1000)
+    force[0] = 1.0
+    out, said = with_whole_decays(hz, h, np.full(h.shape, 1e-12), force, np.array([0]), 1000, 1000.0)
+    assert bool(said) == touched
+    assert (out is h) != touched
 
 
 def test_a_peak_is_one_line_wide_where_a_block_ends_at_the_largest_share():

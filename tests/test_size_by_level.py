@@ -51,7 +51,7 @@ def test_a_size_is_compared_between_levels_beside_gains_of_the_forces(high, gain
     assert row.levels == pytest.approx((1.0, 4.0 * gain), rel=0.02)
     assert abs(row.change - (high / 2000.0 - 1)) < max(4 * row.std, 0.02)
     assert row.changes == (high != 2000.0)
-    assert "ground_spring at 2+Z changes by" in str(row)
+    assert "ground spring at 2+Z changes by" in str(row)
 
 
 def test_nothing_is_compared_with_one_level_or_without_a_size():
@@ -71,15 +71,15 @@ def test_a_size_is_another_one_by_more_than_its_noise_and_than_a_share_of_it():
         assert SizeByLevel(SPRING, (1.0, 4.0), change, std).changes == changes
 
 
-@pytest.mark.parametrize("told", ["nothing", "cubic", "fails"])
-def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_records(told, monkeypatch):
+@pytest.mark.parametrize("records_give", ["nothing", "cubic", "fails"])
+def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_records(records_give, monkeypatch):
     """Where FRFs of all levels agree within their noise: what the records name, or no more than ``partial``."""
     found = Diagnosis("explained", (SPRING,), (), None, (), (), {}, None, model=model())
     row = SizeByLevel(SPRING, (1.0, 4.0), 0.5, 0.03)
-    seen = SimpleNamespace(nonlinear=told == "cubic", verdict="explained", ladder=({"heldout_misfit": 1.0},))
+    seen = SimpleNamespace(nonlinear=records_give == "cubic", verdict="explained", ladder=({"heldout_misfit": 1.0},))
 
     def look(*args, **how):
-        if told == "fails":
+        if records_give == "fails":
             raise DataError("too short")
         return seen
 
@@ -87,7 +87,7 @@ def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_record
     monkeypatch.setattr(from_records, "sizes_by_level", lambda *args: [row])
     monkeypatch.setattr(from_records, "merged", lambda seen, *rest: (seen, rest[-1]))
     out = from_records.diagnose_levels(lambda: found, model().idle, [], [])
-    if told == "cubic":
+    if records_give == "cubic":
         assert out == (seen, (str(row),))
         return
     assert out.verdict == "partial"
@@ -96,3 +96,15 @@ def test_an_effect_whose_size_changes_with_the_level_is_looked_for_in_the_record
     monkeypatch.setattr(from_records, "sizes_by_level", lambda *args: [replace(row, change=0.01)])
     monkeypatch.setattr(from_records, "measured_distortion", lambda *args: None)
     assert from_records.diagnose_levels(lambda: found, model().idle, [], []) is found
+
+
+def test_that_levels_could_not_be_compared_is_a_note(monkeypatch):
+    found = Diagnosis("explained", (SPRING,), (), None, (), (), {}, None, model=model())
+
+    def none(*args):
+        raise DataError("too short")
+
+    monkeypatch.setattr(from_records, "sizes_by_level", none)
+    out = from_records.diagnose_levels(lambda: found, model().idle, [], [])
+    assert out.verdict == "explained"
+    assert out.notes == ("sizes of effects were not compared between levels: too short",)

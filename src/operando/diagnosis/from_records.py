@@ -126,8 +126,13 @@ def diagnose_levels(
     seen = None if reason is None else seen_because(reason)
     if reason is None or seen is None or not seen.nonlinear:
         found = linear()
-        changing = [] if reason is not None or found.model is None else sizes_by_level(found.model, records, band)
-        if changing := [row for row in changing if row.changes]:
+        changing = []
+        if reason is None and found.model is not None:
+            try:
+                changing = [row for row in sizes_by_level(found.model, records, band) if row.changes]
+            except OperandoError as error:
+                found = replace(found, notes=(*found.notes, f"sizes of effects were not compared between levels: {error.message}"))
+        if changing:
             reason, levels = "; ".join(map(str, changing)), True
             seen = seen_because(reason)
     if reason is not None and seen is not None and seen.nonlinear:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from operando.data import Frf, TimeRecord, force_rms, level_groups
 from operando.diagnosis.criteria import LEVEL_CHANGE, UNUSUAL
 from operando.diagnosis.lines import alike_lines
-from operando.errors import OperandoError
 from operando.frf import estimate_frf
 from operando.structure import Model
 from operando.structure.effects import Effect
@@ -48,9 +47,9 @@ class SizeByLevel:
 
     def __str__(self) -> str:
         where = f" at {self.effect.place}" if self.effect.place else ""
-        low, high = self.levels
+        (low, high), kind = self.levels, self.effect.kind.replace("_", " ")
         return (
-            f"from {low:.3g} to {high:.3g} N rms the size of the {self.effect.kind}{where} changes by {100 * self.change:+.2g} % of itself "
+            f"from {low:.3g} to {high:.3g} N rms the size of the {kind}{where} changes by {100 * self.change:+.0f} % of itself "
             f"(standard deviation {100 * self.std:.1g} %)"
         )
 
@@ -74,17 +73,19 @@ def sizes_by_level(model: Model, records: Sequence[TimeRecord], band: tuple[floa
     Returns
     -------
     list of SizeByLevel
-        Empty with records of one level, without effects of a size, or where a level has no FRFs.
+        Empty with records of one level or without effects of a size.
+
+    Raises
+    ------
+    OperandoError
+        If the records of one level alone give no FRFs.
     """
     groups = level_groups([r for r in records if r.force_indices])
     sized = [k for k, e in enumerate(model.effects) if e.definition.group in ("structure", "idle") and _size(e)]
     if len(groups) < 2 or not sized:
         return []
-    try:
-        spacing = None if band is None else (band[1] - band[0]) / _LINES
-        fits = [_fitted(model, sized, estimate_frf(group, band=band, line_spacing_hz=spacing)) for group in (groups[0], groups[-1])]
-    except OperandoError:  # the records of one level alone do not give FRFs
-        return []
+    spacing = None if band is None else (band[1] - band[0]) / _LINES
+    fits = [_fitted(model, sized, estimate_frf(group, band=band, line_spacing_hz=spacing)) for group in (groups[0], groups[-1])]
     levels = min(map(force_rms, groups[0])), max(map(force_rms, groups[-1]))
     change, std = fits[1][0] - fits[0][0], np.sqrt(fits[0][1] + fits[1][1])
     return [SizeByLevel(model.effects[k], levels, float(c), float(s)) for k, c, s in zip(sized, change, std, strict=True)]

@@ -157,7 +157,7 @@ def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floo
     if not least < _COST * nothing.cost:
         return None
     # the best of each law, too: with the idle model as it is one law may be caught in a valley that a fit with all unknowns leaves
-    near = [way for ways, its in zip(followed, best_of, strict=True) for way in ways if way.cost < max(_NEAR * least, its * 1.001)]
+    near = [way for ways, its in zip(followed, best_of, strict=True) for way in ways if way.cost < _NEAR * least or way.cost == its]
     best: State | None = None
     for way in sorted((way for way in near if way.cost < _COST * nothing.cost), key=lambda way: way.cost):
         state = _fitted(case, again, way, floor if best is None else max(floor, best.log_evidence))
