@@ -920,7 +920,7 @@ def test_a_search_that_settles_on_nothing_ends(monkeypatch):
     days, asked = case(), []
     state = fit(days, days.forward.start)
 
-    def another(self, starts, closely=False):
+    def another(self, starts, closely=False, floor=None):
         """Each fit to its end finds a state that is more probable than all before it."""
         asked.append(closely)
         x = replace(state.x, terms=(Term("point_mass", (1,), (0.0,)),) * len(asked))
@@ -936,18 +936,34 @@ def test_a_search_that_settles_on_nothing_ends(monkeypatch):
 
 
 def test_with_spreads_estimated_states_are_held_against_the_best_where_nothing_was_touched(monkeypatch):
-    """On another day wider spreads may lift any of them over it, so each is fitted to its end."""
+    """On another day wider spreads may lift any of them over it: each is held against what the best was before."""
     days = case(add_mass)
     same = case(add_mass, spreads=SAME_SET_UP, like=days)
     calls = []
-    monkeypatch.setattr(Search, "fitted", lambda self, starts, closely=False: calls.append(len(starts)) or [])
+    monkeypatch.setattr(Search, "fitted", lambda self, starts, closely=False, floor=None: calls.append((len(starts), floor)) or [])
     monkeypatch.setattr(Search, "_settle", lambda self: None)
-    for one, wanted in ((days, [2]), (same, [1, 1])):
+    for one, another_day in ((days, True), (same, False)):
         empty = fit(one, one.forward.start)
         mass = replace(empty, x=replace(empty.x, terms=(Term("point_mass", (1,), (0.0,)),)), log_evidence=empty.log_evidence + 50)
         calls.clear()
         Search(one, lambda text: None, Found(mass, empty, {s.key: s for s in (mass, empty)}), own_spreads=True, depth=0).run()
-        assert calls[: len(wanted)] == wanted
+        assert calls[:2] == [(1, None), (1, mass.log_evidence if another_day else None)]
+
+
+def test_a_search_ends_where_no_laboratory_has_two_days_that_differ_so(monkeypatch):
+    """Where nothing was touched the same is said of converters alone, and the search goes on."""
+    days = case(add_mass)
+    same = case(add_mass, spreads=SAME_SET_UP, like=days)
+    monkeypatch.setattr("operando.diagnosis.search.no_other_day", lambda state: True)
+    for one, ends in ((days, True), (same, False)):
+        empty, said = fit(one, one.forward.start), []
+        mass = Term("point_mass", (1,), (float(np.log(0.4)),))
+        found = fit(one, replace(one.forward.start, u=np.zeros(len(one.forward.outside((mass,)))), terms=(mass,)), 0.03)
+        ended = Search(one, said.append, Found(found, empty, {s.key: s for s in (found, empty)}), own_spreads=True, depth=1).run()
+        assert any("no two days in a laboratory" in text for text in said) is ends
+        assert any(text.startswith("in the place of") for text in said) is not ends
+        assert ended.best.key == found.key
+        assert ended.empty is empty or not ends
 
 
 @pytest.mark.parametrize("change", [add_mass, add_damper])

@@ -16,7 +16,7 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import EXPLAINED, ONE_SYSTEM
-from operando.diagnosis.days import unlike_days
+from operando.diagnosis.days import no_other_day, unlike_days, untouched
 from operando.diagnosis.document import (
     between_rows,
     candidate_rows,
@@ -42,6 +42,7 @@ from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.suggested import suggested_by_modes
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, Term, touched
 from operando.diagnosis.verdict import (
+    explains_lines,
     moved_peaks,
     no_other_answer,
     peaks_text,
@@ -155,7 +156,7 @@ def diagnose_frf(
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
-            if found.unnamed is not None or (rest is not None and rest.state.alpha > EXPLAINED):
+            if found.unnamed is not None or (rest is not None and rest.state.alpha > EXPLAINED) or untouched(found.best):
                 return False
             return verdict_and_reason(found, None)[0] in ("partial", "unexplained") or unlike_days(found.best)
 
@@ -166,7 +167,7 @@ def diagnose_frf(
         if asked_for_all and found.unnamed is None and (elsewhere or modes):
             found, odds = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
             found = with_validation(found)
-        if 0 < len(found.best.terms) <= AT_FIRST and left():
+        if 0 < len(found.best.terms) <= AT_FIRST and left() and not explains_lines(found.best) and not no_other_day(found.best):
             say("further effects:")
             found = with_validation(search(found.best.case, say, start=found))
         # shapes between sensors can be made to be many a motion: a force at sensors, whose shapes are known, goes before one there

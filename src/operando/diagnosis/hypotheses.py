@@ -10,7 +10,7 @@ import numpy as np
 from operando.data import Geometry
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LOOSE, MOST_CHI_SQUARE, POOR, PROMOTED
-from operando.diagnosis.days import promotions
+from operando.diagnosis.days import promotions, untouched
 from operando.diagnosis.free_law import of_a_kind, with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
@@ -118,6 +118,10 @@ def search_both(
         same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
         best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
+    if odds <= 0 and again is not None and geometry is not None and days.elsewhere and untouched(found.best):
+        there = with_nothing_touched(same, alone, again, geometry, say, score(alone))
+        if there is not None:
+            return there
     return (same if odds > 0 else found), odds
 
 
@@ -202,7 +206,7 @@ def mode_with_nothing_touched(
         there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say, score(lacking.best))
         if there is not None:
             return there
-        return search(lacking.best.case, say, start=lacking), odds
+        return search(lacking.best.case, say, start=lacking, depth=AT_FIRST), odds
     return None
 
 
@@ -292,7 +296,7 @@ def search_elsewhere(
         for grown in grown_by_a_mode([replace(empty, x=empty.case.forward.start), empty]):
             lacking = with_mode(grown, again, score(best.best), say)
             if lacking is not None:
-                best, odds = search(lacking.best.case, say, start=lacking), lacking.odds
+                best, odds = search(lacking.best.case, say, start=lacking, depth=AT_FIRST), lacking.odds
                 break
     return best, odds
 

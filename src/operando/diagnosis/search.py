@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import EARNED, EXPLAINED, LOOSE
-from operando.diagnosis.days import promotions, strained
+from operando.diagnosis.days import no_other_day, promotions, strained
 from operando.diagnosis.forward import Point
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, approach, names
@@ -172,9 +172,10 @@ class Search:
     def best(self) -> State:
         return max(self.pool.values(), key=lambda s: s.log_evidence)
 
-    def fitted(self, starts: Sequence[Start], closely: bool = False) -> list[State | None]:
-        """The fits from some starts, side by side; one that plainly stays below the best state before them is left off."""
-        floor = self.best().log_evidence if self.pool else -np.inf
+    def fitted(self, starts: Sequence[Start], closely: bool = False, floor: float | None = None) -> list[State | None]:
+        """The fits from some starts, side by side; one that plainly stays below the best state before them (``floor``) is left off."""
+        if floor is None:
+            floor = self.best().log_evidence if self.pool else -np.inf
 
         def one(start: Start) -> State | None:
             how = {"floor": floor, "own_spreads": self.own_spreads, "closely": closely, "in_range": True}
@@ -225,11 +226,13 @@ class Search:
                     self.pool[state.key] = state
             if self.own_spreads:
                 starts = [Start(s.x, s.alpha, s.case) for s in states]
-                # with nothing touched wider spreads lift no state to another: the rest is held against the best
-                ahead = 1 if self.case.like is not None else len(starts)
-                for some in (starts[:ahead], starts[ahead:]):
-                    if some:
-                        self.fitted(some)
+                self.fitted(starts[:1])
+                if self.pool and self._no_other_day(self.best()):
+                    self.say("  no two days in a laboratory differ like this: the search ends")
+                    return Found(self.best(), first.empty, {first.empty.key: first.empty} | self.pool)
+                if starts[1:]:
+                    # with nothing touched wider spreads lift no state to another: the rest is held against the best, else what that was
+                    self.fitted(starts[1:], floor=None if self.case.like is not None else first.best.log_evidence)
                 self.pool = self.pool or {first.best.key: first.best}
                 for key, state in self.pool.items():  # the idle model that it is about is the same
                     state.robustly = key in first.pool and first.pool[key].robustly
@@ -260,12 +263,16 @@ class Search:
             grown = len(best.terms) > len(was.terms)
             if best is was or (grown and best.log_evidence < was.log_evidence + EARNED):
                 break
-            if self._enough():
+            if self._enough() or self._no_other_day(best):
                 break
         self._leave_to_days()
-        if self.own_spreads:
+        if self.own_spreads and not self._no_other_day(self.best()):
             self._settle()
         return Found(max(self.pool.values(), key=score), empty, self.pool)
+
+    def _no_other_day(self, state: State) -> bool:
+        """Whether the differences between two days, with their spreads estimated, are such as no laboratory has: no effect mends that."""
+        return self.own_spreads and self.case.like is None and no_other_day(state)
 
     def _leave_to_days(self) -> None:
         """The most probable state without effects that are no more than days are: with them it is no answer, however it fits."""

@@ -248,6 +248,11 @@ def with_validation(found: Found) -> Found:
     return replace(found, best=state, empty=state if found.empty is best else found.empty, pool=found.pool | {best.key: state})
 
 
+def explains_lines(state: State) -> bool:
+    """Whether a state leaves no more on lines that were not fitted than an explanation may leave."""
+    return on_validation_lines(state)[0] < MOST_CHI_SQUARE and state.alpha <= EXPLAINED
+
+
 def verdict(found: Found, rest: State | None) -> Verdict:
     """The verdict with all that is told with it.
 
@@ -282,13 +287,14 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     """
     best = found.best
     chi, db = on_validation_lines(best)
+    explained = explains_lines(best)
     far = _UNLIKE if unlike_days(best) else ""
     still = _MOVED if untouched(best) else ""
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
-    if lost or far or still or not (chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED):
+    if lost or far or still or not explained:
         before = on_validation_lines(found.empty)[1]
         # what differs between the days explains most of the error without an effect as well: there the evidence speaks for it
-        by_days = far and not lost and not still and chi < MOST_CHI_SQUARE and best.alpha <= EXPLAINED
+        by_days = far and not lost and not still and explained
         lowered = db**2 < (1 - LOWERED) * before**2 or (by_days and score(best) > score(found.empty) + RIVALS)
         if best.terms and supported(best) and lowered:
             return "partial", lost or still or far or "the effects lower the error, and something remains"
