@@ -102,6 +102,17 @@ def _changes(state: Scannable, columns: Array, terms: Sequence[Term], w: Array, 
     return state.measured(patterns).reshape(w.size, -1, patterns.shape[-1]), factors
 
 
+def _robust_weights(case: Case, at: Array) -> Array:
+    return np.asarray(1 / np.sqrt(case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2))
+
+
+def robust_cost(case: Case, x: Point) -> float:
+    """What a point leaves by the measure of :func:`robust_scan`."""
+    at = case.lines.fit[:: case.lines.rough]
+    left = (case.lines.h[at] - case.forward.predict(x, case.lines.w[at], derivatives=False).h) * _robust_weights(case, at)
+    return float(np.sum(np.log1p(np.abs(left) ** 2)))
+
+
 def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> list[tuple[float, Term, bool]]:
     """Candidates by a robust misfit, without freeing anything; once more without what residual masses give between undriven places.
 
@@ -115,7 +126,7 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
     at, forward = case.lines.fit[:: case.lines.rough], case.forward
     w, measured = case.lines.w[at], case.lines.h[at]
     state = forward.scannable(x, w)
-    root = 1 / np.sqrt(case.lines.variance[at] + ROBUST**2 * case.lines.level[at] ** 2)
+    root = _robust_weights(case, at)
     left = ((measured - state.h) * root).reshape(w.size, -1, 1).astype(np.complex64)
     variants = [(False, state.columns)]
     below = case.between.below

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -71,6 +71,7 @@ def search(
     depth: int = DEPTH,
     own_spreads: bool = False,
     known: Sequence[State] = (),
+    simpler: Callable[[], bool] = lambda: False,
 ) -> Found:
     """To the first state that explains the lines; then with spreads estimated in each state.
 
@@ -90,12 +91,16 @@ def search(
         that explains the lines, and effects would be found in their place.
     known : sequence of State
         Fitted before, the state without effects among them; a search with spreads estimated makes its own.
+    simpler : callable
+        Whether something simpler than two effects explains the lines: asked where one effect does not, and ends the search.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
-    run = Search(case, say, start, rival, depth=depth)
+    run = Search(case, say, start, rival, depth=depth, simpler=simpler)
     run.pool |= {state.key: state for state in known}
     found = run.run()
+    if run.ended:
+        return found
     best = found.best
     behind = rival is not None and (score(best) < rival.score - EARNED or remounted(best))
     if behind or best.alpha >= EXPLAINED:
@@ -163,8 +168,10 @@ class Search:
         rival: Rival | None = None,
         own_spreads: bool = False,
         depth: int = DEPTH,
+        simpler: Callable[[], bool] = lambda: False,
     ) -> None:
         self.case, self.say, self.start, self.rival, self.own_spreads, self.depth = case, say, start, rival, own_spreads, depth
+        self.simpler, self.ended = simpler, False
         self.pool: dict[Key, State] = {}
         self.tried: set[Key] = set()
         self.given_up = False
@@ -246,6 +253,9 @@ class Search:
             if was.alpha > LOOSE and not was.robustly:  # else a scan about it, of first order in all unknowns, sees what can be seen
                 was.robustly = True
                 approached = self._robust_stage(was)
+                self.ended = self.depth > 1 and not (was.terms or self._enough()) and self.simpler()
+                if self.ended:
+                    break
                 if self.depth > 1 and self.best().alpha > LOOSE:
                     self.one_more_about(was, approached)
                 if self._enough() or self._behind(was, _LITTLE, ()):
