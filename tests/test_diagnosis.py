@@ -966,6 +966,20 @@ def test_a_search_ends_where_no_laboratory_has_two_days_that_differ_so(monkeypat
         assert ended.empty is empty or not ends
 
 
+@pytest.mark.parametrize("two", [False, True])
+def test_something_simpler_than_two_effects_is_asked_for_where_one_does_not_explain(two):
+    def change(m, c, k):
+        add_mass(m, c, k)
+        if two:
+            add_damper(m, c, k)
+
+    one, asked, said = case(change, spreads=SAME_SET_UP), [], []
+    found = search(one, said.append, depth=2, simpler=lambda: asked.append(True) or True)
+    assert asked == [True] * two
+    assert not any("', '" in text for text in said)  # states of two effects
+    assert (found.best.alpha < EXPLAINED) is not two
+
+
 @pytest.mark.parametrize("change", [add_mass, add_damper])
 def test_each_fourth_line_ranks_candidates_as_all_lines_do(change, monkeypatch):
     """``rough``: the location and the size found robustly about the idle model, and where the robust way to its fit ends."""

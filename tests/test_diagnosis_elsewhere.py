@@ -15,12 +15,21 @@ from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
-from operando.diagnosis.hypotheses import _apart, between_sensors, grown_by_a_mode, search_elsewhere, with_mode
+from operando.diagnosis.hypotheses import (
+    _HALF,
+    _apart,
+    between_sensors,
+    grown_by_a_mode,
+    instead_of_two,
+    search_elsewhere,
+    with_mode,
+)
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import located, midway, with_midway
 from operando.diagnosis.posterior import fit
-from operando.diagnosis.rival import score, started
+from operando.diagnosis.rival import Rival, score, started
+from operando.diagnosis.scan import robust_cost, robust_scan
 from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
 from operando.diagnosis.sizes import _KNOWN, with_likely_sizes
@@ -289,6 +298,49 @@ def test_a_weak_mode_is_looked_for_before_another_day_is(size):
     assert [e.kind for e in found.effects] == ["missing_mode"]
     assert found.effects[0].values["frequency"] == pytest.approx(pole / 2 / np.pi, rel=1e-3)
     assert not any(line.startswith("on another day") for line in said)
+
+
+def test_a_mode_that_explains_the_lines_spares_the_search_for_two_effects():
+    """It is asked for where the best location leaves more than half of what there is, robustly."""
+    w, _, phi, damping = modes()
+    mass, stiff = matrices()
+    frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
+    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
+    shape = 0.2 * phi[:, 1] * np.array([1, -1, 1, 1, -1])
+    mode = np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * 0.01 * pole * line)
+    said = []
+    found = diagnose_frf(identified(), [CheckRun("run", "1 N", replace(frf, data=frf.data + mode))], idle_frf=rest(), progress=said.append)
+    assert found.verdict == "explained"
+    assert [e.kind for e in found.effects] == ["missing_mode"]
+    before = said[: next(i for i, text in enumerate(said) if text.startswith("a mode missing"))]
+    assert not any("', '" in text for text in before)  # states of two effects
+
+
+@pytest.mark.parametrize("part", [0.4, 0.6])
+def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypatch, part):
+    """``_HALF``: of what the best sensor leaves for a place between sensors, of what there is for a mode."""
+    one, asked = case(add_mass), []
+    days = fit(one, one.forward.start)
+    whole = robust_cost(one, one.forward.start)
+    best = robust_scan(one, one.forward.start)[0]
+    assert -best[0] < _HALF * whole  # the mass that is there
+    monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args: asked.append("mode"))
+
+    def scanned(case, x):
+        at_sensor = (-part * whole, Term("point_mass", (1,), (0.0,)), False)
+        between = [(-part * part * whole, Term("point_mass", (place,), (0.0,)), False) for place in case.idle.midway]
+        return [*between[:1], at_sensor]
+
+    monkeypatch.setattr(hypotheses, "robust_scan", scanned)
+    monkeypatch.setattr(hypotheses, "search", lambda case, *args, **how: asked.append("between") or Found(days, days, {}))
+    monkeypatch.setattr(hypotheses, "with_likely_sizes", lambda found, say: found)
+    one.at_rest["robust"] = scanned(one, None)
+
+    def again(idle):
+        return [Case(idle, check_of(add_mass).frf, BAND, correlated=1.0) for _ in range(2)]
+
+    assert instead_of_two(one, days, Rival(one, days), 0.0, again, LINE, lambda text: None) is None
+    assert asked == (["between"] if part < _HALF else ["mode"])
 
 
 def test_a_lacking_mode_is_told_as_it_is_in_operation():
