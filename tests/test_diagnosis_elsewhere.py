@@ -32,7 +32,7 @@ from operando.diagnosis.rival import Rival, score, started
 from operando.diagnosis.scan import robust_cost, robust_scan
 from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
-from operando.diagnosis.sizes import _KNOWN, with_likely_sizes
+from operando.diagnosis.sizes import _KNOWN, _along_valley, with_likely_sizes
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import unlike_neighbours, unseen
 from operando.dof import Dof
@@ -164,6 +164,31 @@ def test_a_size_between_sensors_is_the_one_of_the_largest_evidence_with_it_held(
     # an effect at a sensor, and one whose size is known better, stay as they are
     sensor = fit(one, started(one, (Term("ground_damper", (1,), (float(np.log(size)),)),)), 0.03)
     assert with_likely_sizes(Found(sensor, sensor, {})).best is sensor
+
+
+@pytest.mark.parametrize("size", [4e2, 2e3])
+def test_a_size_that_is_held_begins_where_the_frfs_are_the_same(size):
+    """A strong spring, held at another size with the shape as it was, led to the next valley, and its evidence to hardly a spread."""
+    spot, kept = 0.25, [0, 2, 4, 6]
+    whole = model_of_beam()
+    std = np.r_[1e-5 * FREE, np.full(4, 1e-5), np.full(16, 2e-4)]
+    dofs, shapes = tuple(ON_BEAM[i] for i in kept), whole.shapes[kept]
+    few = ModalModel(FREE, whole.damping_ratios, shapes, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
+    wider = with_midway(Idle.of(few, BAND, [ON_BEAM[4]]), BEAM)
+    place = next(i for i, p in wider.midway.items() if p == pytest.approx((spot, 0.0, 0.0)))
+    one = Case(wider, on_beam(spot, lambda s: size).select(dofs, [ON_BEAM[4]]), BAND, SAME_SET_UP)
+    state = fit(one, started(one, (Term("ground_spring", (place,), (float(np.log(size)),)),)), 0.03)
+    lines = one.lines.w[one.lines.fit[::5]]
+
+    def frfs(x, value):
+        return one.forward.predict(replace(x, terms=(state.terms[0].moved((value,)),)), lines, derivatives=False).h
+
+    there = state.terms[0].values[0] - 0.3
+    as_it_was, as_fitted = frfs(state.x, there), frfs(state.x, state.terms[0].values[0])
+    along = frfs(_along_valley(state, 0, there), there)
+    assert np.abs(along - as_fitted).max() < 0.05 * np.abs(as_it_was - as_fitted).max()
+    held = with_likely_sizes(Found(state, state, {state.key: state})).best
+    assert held.terms[0].values[0] == pytest.approx(np.log(size), abs=2 * np.sqrt(held.covariance[0, 0]))
 
 
 @pytest.mark.parametrize(("count", "worth", "taken"), [(2, 40.0, False), (1, 40.0, True), (1, -WAYS + 1, True), (1, -WAYS - 1, False)])

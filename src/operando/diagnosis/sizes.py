@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.diagnosis.forward import Point
 from operando.diagnosis.posterior import State, names
 from operando.diagnosis.rival import fitted_if_can_be
 from operando.diagnosis.scan import Say
@@ -62,7 +63,7 @@ def at_likely_size(state: State, number: int) -> State:
             near = held[min(held, key=lambda s: abs(s - size))] if held else state
             one = replace(near.terms[number], values=(size, *near.terms[number].values[1:]), fixed=(0,))
             terms = tuple(one if n == number else t for n, t in enumerate(near.terms))
-            made = fitted_if_can_be(case, replace(near.x, terms=terms), near.alpha)
+            made = fitted_if_can_be(case, replace(_along_valley(near, number, size), terms=terms), near.alpha)
             if made is None:
                 return -np.inf
             held[size] = made
@@ -90,6 +91,17 @@ def at_likely_size(state: State, number: int) -> State:
     moves = _moved_by(held, around, number)
     size = 0.5 * float(np.log(2 * np.pi * variance))
     return replace(final, log_evidence=max(value, top) + size, sizes={number: (variance, moves)})
+
+
+def _along_valley(state: State, number: int, size: float) -> Point:
+    """A point of the same FRFs, nearly, at another size: the shape between sensors changes by the root of what the size does not."""
+    idle, x, k = state.case.forward.idle, state.x, state.case.forward.n_shape
+    term, own = x.terms[number], x.own.copy()
+    shapes, _ = idle.shape(x.g, own[:, :k])
+    by = float(np.exp(0.5 * (term.values[0] - size))) - 1
+    for place in set(term.places) & idle.midway.keys():
+        own[place, :k] += np.linalg.lstsq(idle.shapes.own[place], by * shapes[place], rcond=None)[0]
+    return replace(x, own=own)
 
 
 def _first_values(state: State) -> list[int]:
