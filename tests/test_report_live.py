@@ -7,11 +7,15 @@ import gzip
 import io
 import json
 import re
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from browser import CHROMIUM, Browser
+from operando.cli import main
 from operando.report import render_report
 from operando.report.figure_csv import figure_csv
 from operando.report.svg import new_figure
@@ -136,14 +140,57 @@ def test_tables_sort_by_number(page):
     assert page.run(body) == sorted(up, reverse=True)
 
 
-@needs_browser
-@pytest.mark.parametrize("width", [400, 1280])
-def test_nothing_is_wider_than_the_screen(file, width):
+@contextmanager
+def on_screen(file, width):
+    """A report on a screen of this width, with all its parts open."""
     with Browser(width, 900) as browser:
         browser.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
         browser.open(file)
-        assert browser.run("document.documentElement.scrollWidth") <= width
+        browser.run("document.querySelectorAll('details').forEach(d => d.open = true); new Promise(r => setTimeout(r, 100))")
+        yield browser
         assert browser.errors == []
+
+
+def stays_within(browser):
+    """Whether the page does not scroll sideways."""
+    return browser.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [320, 400, 1280])  # 320: what WCAG 2.2, 1.4.10 (reflow), asks for
+def test_nothing_is_wider_than_the_screen(file, width):
+    with on_screen(file, width) as browser:
+        assert stays_within(browser)
+
+
+@pytest.fixture(scope="module")
+def demo_file(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    done = CliRunner().invoke(main, ["demo", "-o", str(folder)])
+    assert done.exit_code == 0, done.output
+    return folder / "report.html"
+
+
+@needs_browser
+def test_demo_reads_on_a_narrow_screen(demo_file):
+    with on_screen(demo_file, 400) as browser:
+        assert stays_within(browser)
+        # a caption stays in view while its table scrolls, so all of it must fit in the box
+        beyond = "s => s.getBoundingClientRect().right - s.closest('.scroll').getBoundingClientRect().right"
+        assert browser.run(f"Math.max(...Array.from(document.querySelectorAll('caption span'), {beyond}))") < 1
+    with on_screen(demo_file, 320) as browser:
+        assert stays_within(browser)
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [320, 400])
+def test_long_names_wrap_on_a_narrow_screen(whole, tmp_path, width):  # noqa: F811
+    name = "frame_with_gearbox_and_pump_on_four_rubber_mounts_2026-11-28_second_run"
+    results = replace(whole, name=name, left_out={"diagnose": f"no file {name}/{name}.uff"})
+    path = tmp_path / "report.html"
+    path.write_text(render_report(results), encoding="utf-8")
+    with on_screen(path, width) as browser:
+        assert stays_within(browser)
 
 
 @needs_browser
