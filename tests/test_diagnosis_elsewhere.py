@@ -130,6 +130,7 @@ def test_a_mass_between_sensors_is_found_there():
     assert found.verdict in ("explained", "ambiguous")
     [effect] = found.effects
     assert (effect.kind, effect.position, effect.direction) == ("point_mass", (spot, 0.0, 0.0), "+Z")
+    assert not any("not measured in operation" in note for note in found.notes)  # a place between sensors is no DOF that was left out
     assert effect.values["mass"] == pytest.approx(mass, abs=3 * effect.std["mass"])
     # the model knows the shape that the fit found there, with its covariance
     assert [d.node for d in found.model.idle.dofs][:7] == list(range(1, 8))

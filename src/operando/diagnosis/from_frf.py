@@ -399,7 +399,7 @@ def notes_of(
             "effects between two locations (coupling, gyroscopic, circulatory) were not looked for: the error of the idle model on the "
             "idle FRFs themselves is too large for anything to be explained; name them in [analysis] kinds to look for them"
         )
-    count = len(case.dofs) - case.forward.responses.size
+    count = len(case.dofs) - len(case.idle.midway) - case.forward.responses.size
     if count:
         notes.append(f"{count} DOFs of the idle model were not measured in operation: what happens there follows from the others alone")
     return tuple(notes)
