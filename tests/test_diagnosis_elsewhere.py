@@ -140,16 +140,22 @@ def test_a_mass_between_sensors_is_found_there():
     np.testing.assert_allclose(np.sort(found.model.modes().frequencies_hz), np.sort(wanted), rtol=1e-3)
 
 
-def test_a_size_between_sensors_is_the_one_of_the_largest_evidence_with_it_held():
-    """With each second sensor the shape between them is hardly known: size and shape trade; the likeliest point has too large a size."""
-    spot, size, kept = 0.25, 400.0, [0, 2, 4, 6]
+def with_each_second_sensor(spot, law):
+    """A case of the beam with what acts half-way between two of its sensors, and that place."""
+    kept = [0, 2, 4, 6]
     whole = model_of_beam()
     std = np.r_[1e-5 * FREE, np.full(4, 1e-5), np.full(16, 2e-4)]
     dofs, shapes = tuple(ON_BEAM[i] for i in kept), whole.shapes[kept]
     few = ModalModel(FREE, whole.damping_ratios, shapes, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
     wider = with_midway(Idle.of(few, BAND, [ON_BEAM[4]]), BEAM)
     place = next(i for i, p in wider.midway.items() if p == pytest.approx((spot, 0.0, 0.0)))
-    one = Case(wider, on_beam(spot, lambda s: size * s).select(dofs, [ON_BEAM[4]]), BAND, SAME_SET_UP)
+    return Case(wider, on_beam(spot, law).select(dofs, [ON_BEAM[4]]), BAND, SAME_SET_UP), place
+
+
+def test_a_size_between_sensors_is_the_one_of_the_largest_evidence_with_it_held():
+    """With each second sensor the shape between them is hardly known: size and shape trade; the likeliest point has too large a size."""
+    size = 400.0
+    one, place = with_each_second_sensor(0.25, lambda s: size * s)
     far = fit(one, started(one, (Term("ground_damper", (place,), (float(np.log(30 * size)),)),)), 0.03, closely=True)
     found = with_likely_sizes(Found(far, far, {far.key: far})).best
     std = float(np.sqrt(found.covariance[0, 0]))
@@ -170,14 +176,7 @@ def test_a_size_between_sensors_is_the_one_of_the_largest_evidence_with_it_held(
 @pytest.mark.parametrize("size", [4e2, 2e3])
 def test_a_size_that_is_held_begins_where_the_frfs_are_the_same(size):
     """A strong spring, held at another size with the shape as it was, led to the next valley, and its evidence to hardly a spread."""
-    spot, kept = 0.25, [0, 2, 4, 6]
-    whole = model_of_beam()
-    std = np.r_[1e-5 * FREE, np.full(4, 1e-5), np.full(16, 2e-4)]
-    dofs, shapes = tuple(ON_BEAM[i] for i in kept), whole.shapes[kept]
-    few = ModalModel(FREE, whole.damping_ratios, shapes, dofs, "unit_modal_mass", covariance=np.diag(std**2), band_hz=BAND)
-    wider = with_midway(Idle.of(few, BAND, [ON_BEAM[4]]), BEAM)
-    place = next(i for i, p in wider.midway.items() if p == pytest.approx((spot, 0.0, 0.0)))
-    one = Case(wider, on_beam(spot, lambda s: size).select(dofs, [ON_BEAM[4]]), BAND, SAME_SET_UP)
+    one, place = with_each_second_sensor(0.25, lambda s: size)
     state = fit(one, started(one, (Term("ground_spring", (place,), (float(np.log(size)),)),)), 0.03)
     lines = one.lines.w[one.lines.fit[::5]]
 

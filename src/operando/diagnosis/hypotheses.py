@@ -29,10 +29,9 @@ from operando.threads import each
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
 _SOME = 1.0  # spreads of a difference between days from which the effect of its name is tried where nothing was touched
 _ROUGH = 0.05  # discrepancy that such a fit begins with
-_HALF = (
-    0.5  # of a robust cost, below which a place between sensors goes before two effects, and above which a lacking mode does: 0.2 to 0.5
-)
-# of the best sensor where the effect was between sensors, 1 where a mode was lacking (``benchmarks/hidden_effects``)
+# Of a robust cost, below which a place between sensors goes before two effects, and above which a lacking mode does: 0.2 to 0.5 of the best
+# sensor where the effect was between sensors, 1 where a mode was lacking (``benchmarks/hidden_effects``).
+_HALF = 0.5
 _HALVED = 0.5  # of the discrepancy that effects leave, above which a force law of no kind is no answer: differences of days may leave it
 _ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
 
