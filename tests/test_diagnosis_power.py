@@ -63,6 +63,7 @@ def test_other_kinds_are_asked_only_where_a_mass_or_a_spring_is_hidden(state, mo
         return SimpleNamespace(log_evidence=-np.inf)
 
     monkeypatch.setattr(module, "fitted_if_can_be", held)
+    monkeypatch.setattr(module, "side_by_side", lambda function, items: [function(item) for item in items])  # so that they are seen
     least = detectable(state)
     assert seen_at_their_size(state, least) == least
     assert sorted(asked) == ["ground_spring", "point_mass"]

@@ -186,7 +186,7 @@ def test_the_best_of_each_law_that_was_followed_is_fitted_however_far_it_is(monk
         return [Way(way.law, one, cost) for cost in costs[way.law == first[0]]]
 
     monkeypatch.setattr(LowRank, "followed", followed)
-    monkeypatch.setattr(unseen, "each", lambda function, items: [function(item) for item in items])
+    monkeypatch.setattr(unseen, "side_by_side", lambda function, items: [function(item) for item in items])
     monkeypatch.setattr(unseen, "_fitted", lambda case, again, way, floor: fitted.append(way.cost))
     assert with_unseen_motion(case, again, -np.inf) is None
     assert fitted == [1.0, 2 * _NEAR]

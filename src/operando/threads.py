@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -47,17 +47,29 @@ if hasattr(os, "register_at_fork"):
 def each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """Results in the order of the items; what runs in a thread already does its own items one after another."""
     todo = list(items)
-    if len(todo) < 2 or cores() == 1 or getattr(_here, "busy", False):
+    if len(todo) < 2 or cores() == 1 or inside():
         return [function(item) for item in todo]
 
     def guarded(item: Item) -> Result:
-        _here.busy = True
-        try:
+        with one_by_one():
             return function(item)
-        finally:
-            _here.busy = False
 
     return list(_pool().map(guarded, todo))
+
+
+def inside() -> bool:
+    """Whether this runs for :func:`each` already."""
+    return getattr(_here, "busy", False)
+
+
+@contextmanager
+def one_by_one() -> Iterator[None]:
+    """While it lasts, what this thread has to do for each of some items it does one after another."""
+    _here.busy = True
+    try:
+        yield
+    finally:
+        _here.busy = False
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:

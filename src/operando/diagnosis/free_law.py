@@ -16,8 +16,8 @@ from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, responses
 from operando.diagnosis.terms import FREE_LAW, Term, added
 from operando.indicators import INTERVAL
+from operando.processes import side_by_side
 from operando.structure.effects.effect import with_spread
-from operando.threads import each
 from operando.units import engineering_unit
 
 Array = NDArray[Any]
@@ -39,8 +39,8 @@ def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> Sta
     say : callable
     """
 
-    near = sorted(each(lambda term: approach(case, started(case, (term,))), scanned(case)[:_APPROACHED]), key=lambda row: row[0])
-    ends = each(lambda row: fitted_if_can_be(case, row[1], _ROUGH, floor=floor), near[:_FITTED])
+    near = sorted(side_by_side(lambda term: approach(case, started(case, (term,))), scanned(case)[:_APPROACHED]), key=lambda row: row[0])
+    ends = side_by_side(lambda row: fitted_if_can_be(case, row[1], _ROUGH, floor=floor), near[:_FITTED])
     tried = [state for state in ends if state is not None]
     best = max(tried, key=score, default=None)
     if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
@@ -72,7 +72,7 @@ def scanned(case: Case) -> list[Term]:
         return cost, term
 
     with np.errstate(all="ignore"):
-        rows = each(best, [*((i,) for i in sensors), *combinations(sensors, 2)])
+        rows = side_by_side(best, [*((i,) for i in sensors), *combinations(sensors, 2)])
     return [term for cost, term in sorted(rows, key=lambda row: row[0]) if np.isfinite(cost)]
 
 
@@ -104,8 +104,8 @@ def of_a_kind(law: State, say: Say = lambda text: None) -> State | None:
     fits = (_with_curve_of(law, Term(t.kind, t.places, sign=sign)) for t in case.candidates(()) if _acts_there(t, free) for sign in (1, -1))
     near = sorted((fit for fit in fits if fit is not None), key=lambda row: row[0])
     say("  kinds with such a force law: " + ", ".join(names(case, [term for _, term in near[:_ALIKE]])))
-    starts = each(lambda row: approach(case, started(case, (row[1],)))[1], near[:_ALIKE])
-    ends = each(lambda start: fitted_if_can_be(case, start, _ROUGH, floor=law.log_evidence), starts)
+    starts = side_by_side(lambda row: approach(case, started(case, (row[1],)))[1], near[:_ALIKE])
+    ends = side_by_side(lambda start: fitted_if_can_be(case, start, _ROUGH, floor=law.log_evidence), starts)
     best = max((state for state in ends if state is not None), key=score, default=None)
     return best if best is not None and score(best) > score(law) else None
 

@@ -24,7 +24,7 @@ from operando.diagnosis.suggested import begun_with
 from operando.diagnosis.terms import Term
 from operando.diagnosis.unseen import with_unseen_motion
 from operando.diagnosis.verdict import supported
-from operando.threads import each
+from operando.processes import side_by_side
 
 AT_FIRST = 2  # effects looked for at sensors before places between these and lacking modes are, and there
 _SOME = 1.0  # spreads of a difference between days from which the effect of its name is tried where nothing was touched
@@ -146,7 +146,7 @@ def _of_best(found: Found) -> float:
 def back_to_one_set_up(case: Case, state: State, floor: float, beyond: float = PROMOTED) -> State | None:
     """The best fit with nothing touched of the effects of another day, and of these with a difference beyond so many spreads as one."""
     sets = [terms for terms in (state.terms, *(x.terms for x in promotions(state, beyond))) if terms]
-    tried = each(lambda terms: fitted_if_can_be(case, started(case, terms), _ROUGH, floor=floor), sets)
+    tried = side_by_side(lambda terms: fitted_if_can_be(case, started(case, terms), _ROUGH, floor=floor), sets)
     return max((one for one in tried if one is not None), key=score, default=None)
 
 

@@ -15,7 +15,7 @@ from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.posterior import State, fit
 from operando.diagnosis.terms import Term
-from operando.threads import each
+from operando.processes import side_by_side
 
 
 def score(state: State) -> float:
@@ -82,5 +82,5 @@ class Rival:
             more = () if state is None else tuple(t for t in state.terms if not no_more_than_days(state.case, t, state.x.d))
             return -np.inf if state is None else score(state) if len(more) == len(terms) else one(more)
 
-        self.score = max([self.score, *each(one, sets)])
+        self.score = max([self.score, *side_by_side(one, sets)])
         return self.score

@@ -18,7 +18,7 @@ from operando.diagnosis.forward import Point, Scannable
 from operando.diagnosis.posterior import State, linear_evidence
 from operando.diagnosis.problem import Problem, Step
 from operando.diagnosis.terms import Term, added, changes
-from operando.threads import each
+from operando.processes import side_by_side
 
 Array = NDArray[Any]
 
@@ -165,7 +165,7 @@ def robust_scan(case: Case, x: Point, places: Sequence[Term] | None = None) -> l
         for place in (case.candidates(x.terms) if places is None else places)
         if not cut or (place.structural and forward.undriven[list(place.places)].all())
     ]
-    out = each(best, asked)
+    out = side_by_side(best, asked)
     return sorted(out, key=lambda row: -row[0])
 
 
@@ -249,8 +249,8 @@ class LinearScan:
                 return -np.inf
             return self._about(self.fitted.carried([*self.x.terms, row.term], row.start))
 
-        before = self._about(self.x)
-        return [replace(row, evidence=max(row.evidence, none + at - before)) for row, at in zip(rows, each(there, rows), strict=True)]
+        before, after = self._about(self.x), side_by_side(there, rows)
+        return [replace(row, evidence=max(row.evidence, none + at - before)) for row, at in zip(rows, after, strict=True)]
 
     def _about(self, x: Point) -> float:
         """Evidence of the model that is linear about a point, but for a constant."""
@@ -315,7 +315,7 @@ class LinearScan:
             scores = (case.log_priors(some) - costs[a:b] for some, a, b in zip(tried, ends[:-1], ends[1:], strict=True))
             return [row for some, score in zip(tried, scores, strict=True) for row in best(some, score)]
 
-        found = [row for rows in each(best_of, [places[i : i + _PLACES] for i in range(0, len(places), _PLACES)]) for row in rows]
+        found = [row for rows in side_by_side(best_of, [places[i : i + _PLACES] for i in range(0, len(places), _PLACES)]) for row in rows]
         found.sort(key=lambda row: -row[0])
         chosen: list[Term] = []
         of_kind: dict[str, int] = {}
@@ -323,7 +323,7 @@ class LinearScan:
             if len(chosen) < _TOP or of_kind.get(term.kind, 0) < 2:
                 chosen.append(term)
                 of_kind[term.kind] = of_kind.get(term.kind, 0) + 1
-        return [Candidate(*row, self.x) for row in each(self._refined, chosen)]
+        return [Candidate(*row, self.x) for row in side_by_side(self._refined, chosen)]
 
     def slopes(self, terms: Sequence[Term]) -> Iterable[tuple[Sequence[Term], Array]]:
         """Weighted rows (responses, rows, n) by the size of each term, at size zero, some at a time."""

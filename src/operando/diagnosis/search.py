@@ -19,7 +19,7 @@ from operando.diagnosis.posterior import State, approach, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
 from operando.diagnosis.terms import Term, added
-from operando.threads import each
+from operando.processes import side_by_side
 
 Array = NDArray[Any]
 Key = tuple[tuple[str, tuple[int, ...]], ...]
@@ -188,7 +188,7 @@ class Search:
             how = {"floor": floor, "own_spreads": self.own_spreads, "closely": closely, "in_range": True}
             return fitted_if_can_be(start.case, start.x, start.alpha, **how)
 
-        states, simpler = each(one, starts), []
+        states, simpler = side_by_side(one, starts), []
         ended = {state.key for state in states if state is not None}
         for state in states:
             if state is None:
@@ -384,7 +384,7 @@ class Search:
 
     def _nearest(self, case: Case, starts: Sequence[Point]) -> list[Point]:
         """The neighbourhoods of some starts, the nearest first; these are fitted."""
-        near = sorted(each(partial(approach, case), starts), key=lambda row: row[0])
+        near = sorted(side_by_side(partial(approach, case), starts), key=lambda row: row[0])
         self.fitted([Start(x, 0.03, case) for cost, x in near[:_FITTED] if cost < 1.5 * near[0][0] + _SHORT])
         return [x for _, x in near]
 
@@ -406,7 +406,7 @@ class Search:
             start = state.carried([*state.terms, term], self.case.forward.start)
             return approach(state.case, replace(start, u=0 * start.u))[1]
 
-        self.fitted([Start(x, 0.03, state.case) for x in each(way, terms)])
+        self.fitted([Start(x, 0.03, state.case) for x in side_by_side(way, terms)])
 
     def _robust_stage(self, state: State) -> list[Point]:
         """The neighbourhoods of the leaders of two scans about the idle model, the nearest first; these are fitted.

@@ -22,7 +22,7 @@ from operando.diagnosis.rival import fitted_if_can_be, started
 from operando.diagnosis.scan import LinearScan, Say
 from operando.diagnosis.terms import Term
 from operando.errors import DataError
-from operando.threads import each
+from operando.processes import side_by_side
 
 _COUNT = 3  # effects that are tried
 _ROUGH = 0.03  # discrepancy that scan and fits begin with
@@ -67,6 +67,6 @@ def suggested_by_modes(
 
 def begun_with(case: Case, terms: Sequence[Term]) -> State | None:
     """The fit of the effect that comes nearest to the FRFs, with all unknowns free and robustly."""
-    ways = each(partial(approach, case), [started(case, (term,)) for term in terms])
+    ways = side_by_side(partial(approach, case), [started(case, (term,)) for term in terms])
     cost, nearest = min(ways, key=lambda way: way[0], default=(np.inf, case.forward.start))
     return fitted_if_can_be(case, nearest, _ROUGH) if np.isfinite(cost) else None

@@ -24,8 +24,8 @@ from operando.diagnosis.scan import Say
 from operando.diagnosis.terms import Term, added
 from operando.dof import Dof, split_node
 from operando.indicators import INTERVAL
+from operando.processes import side_by_side
 from operando.structure.effects.effect import with_spread
-from operando.threads import each
 
 Array = NDArray[Any]
 
@@ -150,8 +150,8 @@ def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floo
     with np.errstate(all="ignore"):
         model = LowRank(case)
         nothing = Way(("", 1), np.zeros((model.modes.size, 0)), float(np.sum(np.log1p(np.abs(model.left * model.root) ** 2))))
-        firsts = each(lambda law: model.one_more(replace(nothing, law=law)), [law for law in _KINDS if law[0] in case.kinds])
-        followed = each(model.followed, sorted(firsts, key=lambda way: way.cost)[:_LAWS])
+        firsts = side_by_side(lambda law: model.one_more(replace(nothing, law=law)), [law for law in _KINDS if law[0] in case.kinds])
+        followed = side_by_side(model.followed, sorted(firsts, key=lambda way: way.cost)[:_LAWS])
     best_of = [min(way.cost for way in ways) for ways in followed]
     least = min(best_of, default=np.inf)
     if not least < _COST * nothing.cost:

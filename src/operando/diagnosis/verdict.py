@@ -32,7 +32,7 @@ from operando.diagnosis.terms import BY_SLOPE, Term
 from operando.diagnosis.unseen import unseen_text
 from operando.dof import Dof
 from operando.indicators import INTERVAL
-from operando.threads import each
+from operando.processes import side_by_side
 
 _HALVINGS = 8  # of the range of a discrepancy
 _LEAST_POWER = 0.5  # of a size by which it is seen: 1 at first order, 0.6 to 0.9 along the valleys that were looked at
@@ -142,9 +142,9 @@ def seen_at_their_size(state: State, least: Mapping[tuple[str, tuple[int, ...]],
         return float(more ** (1 / max(power, _LEAST_POWER)))
 
     first = [kind for kind in of_kind if kind in ("point_mass", "ground_spring")]
-    factors = dict(zip(first, each(factor, first), strict=True))
+    factors = dict(zip(first, side_by_side(factor, first), strict=True))
     others = [kind for kind in of_kind if kind not in first]
-    more = [1.0] * len(others) if max(factors.values(), default=1.0) == 1 else each(factor, others)
+    more = [1.0] * len(others) if max(factors.values(), default=1.0) == 1 else side_by_side(factor, others)
     factors |= dict(zip(others, more, strict=True))
     return {key: size * factors[key[0]] for key, size in least.items()}
 
