@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from dataclasses import replace
 from itertools import product
@@ -33,7 +34,7 @@ from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
 from operando.diagnosis.hypotheses import search_both
-from operando.diagnosis.idle import Idle, Moves
+from operando.diagnosis.idle import RESIDUAL_DAMPING, Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
 from operando.diagnosis.poles import with_straight_poles
@@ -95,10 +96,14 @@ def measured(mass, damping, stiff, references, noise, seed, gains=None, response
     return Frf(h, HZ, dofs, tuple(DOFS[i] for i in references), variance=np.full(h.shape, size**2))
 
 
-def identified(references=(0, 3), residual=0):
-    """The chain at rest, known to 1e-4 or so; what is not known of an undriven DOF is its own. The last modes may be residual terms."""
+def identified(references=(0, 3), residual=0, assumed=False):
+    """The chain at rest, known to 1e-4 or so; what is not known of an undriven DOF is its own. The last modes may be residual terms,
+    with poles that were assumed."""
     w, zeta, phi, _ = modes()
     std = np.concatenate([1e-5 * w / 2 / np.pi, 1e-3 * zeta, np.tile(2e-4 * np.abs(phi).max(), N * N)])
+    if assumed:
+        std[: 2 * N].reshape(2, N)[:, N - residual :] = 0
+        zeta = np.where(np.arange(N) < N - residual, zeta, 2 * zeta)
     start = np.concatenate([w / 2 / np.pi, zeta, phi.T.ravel()]) + std * np.random.default_rng(7).standard_normal(std.size)
     values = start[:N], start[N : 2 * N], start[2 * N :].reshape(N, N).T
     known = {"scaling": "unit_modal_mass", "covariance": np.diag(std**2), "band_hz": BAND}
@@ -116,6 +121,7 @@ def case(
     responses=range(N),
     residual=0,
     straight=False,
+    assumed=False,
     **more,
 ):
     """Check FRFs of what ``change(mass, damping, stiffness)`` leaves of the chain, and its model at rest."""
@@ -125,7 +131,7 @@ def case(
         change(m, c, k)
     frf = measured(m, c, k, references, noise, seed, gains, responses)
     band = (BAND[0], float(modes()[0][N - residual] / 2 / np.pi) - 1) if residual else BAND
-    idle = Idle.of(identified(residual=residual), band, [DOFS[i] for i in references])
+    idle = Idle.of(identified(residual=residual, assumed=assumed), band, [DOFS[i] for i in references])
     idle = complex_modes(idle, lag) if lag else idle
     return Case(with_straight_poles(idle) if straight else idle, frf, band, correlated=1.0, **more)
 
@@ -145,6 +151,7 @@ def complex_modes(idle, std):
         f_root=wide(idle.f_root, pairs),
         zeta_root=wide(idle.zeta_root, pairs),
         between_root=between,
+        residual_damping=wide(idle.residual_damping, pairs),
         shapes=Moves(wide(idle.shapes.shared, pairs), wide(idle.shapes.own, m)),
         lags=Moves(np.zeros((N, m, g + pairs)), own),
     )
@@ -223,10 +230,17 @@ EVERY = [
 
 
 @pytest.mark.parametrize(
-    ("responses", "residual", "straight"), [(range(N), 0, False), ((0, 1, 3), 0, False), (range(N), 2, False), (range(N), 0, True)]
+    ("responses", "residual", "straight", "assumed"),
+    [
+        (range(N), 0, False, False),
+        ((0, 1, 3), 0, False, False),
+        (range(N), 2, False, False),
+        (range(N), 2, False, True),
+        (range(N), 0, True, False),
+    ],
 )
-def test_derivatives_are_those_of_the_frfs(responses, residual, straight):
-    one = case(lag=0.4, responses=responses, residual=residual, straight=straight)
+def test_derivatives_are_those_of_the_frfs(responses, residual, straight, assumed):
+    one = case(lag=0.4, responses=responses, residual=residual, straight=straight, assumed=assumed)
     forward = one.forward
     terms = [t for t in EVERY if len(responses) == N or t.kind not in ("channel_swap",)]
     rng = np.random.default_rng(1)
@@ -270,6 +284,25 @@ def test_derivatives_are_those_of_the_frfs(responses, residual, straight):
         own[dof, k] = 1
         wanted = numbers(Step(np.zeros(problem.n_shared), own), 1e-5)
         np.testing.assert_allclose(exact.own[:, row, :, k], wanted[:, row], rtol=2e-3, atol=5e-5 * np.abs(wanted).max() + 1e-17)
+
+
+def test_the_damping_that_residual_terms_were_assumed_to_have_is_told_where_all_damping_grows():
+    def damped(m, c, k):
+        c *= 3.4
+
+    one = case(damped, residual=2, assumed=True, spreads=SAME_SET_UP)
+    idle = one.idle
+    assert idle.assumed.sum() == 2
+    start = started(one, (Term("global_damping", (), (float(np.log(3.0)),)),))
+    found = fit(one, start, 0.05)
+    assert found.alpha == pytest.approx(LEAST_DISCREPANCY)
+    assert found.terms[0].size == pytest.approx(2.4, rel=2e-3)
+    zeta = idle.diagonals(found.x.g)[1][idle.assumed]
+    assert zeta == pytest.approx(idle.zeta[idle.assumed] / 2, rel=0.1)
+    assert np.log(2) < RESIDUAL_DAMPING
+    known = copy.copy(one)
+    known.forward = replace(one.forward, idle=replace(idle, residual_damping=0 * idle.residual_damping))
+    assert fit(known, start, 0.05).alpha > 4 * LEAST_DISCREPANCY
 
 
 def test_residual_terms_are_linear_in_the_changes_of_their_shapes():

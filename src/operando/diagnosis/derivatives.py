@@ -154,8 +154,7 @@ class Derivatives:
         self.modes = parts.idle.modes
         self.n_shape = parts.idle.shapes.own.shape[2]
         self.n_terms = parts.moved.f.size
-        by_g = np.flatnonzero((parts.moved.by_f != 0).any(axis=1) | (parts.moved.by_zeta != 0).any(axis=1))
-        self.moving = np.union1d(by_g, self.modes)  # terms whose poles move by themselves
+        self.moving = np.flatnonzero(~parts.idle.assumed)  # terms whose poles move by themselves
         self.following = (self.moving != parts.idle.lacking).astype(float)[:, None]  # those that differ with the day
         self.dofs = parts.order.tolist()
 
@@ -307,6 +306,7 @@ class Derivatives:
     def _by_g(self, out: Array) -> None:
         p, made = self.of, self.of.moved
         by_poles = self._by_pole(made.by_f[self.moving], made.by_zeta[self.moving])
+        by_poles[-1] = p.idle.residual_damping
         moves = self._moves("shared")
         k, size = by_poles.shape[0], moves.shape[1]
         products = np.concatenate([self.poles, self.response, self.driven, *self.touched], -1)
