@@ -13,7 +13,7 @@ from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
-from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
+from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, LOOSE, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.from_frf import levels_disagree
 from operando.diagnosis.hypotheses import (
     _HALF,
@@ -21,6 +21,7 @@ from operando.diagnosis.hypotheses import (
     between_sensors,
     grown_by_a_mode,
     instead_of_two,
+    mode_with_nothing_touched,
     search_elsewhere,
     with_mode,
 )
@@ -349,7 +350,7 @@ def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypa
     whole = robust_cost(one, one.forward.start)
     best = robust_scan(one, one.forward.start)[0]
     assert -best[0] < _HALF * whole  # the mass that is there
-    monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args: asked.append("mode"))
+    monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args, **how: asked.append("mode"))
 
     def scanned(case, x):
         at_sensor = (-part * whole, Term("point_mass", (1,), (0.0,)), False)
@@ -366,6 +367,29 @@ def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypa
 
     assert instead_of_two(one, days, Rival(one, days), 0.0, again, LINE, lambda text: None) is None
     assert asked == (["between"] if part < _HALF else ["mode"])
+
+
+def test_a_mode_that_does_not_explain_the_lines_alone_is_not_fitted_again():
+    """Two effects at sensors: where one explains little it is asked for, and once more where two do not."""
+
+    def changed(m, c, k):
+        add_mass(m, c, k)
+        k[3, 3] += 4e3
+
+    frf, said = check_of(changed).frf, []
+
+    def again(idle):
+        days = Case(idle, frf, BAND, correlated=1.0)
+        return [days, Case(idle, frf, BAND, SAME_SET_UP, correlated=1.0, like=days)]
+
+    days, same = again(Idle.of(identified(), BAND, [DOFS[0], DOFS[3]]))
+    alone, empty = fit(days, days.forward.start), fit(same, same.forward.start)
+    found, rival = Found(empty, empty, {empty.key: empty}), Rival(days, alone)
+    assert alone.alpha > LOOSE
+    for _ in range(2):
+        assert mode_with_nothing_touched(found, alone, rival, again, None, said.append, at_once=True) is None
+    tried = [text for text in said if text.startswith("a mode missing")]
+    assert len(tried) == len(set(tried)) > 0
 
 
 def test_a_lacking_mode_is_told_as_it_is_in_operation():

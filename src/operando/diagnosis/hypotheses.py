@@ -220,9 +220,7 @@ def instead_of_two(
         if there is not None and there[0].best.alpha <= HOPELESS * max(at_rest, LEAST_DISCREPANCY):
             return there
     if -sensors[0][0] > _HALF * robust_cost(case, about):
-        there = mode_with_nothing_touched(nothing, alone, rival, again, geometry, say)
-        if there is not None and _explains(there[0].best, alone) and there[1] > EARNED:
-            return there
+        return mode_with_nothing_touched(nothing, alone, rival, again, geometry, say, at_once=True)
     return None
 
 
@@ -233,24 +231,33 @@ def mode_with_nothing_touched(
     again: Callable[[Idle], Sequence[Case]],
     geometry: Geometry | None,
     say: Say,
+    at_once: bool = False,
 ) -> tuple[Found, float] | None:
     """A mode that the idle model lacks where that explains the lines, with its log odds against another day; None where it does not.
 
     At the pole that takes most from what the idle model leaves as it is, or as another day has it. What acts as an absorber at a place
-    between sensors makes a mode, too.
+    between sensors makes a mode, too. With no other effect where it is asked to be so ``at_once``, or where another day leaves little,
+    which may explain that with an effect.
     """
     bar = max(rival.score, score(found.best))
-    for grown in grown_by_a_mode([replace(found.empty, x=found.empty.case.forward.start), alone]):
-        lacking = with_mode(grown, again, bar, say)
-        if lacking is None or lacking.best.alpha >= LOOSE:
+    sure = at_once or alone.alpha < LOOSE
+    case = found.empty.case
+    known: list[Idle] = case.at_rest.get("grown by a mode") or grown_by_a_mode([replace(found.empty, x=case.forward.start), alone])
+    case.at_rest["grown by a mode"] = known
+    short: list[tuple[Idle, float]] = case.at_rest.setdefault("no mode alone", [])  # and the bar that it did not reach
+    for grown in known:
+        if sure and any(one is grown and its <= bar for one, its in short):
             continue
-        odds = lacking.odds or 0.0
-        if alone.alpha < LOOSE and not (odds > EARNED and _explains(lacking.best, alone)):
-            continue  # another day leaves little, and may explain that with an effect
+        lacking = with_mode(grown, again, bar, say, sure)
+        if lacking is None or (sure and not _explains(lacking.best, alone)):
+            short += [(grown, bar)] if sure else []
+            continue
+        if lacking.best.alpha >= LOOSE:
+            continue
         there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say, score(lacking.best))
         if there is not None:
             return there
-        return search(lacking.best.case, say, start=lacking, depth=AT_FIRST), odds
+        return search(lacking.best.case, say, start=lacking, depth=AT_FIRST), lacking.odds or 0.0
     return None
 
 
@@ -381,7 +388,7 @@ def _same_pole(grown: Idle, other: Idle) -> bool:
     return abs(f / its - 1) < zeta + its_zeta
 
 
-def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, say: Say) -> Lacking | None:
+def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, say: Say, untouched: bool = False) -> Lacking | None:
     """States of an idle model with the mode that it lacks, where one lifts the score above a bar.
 
     Parameters
@@ -392,16 +399,25 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
         The same check with another idle model.
     bar : float
     say : callable
+    untouched : bool
+        Whether it has to be one where nothing was touched, more probable than another day by ``EARNED``.
     """
     say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
-    ways = [(c, approach(c, replace(c.forward.start, terms=grown.lacking_term))[1]) for c in again(grown)]
-    starts = [fit(c, x, 0.03, floor=bar) for c, x in ways]
+    cases = again(grown)
+
+    def fitted(case: Case, floor: float = -np.inf) -> State:
+        return fit(case, approach(case, replace(case.forward.start, terms=grown.lacking_term))[1], 0.03, floor=floor)
+
+    starts = [fitted(cases[-1], bar)] if untouched else side_by_side(lambda case: fitted(case, bar), cases)
     first = max(starts, key=score)
     say(f"  with it alone {first.log_evidence:.1f}, discrepancy {first.alpha:.4f}")
     if score(first) <= bar or not _apart(first):
         return None
-    # the fit of one hypothesis may have been left off, far below the bar; the odds ask for its end
-    starts = [s if score(s) > bar else fit(c, x, 0.03) for s, (c, x) in zip(starts, ways, strict=True)]
+    # the fit of one hypothesis was not asked for yet, or left off far below the bar; the odds ask for its end
+    those = [None] * (len(cases) - len(starts)) + starts
+    starts = [fitted(c) if s is None or score(s) <= bar else s for s, c in zip(those, cases, strict=True)]
+    if untouched and score(first) < score(starts[0]) + EARNED:
+        return None
     empty = fit(first.case, first.case.forward.start, 0.1)
     return Lacking(first, empty, {s.key: s for s in (empty, first)}, odds=None if len(starts) < 2 else score(starts[1]) - score(starts[0]))
 
