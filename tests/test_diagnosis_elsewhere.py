@@ -14,7 +14,6 @@ from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, LOOSE, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
-from operando.diagnosis.from_frf import levels_disagree
 from operando.diagnosis.hypotheses import (
     _HALF,
     _apart,
@@ -33,6 +32,7 @@ from operando.diagnosis.rival import Rival, score, started
 from operando.diagnosis.scan import robust_cost, robust_scan
 from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
 from operando.diagnosis.sensor_mass import frequency_misfit, of_a_sensor
+from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.sizes import _KNOWN, _along_valley, with_likely_sizes
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import unlike_neighbours, unseen

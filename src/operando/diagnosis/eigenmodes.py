@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.between import OF_A_CHANNEL, channel_laws
-from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial, with_inside
+from operando.diagnosis.eigenproblem import System, eigenmodes, involved, polynomial
 from operando.diagnosis.forward import Forward, Point, Prediction
 from operando.diagnosis.operating_modes import OperatingModes
 from operando.diagnosis.products import Rows
 from operando.diagnosis.sides import Sides
 from operando.diagnosis.terms import Term, added, resonator
+from operando.structure.eigenproblem import with_inside
 
 Array = NDArray[Any]
 _NEAR = 1.3  # terms up to so many times beyond the band are scanned as modes

@@ -13,6 +13,7 @@ from operando.diagnosis.derivatives import Moved, Outside
 from operando.diagnosis.forward import Forward, Point
 from operando.diagnosis.idle import Moves
 from operando.diagnosis.terms import Term, added, resonator, touched
+from operando.structure.eigenproblem import with_inside
 
 Array = NDArray[Any]
 _TURNS, _CLOSE = 30, 1e-11  # of Newton's method; relative change of a pole at which it ends
@@ -185,17 +186,6 @@ class System:
     def ends(self) -> Array:
         """Both ends of the band [rad/s]."""
         return 2 * np.pi * np.array(self.forward.band)
-
-
-def with_inside(matrices: Sequence[Array], at: Array, form: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """M, C, K (n, n) with the coordinates inside an effect more, given its shapes (places, n or fewer) and its own M, C, K."""
-    places, n, more = len(at), len(matrices[0]), len(form[0]) - len(at)
-    to = np.zeros((places + more, n + more))
-    to[:places, : at.shape[1]], to[places:, n:] = at, np.eye(more)
-    mass, damping, stiffness = (to.T @ part @ to for part in form)
-    for a, out in zip(matrices, (mass, damping, stiffness), strict=True):
-        out[:n, :n] += a
-    return mass, damping, stiffness
 
 
 def polynomial(z: Array, w: Array) -> tuple[Array, Array, Array]:

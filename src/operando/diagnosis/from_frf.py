@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import EXPLAINED, ONE_SYSTEM
+from operando.diagnosis.criteria import EXPLAINED
 from operando.diagnosis.days import no_other_day, unlike_days, untouched
 from operando.diagnosis.document import (
     between_rows,
@@ -39,6 +38,7 @@ from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import WAYS, Found, search
 from operando.diagnosis.sensor_mass import of_a_sensor
+from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.suggested import suggested_by_modes
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, Term, touched
 from operando.diagnosis.verdict import (
@@ -274,22 +274,6 @@ def chosen_run(check: Sequence[CheckRun]) -> CheckRun:
 
     level = lowest_level(check)
     return max((r for r in check if r.level == level), key=lambda r: int(np.isfinite(r.frf.data).sum()))
-
-
-def levels_disagree(check: Sequence[CheckRun], band: tuple[float, float]) -> bool:
-    """Whether runs of different level differ by more than noise: as found when they were estimated, or on the lines of the band."""
-    if any(f.kind == "nonlinear" for run in check for f in run.frf.findings):
-        return True
-    for one, other in combinations(check, 2):
-        a, b = one.frf.band(*band), other.frf.band(*band)
-        alike = a.responses == b.responses and a.references == b.references and np.array_equal(a.frequencies_hz, b.frequencies_hz)
-        if one.level == other.level or not alike or a.variance is None or b.variance is None:
-            continue
-        b = b.to_quantity(a.quantity)
-        assert b.variance is not None
-        if np.nanmean(np.abs(a.data - b.data) ** 2 / (a.variance + b.variance)) > ONE_SYSTEM:
-            return True
-    return False
 
 
 def searched(kinds: Sequence[str] | None, poor: bool = False) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.diagnosis.at_level import level_picture
 from operando.diagnosis.records import RecordsApplied, RecordsDiagnosis, diagnose_records, measured_distortion
 from operando.diagnosis.result import Diagnosis, where_it_fails
-from operando.diagnosis.size_by_level import sizes_by_level
+from operando.diagnosis.size_by_level import levels_disagree, sizes_by_level
 from operando.dof import Node
 from operando.errors import MissingError, OperandoError
 from operando.results import CheckRun
@@ -61,11 +61,6 @@ def suspicion(check: Sequence[CheckRun], idle_frf: Frf | None = None) -> str | N
     if ratios and max(ratios) > DISTORTION:
         return f"the responses in operation hold {max(ratios):.3g} times as much as in the idle state that is not proportional to the force"
     return None
-
-
-def levels_disagree(check: Sequence[CheckRun]) -> bool:
-    """Whether runs of different level differ by more than noise."""
-    return any(f.kind == "nonlinear" for run in check for f in run.frf.findings)
 
 
 def unexplained(frf: Frf) -> dict[tuple[Node, str], float]:

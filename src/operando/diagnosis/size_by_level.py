@@ -1,18 +1,20 @@
-"""Whether effects found in FRFs of several levels are as large at the lowest as at the highest."""
+"""Whether FRFs of several levels differ, and effects found in them are as large at the lowest as at the highest."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Frf, TimeRecord, force_rms, level_groups
-from operando.diagnosis.criteria import LEVEL_CHANGE, UNUSUAL
+from operando.diagnosis.criteria import LEVEL_CHANGE, ONE_SYSTEM, UNUSUAL
 from operando.diagnosis.lines import alike_lines
 from operando.frf import estimate_frf
+from operando.results import CheckRun
 from operando.structure import Model
 from operando.structure.effects import Effect
 
@@ -124,3 +126,21 @@ def _fitted(model: Model, sized: Sequence[int], frf: Frf) -> tuple[Array, Array]
     solution, *_ = np.linalg.lstsq(rows, left, rcond=None)
     noise = max(1.0, float(np.sum((left - rows @ solution) ** 2)) / (left.size - solution.size))
     return solution[: len(sized)], noise * np.diag(np.linalg.pinv(rows.T @ rows))[: len(sized)]
+
+
+def levels_disagree(check: Sequence[CheckRun], band: tuple[float, float] | None = None) -> bool:
+    """Whether runs of different level differ by more than noise: as found when they were estimated, or on the lines of a band."""
+    if any(f.kind == "nonlinear" for run in check for f in run.frf.findings):
+        return True
+    if band is None:
+        return False
+    for one, other in combinations(check, 2):
+        a, b = one.frf.band(*band), other.frf.band(*band)
+        alike = a.responses == b.responses and a.references == b.references and np.array_equal(a.frequencies_hz, b.frequencies_hz)
+        if one.level == other.level or not alike or a.variance is None or b.variance is None:
+            continue
+        b = b.to_quantity(a.quantity)
+        assert b.variance is not None
+        if np.nanmean(np.abs(a.data - b.data) ** 2 / (a.variance + b.variance)) > ONE_SYSTEM:
+            return True
+    return False

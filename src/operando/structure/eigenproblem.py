@@ -52,15 +52,21 @@ def modal_matrices(base: ModalModel, placed: Placed) -> tuple[Quadratic, list[tu
         if form is None:
             rest.append((effect, at))
             continue
-        size, inner = mass.shape[0], form.internal - k
-        wide = np.zeros((form.internal, size + inner))
-        wide[:k, :n] = at
-        wide[k:, size:] = np.eye(inner)
-        grown = [np.pad(a, (0, inner)) for a in (mass, damping, stiffness)]
-        parts = [effect.sign * (wide.T @ a @ wide) for a in (form.mass, form.damping, form.stiffness)]
-        mass, damping, stiffness = (a + b for a, b in zip(grown, parts, strict=True))
+        own = [effect.sign * a for a in (form.mass, form.damping, form.stiffness)]
+        mass, damping, stiffness = with_inside((mass, damping, stiffness), at, own)
     padded = [(e, np.pad(at, ((0, 0), (0, mass.shape[0] - n)))) for e, at in rest]
     return Quadratic(mass, damping, stiffness), [(e, at, np.zeros_like(at)) for e, at in padded]
+
+
+def with_inside(matrices: Sequence[Array], at: Array, form: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """M, C, K (n, n) with the coordinates inside an effect more, given its shapes (places, n or fewer) and its own M, C, K."""
+    places, n, more = len(at), len(matrices[0]), len(form[0]) - len(at)
+    to = np.zeros((places + more, n + more))
+    to[:places, : at.shape[1]], to[places:, n:] = at, np.eye(more)
+    mass, damping, stiffness = (to.T @ part @ to for part in form)
+    for a, out in zip(matrices, (mass, damping, stiffness), strict=True):
+        out[:n, :n] += a
+    return mass, damping, stiffness
 
 
 def acting(base: ModalModel, placed: Placed) -> list[tuple[Effect, Array, Array]]:
