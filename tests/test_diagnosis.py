@@ -6,6 +6,7 @@ import copy
 import os
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ from operando.diagnosis.criteria import (
 from operando.diagnosis.descent import Descent
 from operando.diagnosis.document import MOST_ODDS, between_rows, candidate_rows, odds_text
 from operando.diagnosis.forward import Point
-from operando.diagnosis.hypotheses import search_both
+from operando.diagnosis.hypotheses import _ALSO, first_effects, search_both
 from operando.diagnosis.idle import RESIDUAL_DAMPING, Idle, Moves
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.lines import Lines
@@ -900,6 +901,25 @@ def test_another_hypothesis_is_asked_with_the_same_effects():
     endless = Term("point_mass", (1,), (800.0,))
     assert fitted_if_can_be(days, started(days, (endless,)), 0.05) is None
     assert rival.asked([(endless,)], 0.05) == rival.score  # numbers that cannot be end no search
+
+
+def test_first_effects_of_one_set_up_are_tried_on_another_day_too():
+    """``_ALSO``: the best at each of two places."""
+    mass, spring = (Term("point_mass", (1,), (float(np.log(v)),)) for v in (0.3, 0.5))
+    states = [
+        SimpleNamespace(terms=terms, log_evidence=value, key=tuple(t.key for t in terms))
+        for terms, value in (
+            ((), 0.0), ((mass,), 1.0), ((replace(spring, kind="ground_spring"),), 3.0), ((mass, spring), 9.0),
+            ((replace(mass, places=(2,)),), 2.0), ((replace(mass, places=(3,)),), 1.5),
+        )
+    ]  # fmt: skip
+    firsts = first_effects(Found(states[0], states[0], {s.key: s for s in states}), _ALSO)
+    assert [(t.kind, t.places) for t in firsts] == [("ground_spring", (1,)), ("point_mass", (2,))]
+    damper = Term("ground_damper", (4,), (float(np.log(5.0)),))
+    run = Search(case(), lambda text: None, also=[damper])
+    run.fitted([Start(run.case.forward.start, 0.05, run.case)])
+    run._grow()
+    assert (damper.key,) in run.pool
 
 
 def test_effects_beyond_doubt_are_not_taken_out_again():

@@ -33,6 +33,7 @@ _ROUGH = 0.05  # discrepancy that such a fit begins with
 # sensor where the effect was between sensors, 1 where a mode was lacking (``benchmarks/hidden_effects``).
 _HALF = 0.5
 _HALVED = 0.5  # of the discrepancy that effects leave, above which a force law of no kind is no answer: differences of days may leave it
+_ALSO = 2  # first effects of one set-up that are tried on another day: the right one was the first of them, and not in the scan of that day
 _ANOTHER_DAY = 100.0  # log odds of another day from which no place between sensors is looked for in one set-up
 
 
@@ -124,7 +125,7 @@ def search_both(
         if there is not None:
             return there
     say("on another day:")
-    found = search(days, say, depth=depth, known=known)
+    found = search(days, say, depth=depth, known=known, also=first_effects(same, _ALSO))
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
     back = back_to_one_set_up(one_set_up, found.best, max(found.best.log_evidence, best.log_evidence), _SOME)
     if back is not None and score(back) > max(score(found.best), score(best)):
@@ -137,6 +138,15 @@ def search_both(
         if there is not None:
             return there
     return (same if odds > 0 else found), odds
+
+
+def first_effects(found: Found, count: int) -> list[Term]:
+    """The effects that explain most on their own, at different places: what else differs on another day, at first order may hide them."""
+    alone = sorted((state for state in found.pool.values() if len(state.terms) == 1), key=lambda state: -state.log_evidence)
+    by_places: dict[tuple[int, ...], Term] = {}
+    for state in alone:
+        by_places.setdefault(state.key[0][1], state.terms[0])
+    return list(by_places.values())[:count]
 
 
 def _of_best(found: Found) -> float:

@@ -16,7 +16,7 @@ from operando.diagnosis.days import no_other_day, promotions, strained
 from operando.diagnosis.forward import Point
 from operando.diagnosis.joints import no_more_than_days
 from operando.diagnosis.posterior import State, approach, names
-from operando.diagnosis.rival import Rival, fitted_if_can_be, score
+from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Candidate, LinearScan, Say, robust_scan, without_rest
 from operando.diagnosis.terms import Term, added
 from operando.processes import side_by_side
@@ -72,6 +72,7 @@ def search(
     own_spreads: bool = False,
     known: Sequence[State] = (),
     simpler: Callable[[], bool] = lambda: False,
+    also: Sequence[Term] = (),
 ) -> Found:
     """To the first state that explains the lines; then with spreads estimated in each state.
 
@@ -93,10 +94,12 @@ def search(
         Fitted before, the state without effects among them; a search with spreads estimated makes its own.
     simpler : callable
         Whether something simpler than two effects explains the lines: asked where one effect does not, and ends the search.
+    also : sequence of Term
+        First effects to fit beside those of the scan.
     """
     if own_spreads:
         return Search(case, say, start, rival, own_spreads=True, depth=depth).run()
-    run = Search(case, say, start, rival, depth=depth, simpler=simpler)
+    run = Search(case, say, start, rival, depth=depth, simpler=simpler, also=also)
     run.pool |= {state.key: state for state in known}
     found = run.run()
     if run.ended:
@@ -169,9 +172,10 @@ class Search:
         own_spreads: bool = False,
         depth: int = DEPTH,
         simpler: Callable[[], bool] = lambda: False,
+        also: Sequence[Term] = (),
     ) -> None:
         self.case, self.say, self.start, self.rival, self.own_spreads, self.depth = case, say, start, rival, own_spreads, depth
-        self.simpler, self.ended = simpler, False
+        self.simpler, self.also, self.ended = simpler, also, False
         self.pool: dict[Key, State] = {}
         self.tried: set[Key] = set()
         self.given_up = False
@@ -370,7 +374,9 @@ class Search:
             # where nothing is found, the best candidate is told with the rest
             rows = [row for row in tested if row.evidence > none - short] or ([] if state.terms else tested[:1])
             rows = [row for row in rows if self.once([*state.terms, row.term])]
-            ended = self.fitted([Start(state.carried([*state.terms, row.term], row.start), state.alpha, state.case) for row in rows])
+            starts = [Start(state.carried([*state.terms, row.term], row.start), state.alpha, state.case) for row in rows]
+            more = [] if state.terms else [term for term in self.also if self.once([term])]
+            ended = self.fitted([*starts, *(Start(started(state.case, (term,)), 0.03, state.case) for term in more)])[: len(rows)]
             if explained and self.own_spreads:
                 self._bounded_beside(state, [(row.term, after) for row, after in zip(rows, ended, strict=True) if after is not None])
             best = self.best().log_evidence + (EARNED if explained else -_SHORT)
