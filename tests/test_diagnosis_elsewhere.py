@@ -514,6 +514,16 @@ def test_an_information_that_rounding_made_singular_is_factored():
     assert np.isfinite(factor.lower).all()
 
 
+def test_a_channel_whose_own_unknowns_do_the_same_and_are_told_beyond_rounding_is_factored():
+    """Thirty unknowns of a DOF that move its FRFs in six ways, each 1e8 times the noise: their information has no inverse in 16 digits."""
+    rng = np.random.default_rng(1)
+    own = 1e8 * rng.standard_normal((1, 200, 6)) @ rng.standard_normal((1, 6, 30))
+    shared = own @ rng.standard_normal((30, 4))
+    factor = Factor.of(Information.of(shared, own), np.ones(4), np.ones((1, 30)))
+    assert np.isfinite(factor.lower).all()
+    assert np.isfinite(factor.half_log_determinant)
+
+
 def test_an_effect_between_sensors_is_tried_at_the_places_beside_it():
     """The nearest ones of the same axis (``_BESIDE``); one at a sensor, whose shapes are known, stays there."""
     wider = with_midway(Idle.of(identified(), BAND, [DOFS[0], DOFS[3]]), LINE)

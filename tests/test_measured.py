@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from operando.data import Frf
+from operando.diagnosis import diagnose
 from operando.ema import fit_ema, rigid_body_mass
 from operando.frf import check_frf
 from operando.pipeline import run
+from operando.results import CheckRun
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "benchmarks"))
@@ -115,3 +117,13 @@ def test_plate_reference_is_wrong():
     frf = plate("c100").band(740.0, 770.0)
     peaks = frf.frequencies_hz[np.abs(frf.data[:, 0]).argmax(axis=1)]
     assert np.sum(np.abs(peaks - 752.25) < 0.3) == 80
+
+
+@pytest.mark.parametrize("state", ["s5", *(pytest.param(s, marks=pytest.mark.slow) for s in ("ref_2", "c40", "c100"))])
+def test_plate_is_diagnosed_honestly(state):
+    """One reference, no coherence, FRFs of several days: the same state has no misfit that holds; the others none that is explained."""
+    idle = plate("ref_1")
+    run = CheckRun(state, "1 N", plate(state))
+    found = diagnose(fit_ema(idle, band=(40.0, 500.0)), check=[run], idle_frf=idle, band=(40.0, 500.0))
+    assert found.verdict in ({"no_misfit", "inconclusive"} if state == "ref_2" else {"unexplained", "ambiguous", "inconclusive"})
+    assert not {e.kind for e in found.effects} & {"gyroscopic", "circulatory"}  # nothing turns

@@ -70,11 +70,11 @@ class Factor:
         if not (np.isfinite(np.diagonal(information.shared)).all() and np.isfinite(np.diagonal(information.own, axis1=1, axis2=2)).all()):
             raise np.linalg.LinAlgError("derivatives are not finite")
         blocks = np.array(information.own)
-        blocks[:, np.arange(k), np.arange(k)] += own
+        # what two large numbers lose when one is taken from the other must not make what is left negative
+        blocks[:, np.arange(k), np.arange(k)] += own + ROUNDING * np.diagonal(information.own, axis1=1, axis2=2)
         inverse = np.linalg.inv(np.linalg.cholesky(blocks))
         across = inverse @ information.across
         rest = information.shared - _syrk(across.reshape(across.shape[0] * k, across.shape[2]))
-        # what two large numbers lose when one is taken from the other must not make it negative
         rest[np.diag_indices_from(rest)] += shared + ROUNDING * np.diag(information.shared)
         return cls(inverse, across, cholesky(rest, lower=True, check_finite=False))
 
