@@ -25,7 +25,7 @@ laboratories have 0.2 % (bolted steel) to 5 % (on rubber). FRFs at rest tell it 
 
 NEAR = np.sqrt(2)
 """Terms that stand outside the band by no more than this factor move twice as much at its end as they do slowly (1/(1 − 1/2)), so that what
-ties a mode to them is no lag of its shape; the others follow (benchmarks/hidden_effects/README.md, three shakers)."""
+ties a mode to them is no lag of its shape; the others follow (benchmarks/hidden_effects/runs.md, three shakers)."""
 
 
 @dataclass(frozen=True)
