@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from operando import threads
+from operando.threads import MOST, cores, each, inside, one_by_one
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -43,9 +43,9 @@ def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> l
         What the function raises for the first of the items for which it fails.
     """
     todo = list(items)
-    count = min(threads.MOST, threads.cores(), len(todo))
-    if count < 2 or not CAN_FORK or threads.inside() or threading.current_thread() is not threading.main_thread():
-        return threads.each(function, todo)  # other threads of a server or a notebook may hold what a copy would wait for
+    count = min(MOST, cores(), len(todo))
+    if count < 2 or not CAN_FORK or inside() or threading.current_thread() is not threading.main_thread():
+        return each(function, todo)  # other threads of a server or a notebook may hold what a copy would wait for
     queue, end = os.pipe()
     os.set_blocking(end, False)  # numbers for which it has no room are left to this process
     os.write(end, b"".join(number.to_bytes(_DIGITS, "little") for number in range(len(todo))))
@@ -67,7 +67,7 @@ def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> l
 def _taken(queue: int, function: Callable[[Item], Result], todo: Sequence[Item]) -> dict[int, Any]:
     """Results, or what was raised, of the numbers that this process takes from the queue."""
     done: dict[int, Any] = {}
-    with threads.one_by_one():
+    with one_by_one():
         while number := os.read(queue, _DIGITS):
             at = int.from_bytes(number, "little")
             try:
@@ -127,7 +127,7 @@ class _Other:
 
 
 class _Pickler(pickle.Pickler):
-    """Objects that the parent has are named, not sent."""
+    """Objects that the parent has are named, not sent. Only a process forked here writes what is read, to a file that has no name."""
 
     def __init__(self, file: Any, known: Mapping[int, Any]) -> None:
         super().__init__(file, pickle.HIGHEST_PROTOCOL)

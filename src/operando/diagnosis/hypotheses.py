@@ -410,7 +410,7 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
     bar : float
     say : callable
     untouched : bool
-        Whether it has to be one where nothing was touched, more probable than another day by ``EARNED``.
+        Whether it has to be one where nothing was touched, plainly more probable than another day.
     """
     say(f"a mode missing in the idle model, near {grown.f[grown.lacking]:.4g} Hz:")
     cases = again(grown)
