@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -325,57 +325,61 @@ class LinearScan:
                 of_kind[term.kind] = of_kind.get(term.kind, 0) + 1
         return [Candidate(*row, self.x) for row in side_by_side(self._refined, chosen)]
 
-    def slopes(self, terms: Sequence[Term]) -> Iterable[tuple[Sequence[Term], Array]]:
-        """Weighted rows (responses, rows, n) by the size of each term, at size zero, some at a time."""
+    def slopes(self, terms: Sequence[Term]) -> Array:
+        """Weighted rows (responses, rows, n) by the size of each term, at size zero."""
         state, w, forward = self.state, self.w, self.case.forward
-        for start in range(0, len(terms), _AT_ONCE):
-            some = terms[start : start + _AT_ONCE]
-            if isinstance(state, ScannableModes):
-                yield some, self.problem.rows(state.slopes(some)) * self.weights
+        if isinstance(state, ScannableModes):
+            return self.problem.rows(state.slopes(terms)) * self.weights
+        values = np.zeros((*state.h.shape, len(terms)), complex)
+        for number, term in enumerate(terms):
+            if term.structural:
+                b = list(term.places)
+                unit = added(term.moved((0.0, *term.values[1:])), w, self.case.band)
+                values[..., number] = state.measured(-state.columns[:, :, b] @ (unit @ state.structure[:, b]))
                 continue
-            values = np.zeros((*state.h.shape, len(some)), complex)
-            for number, term in enumerate(some):
-                if term.structural:
-                    b = list(term.places)
-                    unit = added(term.moved((0.0, *term.values[1:])), w, self.case.band)
-                    values[..., number] = state.measured(-state.columns[:, :, b] @ (unit @ state.structure[:, b]))
-                    continue
-                by_value = (-1j * w if term.kind.endswith("_delay") else np.ones(w.size))[:, None, None]
-                mine = (
-                    forward.references == term.places[0] if term.definition.group == "force" else (state.order == term.places[0])[:, None]
-                )
-                sign = -1 if term.definition.group == "force" else 1
-                values[..., number] = sign * by_value * state.h * mine
-            yield some, self.problem.rows(values) * self.weights
+            by_value = (-1j * w if term.kind.endswith("_delay") else np.ones(w.size))[:, None, None]
+            mine = forward.references == term.places[0] if term.definition.group == "force" else (state.order == term.places[0])[:, None]
+            sign = -1 if term.definition.group == "force" else 1
+            values[..., number] = sign * by_value * state.h * mine
+        return self.problem.rows(values) * self.weights
+
+    def by_slopes(self, terms: Sequence[Term], r: Array | float = 0.0, rq: Array | float = 0.0) -> list[tuple[float, float]]:
+        """Information of the size of each term, and the gradient of residuals r (whitened: rq) by it, with all unknowns free."""
+
+        def of(some: Sequence[Term]) -> list[tuple[float, float]]:
+            rows = self.slopes(some)
+            along = self.whitened(rows)
+            information = np.sum(rows**2, (0, 1)) - np.sum(along**2, 0)
+            gradient = np.sum(rows * r, (0, 1)) - np.sum(along * rq, 0)
+            return list(zip(information.tolist(), gradient.tolist(), strict=True))
+
+        return [row for part in side_by_side(of, [terms[i : i + _AT_ONCE] for i in range(0, len(terms), _AT_ONCE)]) for row in part]
 
     def _by_slope(self, places: Sequence[Term], r: Array, rq: Array, none: float, instead: Term | None = None) -> list[Candidate]:
         """Of residuals r (whitened: rq), or of what the effect does in whose place others are to be."""
         case = self.case
-        out: list[tuple[float, Term, float, Array]] = []
+        out: list[tuple[float, Term, float, Term]] = []
         places = [p for p in places if p.definition.parameters and not _of_the_whole(p)]
         terms = [t for p in places for t in grid(case, p)]
         if instead is not None:
             terms += [p.moved((0.0, *instead.values[1:])) for p in places if p.kind == instead.kind and p.values[1:]]
-        for some, rows in self.slopes(terms):
-            along = self.whitened(rows)
-            information = np.sum(rows**2, (0, 1)) - np.sum(along**2, 0)
-            gradient = np.sum(rows * r, (0, 1)) - np.sum(along * rq, 0)
-            for number, term in enumerate(some):
-                if not information[number] > 0:
-                    continue
-                value, there, size = _of_slope(case, term, float(information[number]), float(gradient[number]))
-                if there is not None:
-                    out.append((none + value, there, size, along[:, number]))
+        for term, (information, gradient) in zip(terms, self.by_slopes(terms, r, rq), strict=True):
+            if not information > 0:
+                continue
+            value, there, size = _of_slope(case, term, information, gradient)
+            if there is not None:
+                out.append((none + value, there, size, term))
         out.sort(key=lambda row: -row[0])
-        kept: list[tuple[float, Term, float, Array]] = []
+        kept: list[tuple[float, Term, float, Term]] = []
         for row in out:
             same = [k for k in kept if k[1].key == row[1].key]
             if row[1].kind == "tuned_absorber":
                 same = [k for k in same if abs(k[1].values[1] - row[1].values[1]) < _OTHER_FREQUENCY]
             if not same and len(kept) < _SLOPES:
                 kept.append(row)
+        along = self.whitened(self.slopes([term for *_, term in kept])).T if kept else ()
         given = 0.0 if instead is None else rq[:, 0]
-        return [Candidate(value, term, self._start(size * along - given)) for value, term, size, along in kept]
+        return [Candidate(value, there, self._start(size * one - given)) for (value, there, size, _), one in zip(kept, along, strict=True)]
 
     def _start(self, along: Array) -> Point:
         """The unknowns less what the slope of an effect takes over from them; the values of the others stay."""

@@ -89,13 +89,8 @@ def detectable(state: State) -> dict[tuple[str, tuple[int, ...]], float]:
 
 
 def _found(state: State, places: list[Term]) -> dict[tuple[str, tuple[int, ...]], float]:
-    scan, case = LinearScan(state), state.case
-    out = {}
-    for some, rows in scan.slopes(places):
-        information = np.sum(rows**2, (0, 1)) - np.sum(scan.whitened(rows) ** 2, 0)
-        for place, power in zip(some, information, strict=True):
-            out[place.key] = float(_asked(case, place.kind) / np.sqrt(max(float(power), 1e-300)))
-    return out
+    told = zip(places, LinearScan(state).by_slopes(places), strict=True)
+    return {place.key: float(_asked(state.case, place.kind) / np.sqrt(max(information, 1e-300))) for place, (information, _) in told}
 
 
 def _asked(case: Case, kind: str) -> float:
