@@ -7,6 +7,7 @@ import pytest
 
 from operando.diagnosis.farther_off import farther_off
 from operando.diagnosis.free_law import free_law_text, of_a_kind, scanned, with_free_law
+from operando.diagnosis.hypotheses import as_channels_were
 from operando.diagnosis.posterior import fit
 from operando.diagnosis.rival import score, started
 from operando.diagnosis.terms import FREE_LAW, Term, added, slopes
@@ -129,6 +130,22 @@ def test_modes_that_moved_one_by_one_where_nothing_was_touched_are_no_other_day(
         k *= 1.002
 
     assert [e.kind for e in told(warmer).effects] == ["global_stiffness"]
+
+
+def test_where_channels_are_as_they_were_nothing_is_searched_on_another_day(monkeypatch):
+    """No further effect makes channels differ that do not."""
+    said: list[str] = []
+    monkeypatch.setattr("operando.diagnosis.hypotheses.untouched", lambda state: bool(np.abs(state.x.own).max() < 1))
+    known = fit(one := case(), one.forward.start)
+    found = as_channels_were([known], said.append)
+    assert found is not None
+    assert (found.best.key, found.empty) == ((), known)
+    assert found.best.case.between.log_factors.any()  # with its spreads estimated
+    assert len(said) == 1
+    assert as_channels_were([replace(known, alpha=0.1)], said.append) is None  # it does not explain the lines
+    touched = case(gains=1 + 0.01 * np.random.default_rng(3).standard_normal(N))
+    assert as_channels_were([fit(touched, touched.forward.start)], said.append) is None
+    assert len(said) == 1
 
 
 # Effects that make some response worse

@@ -125,7 +125,7 @@ def search_both(
         if there is not None:
             return there
     say("on another day:")
-    found = search(days, say, depth=depth, known=known, also=first_effects(same, _ALSO))
+    found = as_channels_were(known, say) or search(days, say, depth=depth, known=known, also=first_effects(same, _ALSO))
     # what was found with less to explain it, where nothing was touched; a difference between days may be an effect there
     back = back_to_one_set_up(one_set_up, found.best, max(found.best.log_evidence, best.log_evidence), _SOME)
     if back is not None and score(back) > max(score(found.best), score(best)):
@@ -138,6 +138,19 @@ def search_both(
         if there is not None:
             return there
     return (same if odds > 0 else found), odds
+
+
+def as_channels_were(known: Sequence[State], say: Say) -> Found | None:
+    """The likeliest state of another day, where it explains the lines and says, with its spreads estimated, that nothing was touched.
+
+    No further effect makes channels differ that do not: on another day nothing is searched.
+    """
+    likely = max(known, key=score)
+    state = fitted_if_can_be(likely.case, likely.x, likely.alpha, own_spreads=True) if likely.alpha < LOOSE else None
+    if state is None or state.alpha >= LOOSE or not untouched(state):
+        return None
+    say("  channels are as they were, as on no other day: no search")
+    return Found(state, known[0], {known[0].key: known[0]} | {state.key: state})
 
 
 def first_effects(found: Found, count: int) -> list[Term]:
