@@ -16,6 +16,7 @@ from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, LOOSE, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.hypotheses import (
     _HALF,
+    Lacking,
     _apart,
     between_sensors,
     grown_by_a_mode,
@@ -392,6 +393,23 @@ def test_a_mode_that_does_not_explain_the_lines_alone_is_not_fitted_again():
     assert len(tried) == len(set(tried)) > 0
 
 
+@pytest.mark.parametrize(("becomes_another", "wanted"), [(None, "likelier"), ("likelier", "first"), ("both", None)])
+def test_of_modes_that_may_be_lacking_the_likeliest_is_searched_that_does_not_become_another(monkeypatch, becomes_another, wanted):
+    """A pole on the flank of a mode that had moved came first, and with an absorber for the one that was lacking explained the FRFs."""
+    one = case()
+    state = fit(one, one.forward.start)
+    both = {name: replace(state, alpha=0.003, log_evidence=nats) for name, nats in (("first", 1.0), ("likelier", 2.0))}
+    apart = {id(s): becomes_another not in (name, "both") for name, s in both.items()}
+    one.at_rest["grown by a mode"] = list(both)
+    monkeypatch.setattr(hypotheses, "with_mode", lambda grown, *rest: Lacking(both[grown], state, {}, odds=5.0))
+    monkeypatch.setattr(hypotheses, "_explains", lambda state, alone: False)
+    monkeypatch.setattr(hypotheses, "_apart", lambda state: apart[id(state)])
+    monkeypatch.setattr(hypotheses, "search", lambda case, say, start, depth: start)
+    alone = replace(state, alpha=1.01 * LOOSE)
+    got = mode_with_nothing_touched(Found(state, state, {}), alone, Rival(one, alone), None, None, lambda text: None)
+    assert got is None if wanted is None else got[0].best is both[wanted]
+
+
 def test_a_lacking_mode_is_told_as_it_is_in_operation():
     """No difference between the days moves it: it was seen on one of them alone."""
     check = check_of(lambda m, c, k: None).frf
@@ -503,6 +521,7 @@ def test_a_mode_within_the_half_power_width_of_another_is_not_lacking(share, apa
     case_of = Case(grown, rest(), BAND, correlated=1.0)
     state = SimpleNamespace(case=case_of, terms=case_of.idle.lacking_term)
     assert _apart(state) is apart
+    assert _apart(SimpleNamespace(case=case_of, terms=()))  # explained without it
 
 
 def test_an_information_that_rounding_made_singular_is_factored():

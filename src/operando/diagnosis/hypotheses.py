@@ -268,19 +268,25 @@ def mode_with_nothing_touched(
     known: list[Idle] = case.at_rest.get("grown by a mode") or grown_by_a_mode([replace(found.empty, x=case.forward.start), alone])
     case.at_rest["grown by a mode"] = known
     short: list[tuple[Idle, float]] = case.at_rest.setdefault("no mode alone", [])  # and the bar that it did not reach
+    able: list[Lacking] = []
     for grown in known:
         if sure and any(one is grown and its <= bar for one, its in short):
             continue
         lacking = with_mode(grown, again, bar, say, sure)
         if lacking is None or (sure and not _explains(lacking.best, alone)):
             short += [(grown, bar)] if sure else []
-            continue
-        if lacking.best.alpha >= LOOSE:
-            continue
+        elif lacking.best.alpha < LOOSE:
+            able.append(lacking)
+            if _explains(lacking.best, alone):
+                break
+    for lacking in sorted(able, key=_of_best, reverse=True):
         there = None if geometry is None else with_nothing_touched(found, alone, again, geometry, say, score(lacking.best))
         if there is not None:
             return there
-        return search(lacking.best.case, say, start=lacking, depth=AT_FIRST), lacking.odds or 0.0
+        ended = search(lacking.best.case, say, start=lacking, depth=AT_FIRST)
+        if _apart(ended.best):
+            return ended, lacking.odds or 0.0
+        say("  the mode that was missing has become one of the others")
     return None
 
 
@@ -382,8 +388,11 @@ def search_elsewhere(
         empty = found.empty
         for grown in grown_by_a_mode([replace(empty, x=empty.case.forward.start), empty]):
             lacking = with_mode(grown, again, score(best.best), say)
-            if lacking is not None:
-                best, odds = search(lacking.best.case, say, start=lacking, depth=AT_FIRST), lacking.odds
+            if lacking is None:
+                continue
+            ended = search(lacking.best.case, say, start=lacking, depth=AT_FIRST)
+            if _apart(ended.best):
+                best, odds = ended, lacking.odds
                 break
     return best, odds
 
@@ -460,5 +469,8 @@ def _apart(state: State) -> bool:
     """Whether a mode that was lacking lies beyond the half-power widths of all others: nearer, it may be one of them that differs."""
     idle = state.case.idle
     others = [r for r in idle.modes if r != idle.lacking]
-    f, zeta = (float(np.exp(v)) for v in next(t for t in state.terms if t.kind == "missing_mode").values)
+    mode = next((t for t in state.terms if t.kind == "missing_mode"), None)
+    if mode is None:
+        return True
+    f, zeta = (float(np.exp(v)) for v in mode.values)
     return bool(np.all(np.abs(idle.f[others] / f - 1) > 2 * np.maximum(idle.zeta[others], zeta)))
