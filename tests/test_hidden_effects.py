@@ -137,6 +137,15 @@ def test_effect_follows_its_law(kind):
     assert 0.49 < hidden.change_db(structure, state, known.references) < 6.2
 
 
+@pytest.mark.parametrize(("frequency", "right"), [(46.7, True), (46.3, True), (45.8, False), (22.5, False), (None, False)])
+def test_a_missing_mode_is_right_within_its_half_power_width(frequency, right):
+    def mode(f):
+        values = {} if f is None else {"frequency": {"value": f, "unit": "Hz"}}
+        return {"kind": "missing_mode", "location": [], "parameters": values | {"damping_ratio": {"value": 0.008, "unit": ""}}}
+
+    assert judge.matches(mode(frequency), mode(46.7), {}) is right
+
+
 def test_missing_mode_is_one_more_term():
     known = generate.truth(generate.Spec("frame", "missing_mode", 1))
     base = hidden.idle(known.structure)

@@ -166,7 +166,10 @@ def _over(error: float, std: float | None) -> float | None:
 
 
 def same_place(kind: str, found: dict, true: dict, answer: dict) -> bool:
-    """The very DOFs; for a mass any DOF of the node; for a place between sensors half a sensor spacing."""
+    """The very DOFs; for a mass any DOF of the node; between sensors half a sensor spacing; of a missing mode the half-power width."""
+    if kind == "missing_mode":
+        f, wanted = (e["parameters"].get("frequency", {}).get("value") for e in (found, true))
+        return f is not None and abs(f / wanted - 1) <= 2 * true["parameters"]["damping_ratio"]["value"]
     if "position" in true:
         position = found.get("position")
         if position is None and len(found["location"]) == 1:
