@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, Geometry, ModalModel
-from operando.diagnosis import diagnose_frf, hypotheses
+from operando.diagnosis import diagnose_frf, from_frf, hypotheses
 from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
@@ -408,6 +408,26 @@ def test_of_modes_that_may_be_lacking_the_likeliest_is_searched_that_does_not_be
     alone = replace(state, alpha=1.01 * LOOSE)
     got = mode_with_nothing_touched(Found(state, state, {}), alone, Rival(one, alone), None, None, lambda text: None)
     assert got is None if wanted is None else got[0].best is both[wanted]
+
+
+@pytest.mark.parametrize(("odds", "alpha", "asked"), [(-5.0, 0.99 * LOOSE, True), (5.0, 0.99 * LOOSE, False), (-5.0, 1.01 * LOOSE, False)])
+def test_a_lacking_mode_is_looked_for_where_two_days_alone_leave_little(monkeypatch, odds, alpha, asked):
+    """What differs between the days may stand for it: a weak mode was ``no_misfit``, 1260 nats worse than with it."""
+    modes = []
+
+    def searched(days, one_set_up, *rest):
+        state = fit(days, days.forward.start)
+        return Found(state, replace(state, alpha=alpha), {state.key: state}), odds
+
+    def elsewhere(found, odds, again, geometry, say, places, also_modes):
+        modes.append(also_modes)
+        return found, odds
+
+    monkeypatch.setattr(from_frf, "search_both", searched)
+    monkeypatch.setattr(from_frf, "search_elsewhere", elsewhere)
+    check = CheckRun("run", "1 N", check_of(lambda m, c, k: None).frf)
+    assert diagnose_frf(identified(), [check], band=BAND).verdict == "no_misfit"
+    assert modes == [True] * asked
 
 
 def test_a_lacking_mode_is_told_as_it_is_in_operation():
