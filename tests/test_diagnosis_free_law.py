@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from operando.data import ModalModel
+from operando.diagnosis import diagnose_frf
 from operando.diagnosis.farther_off import farther_off
 from operando.diagnosis.free_law import free_law_text, of_a_kind, scanned, with_free_law
 from operando.diagnosis.hypotheses import as_channels_were
@@ -13,8 +15,9 @@ from operando.diagnosis.rival import score, started
 from operando.diagnosis.terms import FREE_LAW, Term, added, slopes
 from operando.errors import ConfigError
 from operando.indicators import INTERVAL
+from operando.results import CheckRun
 from operando.structure.effects import catalogue, kind_of
-from test_diagnosis import BAND, HZ, N, add_mass, case, modes, told
+from test_diagnosis import BAND, DOFS, HZ, N, add_mass, case, identified, matrices, measured, modes, told
 
 INERTANCE = 0.3
 PAIR = (1, 3)  # 2+Z and 4+Z; the force acts on 1+Z and 4+Z
@@ -96,6 +99,25 @@ def test_no_law_is_told_where_it_does_not_explain_the_lines():
         m[4, 4] += 0.5
 
     assert with_free_law(case(spread, spreads={}), -np.inf) is None
+
+
+def test_a_law_between_sensors_of_opposite_senses_is_told_with_both_in_one():
+    """How far their places move apart is the sum of what they measure; an inerter there was a mass between sensors, and `explained`."""
+    turned = 4
+    b = np.eye(N)[1] - np.eye(N)[turned]
+    mass, stiff = matrices()
+    frf = measured(mass + INERTANCE * np.outer(b, b), modes()[3], stiff, (0, 3), 2e-4, 4)
+    signs = np.where(np.arange(N) == turned, -1.0, 1.0)
+    dofs = tuple(d.opposite if i == turned else d for i, d in enumerate(DOFS))
+    one = identified()
+    values = one.frequencies_hz, one.damping_ratios, one.terms.shapes * signs[:, None]
+    model = ModalModel.from_terms(*values, dofs, scaling="unit_modal_mass", covariance=one.covariance, band_hz=BAND)
+    run = CheckRun("run", "1 N", replace(frf, data=frf.data * signs[:, None, None], responses=dofs))
+    found = diagnose_frf(model, [run])
+    assert found.verdict == "unexplained"
+    assert "a force between 2+Z and 5+Z" in str(found.reason)
+    assert "2+Z and 5+Z" in str(found.proposed_measurement)
+    assert found.picture["dynamic_stiffness"][0]["location"] == ["2+Z", "5+Z"]
 
 
 def test_derivatives_of_a_free_law_are_those_of_its_dynamic_stiffness():

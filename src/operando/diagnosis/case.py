@@ -164,6 +164,13 @@ class Case:
             return f"({', '.join(f'{v:.4g}' for v in position)}) m, {str(self.dofs[dof])[-2:]}"
         return str(self.dofs[dof])
 
+    def ends(self, term: Term) -> list[str]:
+        """Places of an effect in words; where it acts on the sum of two, the second in the opposite sense."""
+        places = [self.place(i) for i in term.places]
+        if term.along[1:].sum() > 0:
+            places[1] = str(self.dofs[term.places[1]].opposite)
+        return places
+
     # priors of effects
 
     def candidates(self, terms: Sequence[Term]) -> list[Term]:

@@ -243,7 +243,7 @@ def _stiffness(state: State, term: Term, w: Array, measured: Array, weight: Arra
     others = [t for t in state.terms if t is not term]
     bare = case.forward.scannable(state.carried(others), w)
     places = list(term.places[:1] if definition.coordinates == "node" else term.places)
-    signs = np.array([1.0, -1.0][: len(places)])
+    signs = term.along[: len(places)]
     error = (bare.h - measured) / bare.channel
     inside = weight * np.abs(bare.channel) ** 2
     u = bare.columns[:, bare.order][:, :, places] @ signs
@@ -254,7 +254,7 @@ def _stiffness(state: State, term: Term, w: Array, measured: Array, weight: Arra
     z = np.sum(gain * x.conj() * force, axis=1) / np.maximum(np.sum(gain * np.abs(x) ** 2, axis=1), 1e-300)
     law = added(term, w, case.band)[:, 0, 0]
     return {
-        "location": [str(case.dofs[i]) for i in places],
+        "location": case.ends(term)[: len(places)],
         "frequency_hz": (w / 2 / np.pi).tolist(),
         "real": z.real.tolist(),
         "imag": z.imag.tolist(),
@@ -314,6 +314,6 @@ def law_proposal(law: State) -> str:
     """The measurement that would confirm a force law that is no kind of the catalogue."""
     if law.case.idle.midway:
         return UNSEEN
-    where = " and ".join(law.case.place(i) for i in law.terms[0].places)
+    where = " and ".join(law.case.ends(law.terms[0]))
     at = f"connects {where}" if len(law.terms[0].places) > 1 else f"acts at {where}"
     return f"take away what {at}, or measure the force in it while the machine runs: the error must go with it"

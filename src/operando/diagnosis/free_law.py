@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -45,13 +46,16 @@ def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> Sta
     best = max(tried, key=score, default=None)
     if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
         return None
-    where = ", ".join(case.place(i) for i in best.terms[0].places)
+    where = ", ".join(case.ends(best.terms[0]))
     say(f"a force law that is no kind of the catalogue, {where}: {best.log_evidence:.1f}, discrepancy {best.alpha:.4f}")
     return best
 
 
 def scanned(case: Case) -> list[Term]:
-    """Smooth laws at all sensors and between all pairs of them, by a robust error with nothing else freed; best first."""
+    """Smooth laws at all sensors and between all pairs of them, by a robust error with nothing else freed; best first.
+
+    Between sensors of one axis and opposite senses also on their sum, which is how far their places move apart.
+    """
     about = case.forward.start
     at = case.lines.fit[:: case.lines.stride]
     w, measured = case.lines.w[at], case.lines.h[at]
@@ -60,23 +64,27 @@ def scanned(case: Case) -> list[Term]:
     left = (measured - state.h) * root
     sensors = [i for i in case.allowed if i not in case.idle.midway]
 
-    def best(places: tuple[int, ...]) -> tuple[float, Term]:
-        along = np.array([1.0, -1.0])[: len(places)]
+    def best(place: Term) -> tuple[float, Term]:
+        places, along = place.places, place.along
         columns = state.columns[:, :, list(places)] @ along
         own = columns[:, list(places)] @ along
         moved = np.swapaxes(state.structure[:, list(places)], 1, 2) @ along
         by_force = -state.measured(columns[:, :, None] * moved[:, None]) * root
-        term = _law(case, places, w, by_force, own, left)
+        term = _law(case, place, w, by_force, own, left)
         h = responses(case, about, state, state.columns, [term], at)[..., 0]
         cost = float(np.sum(np.log1p(np.abs((measured - h) * root) ** 2)))
         return cost, term
 
+    dofs, kind = case.dofs, FREE_LAW.kind
+    pairs = list(combinations(sensors, 2))
+    turned = [(i, j) for i, j in pairs if dofs[i].axis == dofs[j].axis and dofs[i].sign != dofs[j].sign]
+    everywhere = [Term(kind, at) for at in (*((i,) for i in sensors), *pairs)] + [Term(kind, at, sign=-1) for at in turned]
     with np.errstate(all="ignore"):
-        rows = side_by_side(best, [*((i,) for i in sensors), *combinations(sensors, 2)])
+        rows = side_by_side(best, everywhere)
     return [term for cost, term in sorted(rows, key=lambda row: row[0]) if np.isfinite(cost)]
 
 
-def _law(case: Case, places: tuple[int, ...], w: Array, by_force: Array, own: Array, left: Array) -> Term:
+def _law(case: Case, place: Term, w: Array, by_force: Array, own: Array, left: Array) -> Term:
     """The law z whose g = z/(1 + z y) leaves least of the error, robustly: line by line g, then z of (1 − g y) z = g.
 
     ``by_force`` is what a unit of g changes in the FRFs, y (``own``) the compliance at the location.
@@ -92,7 +100,7 @@ def _law(case: Case, places: tuple[int, ...], w: Array, by_force: Array, own: Ar
         error = left - by_force * (z / (1 + z * own))[:, None, None]
         weights = 1 / (1 + np.abs(error) ** 2)
     scale = float(np.sqrt(np.mean(np.abs(z) ** 2))) or 1.0
-    return Term(FREE_LAW.kind, places, (float(np.log(scale)), *(float(v) for v in c / scale)), fixed=(0,))
+    return replace(place, values=(float(np.log(scale)), *(float(v) for v in c / scale)), fixed=(0,))
 
 
 def of_a_kind(law: State, say: Say = lambda text: None) -> State | None:
@@ -116,7 +124,7 @@ def _acts_there(term: Term, free: Term) -> bool:
         return False
     if term.definition.coordinates == "node":
         return len(free.places) == 1 and free.places[0] in term.places
-    return set(term.places) == set(free.places)
+    return set(term.places) == set(free.places) and free.sign > 0
 
 
 def _with_curve_of(law: State, term: Term) -> tuple[float, Term] | None:
@@ -141,7 +149,7 @@ def _with_curve_of(law: State, term: Term) -> tuple[float, Term] | None:
 def free_law_text(state: State) -> str:
     """Where the law is, what it leaves, and its dynamic stiffness at both ends of the band."""
     case, (term,) = state.case, state.terms
-    where = " and ".join(case.place(i) for i in term.places)
+    where = " and ".join(case.ends(term))
     ends = np.array(case.band)
     basis = FREE_LAW.basis(2 * np.pi * ends, case.band)
     covariance, scale = state.covariance[1:, 1:], np.exp(term.values[0])

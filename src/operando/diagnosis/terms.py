@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -76,7 +75,7 @@ class Term:
         On the search scale: the logarithm of the first value (of 1 + change for all damping, of the gain for a sensor), a delay as
         it is, the others on their scale in the catalogue.
     sign : {1, -1}
-        −1: the opposite of the kind, or a negative size.
+        −1: the opposite of the kind, or a negative size; of a free law between two it acts on their sum.
     fixed : tuple of int
         Numbers of values that no fit moves.
     """
@@ -116,6 +115,15 @@ class Term:
     def structural(self) -> bool:
         """Whether it adds dynamic stiffness."""
         return self.definition.acts == "dynamic_stiffness"
+
+    @property
+    def along(self) -> Array:
+        """What a kind of one coordinate acts on, by its places: one of them, or the difference of two.
+
+        Of a free law it may be the sum: of two sensors of one axis and opposite senses that is how far their places move apart.
+        """
+        second = -self.sign if isinstance(self.definition, FreeLaw) else -1
+        return np.array([1.0, second])[: len(self.places)]
 
     def moved(self, values: Iterable[float]) -> Term:
         """With other values, but for those that no fit moves."""
@@ -204,16 +212,10 @@ def added(term: Term, w: Array, band: tuple[float, float]) -> Array:
     definition = term.definition
     single = definition.coordinates == "difference"
     if isinstance(definition, FreeLaw):
-        return (definition.basis(w, band) @ term.values[1:] * np.exp(term.values[0]))[:, None, None] * pattern(len(term.places))
+        return (definition.basis(w, band) @ term.values[1:] * np.exp(term.values[0]))[:, None, None] * np.outer(term.along, term.along)
     sign = term.sign if definition.removable else 1
     z = sign * np.asarray(definition.matrix(1j * w, term.sizes(band), 1 if single else len(term.places)), complex)
-    return z * pattern(len(term.places)) if single else z
-
-
-@lru_cache
-def pattern(places: int) -> Array:
-    """Of a force along the difference of two displacements, or of one."""
-    return np.array([[1.0]]) if places == 1 else np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return z * np.outer(term.along, term.along) if single else z
 
 
 def slopes(term: Term, w: Array, band: tuple[float, float]) -> list[Array]:
@@ -246,7 +248,7 @@ def resonator(term: Term, band: tuple[float, float]) -> tuple[Array, Array, Arra
     form = term.definition.quadratic(term.sizes(band), size)
     if form is None or form.internal <= size:
         return None
-    along = np.array([[1.0, -1.0][: len(term.places)]]) if single else np.eye(size)
+    along = term.along[None] if single else np.eye(size)
     to = block_diag(along, np.eye(form.internal - size))
     sign = term.sign if term.definition.removable else 1
     mass, damping, stiffness = (sign * to.T @ part @ to for part in (form.mass, form.damping, form.stiffness))
@@ -274,9 +276,11 @@ def changes_by(columns: Array, h: Array, term: Term, z: Array) -> tuple[Array, A
     """The same by the dynamic stiffness that each adds at the places of a term, (n_lines, places, places, n)."""
     b = list(term.places)
     if term.definition.coordinates == "difference":
-        along = columns[:, :, b[0]] - columns[:, :, b[1]] if len(b) == 2 else columns[:, :, b[0]]
-        own = along[:, b[0]] - along[:, b[1]] if len(b) == 2 else along[:, b[0]]
-        at = h[:, b[0]] - h[:, b[1]] if len(b) == 2 else h[:, b[0]]
+        along, at = columns[:, :, b[0]], h[:, b[0]]
+        if len(b) == 2:
+            second = term.along[1]
+            along, at = along + second * columns[:, :, b[1]], at + second * h[:, b[1]]
+        own = along[:, b] @ term.along
         one = z[:, 0, 0]
         return -(along[:, :, None] * at[:, None])[..., None], (one / (1 + one * own[:, None]))[:, None]
     z = np.moveaxis(z, -1, 1)
