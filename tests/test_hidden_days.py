@@ -17,7 +17,7 @@ import hidden
 import records
 import score
 import tally
-from families import FAMILIES, draw
+from families import IN_PLANS, draw
 
 DAYS = "frame-point_mass-4-r1-shaker-days"
 
@@ -63,7 +63,7 @@ def test_names_of_days_and_complex_cases_round_trip():
 def drawn_days():
     """Some differences a family, with what the answer says of them."""
     out = []
-    for family in FAMILIES:
+    for family in IN_PLANS:
         structure = draw(family, 4)
         for seed in range(8):
             drawn = days.draw_days(structure, (0, 1), np.random.default_rng(seed))
@@ -112,7 +112,7 @@ def test_differences_between_days_are_no_single_numbers(drawn_days):
 
 
 def test_parts_add_up_to_the_structure():
-    for family in FAMILIES:
+    for family in IN_PLANS:
         structure = draw(family, 4)
         square = (2 * np.pi * structure.hz) ** 2
         assert sum(structure.parts.values()) == pytest.approx(np.diag(square), abs=1e-9 * square.max())
@@ -183,7 +183,7 @@ def test_days_alone_change_the_frfs():
 
 def test_local_damper_makes_modes_complex():
     """One or two modes are damped by 5 to 10 % and complex; the sum of the residues told is the FRF."""
-    for family in FAMILIES:
+    for family in IN_PLANS:
         spec = generate.Spec(family, "none", 1050, complex=True)
         known = generate.truth(spec)
         rest = hidden.idle(known.structure)

@@ -18,7 +18,7 @@ import records  # noqa: E402
 import score  # noqa: E402
 import tally  # noqa: E402
 from beams import Mesh, Section  # noqa: E402
-from families import FAMILIES, draw  # noqa: E402
+from families import CLOSEST, FAMILIES, HUNG, IN_PLANS, SUSPENSION_DAMPING, draw  # noqa: E402
 
 STEEL = Section(0.03, 0.05)
 
@@ -83,9 +83,12 @@ def test_draws_are_fair():
         structure = draw(family, 4)
         hz = structure.hz[structure.in_band]
         assert len(hz) >= 8
-        assert np.all(hz[1:] / hz[:-1] > 1.012)
+        assert np.all(hz[1:] / hz[:-1] > CLOSEST[family])
         assert len(structure.sensors) > len(hz)
         assert structure.gaps
+        below = structure.hz < structure.band[0]
+        assert below.sum() == HUNG.get(family, 0)
+        assert np.all(structure.zeta[below] == SUSPENSION_DAMPING)
 
 
 def _law(effect, structure, s):
@@ -358,11 +361,18 @@ def test_plan_is_what_the_issue_asks_for():
     specs = score.plan("full")
     assert len({s.name for s in specs}) == len(specs) >= 200
     assert all(generate.parse(s.name) == s for s in specs)
-    for family in FAMILIES:
+    for family in IN_PLANS:
         for kind in (*hidden.LINEAR, *hidden.SENSOR):
             seeds = {s.seed for s in specs if s.family == family and s.kind == kind and s.check}
             assert len(seeds) >= 6
     assert sum(s.kind in ("none", "orders") for s in specs) >= 100
+
+
+def test_plan_of_panels_has_all_kinds_of_three_two_and_one_reference():
+    specs = score.plan("panel")
+    assert len({s.name for s in specs}) == len(specs) == 55
+    assert {s.references for s in specs} == {1, 2, 3}
+    assert all(s.family == "panel" and generate.parse(s.name) == s for s in specs)
 
 
 def test_tally_says_what_is_not_there():

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from families import FAMILIES, Structure, draw
+from families import IN_PLANS, Structure, draw
 
 from operando.data import Geometry
 from operando.diagnosis.midway import midway, shape_spread
@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(7000, 7030))
     seeds = range(*parser.parse_args().seeds)
     print(f"{'':14}{'band':>12}{'values':>8}{'error/near rms':>16}{'z rms':>7}{'|z| > 4 %':>11}")
-    for family in FAMILIES:
+    for family in IN_PLANS:
         table = np.array([row for seed in seeds for row in errors(draw(family, seed))])
         for spline in (False, True):
             for low, high in PARTS:

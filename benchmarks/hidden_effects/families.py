@@ -1,7 +1,8 @@
-"""Two families of structures, drawn at random: a frame of beams, and a rotor on bearings and a foundation. Shares no code with operando.
+"""Three families of structures, drawn at random: a frame of beams, a rotor on bearings and a foundation, and a panel hung up on soft
+springs. Shares no code with operando.
 
 ``draw(family, seed)`` gives a Structure: the modal model of the finite elements that is the truth of a case, its sensors, its band.
-A draw is repeated until the modes in band are a fair test: no two within 1.2 %, and each one moves the sensors.
+A draw is repeated until the modes in band are a fair test: no two within 1.2 % (panel: 0.4 %), and each one moves the sensors.
 """
 
 from __future__ import annotations
@@ -14,8 +15,12 @@ import numpy as np
 from beams import AXES, Mesh, Section
 
 KEPT_MODES = 60  # the truth is the model of these modes, the highest far above the band
-FAMILIES = ("frame", "rotor")
-CLOSEST = 1.012
+FAMILIES = ("frame", "rotor", "panel")
+IN_PLANS = FAMILIES[:2]
+CLOSEST = {"frame": 1.012, "rotor": 1.012, "panel": 1.004}
+DAMPING = {"frame": (0.004, 0.011), "rotor": (0.004, 0.011), "panel": (0.004, 0.02)}
+HUNG = {"panel": 3}  # modes of the suspension, below the band
+SUSPENSION_DAMPING = 0.03
 
 
 @dataclass(frozen=True)
@@ -70,15 +75,18 @@ class Structure:
 @lru_cache(maxsize=8)
 def draw(family: str, seed: int) -> Structure:
     """A structure of a family."""
-    build = {"frame": _frame, "rotor": _rotor}[family]
+    build, hung = {"frame": _frame, "rotor": _rotor, "panel": _panel}[family], HUNG.get(family, 0)
     for attempt in range(300):
         rng = np.random.default_rng([FAMILIES.index(family), seed, attempt])
         mesh, lines = build(rng)
         hz, shapes = mesh.modes(KEPT_MODES)
         # All stiffness scaled by one factor scales the frequencies alone: so many modes as drawn lie below the end of the band.
-        end, count, drawn = rng.uniform(115, 140), max(8 + seed % 3 - attempt // 100, 8), hz
+        end, count, drawn = rng.uniform(115, 140), hung + max(8 + seed % 3 - attempt // 100, 8), hz
         hz = hz * end / np.sqrt(hz[count - 1] * hz[count])
-        if hz[0] < 4.5 or np.any(hz[1 : count + 2] / hz[: count + 1] < CLOSEST) or hz[count] / hz[count - 1] < 1.03:
+        apart = hz[hung + 1 : count + 2] / hz[hung : count + 1]
+        if hz[hung] < 4.5 or np.any(apart < CLOSEST[family]) or hz[count] / hz[count - 1] < 1.03:
+            continue
+        if hung and hz[hung - 1] > 0.2 * hz[hung]:
             continue
         for _ in range(8):
             structure = _measured(family, mesh, lines, hz, shapes, count, rng)
@@ -167,6 +175,36 @@ def _rotor(rng: np.random.Generator) -> tuple[Mesh, list[Line]]:
     return mesh, lines
 
 
+def _panel(rng: np.random.Generator) -> tuple[Mesh, list[Line]]:
+    """A nearly square grid of flat bars with a machine on it, hung up at its corners, measured across it alone: modes in close pairs."""
+    length = rng.uniform(0.8, 1.4)
+    width = length * rng.uniform(0.85, 1.0)
+    across, along = (Section(rng.uniform(0.04, 0.07), rng.uniform(0.008, 0.012)) for _ in range(2))
+    lump, at = rng.uniform(0.2, 2.0), rng.integers(1, 6, 2)
+    hangers = rng.uniform(0.7, 1.3, 4)
+
+    mesh = Mesh()
+    steps = 6  # elements a side; bars at every other one
+    grid: dict[tuple[int, int], int] = {}
+    for i in range(0, steps + 1, 2):
+        for j in range(0, steps + 1, 2):
+            grid[i, j] = mesh.node(length * i / steps, width * j / steps, 0.0)
+    for j in range(0, steps + 1, 2):
+        for i in range(0, steps, 2):
+            grid[i + 1, j] = mesh.member(grid[i, j], grid[i + 2, j], along, 2, "bars along")[1]
+    for i in range(0, steps + 1, 2):
+        for j in range(0, steps, 2):
+            grid[i, j + 1] = mesh.member(grid[i, j], grid[i, j + 2], across, 2, "bars across")[1]
+    where = min(grid, key=lambda ij: (ij[0] - at[0]) ** 2 + (ij[1] - at[1]) ** 2)
+    mesh.lump(grid[where], lump, (0.002 * lump,) * 3)
+    for (i, j), soft in zip(((0, 0), (steps, 0), (steps, steps), (0, steps)), hangers, strict=True):
+        # along the panel so stiff that it moves across itself alone
+        mesh.spring(grid[i, j], None, (1e9, 1e9, 900.0 * soft), "hangers")
+    lines: list[Line] = [([grid[i, j] for i in range(0, steps + 1, 2)], 2) for j in range(0, steps + 1, 2)]
+    lines += [([grid[i, j] for j in range(1, steps, 2)], 2) for i in range(0, steps + 1, 2)]
+    return mesh, lines
+
+
 def _measured(
     family: str, mesh: Mesh, lines: list[Line], hz: np.ndarray, full: np.ndarray, count: int, rng: np.random.Generator
 ) -> Structure | None:
@@ -189,9 +227,11 @@ def _measured(
     gaps, wires = _between(mesh, lines, at, label)
     pairs = tuple((i, j) for i, a in enumerate(sensors) for j, b in enumerate(sensors) if i < j and a.node == b.node)
     turning = {n: full[6 * n + 3 : 6 * n + 6] for n in nodes}
-    zeta = rng.uniform(0.004, 0.011, hz.size)
+    zeta = rng.uniform(*DAMPING[family], hz.size)
+    hung = HUNG.get(family, 0)
+    zeta[:hung] = SUSPENSION_DAMPING
     high = float(np.sqrt(hz[count - 1] * hz[count]))
-    band = (round(max(3.0, 0.55 * float(hz[0])), 1), round(high, 1))
+    band = (round(max(3.0, 0.55 * float(hz[hung])), 1), round(high, 1))
     return Structure(family, points, hz, zeta, translations, sensors, gaps, wires, pairs, band, turning)
 
 

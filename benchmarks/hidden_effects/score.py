@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 from contacts import NONLINEAR
-from families import FAMILIES
+from families import IN_PLANS
 from generate import Spec, parse, truth, write
 from hidden import LINEAR, SENSOR
 from judge import judge
@@ -39,22 +39,27 @@ TIMEOUT = 900  # s a run
 
 def plan(name: str) -> list[Spec]:
     """The cases of a plan; ``full``, ``short`` (one seed of each kind in turn), ``contacts`` (level-dependent kinds), ``uneven`` pairs,
-    ``days`` (two days in a laboratory), ``complex`` (complex modes at rest), ``single`` (two effects seen from one reference).
+    ``days`` (two days in a laboratory), ``complex`` (complex modes at rest), ``single`` (two effects seen from one reference), ``panel``
+    (a structure hung up on soft springs, modes in close pairs).
     """
+    if name == "panel":
+        kinds = (*(k for k in LINEAR if k != "circulatory"), *SENSOR, "none", "two", "uneven", "unmeasured", "outside")
+        specs = [Spec("panel", kind, 1200 + i, (3, 1, 2)[i % 3], EXCITATIONS[i // 3 % 2]) for i, kind in enumerate(kinds * 2)]
+        return _mixed([*specs, *(Spec("panel", kind, 1260 + i, 1 + i % 3, check=False) for i, kind in enumerate(OUTPUT_ONLY))])
     if name == "days":
         return _mixed([*_in_turn(60, 800, days=True), *_quiet(30, 900, days=True)])
     if name == "complex":
         return _mixed([*_in_turn(26, 1000, complex=True), *_quiet(8, 1050, complex=True)])
     if name == "single":
-        return _mixed([Spec(f, kind, 1100 + i, 1, EXCITATIONS[i % 2]) for i in range(6) for f in FAMILIES for kind in ("two", "uneven")])
+        return _mixed([Spec(f, kind, 1100 + i, 1, EXCITATIONS[i % 2]) for i in range(6) for f in IN_PLANS for kind in ("two", "uneven")])
     if name == "uneven":
-        return [Spec(family, "uneven", 700 + i, (3, 2)[i % 2]) for i in range(10) for family in FAMILIES]
+        return [Spec(family, "uneven", 700 + i, (3, 2)[i % 2]) for i in range(10) for family in IN_PLANS]
     if name == "contacts":
-        return _mixed([Spec(family, kind, 500 + i, 2 + i % 2) for family in FAMILIES for kind in NONLINEAR for i in range(6)])
+        return _mixed([Spec(family, kind, 500 + i, 2 + i % 2) for family in IN_PLANS for kind in NONLINEAR for i in range(6)])
     seeds = {"full": 6, "short": 1}[name]
     nothing = {"full": 60, "short": 6}[name]
     specs: list[Spec] = []
-    for offset, family in enumerate(FAMILIES):
+    for offset, family in enumerate(IN_PLANS):
         for kind in (*LINEAR, *SENSOR):
             for i in range(seeds):
                 seed = (i if name == "full" else (*LINEAR, *SENSOR).index(kind) % 6) + 100
@@ -80,7 +85,7 @@ def _in_turn(count: int, seed: int, **more: bool) -> list[Spec]:
     kinds = len(LINEAR)  # odd, so the families swap kinds each round
     return [
         Spec(
-            FAMILIES[n % 2], LINEAR[n % kinds], seed + n, (3, 1)[(n // kinds + n // 2) % 2], EXCITATIONS[(n // kinds + n // 4) % 2], **more
+            IN_PLANS[n % 2], LINEAR[n % kinds], seed + n, (3, 1)[(n // kinds + n // 2) % 2], EXCITATIONS[(n // kinds + n // 4) % 2], **more
         )
         for n in range(count)
     ]
@@ -88,7 +93,7 @@ def _in_turn(count: int, seed: int, **more: bool) -> list[Spec]:
 
 def _quiet(count: int, seed: int, **more: bool) -> list[Spec]:
     """Nothing hidden, by turns as above."""
-    return [Spec(FAMILIES[n % 2], "none", seed + n, (3, 1)[n // 2 % 2], EXCITATIONS[n // 4 % 2], **more) for n in range(count)]
+    return [Spec(IN_PLANS[n % 2], "none", seed + n, (3, 1)[n // 2 % 2], EXCITATIONS[n // 4 % 2], **more) for n in range(count)]
 
 
 def run_case(spec: Spec, work: Path, command: str, keep: bool, until: str | None, library: bool) -> dict:
@@ -147,7 +152,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("names", nargs="*", help="names of cases, as generate.py writes them")
-    parser.add_argument("--plan", choices=("full", "short", "contacts", "uneven", "days", "complex", "single"))
+    parser.add_argument("--plan", choices=("full", "short", "contacts", "uneven", "days", "complex", "single", "panel"))
     parser.add_argument("--only", help="of the plan, cases whose name holds this text")
     parser.add_argument("--limit", type=int, help="stop after so many new runs")
     parser.add_argument("--processes", type=int, default=2)

@@ -14,7 +14,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from families import FAMILIES, Structure, draw
+from families import FAMILIES, IN_PLANS, Structure, draw
 from hidden import System, idle
 
 from operando.data import Frf, ModalModel
@@ -100,7 +100,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs=2, default=(7100, 7112))
     seeds = range(*parser.parse_args().seeds)
-    for family in FAMILIES:
+    for family in IN_PLANS:
         for what in WHAT:
             rows = [judged(family, seed, what) for seed in seeds]
             right = [row for row in rows if row["law"] == LAWS[what]]
