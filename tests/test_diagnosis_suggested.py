@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 import test_diagnose_modes as by_modes
+from operando.data import ModalModel
 from operando.diagnosis.between import SAME_SET_UP, SPREADS, Between
+from operando.diagnosis.case import Case
 from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES
 from operando.diagnosis.suggested import _COUNT, _ROUGH, begun_with, suggested_by_modes
 from operando.diagnosis.terms import Term
-from test_diagnosis import BAND, DOFS, N, add_mass, case, identified
+from test_diagnosis import BAND, DOFS, N, add_mass, case, identified, matrices, measured, modes
 
 
 def chain_at_rest(c):
@@ -109,6 +111,55 @@ def test_a_change_of_shape_along_the_shape_is_a_gain():
     assert max(np.delete(between.sensor_gains, 2)) < 1.5
     same = Between(known, np.array([0]), BAND, dict(SAME_SET_UP))
     np.testing.assert_array_equal(same.sensor_gains, 1)
+
+
+def hung(shapes=None):
+    """The chain where its first mode is that of a suspension, below the band; driven at the first DOF."""
+    model = identified()
+    terms = model.terms
+    band = (1.3 * float(terms.frequencies_hz[0]), BAND[1])
+    known = {"scaling": model.scaling, "covariance": model.covariance, "band_hz": band}
+    shapes = terms.shapes if shapes is None else shapes
+    values = terms.frequencies_hz, terms.damping_ratios, shapes
+    return ModalModel.from_terms(*values, model.dofs, residual=np.arange(N) == 0, **known), band
+
+
+def test_at_an_undriven_place_no_less_lies_outside_the_band_than_at_a_driven_one():
+    """A column shows what both have times each other, which may be nothing by chance; where it shows more, that counts."""
+    shapes = np.array(identified().terms.shapes)
+    shapes[2, 0] = 1e-3 * shapes[0, 0]
+    shapes[3, 0] = 3 * shapes[0, 0]
+    model, band = hung(shapes)
+    between = Between(Idle.of(model, band, [DOFS[0]]), np.array([0]), band, SPREADS.copy())
+    assert between.own_below[0] == pytest.approx(float(shapes[0, 0] ** 2))
+    assert between.own_below[2] == pytest.approx(between.own_below[0])
+    assert between.own_below[3] == pytest.approx(9 * between.own_below[0])
+    both = Between(Idle.of(model, band, [DOFS[0], DOFS[2]]), np.array([0]), band, SPREADS.copy())
+    assert both.own_below[2] == pytest.approx(1e-6 * both.own_below[0])  # measured there
+
+
+def test_what_lies_below_the_band_swings_and_lags_as_the_suspension_does():
+    model, band = hung()
+    known = Idle.of(model, band, [DOFS[0]])
+    mass, stiff = matrices()
+    frf = measured(mass, modes()[3], stiff, (0,), 2e-4, 0)
+    one = Case(known, frf, band, correlated=1.0)
+    (hz,), (zeta,) = known.f[known.residual], known.zeta[known.residual]
+    assert hz < band[0]
+    w = one.lines.w[one.lines.fit]
+    forward, term = one.forward, Term("point_mass", (2,), (float(np.log(0.4)),))
+    rows = forward.outside([term])
+    suspension = 1 / ((2 * np.pi * hz) ** 2 - w**2 + 2j * zeta * 2 * np.pi * hz * w)
+    below = [row for row in rows if row.below]
+    assert below
+    for row in below:
+        np.testing.assert_allclose(row.law(1j * w), suspension, rtol=1e-9)
+    x = replace(forward.start, terms=(term,), u=0.1 * np.random.default_rng(0).standard_normal(len(rows)))
+    slopes = forward.predict(x, w).shared[..., forward.n_g + forward.n_d :][..., : len(rows)]
+    for number in range(len(rows)):
+        step = 1e-4 * (np.arange(len(rows)) == number)
+        up, down = (forward.predict(replace(x, u=x.u + side * step), w, derivatives=False).h for side in (1, -1))
+        np.testing.assert_allclose(slopes[..., number], (up - down) / 2e-4, atol=1e-6 * np.abs(slopes).max())
 
 
 def replace_shapes(model, shapes):

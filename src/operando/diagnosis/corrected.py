@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from operando.data import Geometry, ModalCoupling, ModalModel
 from operando.data.modal_poles import pole_form
+from operando.diagnosis.between import Outside
 from operando.diagnosis.criteria import tolerated
-from operando.diagnosis.derivatives import Outside
 from operando.diagnosis.posterior import State
 from operando.diagnosis.terms import Term
 from operando.structure import Model
@@ -69,6 +69,7 @@ class _Signed:
     """Residual terms, with signs, and how their shapes move by the unknowns u (u, DOFs, terms)."""
 
     hz: Array
+    zeta: Array
     shapes: Array
     signs: Array
     by_u: Array
@@ -86,19 +87,24 @@ def _at_places(state: State) -> _Signed:
         if row.spread > 0:
             groups.setdefault((row.place, row.below), []).append((number, row))
     hz, shapes, signs, by_u = np.zeros(2 * len(groups)), np.zeros((dofs, 2 * len(groups))), np.ones(2 * len(groups)), []
+    zeta = np.full(hz.size, _FAR_DAMPING)
     signs[1::2] = -1
     for k, ((place, below), rows) in enumerate(groups.items()):
         by = np.zeros((x.u.size, dofs))
         for number, row in rows:
             by[number, row.other] = row.spread / (2 if row.other == place else 1)
         size = float(np.linalg.norm(by)) ** 0.5
-        hz[2 * k : 2 * k + 2] = low / _FAR if below else high * _FAR
+        both = slice(2 * k, 2 * k + 2)
+        hz[both] = high * _FAR
+        if below:
+            hz[both] = max(rows[0][1].swing / 2 / np.pi, low / _FAR)
+            zeta[both] = np.clip(rows[0][1].lag / (2 * np.pi * hz[both]), _FAR_DAMPING, 1.0)
         unit = (1.0 if below else 2 * np.pi * high * _FAR) / np.sqrt(2)
         for term, sign in ((2 * k, 1), (2 * k + 1, -1)):
             shapes[:, term] = unit * sign * (x.u @ by) / size
             shapes[place, term] += unit * size
             by_u.append(unit * sign * by / size)
-    return _Signed(hz, shapes, signs, np.stack(by_u, -1) if by_u else np.zeros((x.u.size, dofs, 0)))
+    return _Signed(hz, zeta, shapes, signs, np.stack(by_u, -1) if by_u else np.zeros((x.u.size, dofs, 0)))
 
 
 def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -> Model:
@@ -140,7 +146,7 @@ def model_of(idle: ModalModel, state: State, geometry: Geometry | None = None) -
             coupling = coupling.with_term(len(coupling.beside))
     updated = idle.with_terms(
         frequencies_hz=np.concatenate([f[every], beside.hz]),
-        damping_ratios=np.concatenate([zeta[every], np.full(beside.hz.size, _FAR_DAMPING)]),
+        damping_ratios=np.concatenate([zeta[every], beside.zeta]),
         shapes=np.concatenate([phi[:, at_rest], change, beside.shapes], axis=1)[kept],
         signs=np.concatenate([np.ones(at_rest.size), -np.ones(taken.size), beside.signs]),
         dofs=tuple(moved.dofs[i] for i in kept),

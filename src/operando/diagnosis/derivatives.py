@@ -11,23 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, Between
+from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, Between, Outside
 from operando.diagnosis.idle import Idle, Moves
 from operando.diagnosis.products import Compliance, Rows
 from operando.diagnosis.terms import Term
 
 Array = NDArray[Any]
 _LAWS = ("", "_slope", "_corner", "_late")
-
-
-@dataclass(frozen=True)
-class Outside:
-    """What lies outside the band between an undriven place of an effect and an undriven DOF: no column of the test tells it."""
-
-    place: int
-    other: int
-    below: bool
-    spread: float
 
 
 @dataclass
@@ -406,7 +396,7 @@ class Derivatives:
         p, w = self.of, self.of.w
         columns, at = [], []
         for number, row in enumerate(p.outside):
-            slope = (-1 / w**2 if row.below else np.ones(w.size)) * row.spread
+            slope = row.law(1j * w) * row.spread
             by_row = -self._motion(row.other)[:, :, None] * p.force[:, p.here.index(row.place), None]
             if row.other in p.here and row.other != row.place:
                 by_row = by_row - self._motion(row.place)[:, :, None] * p.force[:, p.here.index(row.other), None]

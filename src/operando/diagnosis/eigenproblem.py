@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.derivatives import Moved, Outside
+from operando.diagnosis.between import Outside
+from operando.diagnosis.derivatives import Moved
 from operando.diagnosis.forward import Forward, Point
 from operando.diagnosis.idle import Moves
 from operando.diagnosis.terms import Term, added, resonator, touched
@@ -92,7 +93,7 @@ class System:
         """What lies outside the band, from the places of the effects to all DOFs, (k, DOFs, places)."""
         out = np.zeros((s.size, self.forward.n_dofs, len(self.here)), complex)
         for row, value in zip(self.outside, self.x.u, strict=True):
-            change = value * row.spread * (s**-2.0 if row.below else np.ones(s.size))
+            change = value * row.spread * row.law(s)
             out[:, row.other, self.here.index(row.place)] += change
             if row.other in self.here and row.other != row.place:
                 out[:, row.place, self.here.index(row.other)] += change

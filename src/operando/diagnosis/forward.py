@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, channel_laws
-from operando.diagnosis.derivatives import Derivatives, FirstOrder, Moved, Outside, Parts
+from operando.diagnosis.between import OF_A_CHANNEL, OF_A_FORCE, OUTSIDE, Between, Outside, channel_laws
+from operando.diagnosis.derivatives import Derivatives, FirstOrder, Moved, Parts
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.products import Compliance, Rows, laid
 from operando.diagnosis.terms import Term, added, slopes, touched
@@ -125,11 +125,13 @@ class Forward:
             for below, own, name in ((False, known.own_above, "above"), (True, known.own_below, "below")):
                 if below and not known.below.size:
                     continue
-                out.append(Outside(place, place, below, OUTSIDE[f"own_{name}"] * float(own[place])))
+                swings = known.lag_below, known.swing_below
+                out.append(Outside(place, place, below, OUTSIDE[f"own_{name}"] * float(own[place]), *swings))
                 for other in np.flatnonzero(self.undriven):
                     # where nothing was measured and nothing acts, nothing shows it
                     if other != place and (other in shown or other in here):
-                        out.append(Outside(place, int(other), below, OUTSIDE[f"row_{name}"] * float(np.sqrt(own[place] * own[other]))))
+                        spread = OUTSIDE[f"row_{name}"] * float(np.sqrt(own[place] * own[other]))
+                        out.append(Outside(place, int(other), below, spread, *swings))
         return out
 
     def reaching_dofs(self, terms: Sequence[Term]) -> list[int]:
@@ -229,7 +231,7 @@ class Forward:
         columns = shape_k @ np.swapaxes(phi_here, -1, -2) + first.rest(here)
         outside = self.outside(terms)
         for row, value in zip(outside, x.u * np.array([row.spread for row in outside]), strict=True):
-            change = -value / w**2 if row.below else np.full(n, value)
+            change = value * row.law(1j * w)
             columns[:, row.other, here.index(row.place)] += change
             if row.other in here and row.other != row.place:
                 columns[:, row.place, here.index(row.other)] += change

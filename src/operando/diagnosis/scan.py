@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.arrow import Factor, Information
+from operando.diagnosis.between import Outside
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ROBUST
-from operando.diagnosis.derivatives import Outside
 from operando.diagnosis.eigenmodes import ScannableModes
 from operando.diagnosis.forward import Point, Scannable
 from operando.diagnosis.posterior import State, linear_evidence

@@ -132,7 +132,7 @@ class Sides:
     def _of_u(self) -> list[tuple[Array, Array]]:
         system, out = self.system, []
         for row in system.outside:
-            here, slope = system.here, row.spread * (self.s**-2.0 if row.below else np.ones(self.s.size))
+            here, slope = system.here, row.spread * row.law(self.s)
             side, shown = self._none(1)
             reached = np.zeros_like(shown[..., 0])
             reached[:, row.other] += slope * self.held[:, here.index(row.place)]

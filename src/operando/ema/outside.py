@@ -15,12 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.polish import Polished
-from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters, Real
+from operando.ema.polish_model import OUTSIDE_DAMPING, Complex, Parameters, Real
 from operando.ema.spectra import RunSpectra
 from operando.synthesis import modal_kernel, synthesise
 
 UPPER = (1.05, 1.12, 1.2, 1.3, 1.45, 1.7, 2.1, 2.8, 4.0, 8.0)
 LOWER = (0.02, 0.02, 0.02, 0.6)
+SHIFT = 0.5
+"""Standard deviation of the logarithm of how far above the lines each upper pseudo-mode lies: its neighbours are as far away."""
+
+MOST_DAMPING = 0.5
+"""Damping ratio of a term below the band up to which it is that of a mode that swings."""
+
 LOCAL = 2.0
 LOCAL_SHAPE, LOCAL_SPREAD = 0.7, 0.9
 """Mean and standard deviation of the local shape value of an undriven DOF over that which would make up a drive point's compliance."""
@@ -116,7 +122,8 @@ def outside_modes(
     bottom = min(float(run.frequencies_hz[0]) for run in runs)
     f = np.geomspace(max(band[0], 1e-3 * band[1]), max(run.top_hz for run in runs), N_LINES)
     m_dofs, n = theta.shapes.shape
-    target, known, refs = _driven(runs, theta, f)
+    driven, known, refs = _driven(runs, theta, f)
+    target = driven.real
     if gone is not None and gone.size:
         part = moved.shapes[:, gone]
         more = np.einsum("kp,jp,pl->kjl", part[refs], part, modal_kernel(f, moved.hz[gone], moved.zeta[gone], "accelerance").real)
@@ -129,7 +136,8 @@ def outside_modes(
     if lower:
         hz = np.concatenate([hz, np.array(LOWER) * bottom])
         std = np.concatenate([std, np.full(len(LOWER), 2 * rms)])
-    g = _outside_kernel(f, hz)
+    grid = _Grid(f, hz, top, len(UPPER))
+    g, _ = grid.kernels(np.zeros(len(UPPER)))
     scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
     # The driven columns tell how much there is outside at all (products of two shape values, hence the root).
     expected = np.sqrt(np.sum((std[: len(UPPER), None] ** 2 * g[: len(UPPER)]) ** 2, axis=0))
@@ -144,9 +152,10 @@ def outside_modes(
     for outer in (TOLERANCE, OUTER_TOLERANCE):
         asked = np.where(f <= band[1], TOLERANCE, outer)
         weight = 1 / np.sqrt((asked * scale) ** 2 + floor**2 + noise)
-        psi_core, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), g, weight, std)
+        psi_core, shift, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), grid, weight, std)
         if np.max(np.abs(psi_core[:, :NEAREST])) < LARGEST * rms:
             break
+    hz, g = grid.hz(shift), grid.kernels(shift)[0]
     shapes = np.zeros((m_dofs, hz.size))
     variance = np.broadcast_to(std**2, (m_dofs, hz.size)).copy()
     shapes[core] = psi_core
@@ -159,9 +168,43 @@ def outside_modes(
     for p in range(hz.size):
         covariance[p, rest, p, rest] = variance[rest, p]
     size = hz.size * m_dofs
-    if not local_terms:
-        return OutsideModes(hz, np.full(hz.size, OUTSIDE_DAMPING), shapes, covariance.reshape(size, size))
-    return _with_local(hz, shapes, covariance.reshape(size, size), refs, target, known, top, f)
+    made = OutsideModes(hz, np.full(hz.size, OUTSIDE_DAMPING), shapes, covariance.reshape(size, size))
+    if lower:
+        below = _driven(runs, theta, f, theta.outside_hz < bottom)[0]
+        made.zeta[len(UPPER) :] = _lower_damping(made, below.imag, known, refs, f)
+    return _with_local(made, refs, top, f) if local_terms else made
+
+
+def _lower_damping(made: OutsideModes, lag: Real, known: NDArray[np.bool_], refs: list[int], f: Real) -> Real:
+    """Damping ratios of the terms below the band, of one damper over mass, from the imaginary part that they have in the driven columns.
+
+    Far above a mode that lags by 2 ζ f_r/f behind what it adds. All terms have one product ζ f_r, for the columns tell no more.
+    """
+    hz, shapes = made.hz[len(UPPER) :], made.shapes[:, len(UPPER) :]
+    along = ((shapes[refs] @ shapes.T)[..., None] * 2 / f)[known]
+    product = float(np.sum(along * lag[known]) / max(float(np.sum(along**2)), 1e-300))
+    return np.clip(product / hz, OUTSIDE_DAMPING, MOST_DAMPING)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Pseudo-modes whose frequencies above the lines move: the nearest true mode lies at none that was chosen before."""
+
+    f: Real
+    start: Real
+    top: float
+    upper: int
+
+    def hz(self, shift: Real) -> Real:
+        moved = self.start.copy()
+        moved[: self.upper] = self.top + (self.start[: self.upper] - self.top) * np.exp(shift)
+        return moved
+
+    def kernels(self, shift: Real) -> tuple[Real, Real]:
+        """Kernels of all pseudo-modes (p, L), and their derivatives by the shifts (upper, L)."""
+        step = 1e-4
+        ends = [_outside_kernel(self.f, self.hz(shift + side * step)[: self.upper]) for side in (1, -1)]
+        return _outside_kernel(self.f, self.hz(shift)), (ends[0] - ends[1]) / (2 * step)
 
 
 def _outside_kernel(f: Real, hz: Real, zeta: Real | float = OUTSIDE_DAMPING) -> Real:
@@ -169,18 +212,24 @@ def _outside_kernel(f: Real, hz: Real, zeta: Real | float = OUTSIDE_DAMPING) -> 
     return modal_kernel(f, hz, np.broadcast_to(zeta, hz.shape), "accelerance").real
 
 
-def _driven(runs: Sequence[RunSpectra], theta: Parameters, f: Real) -> tuple[Real, NDArray[np.bool_], list[int]]:
-    """Out-of-band part of the driven columns on lines ``f``: (K, M, L), which of them are measured (K, M), and their rows."""
+def _driven(
+    runs: Sequence[RunSpectra], theta: Parameters, f: Real, part: NDArray[np.bool_] | None = None
+) -> tuple[Complex, NDArray[np.bool_], list[int]]:
+    """Out-of-band part of the driven columns on lines ``f``: (K, M, L), which of them are measured (K, M), and their rows.
+
+    ``part`` of the kernels alone, where given.
+    """
     q = theta.outside_hz.size
-    g = _outside_kernel(f, theta.outside_hz, theta.outside_zeta)
+    some = np.arange(q) if part is None else np.flatnonzero(part)
+    g = modal_kernel(f, theta.outside_hz[some], theta.outside_zeta[some], "accelerance")
     refs = list(dict.fromkeys(int(row) for run in runs for row in run.force_rows))
     m_dofs = theta.shapes.shape[0]
-    total = np.zeros((len(refs), m_dofs, f.size))
+    total = np.zeros((len(refs), m_dofs, f.size), complex)
     count = np.zeros((len(refs), m_dofs))
     for i, run in enumerate(runs):
         for k, row in enumerate(run.force_rows):
             column = refs.index(int(row))
-            total[column, run.response_rows] += theta.local[i][:, k * q : (k + 1) * q] @ g
+            total[column, run.response_rows] += theta.local[i][:, k * q + some] @ g
             count[column, run.response_rows] += 1
     known = count > 0
     total[known] /= count[known][:, None]
@@ -218,70 +267,86 @@ def _most_telling(target: Real, known: NDArray[np.bool_], count: int) -> list[in
 
 
 def _nonlinear(
-    target: Real, known: NDArray[np.bool_], refs: NDArray[np.int_], g: Real, weight: Real, std: Real, iterations: int = 150
-) -> tuple[Real, Real]:
-    """Levenberg–Marquardt for ψ with Σ_p ψ_jp ψ_kp G_p = target_kj and ψ_p ~ N(0, std_p²). Returns ψ (m, p), covariance."""
-    m, n_p = target.shape[1], g.shape[0]
+    target: Real, known: NDArray[np.bool_], refs: NDArray[np.int_], grid: _Grid, weight: Real, std: Real, iterations: int = 150
+) -> tuple[Real, Real, Real]:
+    """Levenberg–Marquardt for ψ with Σ_p ψ_jp ψ_kp G_p = target_kj and ψ_p ~ N(0, std_p²). Returns ψ (m, p), shifts, covariance of ψ."""
+    m, n_p = target.shape[1], std.size
     rng = np.random.default_rng(0)
-    psi = 0.3 * std * rng.standard_normal((m, n_p))
-    gw = g * weight
+    psi, shift = 0.3 * std * rng.standard_normal((m, n_p)), np.zeros(grid.upper)
     tw = target * weight
-    gram = gw @ gw.T
     use = known[:, :, None]
 
-    def rest(p: Real) -> Real:
-        model = (p[refs][:, None] * p).reshape(-1, n_p) @ gw
-        return np.concatenate([np.where(use, model.reshape(target.shape) - tw, 0).ravel(), (p / std).ravel()])
+    def rest(p: Real, s: Real) -> Real:
+        model = (p[refs][:, None] * p).reshape(-1, n_p) @ (grid.kernels(s)[0] * weight)
+        return np.concatenate([np.where(use, model.reshape(target.shape) - tw, 0).ravel(), (p / std).ravel(), s / SHIFT])
 
-    def normal(p: Real, r: Real, told: Real | None = None) -> tuple[Real, Real]:
-        # Each residual (k, j) touches only rows j and k of ψ: build the normal matrix from p×p blocks.
+    def normal(p: Real, s: Real, r: Real, told: Real | None = None) -> tuple[Real, Real]:
+        # Each residual (k, j) touches only rows j and k of ψ: build the normal matrix from p×p blocks; and all shifts.
+        gw, dw = (v * weight for v in grid.kernels(s))
+        gram = gw @ gw.T
         data = r[: known.size * gw.shape[1]].reshape(known.shape[0], m, -1)
         through = data @ gw.T  # (k, j, p)
         matrix = np.zeros((m, n_p, m, n_p))
         gradient = p / std**2
+        worth = np.where(known, 1.0 if told is None else told, 0.0)
+        mixed, own = gw @ dw.T, dw @ dw.T
+        by_shape, by_shift = np.zeros((m, n_p, s.size)), np.diag(np.full(s.size, SHIFT**-2.0))
+        slope = s / SHIFT**2
         for k, row in enumerate(refs):
             a = p[row]
             js = np.flatnonzero(known[k])
-            worth = np.ones((js.size, 1, 1)) if told is None else told[k, js, None, None]
-            matrix[js, :, js, :] += worth * gram * np.outer(a, a)
-            matrix[row, :, row, :] += gram * ((worth[:, 0] * p[js]).T @ p[js])
-            cross = worth * gram * (a[:, None] * p[js, None, :])
+            told_k = worth[k, js, None, None]
+            matrix[js, :, js, :] += told_k * gram * np.outer(a, a)
+            matrix[row, :, row, :] += gram * ((told_k[:, 0] * p[js]).T @ p[js])
+            cross = told_k * gram * (a[:, None] * p[js, None, :])
             matrix[js, :, row, :] += cross
             matrix[row, :, js, :] += cross.swapaxes(1, 2)
             gradient[js] += through[k, js] * a
             gradient[row] += np.sum(through[k, js] * p[js], axis=0)
-        flat = matrix.reshape(m * n_p, m * n_p)
-        flat[np.diag_indices(m * n_p)] += np.tile(1 / std**2, m)
-        return flat, gradient.ravel()
+            along = (a * p[js])[:, : s.size]  # (j, upper): the shift moves ψ_kp ψ_jp G'_p
+            moved = told_k * mixed * along[:, None]  # (j, p, upper)
+            by_shape[js] += moved * a[:, None]
+            by_shape[row] += np.einsum("jpu,jp->pu", moved, p[js])
+            by_shift += own * ((told_k[:, 0] * along).T @ along)
+            slope += np.einsum("jl,ul,ju->u", data[k, js], dw, along)
+        size = m * n_p
+        flat = np.zeros((size + s.size,) * 2)
+        flat[:size, :size] = matrix.reshape(size, size)
+        flat[np.arange(size), np.arange(size)] += np.tile(1 / std**2, m)
+        flat[:size, size:] = by_shape.reshape(size, -1)
+        flat[size:, :size] = flat[:size, size:].T
+        flat[size:, size:] = by_shift
+        return flat, np.concatenate([gradient.ravel(), slope])
 
-    r = rest(psi)
+    r = rest(psi, shift)
     cost, damping = float(r @ r), 1e-2
     for _ in range(iterations):
-        matrix, gradient = normal(psi, r)
+        matrix, gradient = normal(psi, shift, r)
         d = np.diag(matrix)
         fall = 0.0
         for _ in range(10):
-            step = np.linalg.solve(matrix + damping * np.diag(d), -gradient).reshape(psi.shape)
-            trial = rest(psi + step)
+            step = np.linalg.solve(matrix + damping * np.diag(d), -gradient)
+            by, moved = step[: psi.size].reshape(psi.shape), np.clip(step[psi.size :], -SHIFT, SHIFT)
+            trial = rest(psi + by, shift + moved)
             fall = cost - float(trial @ trial)
             if fall > 0:
                 break
             damping *= 6
         if fall <= 0:
             break
-        psi, r, cost = psi + step, trial, cost - fall
+        psi, shift, r, cost = psi + by, shift + moved, trial, cost - fall
         damping = max(damping / 6, 1e-12)
         if fall < 1e-4 * cost:
             break
-    told = _told(r[: known.size * gw.shape[1]].reshape(*known.shape, -1))
-    covariance = np.linalg.inv(normal(psi, r, told)[0])
-    return psi, np.asarray(covariance.reshape(m, n_p, m, n_p), float)
+    told = _told(r[: known.size * grid.f.size].reshape(*known.shape, -1))
+    covariance = np.linalg.inv(normal(psi, shift, r, told)[0])[: psi.size, : psi.size]
+    return psi, shift, np.asarray(covariance.reshape(m, n_p, m, n_p), float)
 
 
 def _told(left: Real) -> Real:
     """Share of its lines that each out-of-band FRF is worth, from what the fit leaves of it in units of what was asked (..., L).
 
-    What a few modes at fixed frequencies leave is smooth over the band: all lines tell no more of it than ``INDEPENDENT`` would.
+    What a few modes leave is smooth over the band: all lines tell no more of it than ``INDEPENDENT`` would.
     """
     return np.asarray(INDEPENDENT / left.shape[-1] / np.maximum(np.mean(left**2, axis=-1), INDEPENDENT / left.shape[-1]))
 
@@ -297,19 +362,19 @@ def _linear_row(target: Real, known: NDArray[np.bool_], psi_refs: Real, g: Real,
     return shapes, np.diag(np.linalg.inv(design.T @ (worth[:, None] * design) + np.diag(1 / std**2)))
 
 
-def _with_local(
-    hz: Real, shapes: Real, covariance: Real, refs: list[int], target: Real, known: NDArray[np.bool_], top: float, f: Real
-) -> OutsideModes:
+def _with_local(made: OutsideModes, refs: list[int], top: float, f: Real) -> OutsideModes:
     """Add one local mode a DOF that was not driven: the compliance of its own that no driven column shows.
 
-    It is positive and differs by tens from place to place; the drive points' own out-of-band compliance is all that tells its size.
+    It is positive and differs by tens from place to place; the drive points' own compliance from above the band is all that tells its size.
     """
+    hz, shapes, covariance = made.hz, made.shapes, made.covariance
     m_dofs = shapes.shape[0]
     rows = np.setdiff1d(np.arange(m_dofs), refs)
     local_hz = LOCAL * top
     unit = _outside_kernel(f, np.array([local_hz]))[0]
-    at_refs = [max(float(np.median(target[k, row] / unit)), 0.0) for k, row in enumerate(refs) if known[k, row]]
-    amplitude = float(np.sqrt(np.median(at_refs))) if at_refs else 0.0
+    above = np.arange(len(UPPER))
+    at_refs = np.median(shapes[refs][:, above] ** 2 @ _outside_kernel(f, hz[above]) / unit, axis=1)
+    amplitude = float(np.sqrt(np.median(at_refs))) if refs else 0.0
     extra = np.zeros((m_dofs, rows.size))
     extra[rows, np.arange(rows.size)] = LOCAL_SHAPE * amplitude
     size, added = covariance.shape[0], rows.size * m_dofs
@@ -317,8 +382,8 @@ def _with_local(
     grown[:size, :size] = covariance
     position = size + np.arange(rows.size) * m_dofs + rows
     grown[position, position] = (LOCAL_SPREAD * amplitude) ** 2
-    all_hz = np.concatenate([hz, np.full(rows.size, local_hz)])
-    return OutsideModes(all_hz, np.full(all_hz.size, OUTSIDE_DAMPING), np.concatenate([shapes, extra], axis=1), grown)
+    all_hz, all_zeta = (np.append(v, np.full(rows.size, more)) for v, more in ((hz, local_hz), (made.zeta, OUTSIDE_DAMPING)))
+    return OutsideModes(all_hz, all_zeta, np.concatenate([shapes, extra], axis=1), grown)
 
 
 def _empty(m_dofs: int) -> OutsideModes:

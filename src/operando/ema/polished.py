@@ -18,7 +18,7 @@ from operando.ema.polish import Polished, signed
 from operando.ema.polish_model import Parameters, Real
 from operando.ema.remaining import MAX_UNKNOWNS, choose_core, remaining_rows
 from operando.ema.spectra import RunSpectra, excited_fit_band, frf_spectra, record_spectra
-from operando.ema.start import LOWER_FACTORS, inverted_forces, linear_residues, outside_kernels
+from operando.ema.start import N_LOWER, inverted_forces, linear_residues, outside_kernels
 from operando.synthesis import power_of
 
 WIDER = (1.3, 1.5)
@@ -178,7 +178,7 @@ def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, 
     if without is None:
         without = refine(thinned, n_dofs, hz, np.clip(zeta, 2e-4, 0.1), lower=False, max_iterations=6)
     theta = without.parameters
-    unknowns = 2 * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
+    unknowns = N_LOWER * sum(run.response_rows.size * run.forces.shape[0] for run in runs)
     price = unknowns * 0.5 * np.log(without.n_data) * 2
     start, needed = _with_lower(thinned, theta), without.cost - price
     with_lower = refine(thinned, n_dofs, theta.hz, theta.zeta, lower=True, start=start, max_iterations=6, needed_cost=needed)
@@ -189,7 +189,7 @@ def _needs_lower(runs: Sequence[RunSpectra], n_dofs: int, hz: Real, zeta: Real, 
 
 def _with_lower(runs: Sequence[RunSpectra], theta: Parameters) -> Parameters:
     """The parameters with kernels below the band that add nothing yet."""
-    lower, lower_zeta = (part[-len(LOWER_FACTORS) :] for part in outside_kernels(runs, theta.hz, True))
+    lower, lower_zeta = (part[-N_LOWER:] for part in outside_kernels(runs, theta.hz, True))
     q, local = theta.outside_hz.size, []
     for run, old in zip(runs, theta.local, strict=True):
         k = run.forces.shape[0]

@@ -19,8 +19,11 @@ DAMPED_FACTORS, MORE_DAMPING = (1.04, 1.1), 0.03
 """Further kernels there of more damping: sums of two dampings have any between. A mode 4 to 20 % above the lines, damped by 0.3 to 2 %, is
 then described to 0.3 % of what it adds to them (0.5 to 3 % without, damped by 0.7 %; least squares over the lines)."""
 
-LOWER_FACTORS = (0.02, 0.6)
-"""The same below the band, in units of the lowest line: a mass line, and a suspension."""
+LOWER_FACTORS, DAMPED_LOWER, LOWER_DAMPING = (0.02, 0.6), (0.6,), 0.1
+"""The same below the band, in units of the lowest line: a mass line, a suspension, and one of more damping. Elastic cords have 1 to 10 %:
+of a structure hung up at a fifth of the lowest line with 3 % the mass line lags by 1.2 % there."""
+
+N_LOWER = len(LOWER_FACTORS) + len(DAMPED_LOWER)
 
 LEAST_DRIVE = 1e-4
 """Least drive residue, as a share of the largest residue, that gives a mode's scale to start with; the fit tells it."""
@@ -33,8 +36,10 @@ def outside_kernels(runs: Sequence[RunSpectra], hz: Real, lower: bool) -> tuple[
     """Poles of the fixed kernels that stand for what lies outside the lines of the runs and above the modes ``hz``."""
     top = max([float(run.frequencies_hz[-1]) for run in runs] + [float(h) for h in hz])
     bottom = min(float(run.frequencies_hz[0]) for run in runs)
-    parts = [top * np.array(OUTSIDE_FACTORS), top * np.array(DAMPED_FACTORS), bottom * np.array(LOWER_FACTORS if lower else ())]
-    return np.concatenate(parts), np.repeat([OUTSIDE_DAMPING, MORE_DAMPING, OUTSIDE_DAMPING], [part.size for part in parts])
+    parts = [top * np.array(OUTSIDE_FACTORS), top * np.array(DAMPED_FACTORS)]
+    parts += [bottom * np.array(factors if lower else ()) for factors in (LOWER_FACTORS, DAMPED_LOWER)]
+    damping = (OUTSIDE_DAMPING, MORE_DAMPING, OUTSIDE_DAMPING, LOWER_DAMPING)
+    return np.concatenate(parts), np.repeat(damping, [part.size for part in parts])
 
 
 def linear_residues(runs: Sequence[RunSpectra], hz: Real, zeta: Real, outside: tuple[Real, Real]) -> list[Real]:
