@@ -137,7 +137,7 @@ def outside_modes(
         hz = np.concatenate([hz, np.array(LOWER) * bottom])
         std = np.concatenate([std, np.full(len(LOWER), 2 * rms)])
     grid = _Grid(f, hz, top, len(UPPER))
-    g, _ = grid.kernels(np.zeros(len(UPPER)))
+    g = grid.kernels(np.zeros(len(UPPER)))
     scale = np.sqrt(np.mean(target[known] ** 2, axis=0)) if known.any() else np.ones(f.size)
     # The driven columns tell how much there is outside at all (products of two shape values, hence the root).
     expected = np.sqrt(np.sum((std[: len(UPPER), None] ** 2 * g[: len(UPPER)]) ** 2, axis=0))
@@ -155,7 +155,7 @@ def outside_modes(
         psi_core, shift, cov_core = _nonlinear(target[:, core], known[:, core], np.array([at[r] for r in refs]), grid, weight, std)
         if np.max(np.abs(psi_core[:, :NEAREST])) < LARGEST * rms:
             break
-    hz, g = grid.hz(shift), grid.kernels(shift)[0]
+    hz, g = grid.hz(shift), grid.kernels(shift)
     shapes = np.zeros((m_dofs, hz.size))
     variance = np.broadcast_to(std**2, (m_dofs, hz.size)).copy()
     shapes[core] = psi_core
@@ -200,11 +200,15 @@ class _Grid:
         moved[: self.upper] = self.top + (self.start[: self.upper] - self.top) * np.exp(shift)
         return moved
 
-    def kernels(self, shift: Real) -> tuple[Real, Real]:
-        """Kernels of all pseudo-modes (p, L), and their derivatives by the shifts (upper, L)."""
+    def kernels(self, shift: Real) -> Real:
+        """Of all pseudo-modes, (p, L)."""
+        return _outside_kernel(self.f, self.hz(shift))
+
+    def slopes(self, shift: Real) -> Real:
+        """Derivatives of the upper ones by their shifts, (upper, L)."""
         step = 1e-4
-        ends = [_outside_kernel(self.f, self.hz(shift + side * step)[: self.upper]) for side in (1, -1)]
-        return _outside_kernel(self.f, self.hz(shift)), (ends[0] - ends[1]) / (2 * step)
+        up, down = (_outside_kernel(self.f, self.hz(shift + side * step)[: self.upper]) for side in (1, -1))
+        return (up - down) / (2 * step)
 
 
 def _outside_kernel(f: Real, hz: Real, zeta: Real | float = OUTSIDE_DAMPING) -> Real:
@@ -277,12 +281,12 @@ def _nonlinear(
     use = known[:, :, None]
 
     def rest(p: Real, s: Real) -> Real:
-        model = (p[refs][:, None] * p).reshape(-1, n_p) @ (grid.kernels(s)[0] * weight)
+        model = (p[refs][:, None] * p).reshape(-1, n_p) @ (grid.kernels(s) * weight)
         return np.concatenate([np.where(use, model.reshape(target.shape) - tw, 0).ravel(), (p / std).ravel(), s / SHIFT])
 
     def normal(p: Real, s: Real, r: Real, told: Real | None = None) -> tuple[Real, Real]:
         # Each residual (k, j) touches only rows j and k of ψ: build the normal matrix from p×p blocks; and all shifts.
-        gw, dw = (v * weight for v in grid.kernels(s))
+        gw, dw = grid.kernels(s) * weight, grid.slopes(s) * weight
         gram = gw @ gw.T
         data = r[: known.size * gw.shape[1]].reshape(known.shape[0], m, -1)
         through = data @ gw.T  # (k, j, p)
