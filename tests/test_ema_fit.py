@@ -414,6 +414,22 @@ def test_modes_above_the_lines_are_described_by_fixed_kernels():
             assert np.linalg.norm(left) < 3e-3 * np.linalg.norm(mode.view(float))
 
 
+def test_a_suspension_below_the_lines_is_described_by_fixed_kernels():
+    """LOWER_FACTORS, DAMPED_LOWER, LOWER_DAMPING: to 0.5 % of what one at a tenth to four tenths of the lowest line adds."""
+    from operando.ema.polish_model import OUTSIDE_DAMPING
+    from operando.ema.start import DAMPED_LOWER, LOWER_DAMPING, LOWER_FACTORS
+    from operando.synthesis import modal_kernel
+
+    f = np.linspace(10.0, 100.0, 300)
+    zeta = np.repeat([OUTSIDE_DAMPING, LOWER_DAMPING], [len(LOWER_FACTORS), len(DAMPED_LOWER)])
+    kernels = modal_kernel(f, f[0] * np.array([*LOWER_FACTORS, *DAMPED_LOWER]), zeta, "accelerance").view(float)
+    for below in (0.1, 0.2, 0.3, 0.4):
+        for damping in (0.01, 0.03, 0.1):
+            mode = modal_kernel(f, np.array([below * f[0]]), np.array([damping]), "accelerance")[0].view(float)
+            left = mode - np.linalg.lstsq(kernels.T, mode, rcond=None)[0] @ kernels
+            assert np.linalg.norm(left) < 5e-3 * np.linalg.norm(mode)
+
+
 def test_the_fit_ends_between_modes():
     """WIDER, VALLEY: not on the flank of a mode beyond its lines, nor at an antiresonance."""
     from operando.ema.polished import WIDER, between_modes
