@@ -21,12 +21,10 @@ from operando.diagnosis.criteria import (
     CONTAINING,
     EARNED,
     EXPLAINED,
-    HOPELESS,
     LEAST_CHANGE,
     LEAST_DISCREPANCY,
     LOOSE,
     POOLED_LINES,
-    POOR,
     REST_DISCREPANCY,
     UNUSUAL,
     tolerated,
@@ -686,21 +684,6 @@ def test_rows_of_candidates_say_what_is_beyond_words_and_what_contains_the_effec
     assert (odds_text(MOST_ODDS - 0.06), odds_text(703.0)) == ("log odds 39.9", "log odds above 40")
 
 
-@pytest.mark.parametrize("by_far", [False, True])
-def test_nothing_is_searched_where_the_idle_model_misses_rest_and_check_alike_or_rest_by_far(by_far):
-    def slight(m, c, k):
-        m[1, 1] += 0.05
-
-    both = case(slight), case(slight, spreads={})
-    alone = fit(both[0], both[0].forward.start)
-    at_rest = 1.01 * POOR if by_far else max(alone.alpha, 2 * EXPLAINED) / HOPELESS * 1.1
-    assert by_far == (at_rest > POOR)
-    found, odds = search_both(*both, at_rest=at_rest)
-    assert found.best.terms == ()
-    assert len(found.pool) == 1
-    assert odds == -np.inf
-
-
 def test_no_pairs_of_locations_are_searched_where_the_idle_model_misses_the_idle_frfs(monkeypatch):
     """Nothing can be explained there, and of many sensors there are too many pairs."""
     idle, (mass, stiff), damping = identified(), matrices(), modes()[3]
@@ -833,7 +816,7 @@ def test_a_start_without_derivatives_is_no_neighbourhood(monkeypatch):
     start = one.forward.start
     assert approach(one, start) == (np.inf, start)
     run = Search(one, lambda text: None)
-    assert run._nearest(one, [start]) == [start]
+    assert run.nearest(one, [start]) == [start]
     assert run.pool == {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,3 +128,21 @@ def test_plate_is_diagnosed_honestly(state):
     found = diagnose(fit_ema(idle, band=(40.0, 500.0)), check=[run], idle_frf=idle, band=(40.0, 500.0))
     assert found.verdict in ({"no_misfit", "inconclusive"} if state == "ref_2" else {"unexplained", "ambiguous", "inconclusive"})
     assert not {e.kind for e in found.effects} & {"gyroscopic", "circulatory"}  # nothing turns
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("state", "mass"), [("ref_2", 0.05), ("ref_2", 0.01), ("ref_3", 0.05)])
+def test_a_mass_at_the_drive_point_of_the_plate_is_found(state, mass):
+    """Measured idle, and measured again (``ref_3``: clamped again) with a mass that the measured FRFs themselves make exactly.
+
+    H' = H / (1 + Z R) with the receptance R of the drive point (Özgüven, Mech. Syst. Signal Process. 4, 1990, 53–63).
+    """
+    idle, again = plate("ref_1"), plate(state)
+    drive = next(i for i, d in enumerate(again.responses) if d.same_axis(again.references[0]))
+    # −ω² m R, where force and accelerometer have opposite senses
+    loaded = replace(again, data=again.data / (1 - mass * again.data[drive]))
+    found = diagnose(fit_ema(idle, band=(40.0, 500.0)), check=[CheckRun(state, "1 N", loaded)], idle_frf=idle, band=(40.0, 500.0))
+    assert found.verdict == "partial"  # the idle model misses the idle FRFs: an offset under the window
+    (effect,) = found.effects
+    assert (effect.kind, effect.location[0].node) == ("point_mass", again.references[0].node)
+    assert abs(effect.values["mass"] - mass) < 2 * effect.std["mass"] < 0.5 * mass

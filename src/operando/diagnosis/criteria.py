@@ -43,13 +43,11 @@ to 1, so that the simpler one is told where both do."""
 ROBUST = 0.05
 """Misfit, as a share of an FRF, that one line may have before the robust scan gives it less weight."""
 
-HOPELESS = 2.0
-"""Discrepancy of the check over that at rest up to which a bad idle model alone explains it: no effect could be told from that model's own
-errors, which are as large."""
+AS_AT_REST = 2.0
+"""Discrepancy of the check over that at rest up to which a place between sensors explains it as the idle model does the idle FRFs."""
 
-POOR = 0.1
-"""Discrepancy at rest above which nothing is searched: an error of 0.9 dB in every FRF, as large as the change by a small effect. A plate
-whose idle model misses 31 % was searched for a quarter of an hour, and no effect left less than all of the FRFs."""
+ABOVE_ERROR = 10.0
+"""Of |H|² over the variance of its error, from which a line tells an error in dB: the error alone makes 2 dB there (20 lg e × √0.05)."""
 
 LOOSE = 0.02
 """Discrepancy above which the scan is robust and about the idle model as it is: under a loose one a linear scan absorbs all."""

@@ -33,6 +33,7 @@ from operando.diagnosis.free_law import with_free_law
 from operando.diagnosis.hypotheses import AT_FIRST, between_sensors, search_both, search_elsewhere
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.midway import located
+from operando.diagnosis.poor_idle import one_effect, with_what_is_left
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
@@ -121,7 +122,7 @@ def diagnose_frf(
         run = chosen_run(check)
         frf = run.frf
         if idle_frf is not None and (opposed := opposed_dofs(idle_frf)):  # the idle model has them in one sense
-            frf = in_one_sense(frf, [d for d in opposed_dofs(frf) if any(d.same_axis(o) for o in opposed)])
+            frf = in_one_sense(frf, [d for d in opposed_dofs(frf, opposed) if any(d.same_axis(o) for o in opposed)])
             idle_frf = in_one_sense(idle_frf, opposed)
         band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
         driven = run.frf.references if idle_frf is None else idle_frf.references
@@ -131,8 +132,13 @@ def diagnose_frf(
             say("idle model on the idle FRFs")
             rest = at_rest(known, idle_frf, band)
         model = known if rest is None else rest.idle
+        poor = rest is not None and misses_idle_frfs(rest)
+        if rest is not None and idle_frf is not None and poor:
+            say(f"it differs by {100 * rest.state.alpha:.0f} %: what it leaves counts as error of the measurements")
+            frf = with_what_is_left(frf, rest.state)
+            model = at_rest(known, with_what_is_left(idle_frf, rest.state), band).idle
         asked: dict[str, Any] = {
-            "kinds": searched(kinds, rest is not None and rest.state.alpha > EXPLAINED),
+            "kinds": searched(kinds, poor),
             "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],
         }
 
@@ -146,8 +152,10 @@ def diagnose_frf(
                 return []
             return suggested_by_modes(model, operating, band, asked["kinds"], asked["places"], say)
 
-        both, odds, asked_for_all = cases(model), None, kinds is None and places is None
-        if between:
+        both, odds, asked_for_all = cases(model), None, kinds is None and places is None and not poor
+        if poor:
+            found = one_effect(both, say)
+        elif between:
             found = search(both[0], say, depth=AT_FIRST)
         else:
             alpha = 0.0 if rest is None else rest.state.alpha
@@ -156,7 +164,7 @@ def diagnose_frf(
 
         def left() -> bool:
             """Whether something is left that another search may find; not where the idle model misses the idle FRFs themselves."""
-            if found.unnamed is not None or (rest is not None and rest.state.alpha > EXPLAINED) or untouched(found.best):
+            if found.unnamed is not None or poor or untouched(found.best):
                 return False
             return verdict_and_reason(found, None)[0] in ("partial", "unexplained") or unlike_days(found.best)
 
@@ -326,7 +334,8 @@ def told(
     if name == "no_misfit" and (hidden := floor_reason(floor)) is not None:
         name, why = "inconclusive", hidden
     where = where_it_fails(idle, check, band, compared)
-    if name == "inconclusive" and not best.terms and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
+    poor = rest is not None and misses_idle_frfs(rest)
+    if name == "inconclusive" and (poor or not best.terms) and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
         name, why = "unexplained", f"{why + '; ' if why else ''}{peaks_text(moved)}"
     shown = best.terms if said.terms and name != "unexplained" else ()
     final = best if shown else found.empty
@@ -359,6 +368,11 @@ def told(
     )
 
 
+def misses_idle_frfs(rest: AtRest) -> bool:
+    """Whether the idle model differs from the idle FRFs themselves by more than an explanation may leave."""
+    return rest.state.alpha > EXPLAINED
+
+
 def notes_of(
     idle: ModalModel, check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRest | None, one_set_up: float | None
 ) -> tuple[str, ...]:
@@ -380,6 +394,11 @@ def notes_of(
             "unexplained. The FRFs of the model with the effects have what ties the modes to each other; its idle modes alone do not"
         )
     case = found.best.case
+    if rest is not None and misses_idle_frfs(rest):
+        notes.append(
+            "what the idle model leaves of the idle FRFs counts as error of the operating measurement, too; one effect was looked for, "
+            "none beside it, none between sensors, and no mode missing in the idle model"
+        )
     if case.kinds == AT_ONE_LOCATION:
         notes.append(
             "effects between two locations (coupling, gyroscopic, circulatory) were not looked for: the error of the idle model on the "

@@ -9,7 +9,7 @@ import numpy as np
 
 from operando.data import Geometry
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EARNED, EXPLAINED, HOPELESS, LEAST_DISCREPANCY, LOOSE, MOST_CHI_SQUARE, POOR, PROMOTED
+from operando.diagnosis.criteria import AS_AT_REST, EARNED, EXPLAINED, LEAST_DISCREPANCY, LOOSE, MOST_CHI_SQUARE, PROMOTED
 from operando.diagnosis.days import promotions, untouched
 from operando.diagnosis.free_law import of_a_kind, with_free_law
 from operando.diagnosis.idle import Idle
@@ -49,11 +49,10 @@ def search_both(
 ) -> tuple[Found, float]:
     """The better of two hypotheses: that nothing was touched between the measurements, and that it was another day.
 
-    The first is a special case of the second: where it leaves nothing but noise, the second is not searched. Where the idle model
-    explains the check as well as the FRFs at rest, and neither (``at_rest`` is the discrepancy there), or the latter by far not, nothing is
-    searched. A place between sensors (``geometry``: where these stand) and a mode that the idle model lacks spare the search of days where
-    they explain the check (``again``: see :func:`search_elsewhere`). Effects that something else suggests (``suggested``) are begun with
-    where what was searched from the FRFs alone does not explain these.
+    The first is a special case of the second: where it leaves nothing but noise, the second is not searched. A place between sensors
+    (``geometry``: where these stand; ``at_rest`` is the discrepancy of the idle FRFs) and a mode that the idle model lacks spare the search
+    of days where they explain the check (``again``: see :func:`search_elsewhere`). Effects that something else suggests (``suggested``)
+    are begun with where what was searched from the FRFs alone does not explain these.
 
     Returns
     -------
@@ -62,12 +61,8 @@ def search_both(
         Log odds that nothing was touched.
     """
     start = days.forward.start
-    # a poor idle model is far from anything measured: the least squares of its lines alone end in the next valley
-    alone = fit(days, approach(days, start)[1] if at_rest > EXPLAINED else start)
+    alone = fit(days, start)
     say(f"two days and no effect: {alone.log_evidence:.1f}, discrepancy {alone.alpha:.4f}")
-    if at_rest > EXPLAINED and (alone.alpha < HOPELESS * at_rest or at_rest > POOR):
-        say(f"no search: the idle model differs by {100 * at_rest:.0f} % from the idle FRFs themselves")
-        return Found(alone, alone, {alone.key: alone}), -np.inf
     say("with nothing touched between the measurements:")
     rival = Rival(days, alone)
     mode = None
@@ -240,7 +235,7 @@ def instead_of_two(
     nothing = Found(empty, empty, {empty.key: empty})
     if geometry is not None:
         there = with_nothing_touched(nothing, alone, again, geometry, say, part=_HALF)
-        if there is not None and there[0].best.alpha <= HOPELESS * max(at_rest, LEAST_DISCREPANCY):
+        if there is not None and there[0].best.alpha <= AS_AT_REST * max(at_rest, LEAST_DISCREPANCY):
             return there
     if -sensors[0][0] > _HALF * robust_cost(case, about):
         return mode_with_nothing_touched(nothing, alone, rival, again, geometry, say, at_once=True)

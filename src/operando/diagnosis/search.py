@@ -388,7 +388,7 @@ class Search:
             ]
             self._approached(state, lost)
 
-    def _nearest(self, case: Case, starts: Sequence[Point]) -> list[Point]:
+    def nearest(self, case: Case, starts: Sequence[Point]) -> list[Point]:
         """The neighbourhoods of some starts, the nearest first; these are fitted."""
         near = sorted(side_by_side(partial(approach, case), starts), key=lambda row: row[0])
         self.fitted([Start(x, 0.03, case) for cost, x in near[:_FITTED] if cost < 1.5 * near[0][0] + _SHORT])
@@ -403,7 +403,7 @@ class Search:
         for x in list(about.values())[:_ABOUT]:
             rows = robust_scan(case, x)[:_APPROACHED] if len(x.terms) < DEPTH else []
             starts += [state.carried([*x.terms, term], x) for _, term, _ in rows if self.once([*x.terms, term])]
-        self._nearest(case, starts)
+        self.nearest(case, starts)
 
     def _approached(self, state: State, terms: Sequence[Term]) -> None:
         """Fits that ended far below what their scan promises, again: robustly from the idle model."""
@@ -438,7 +438,7 @@ class Search:
         for term, cut in places:
             x = state.carried([*state.terms, term], about)
             starts.append(replace(x, u=x.u + without_rest(case, x.terms, term.places)) if cut else x)
-        return self._nearest(case, starts)
+        return self.nearest(case, starts)
 
     def _others(self, best: State) -> None:
         """What could stand in the place of each effect: simpler kinds that it contains, and what changes the FRFs as it does."""
@@ -446,7 +446,7 @@ class Search:
             rest = [t for t in best.terms if t is not term]
             beside = [t for t in self.beside(term) if self.once([*rest, t])]
             if beside:
-                self._nearest(best.case, [best.carried([*rest, t]) for t in beside])
+                self.nearest(best.case, [best.carried([*rest, t]) for t in beside])
             starts = [best.carried([*rest, t]) for t in contained(self.case, term) if self.once([*rest, t])]
             if term.values:
                 found, whole = LinearScan(best, held=term).in_place_of(term)

@@ -286,15 +286,15 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     far = _UNLIKE if unlike_days(best) else ""
     still = _MOVED if untouched(best) else ""
     lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
-    if lost or far or still or not explained:
+    if lost:  # effects were judged where they were looked for (``poor_idle``)
+        return ("partial" if best.terms and supported(best) else "inconclusive"), lost
+    if far or still or not explained:
         before = on_validation_lines(found.empty)[1]
         # what differs between the days explains most of the error without an effect as well: there the evidence speaks for it
-        by_days = far and not lost and not still and explained
+        by_days = far and not still and explained
         lowered = db**2 < (1 - LOWERED) * before**2 or (by_days and score(best) > score(found.empty) + RIVALS)
         if best.terms and supported(best) and lowered:
-            return "partial", lost or still or far or "the effects lower the error, and something remains"
-        if lost:
-            return "inconclusive", lost
+            return "partial", still or far or "the effects lower the error, and something remains"
         if still:
             return "unexplained", still
         if far and not best.terms:

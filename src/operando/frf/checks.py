@@ -171,13 +171,15 @@ def check_drive_points(frf: Frf) -> list[Finding]:
     return out
 
 
-def opposed_dofs(frf: Frf) -> tuple[Dof, ...]:
+def opposed_dofs(frf: Frf, known: Sequence[Dof] = ()) -> tuple[Dof, ...]:
     """References whose force and accelerometer have opposite senses: nearly all power dissipated at the drive point is negative.
 
     Parameters
     ----------
     frf : Frf
         FRFs.
+    known : sequence of Dof
+        Opposite in another measurement with the same sensors: here too, unless nearly all power is positive. Noise leaves it open.
 
     Returns
     -------
@@ -192,7 +194,8 @@ def opposed_dofs(frf: Frf) -> tuple[Dof, ...]:
     ()
     """
     pairs = [(i, j) for i, j in frf.drive_points() if np.isfinite(frf.data[i, j]).any()]
-    return tuple(frf.references[j] for i, j in pairs if power_share(frf, i, j) < 1 - SIGN_SHARE)
+    shares = ((frf.references[j], power_share(frf, i, j)) for i, j in pairs)
+    return tuple(d for d, share in shares if share < (SIGN_SHARE if any(d.same_axis(o) for o in known) else 1 - SIGN_SHARE))
 
 
 def in_one_sense(frf: Frf, opposed: Sequence[Dof]) -> Frf:
