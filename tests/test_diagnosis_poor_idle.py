@@ -23,7 +23,7 @@ N, DRIVEN = 8, 2
 DOFS = tuple(Dof.parse(f"{i + 1}+Z") for i in range(N))
 HZ = np.arange(4.0, 62.0, 0.05)
 BAND = (6.0, 58.0)
-ADDED = 0.06  # kg
+ADDED = 0.12  # kg
 
 
 def chain():

@@ -96,7 +96,8 @@ def one_effect(cases: Sequence[Case], say: Say) -> Found:
     if day is case:
         return found
     other = _about_nothing(day, best.terms)
-    both = None if other is None else _between_sizes(best, other)
+    # what is no more than days in a laboratory differ, as a plate clamped again, is told as no effect
+    both = _between_sizes(best, other) if other is not None and score(other) > score(empty) else None
     return nothing if both is None or not supported(both) else replace(found, best=both, pool=found.pool | {both.key: both})
 
 
