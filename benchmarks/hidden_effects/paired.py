@@ -23,7 +23,7 @@ QUIET = ("none", "orders")
 FIELDS = ("verdict", "right", "alone", "values", "inside", "z2", "error", "seconds")
 GROUPS = (
     "linear, three or two references", "linear, one reference", "sensors and forces", "output-only", "between sensors", "level-dependent",
-    "two effects", "nothing hidden: no effect named", "outside the catalogue: not explained",
+    "two effects", "nothing hidden: no_misfit", "outside the catalogue: not explained",
 )  # fmt: skip
 
 
