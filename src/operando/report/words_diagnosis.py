@@ -425,7 +425,7 @@ def _others(document: Mapping[str, Any], verdict: str, effects: Sequence[EffectW
     if verdict == "explained" and effects:
         return "Nothing else in the catalogue does as well."
     if verdict == "partial":
-        return "No further effect of the catalogue improves the model, yet the rest is more than noise."
+        return "No further effect was found, and the rest is more than noise."
     if verdict == "no_misfit" and not effects:
         return "No effect of the catalogue improves the model."
     return ""
