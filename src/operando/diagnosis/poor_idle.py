@@ -13,11 +13,10 @@ from operando.data import Frf
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ABOVE_ERROR, LOWERED
 from operando.diagnosis.forward import Point
-from operando.diagnosis.posterior import State, approach, names
+from operando.diagnosis.posterior import State, approach, fit, names
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_scan
-from operando.diagnosis.search import Found, Search, Start
-from operando.diagnosis.terms import Term
+from operando.diagnosis.search import Found, Search
 from operando.diagnosis.verdict import supported
 
 Array = NDArray[Any]
@@ -81,10 +80,8 @@ def one_effect(cases: Sequence[Case], say: Say) -> Found:
     say : callable
     """
     day, case = cases[0], cases[-1]
-    empty = _about_nothing(day)
-    assert empty is not None
     search, start = Search(case, say), case.forward.start
-    search.fitted([Start(approach(case, start)[1], _FROM, case)])
+    empty, search.pool[()] = (fit(one, approach(one, one.forward.start)[1], _FROM) for one in (day, case))
     rows = robust_scan(case, start)[:_TRIED]
     say("robust scan: " + ", ".join(f"{names(case, [term])[0]} {value:.0f}" for value, term, _ in rows))
     search.nearest(case, [replace(start, terms=(term,), u=np.zeros(len(case.forward.outside((term,))))) for _, term, _ in rows])
@@ -95,15 +92,10 @@ def one_effect(cases: Sequence[Case], say: Say) -> Found:
     found = Found(best, search.pool[()], search.pool)
     if day is case:
         return found
-    other = _about_nothing(day, best.terms)
+    other = fitted_if_can_be(day, approach(day, started(day, best.terms))[1], _FROM)
     # what is no more than days in a laboratory differ, as a plate clamped again, is told as no effect
     both = _between_sizes(best, other) if other is not None and score(other) > score(empty) else None
     return nothing if both is None or not supported(both) else replace(found, best=both, pool=found.pool | {both.key: both})
-
-
-def _about_nothing(case: Case, terms: tuple[Term, ...] = ()) -> State | None:
-    """The fit from the idle model as it is, robustly: least squares alone end in the next valley."""
-    return fitted_if_can_be(case, approach(case, started(case, terms))[1], _FROM)
 
 
 def _between_sizes(state: State, other: State) -> State | None:
