@@ -9,7 +9,7 @@ from operando.data import Frf, ModalModel
 from operando.diagnosis import diagnose_frf
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import ABOVE_ERROR, EXPLAINED, LOWERED
+from operando.diagnosis.criteria import ABOVE_ERROR, EXPLAINED
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.poor_idle import _between_sizes, lowered_alone, with_what_is_left
 from operando.diagnosis.posterior import at_rest, fit
@@ -134,7 +134,13 @@ def test_effects_lower_the_error_by_themselves(idle_frf, rest):
     assert lowered_alone(mass)
     assert not lowered_alone(spring)
     assert not lowered_alone(shifted)
-    assert 0 < LOWERED < 1 < ABOVE_ERROR
+
+
+def test_what_stands_above_its_error_is_told_in_db_to_2_db():
+    """ABOVE_ERROR: the error alone, of a complex normal deviate."""
+    rng = np.random.default_rng(0)
+    error = (rng.standard_normal(100_000) + 1j * rng.standard_normal(100_000)) / np.sqrt(2 * ABOVE_ERROR)
+    assert np.sqrt(np.mean((20 * np.log10(np.abs(1 + error))) ** 2)) == pytest.approx(2, abs=0.2)
 
 
 def test_a_size_that_two_hypotheses_do_not_share_has_their_difference_in_its_interval(rest):
