@@ -77,10 +77,11 @@ def test_folder_and_bom_and_name(folder):
     assert test.operating
 
 
-def test_every_setting_has_a_check():
-    from operando.values import SETTINGS
-
-    assert set(SETTINGS) == set(Analysis().to_dict())
+@pytest.mark.parametrize("name", Analysis().to_dict())
+def test_every_setting_has_a_check(folder, name):
+    with pytest.raises(ConfigError, match=r"\{\} is not allowed; expected .") as caught:
+        load_test(write(folder, FULL)).with_analysis(**{name: {}})
+    assert caught.value.where == f"settings, [analysis] {name}"
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,18 @@
 """The reference of the test file and the campaign file: keys, defaults and values from the code, a sentence for each key.
 
-The parser itself is asked which keys it knows, so the page cannot fall behind; a key without a sentence is an error.
+The keys are those of the types by which the parser reads, so the page cannot fall behind; a key without a sentence is an error.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
-import tempfile
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
-from operando.campaign import load_campaign
-from operando.config import Analysis, load_test
-from operando.errors import ConfigError
-
-NOT_A_KEY = "%%%%"
+from operando.campaign.config import Entries
+from operando.config import Analysis, Sections
+from operando.values import keys_of, words_of
 
 SECTIONS: dict[str, tuple[str, str]] = {
     "": (
@@ -149,41 +145,10 @@ CAMPAIGN: dict[str, str] = {
 }
 
 
-def _told(error: ConfigError) -> tuple[str, ...]:
-    """The keys that the parser's answer to an unknown key lists."""
-    assert error.hint is not None
-    assert error.hint.startswith("known: "), error.hint
-    return tuple(error.hint.removeprefix("known: ").split(" … ")[0].split(", "))
-
-
-def known_keys(section: str) -> tuple[str, ...]:
-    """Keys that the parser takes in a section of the test file ("": the file itself; "records": a table in ``records``)."""
-    bad = f'"{NOT_A_KEY}" = 1'
-    text = {
-        "": bad,
-        "records": f"[idle]\nrecords = [{{{bad}}}]",
-        "channels": f'[operating]\nrecords = ["test.toml"]\n[channels]\nch1 = {{{bad}}}',
-    }.get(section, f'[operating]\nrecords = ["test.toml"]\n[{section}]\n{bad}' if section != "operating" else f"[operating]\n{bad}")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "test.toml"
-        path.write_text(text + "\n", encoding="utf-8")
-        try:
-            load_test(path)
-        except ConfigError as error:
-            return _told(error)
-    raise AssertionError(f"the parser takes any key in [{section}]")
-
-
-def known_campaign_keys() -> tuple[str, ...]:
-    """Keys that the parser takes in a campaign file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "campaign.toml"
-        path.write_text(f'"{NOT_A_KEY}" = 1\n', encoding="utf-8")
-        try:
-            load_campaign(path)
-        except ConfigError as error:
-            return _told(error)
-    raise AssertionError("the parser takes any key in a campaign file")
+def known_keys(section: str) -> dict[str, Any]:
+    """Keys of a section of the test file ("": the file itself; "records": a table in ``records``), each with its type."""
+    path = {"": (), "records": ("idle", "records", 0), "channels": ("channels", "")}.get(section, (section,))
+    return keys_of(Sections, *path)
 
 
 def settings_words() -> dict[str, tuple[str, str]]:
@@ -199,21 +164,6 @@ def settings_words() -> dict[str, tuple[str, str]]:
     return out
 
 
-def allowed(name: str) -> str:
-    """What the parser says it expects of a setting of [analysis]."""
-    from operando.entries import Entry
-    from operando.values import setting
-
-    for wrong in (NOT_A_KEY, -1, ["%%%%"], [NOT_A_KEY * 2, 3]):
-        try:
-            setting(name, wrong, Entry("test.toml", "analysis", name))
-        except ConfigError as error:
-            match = re.search(r"expected (.+)", error.message)
-            if match:
-                return match[1]
-    return ""
-
-
 def missing() -> list[str]:
     """Keys that the code takes and this page has no sentence for, and sentences for keys that the code does not take."""
     out = []
@@ -226,7 +176,7 @@ def missing() -> list[str]:
             has |= {key for key in known if key in _quantities()}
         out += [f"[{section}] {key} has no description" for key in sorted(known - has)]
         out += [f"[{section}] {key} is described, but the parser does not take it" for key in sorted(has - known)]
-    known = set(known_campaign_keys())
+    known = set(keys_of(Entries))
     out += [f"campaign {key} has no description" for key in sorted(known - set(CAMPAIGN))]
     return out + [f"campaign {key} is described, but the parser does not take it" for key in sorted(set(CAMPAIGN) - known)]
 
@@ -261,10 +211,10 @@ def page() -> str:
             continue
         if section == "analysis":
             out += ["| setting | default | meaning | values |", "| --- | --- | --- | --- |"]
-            described = settings_words()
+            described, settings = settings_words(), known_keys(section)
             for f in fields(Analysis):
                 kind, text = described[f.name]
-                out.append(f"| `{f.name}` | {_default(f.default)} | {_cell(text)} | {_cell(allowed(f.name) or kind)} |")
+                out.append(f"| `{f.name}` | {_default(f.default)} | {_cell(text)} | {_cell(words_of(settings[f.name]) or kind)} |")
         else:
             out += ["| key | meaning |", "| --- | --- |"]
             units = _quantities() if section == "units" else {}
@@ -275,5 +225,5 @@ def page() -> str:
         out.append("")
     words = "`operando campaign campaign.toml` runs many tests. Give `tests`, or `template` with `rows` or `table`."
     out += ["## The campaign file", "", words, ""]
-    out += ["| key | meaning |", "| --- | --- |", *(f"| `{key}` | {_cell(CAMPAIGN[key])} |" for key in known_campaign_keys()), ""]
+    out += ["| key | meaning |", "| --- | --- |", *(f"| `{key}` | {_cell(CAMPAIGN[key])} |" for key in keys_of(Entries)), ""]
     return "\n".join(out)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from typing_extensions import TypedDict
+
 from operando import values
+from operando.dof import Dof
 from operando.entries import Entry, Given, lines_of
 from operando.errors import ConfigError, OperandoError
 from operando.own_effects import load_effects
@@ -17,7 +21,6 @@ from operando.paths import path_of
 from operando.states import Span as Span
 from operando.states import State as State
 from operando.states import find_files, record_named, state_of
-from operando.values import check_keys
 
 
 @dataclass(frozen=True)
@@ -76,30 +79,30 @@ class Analysis:
         Whether sdypy-EMA and pyOMA-2 fit the same data for comparison.
     """
 
-    band: tuple[float, float] | None = None
-    block_seconds: float | None = None
-    overlap: float | None = None
-    window: str | None = None
-    estimator: str | None = None
-    hits: str = "auto"
-    hits_reject: tuple[str, ...] = ()
-    references: tuple[str, ...] | None = None
-    max_order: int | None = None
-    ema: str = "auto"
-    modes_hz: tuple[float, ...] = ()
-    select_hz: tuple[float, ...] = ()
-    reject_hz: tuple[float, ...] = ()
-    threshold: float = 0.7
-    scaling: str = "auto"
-    known_harmonics_hz: tuple[float, ...] = ()
-    exclude_bands: tuple[tuple[float, float], ...] = ()
-    kinds: tuple[str, ...] | None = None
-    places: tuple[str, ...] | None = None
-    oma_max_order: int | None = None
-    oma_references: tuple[str, ...] | None = None
-    oma_select_hz: tuple[float, ...] = ()
-    oma_reject_hz: tuple[float, ...] = ()
-    second_opinion: bool = False
+    band: values.Band | None = None
+    block_seconds: values.Positive | None = None
+    overlap: values.Share | None = None
+    window: values.Window | None = None
+    estimator: values.Estimator | None = None
+    hits: values.HitChoice = "auto"
+    hits_reject: values.Hits = ()
+    references: values.Dofs | None = None
+    max_order: values.Order | None = None
+    ema: values.EmaAnswer = "auto"
+    modes_hz: values.Frequencies = ()
+    select_hz: values.Frequencies = ()
+    reject_hz: values.Frequencies = ()
+    threshold: values.Mac = 0.7
+    scaling: values.Scaling = "auto"
+    known_harmonics_hz: values.Frequencies = ()
+    exclude_bands: values.Bands = ()
+    kinds: values.Texts | None = None
+    places: values.Dofs | None = None
+    oma_max_order: values.Order | None = None
+    oma_references: values.Dofs | None = None
+    oma_select_hz: values.Frequencies = ()
+    oma_reject_hz: values.Frequencies = ()
+    second_opinion: values.Flag = False
 
     def to_dict(self) -> dict[str, Any]:
         """All settings with defaults, as JSON values."""
@@ -225,10 +228,8 @@ class Test:
         ConfigError
             If a setting is unknown or its value is wrong.
         """
-        checked = _analysis(changes, Entry("settings", "analysis"))
-        changed = replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes}))
-        changed.rejected_hits(changed.idle)
-        return changed
+        checked = values.read(Analysis, changes, Entry("settings", "analysis"))
+        return _fitting(replace(self, analysis=replace(self.analysis, **{key: getattr(checked, key) for key in changes})))
 
 
 def load_test(path: str | Path, changes: Sequence[str] = ()) -> Test:
@@ -343,31 +344,39 @@ def _apply(table: dict[str, Any], change: str) -> tuple[str, str]:
     else:
         target = table.setdefault(section, {})
         if not isinstance(target, dict):
-            raise ConfigError(f"{section!r} is a value, not a section", where="--set", hint=values.nearest(section, _SECTIONS))
+            hint = values.nearest(section, [*Sections.__annotations__][1:])
+            raise ConfigError(f"{section!r} is a value, not a section", where="--set", hint=hint)
     target[key] = value
     return section, key
 
 
-_STATES = ("idle", "operating", "check")
-_SECTIONS = (*_STATES, "geometry", "units", "channels", "analysis", "between", "directions", "report", "effects")
+class Sections(TypedDict, total=False):
+    """The test file as it is written: its sections and their keys."""
+
+    name: values.Name
+    idle: values.StateFiles
+    operating: values.StateFiles
+    check: values.StateFiles
+    geometry: values.GeometryFile
+    units: values.Units
+    channels: dict[str, values.Channel]
+    analysis: Analysis
+    between: values.Between
+    directions: values.Directions
+    report: values.TitleBlock
+    effects: values.OwnEffects
 
 
 def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None) -> Test:
     """Test of a parsed TOML table; ``path`` is the file it came from, ``given`` the line of each entry (see :func:`load_test`)."""
     where = Entry(str(path), given=given or {})
-    if not any(name in table for name in _STATES) and any(name in table for name in ("tests", "template", "rows")):
+    names = ("idle", "operating", "check")
+    if not any(name in table for name in names) and any(name in table for name in ("tests", "template", "rows")):
         hint = f"run it with `operando campaign {path}`"
         raise ConfigError("is a campaign file, expected a test file", where=str(path), hint=hint)
-    check_keys(table, ("name", *_SECTIONS), where)
-    for section in _SECTIONS:
-        if section in table and not isinstance(table[section], Mapping):
-            hint = f"write [{section}] on a line of its own"
-            raise ConfigError(f"{section!r} is a value, expected a table", where=str(where.at(section)), hint=hint)
-    name = table.get("name", path.parent.resolve().name)
-    if not isinstance(name, str) or not name.strip():
-        raise ConfigError(f"name is {name!r:.200}, expected a text", where=str(where.at("name")))
+    found = {"name": path.parent.resolve().name, **values.read(Sections, table, where)}
     folder = path.parent
-    states = {key: state_of(table.get(key, {}), folder, where.within(key)) for key in ("idle", "operating", "check")}
+    states: dict[str, Any] = {name: state_of(found.pop(name, {}), folder, where.within(name)) for name in names}
     if not (states["idle"] or states["operating"]):
         hint = 'give [idle] or [operating] with records = ["idle/*.uff"]'
         raise ConfigError("names no measurement", where=str(where), hint=hint)
@@ -377,50 +386,29 @@ def parse_test(table: Mapping[str, Any], path: Path, given: Given | None = None)
         hint = "a run with force belongs to [check]"
         text = "FRFs cannot be measured where the force is unknown"
         raise ConfigError(text, where=str(where.within("operating").at("frfs")), hint=hint)
-    geometry, here = table.get("geometry", {}), where.within("geometry")
-    check_keys(geometry, ("file", "units"), here)
-    files = find_files([geometry["file"]], folder, here.at("file")) if "file" in geometry else ()
+    geometry, here = found.pop("geometry", {}), where.within("geometry").at("file")
+    files = find_files([geometry["file"]], folder, here) if "file" in geometry else ()
     if len(files) > 1:
-        raise ConfigError(f"{geometry['file']!r} matches {len(files)} files, expected one", where=str(here.at("file")))
-    if geometry.get("units") is not None:
-        values.unit(geometry["units"], "displacement", here.at("units"))
-    directions = values.directions(table.get("directions", {}), where.within("directions"))
-    channels = values.channels(table.get("channels", {}), where.within("channels"))
-    values.declared(channels, directions, where.within("channels"))
-    effects = _own_effects(table.get("effects", {}), folder, where.within("effects"))  # before settings that name kinds
-    test = Test(
-        name=name.strip(),
-        path=path,
-        **states,
-        geometry_file=files[0] if files else None,
-        geometry_units=geometry.get("units"),
-        units=values.units(table.get("units", {}), where.within("units")),
-        channels=channels,
-        analysis=_analysis(table.get("analysis", {}), where.within("analysis")),
-        directions=directions,
-        between=values.between(table.get("between", {}), where.within("between")),
-        report=values.report(table.get("report", {}), where.within("report")),
-        effects=effects,
-        given=where.given,
-    )
+        raise ConfigError(f"{geometry['file']!r} matches {len(files)} files, expected one", where=str(here))
+    effects = tuple(dict.fromkeys(folder / name for name in found.pop("effects", {}).get("modules", ())))
+    load_effects(effects, str(where.within("effects").at("modules")))
+    found |= {"geometry_file": next(iter(files), None), "geometry_units": geometry.get("units")}
+    return _fitting(Test(**found, **states, path=path, effects=effects, given=where.given))
+
+
+def _fitting(test: Test) -> Test:
+    """The test, if its entries fit together: kinds are known, directions declared, rejected hits of its records."""
+    values.check_kinds(test.analysis.kinds or (), test.where("analysis", "kinds"))
+    for name, entry in test.channels.items():
+        if "dof" in entry and (dof := Dof.parse(entry["dof"])).named and str(dof.unsigned) not in test.directions:
+            near = difflib.get_close_matches(str(dof.unsigned), test.directions, 1, 0.5)
+            raise ConfigError(
+                f"direction {dof.axis!r} of {dof} is not declared",
+                where=test.where("channels", name),
+                hint=f"did you mean {near[0]!r}?" if near else f'give its unit vector: [directions] "{dof.unsigned}" = [0.0, 0.6, 0.8]',
+            )
     test.rejected_hits(test.idle)
     return test
-
-
-def _own_effects(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[Path, ...]:
-    """The files of [effects], imported."""
-    check_keys(table, ("modules",), where)
-    names = table.get("modules", [])
-    good = isinstance(names, list) and all(isinstance(name, str) and name.strip() for name in names)
-    values.expect(names, good, "a list of Python files", where.at("modules"), 'for example modules = ["my_laws.py"]')
-    files = tuple(dict.fromkeys(folder / name for name in names))
-    load_effects(files, str(where.at("modules")))
-    return files
-
-
-def _analysis(table: Mapping[str, Any], where: Entry) -> Analysis:
-    check_keys(table, (f.name for f in fields(Analysis)), where)
-    return Analysis(**{key: values.setting(key, value, where.at(key)) for key, value in table.items()})
 
 
 def _plain(value: Any) -> Any:

@@ -5,19 +5,15 @@ from __future__ import annotations
 import difflib
 import glob
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from operando.entries import Entry
 from operando.errors import ConfigError
 from operando.files import natural_order
-from operando.values import check_keys, is_number
-
-_STATE_KEYS = ("records", "frfs")
-_RECORD_KEYS = ("file", "start_s", "stop_s")
+from operando.values import Record, StateFiles
 
 
 @dataclass(frozen=True)
@@ -83,18 +79,14 @@ MOST_NAMES = 2000
 """Files looked at for a name near to one that is not there."""
 
 
-def find_files(patterns: Any, folder: Path, where: Entry) -> tuple[Path, ...]:
+def find_files(patterns: Sequence[str], folder: Path, where: Entry) -> tuple[Path, ...]:
     """Files that paths and patterns name, each once, in natural order.
 
     Raises
     ------
     ConfigError
-        If the value is no list of texts, or a pattern matches no file; a file of a similar name is told.
+        If a pattern matches no file; a file of a similar name is told.
     """
-    if isinstance(patterns, str):
-        patterns = [patterns]
-    if not isinstance(patterns, list) or not all(isinstance(p, str) and p for p in patterns):
-        raise ConfigError(f"{patterns!r:.200} is no list of paths", where=str(where), hint='write for example ["idle/*.uff"]')
     found: dict[Path, None] = {}
     for pattern in patterns:
         try:
@@ -128,57 +120,43 @@ def _no_file(pattern: str, folder: Path, where: Entry) -> ConfigError:
     return ConfigError(f"{pattern!r:.200} matches no file", where=str(where), hint=hint)
 
 
-def state_of(table: Mapping[str, Any], folder: Path, where: Entry) -> State:
-    """State of a table of the test file.
+def state_of(table: StateFiles, folder: Path, where: Entry) -> State:
+    """State of a section of the test file.
 
     Raises
     ------
     ConfigError
-        If a key is unknown, a value is wrong, or a pattern matches no file.
+        If a pattern matches no file, or a record ends before it starts.
     """
-    check_keys(table, _STATE_KEYS, where)
     runs = _runs(table.get("records", []), folder, where.at("records"))
-    frfs = find_files(table["frfs"], folder, where.at("frfs")) if table.get("frfs", []) != [] else ()
     return State(
         records=tuple(file for file, _ in runs),
-        frfs=frfs,
+        frfs=find_files(table.get("frfs", []), folder, where.at("frfs")),
         spans=tuple(span for _, span in runs) if any(span is not None for _, span in runs) else (),
     )
 
 
-def _runs(entries: Any, folder: Path, where: Entry) -> list[tuple[Path, Span | None]]:
+def _runs(entries: Sequence[Record], folder: Path, where: Entry) -> list[tuple[Path, Span | None]]:
     """Records and the part of each that counts. What a table says of a file holds also where a pattern names the file, too."""
-    entries = entries if isinstance(entries, list) else [entries]
-    plain: dict[Path, list[Span | None]] = {}
+    found: dict[Path, list[Span | None]] = {}
     for entry in entries:
-        table = entry if isinstance(entry, Mapping) else None
-        if table is not None:
-            check_keys(table, _RECORD_KEYS, where)
-            if "file" not in table:
-                raise ConfigError(
-                    f"{dict(table)!r:.200} names no file", where=str(where), hint='write {file = "run1.uff", start_s = 10, stop_s = 70}'
-                )
-        span = None if table is None else _span(table, where)
-        for file in find_files([entry if table is None else table["file"]], folder, where):
-            spans = plain.setdefault(file, [])
+        span = _span(entry, where)
+        for file in find_files([entry["file"]], folder, where):
+            spans = found.setdefault(file, [])
             if span not in spans:
                 spans.append(span)
     out: list[tuple[Path, Span | None]] = []
-    for file, spans in plain.items():
+    for file, spans in found.items():
         parts = [span for span in spans if span is not None]
         out += [(file, span) for span in parts] or [(file, None)]
     return out
 
 
-def _span(table: Mapping[str, Any], where: Entry) -> Span | None:
-    """The part of a record that a table names, None where it names none."""
-    here = f"{where}: {table['file']!s:.200}"
-    for key in ("start_s", "stop_s"):
-        if key in table and not is_number(table[key]):
-            raise ConfigError(f"{key} is {table[key]!r:.200}, expected a time in s", where=here)
-    start, stop = (None if table.get(key) is None else float(table[key]) for key in ("start_s", "stop_s"))
+def _span(entry: Record, where: Entry) -> Span | None:
+    """The part of a record that its entry names, None where it names none."""
+    start, stop = entry.get("start_s"), entry.get("stop_s")
     if start is not None and stop is not None and start >= stop:
-        raise ConfigError(f"start_s = {start:g} is not before stop_s = {stop:g}", where=here)
+        raise ConfigError(f"start_s = {start:g} is not before stop_s = {stop:g}", where=f"{where}: {entry['file']:.200}")
     return None if start is None and stop is None else Span(start, stop)
 
 

@@ -1,4 +1,7 @@
-"""Values of the test file, each checked where it is read; an unknown name is answered by the nearest valid one."""
+"""Values of the test file: the type of each, what it must be in words, and one answer to whatever is wrong.
+
+Only reading a file loads pydantic: the types are told to it by :class:`Expected`, which any module may import.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,25 @@ import datetime
 import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping
-from math import isfinite
-from typing import Any
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+
+from annotated_types import Ge, Gt, Le, Lt, Predicate
+from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from operando.dof import Dof
 from operando.entries import Entry
-from operando.errors import ConfigError, DofError, UnitError
+from operando.errors import ConfigError, OperandoError
 from operando.limits import IMPACT_WINDOWS, METHODS, WINDOWS
 from operando.units import SI_UNIT, parse_unit
 
-ESTIMATORS = ("auto", "h1", "h2", "hv", "lrm", "periodic")
-HITS = ("auto", "all", "off")
-EMA_ANSWERS = ("auto", "linear", "polished")
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, TypeAdapter
+    from pydantic_core import CoreSchema, ErrorDetails
+
 OTHER_WORDS = {"boxcar": "rectangular", "uniform": "rectangular", "none": "rectangular", "flat": "rectangular", "hanning": "hann"}
 """Names that other programs give to the windows; one thing has one name here, so they are refused with the right one."""
-CHANNEL_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
 NOT_UNIT = 0.05
 """Largest difference of a direction's length from 1: three components rounded to two decimals keep within 1 %; more is no unit vector."""
 
@@ -34,269 +41,319 @@ def nearest(name: str, known: Iterable[str], shown: int = 12) -> str:
     return "known: " + ", ".join(names[:shown]) + (f" … {len(names)} in all" if len(names) > shown else "") if names else "there is none"
 
 
-def check_keys(table: Mapping[str, Any], known: Iterable[str], where: Entry) -> None:
-    """Raise a ConfigError that names the nearest known key for the first unknown one."""
-    known = tuple(known)
-    for key in table:
-        if key not in known:
-            here = where.within(key) if not where.section else where if where.key else where.at(key)
-            raise ConfigError(f"unknown key {key!r}", where=str(here), hint=nearest(key, known, 40))
+class _NotExpected(ConfigError):
+    """A value is not what it must be; how that is said depends on where it stands."""
 
 
-def is_number(value: Any) -> bool:
-    """Whether a value is a finite number (and no bool)."""
+@dataclass(frozen=True)
+class Expected:
+    """What a value must be, for its type's annotation.
+
+    Parameters
+    ----------
+    words : str
+        For errors and the reference; empty where the parts of the value say it.
+    check : callable, optional
+        What is made of a value of the right type. It raises a ValueError where the words say what is wrong, else an OperandoError of its
+        own, whose ``where`` may name the key of a table that is checked as a whole.
+    hint : str or callable, optional
+        What to write instead of a wrong value.
+    first : callable, optional
+        What is made of a value before its type is looked at.
+    """
+
+    words: str
+    check: Callable[[Any], Any] = lambda value: value
+    hint: str | Callable[[Any], str | None] | None = None
+    first: Callable[[Any], Any] = lambda value: value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import ValidationError, core_schema
+
+        def checked(value: Any, inner: Callable[[Any], Any]) -> Any:
+            try:
+                return self.check(inner(self.first(value)))
+            except OperandoError as error:
+                raise ConfigError(error.message, where=error.where, hint=error.hint) from None
+            except ValueError as error:
+                part = error.errors()[0].get("ctx", {}).get("error") if isinstance(error, ValidationError) else None
+                if not self.words or (isinstance(part, ConfigError) and not isinstance(part, _NotExpected)):
+                    raise
+                hint = self.hint(value) if callable(self.hint) else self.hint
+                raise _NotExpected(f"expected {self.words}", hint=hint or getattr(part, "hint", None)) from None
+
+        schema: Any = handler(source)
+        if schema["type"] in ("float", "int", "bool"):
+            schema["strict"] = True  # no text is taken for a number, and no truth value
+        return core_schema.no_info_wrap_validator_function(checked, schema)
+
+
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+_NO_TABLE = ("dict_type", "dataclass_type")
+
+
+@cache
+def adapter(kind: Any) -> TypeAdapter[Any]:
+    """pydantic's reader of a kind of table; its ``json_schema()`` is for editors."""
+    from pydantic import TypeAdapter
+
+    kind.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # holds for the tables inside, too
+    return TypeAdapter(kind)
+
+
+def read(kind: Any, table: Mapping[str, Any], where: Entry) -> Any:
+    """A table of the test file, or all of it, as its kind says.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown (the nearest known one is named), or a value is wrong.
+    """
+    from pydantic_core import ValidationError
+
     try:
-        return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-    except OverflowError:  # an integer beyond the range of a double
-        return False
+        return adapter(kind).validate_python(dict(table))
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+    raise _said(kind, min(found, key=lambda e: e["type"] not in _UNKNOWN), where)
 
 
-def expect(value: Any, good: bool, expected: str, where: Entry, hint: str | None = None) -> Any:
-    """The value if it is good, else a ConfigError that says what was expected."""
-    if not good:
-        raise ConfigError(f"{value!r:.200} is not allowed; expected {expected}", where=str(where), hint=hint)
-    return value
+def _said(kind: Any, error: ErrorDetails, where: Entry) -> ConfigError:
+    """An error of pydantic in the words of the test file."""
+    loc, value = error["loc"], error["input"]
+    names = [where.section] * bool(where.section) + [part for part in loc if isinstance(part, str)]
+    here = where.within(names[0]).at("".join(names[1:2]))
+    if error["type"] in _UNKNOWN:
+        return ConfigError(f"unknown key {names[-1]!r}", where=str(here), hint=nearest(names[-1], keys_of(kind, *loc[:-1]), 40))
+    if error["type"] in _NO_TABLE and len(names) == 1:
+        hint = f"write [{names[0]}] on a line of its own"
+        return ConfigError(f"{names[0]!r} is a value, expected a table", where=str(where.at(names[0])), hint=hint)
+    if error["type"] in _NO_TABLE:
+        example = 'write for example {dof = "12+Z", quantity = "acceleration", unit = "g"}'
+        return ConfigError(f"{value!r:.200} is no table", where=str(here), hint=example if names[0] == "channels" else None)
+    cause: ConfigError = error["ctx"]["error"]
+    if cause.where:
+        here = here.at(cause.where)
+    elif len(names) == 1:  # a key outside all sections
+        here = where.at(names[0])
+    message = cause.message
+    if isinstance(cause, _NotExpected):
+        found = f"{value!r:.200} is not allowed;" if len(names) == 2 else f"{names[-1]} is {value!r:.200},"
+        message = f"{found} {message}"
+    return ConfigError(message, where=str(here), hint=cause.hint)
 
 
-def one_of(choices: tuple[str, ...], value: Any, where: Entry, other: Mapping[str, str] | None = None) -> str:
+def words_of(kind: Any) -> str:
+    """What a value of a kind must be, in words."""
+    words = [mark.words for mark in getattr(kind, "__metadata__", ()) if isinstance(mark, Expected)]
+    return next(filter(None, words or map(words_of, get_args(kind))), "")
+
+
+def keys_of(kind: Any, *path: int | str) -> dict[str, Any]:
+    """Keys of a kind of table, or of one inside it, each with its type."""
+    for part in path:
+        kind = get_args(kind)[-1] if get_args(kind) else get_type_hints(kind)[str(part)]
+    return get_type_hints(kind, include_extras=True)
+
+
+def choice(choices: tuple[str, ...], other: Mapping[str, str] | None = None) -> Expected:
     """One of the choices, in lower case."""
-    text = value.lower() if isinstance(value, str) else str(value)
-    if isinstance(value, str) and text in choices:
-        return text
-    meant = (other or {}).get(text)
-    raise ConfigError(
-        f"{value!r:.200} is not allowed; expected one of {', '.join(choices)}",
-        where=str(where),
-        hint=f"did you mean {meant!r}?" if meant else nearest(text, choices),
-    )
+
+    def hint(value: Any) -> str:
+        text = str(value).lower()
+        return f"did you mean {other[text]!r}?" if other and text in other else nearest(text, choices)
+
+    return Expected(f"one of {', '.join(choices)}", lambda text: choices[choices.index(text.lower())], hint)
 
 
-def unit(text: Any, quantity: str | None, where: Entry) -> str:
+def _unit(quantity: str | None = None) -> Expected:
     """A unit, of that quantity if one is named."""
-    if not isinstance(text, str):
-        raise ConfigError(f"{text!r:.200} is no unit", where=str(where), hint='write a text such as "g" or "lbf"')
-    try:
-        parse_unit(text, quantity)
-    except UnitError as error:
-        raise ConfigError(error.message, where=str(where), hint=error.hint) from None
+    return Expected("a unit", lambda text: parse_unit(text, quantity) and text, 'write a text such as "g" or "lbf"')
+
+
+def _numbers(value: Any, count: int) -> bool:
+    return isinstance(value, list | tuple) and len(value) == count and all(type(v) in (int, float) for v in value)
+
+
+def _band_hint(value: Any) -> str:
+    swapped = _numbers(value, 2) and 0 <= value[1] < value[0]
+    return f"did you mean [{value[1]:g}, {value[0]:g}]?" if swapped else "for example band = [5.0, 220.0]"
+
+
+def _share_hint(value: Any) -> str | None:
+    return f"a share, not per cent: did you mean {value / 100:g}?" if type(value) in (int, float) and 1 < value < 100 else None
+
+
+def _bands_hint(value: Any) -> str | None:
+    return f"write [[{value[0]:g}, {value[1]:g}]]" if _numbers(value, 2) else None
+
+
+def _hit(text: str) -> str:
+    if not re.fullmatch(r".+#\d{1,9}", text):
+        raise ConfigError(f"{text!r:.200} names no hit", hint='write FILE#NUMBER, as in "idle/hammer1.uff#3"; numbers from 0')
     return text
 
 
-def units(table: Mapping[str, Any], where: Entry) -> dict[str, Any]:
-    """The section [units]."""
-    check_keys(table, (*SI_UNIT, "length", "sampling_hz", "frequency_step_hz", "columns"), where)
-    out: dict[str, Any] = {}
-    for quantity, text in table.items():
-        here = where.at(quantity)
-        if quantity in ("sampling_hz", "frequency_step_hz"):
-            out[quantity] = _positive(text, here)
-        elif quantity == "columns":
-            from operando.io.columns import check_columns
-
-            out[quantity] = list(check_columns(text, str(here)))
-        else:
-            out[quantity] = unit(text, "displacement" if quantity == "length" else quantity, here)
-    return out
+def _channel(entry: dict[str, Any]) -> dict[str, Any]:
+    quantity = entry.get("quantity")
+    if quantity is not None and quantity not in SI_UNIT:
+        raise ConfigError(f"unknown quantity {quantity!r:.200}", hint=nearest(quantity, SI_UNIT, 40))
+    if "unit" in entry:
+        parse_unit(entry["unit"], quantity)
+    return entry
 
 
-def channels(table: Mapping[str, Any], where: Entry) -> dict[str, dict[str, Any]]:
-    """The section [channels]."""
-    out: dict[str, dict[str, Any]] = {}
-    for name, entry in table.items():
-        here = where.at(name)
-        if not isinstance(entry, Mapping):
-            hint = 'write for example {dof = "12+Z", quantity = "acceleration", unit = "g"}'
-            raise ConfigError(f"{entry!r:.200} is no table", where=str(here), hint=hint)
-        check_keys(entry, CHANNEL_KEYS, here)
-        if "dof" in entry:
-            dof(entry["dof"], here)
-        quantity = entry.get("quantity")
-        if quantity is not None and (not isinstance(quantity, str) or quantity not in SI_UNIT):
-            raise ConfigError(f"unknown quantity {quantity!r:.200}", where=str(here), hint=nearest(str(quantity), SI_UNIT, 40))
-        if "unit" in entry:
-            unit(entry["unit"], quantity, here)
-        if "sensitivity" in entry and (not is_number(entry["sensitivity"]) or entry["sensitivity"] == 0):
-            raise ConfigError(f"sensitivity is {entry['sensitivity']!r:.200}, expected a number other than 0", where=str(here))
-        if not isinstance(entry.get("exclude", False), bool):
-            raise ConfigError(f"exclude is {entry['exclude']!r:.200}, expected true or false", where=str(here))
-        if not isinstance(entry.get("reason", ""), str):
-            raise ConfigError(f"reason is {entry['reason']!r:.200}, expected a text", where=str(here))
-        out[name] = dict(entry)
-    return out
-
-
-def directions(table: Mapping[str, Any], where: Entry) -> dict[str, tuple[float, ...]]:
-    """The section [directions]: DOF in its positive sense → vector of unit length."""
+def _directions(table: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+    """DOF in its positive sense → vector of unit length."""
     out: dict[str, tuple[float, ...]] = {}
     for label, value in table.items():
-        here = where.at(label)
-        found = dof(label, here, "write node, sign and a name in lower case, as in 5+a, or the label the file has, as in 7+X")
+        try:
+            found = Dof.parse(label)
+        except OperandoError as error:
+            hint = "write node, sign and a name in lower case, as in 5+a, or the label the file has, as in 7+X"
+            raise ConfigError(error.message, where=label, hint=hint) from None
         if found.axis in ("", "RX", "RY", "RZ"):
-            raise ConfigError(f"{found} is a {'rotation' if found.axis else 'scalar'}, which has no direction here", where=str(here))
-        expect(value, isinstance(value, list | tuple) and len(value) == 3 and all(is_number(v) for v in value), "three numbers", here)
-        length = sum(float(v) * float(v) for v in value) ** 0.5
+            raise ConfigError(f"{found} is a {'rotation' if found.axis else 'scalar'}, which has no direction here", where=label)
+        length = sum(v * v for v in value) ** 0.5
         if abs(length - 1) > NOT_UNIT:
-            raise ConfigError(
-                f"the vector has length {length:.3g}, expected a unit vector", where=str(here), hint="divide it by its length"
-            )
+            raise ConfigError(f"the vector has length {length:.3g}, expected a unit vector", where=label, hint="divide it by its length")
         if str(found.unsigned) in out:
-            raise ConfigError(f"the direction of {found.unsigned} is given twice", where=str(here))
-        out[str(found.unsigned)] = tuple(found.sign * float(v) / length for v in value)
+            raise ConfigError(f"the direction of {found.unsigned} is given twice", where=label)
+        out[str(found.unsigned)] = tuple(found.sign * v / length for v in value)
     return out
 
 
-BETWEEN = ("sensor_gain", "force_gain", "stiffness", "damping", "offset", "skew")
-"""What may differ between two measurements: gains, stiffness and damping relative, offsets as a share of a shape, the skew in seconds."""
+def _columns(value: Any) -> list[str]:
+    from operando.io.columns import check_columns
+
+    return list(check_columns(value, ""))
 
 
-def between(table: Mapping[str, Any], where: Entry) -> dict[str, float]:
-    """Standard deviations of what may differ between two measurements; 0 for what does not.
-
-    Raises
-    ------
-    ConfigError
-        If a name is unknown or a value is no number from 0 to 1.
-    """
-    check_keys(table, BETWEEN, where)
-    for name, value in table.items():
-        expect(value, is_number(value) and 0 <= value <= 1, "a standard deviation from 0 to 1", where.at(name))
-    return {name: float(value) for name, value in table.items()}
+def _record(entry: Any) -> Any:
+    if isinstance(entry, str):
+        return {"file": entry}
+    if not isinstance(entry, Mapping):
+        raise ConfigError(f"{entry!r:.200} is no path", hint='write for example ["idle/*.uff"]')
+    if "file" not in entry and entry.keys() <= Record.__annotations__.keys():
+        raise ConfigError(f"{dict(entry)!r:.200} names no file", hint='write {file = "run1.uff", start_s = 10, stop_s = 70}')
+    return entry
 
 
-REPORT = ("object", "date", "operator", "sensors", "comments")
-"""Lines of the title block of the report."""
+def check_kinds(kinds: Iterable[str], where: str) -> None:
+    """Raise a ConfigError for the first kind of effect that is not in the catalogue; that may grow by files that the test file names."""
+    for kind in kinds:
+        from operando.structure.effects import catalogue
+
+        if kind not in (known := catalogue()):
+            raise ConfigError(f"unknown kind of effect {kind!r}", where=where, hint=nearest(kind, sorted(known), 40))
 
 
-def report(table: Mapping[str, Any], where: Entry) -> dict[str, str]:
-    """Lines of the title block; a list is joined by commas, a date of TOML is written as one.
-
-    Raises
-    ------
-    ConfigError
-        If a line is unknown or no text.
-    """
-    check_keys(table, REPORT, where)
-    lines = {}
-    for name, value in table.items():
-        parts = value if isinstance(value, list) else [value]
-        good = all(isinstance(p, str | datetime.date) for p in parts)
-        expect(value, good, "a text, a date or a list of them", where.at(name))
-        lines[name] = ", ".join(str(p) for p in parts)
-    return lines
+def listed(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
 
 
-def declared(channels: Mapping[str, Mapping[str, Any]], directions: Mapping[str, Any], where: Entry) -> None:
-    """Every named direction in [channels] must stand in [directions]."""
-    for name, entry in channels.items():
-        if "dof" in entry and (found := Dof.parse(entry["dof"])).named and str(found.unsigned) not in directions:
-            near = difflib.get_close_matches(str(found.unsigned), directions, 1, 0.5)
-            raise ConfigError(
-                f"direction {found.axis!r} of {found} is not declared",
-                where=str(where.at(name)),
-                hint=f"did you mean {near[0]!r}?" if near else f'give its unit vector: [directions] "{found.unsigned}" = [0.0, 0.6, 0.8]',
-            )
+Number = Annotated[float, Expected("a number")]
+Positive = Annotated[float, Gt(0), Expected("a positive number")]
+Share = Annotated[float, Ge(0), Lt(1), Expected("a number from 0 to below 1", hint=_share_hint)]
+Mac = Annotated[float, Gt(0), Le(1), Expected("a MAC value above 0 and up to 1")]
+Spread = Annotated[float, Ge(0), Le(1), Expected("a standard deviation from 0 to 1")]
+Time = Annotated[float, Expected("a time in s")]
+Order = Annotated[int, Ge(2), Le(100_000), Expected("a whole number of at least 2")]
+Count = Annotated[int, Ge(1), Expected("a whole number of at least 1")]
+Flag = Annotated[bool, Expected("true or false")]
+Text = Annotated[str, Expected("a text")]
+Name = Annotated[str, Predicate(str.strip), Expected("a text", str.strip)]
+Length = Annotated[str, _unit("displacement")]
+Band = Annotated[
+    tuple[Number, Number],
+    Predicate(lambda band: 0 <= band[0] < band[1]),
+    Expected("two frequencies [low, high] in Hz with 0 <= low < high", hint=_band_hint),
+]
+Bands = Annotated[tuple[Band, ...], Expected("a list of [low, high] in Hz with 0 <= low < high", hint=_bands_hint)]
+Frequencies = Annotated[tuple[Positive, ...], Expected("a list of frequencies in Hz")]
+Texts = Annotated[tuple[Text, ...], Expected("a list of texts")]
+Dofs = Annotated[tuple[Annotated[str, Expected("a text", lambda text: str(Dof.parse(text)))], ...], Expected("a list of texts")]
+Hits = Annotated[tuple[Annotated[str, Expected("a text", _hit)], ...], Expected("a list of texts")]
+HitChoice = Annotated[str, choice(("auto", "all", "off"))]
+Window = Annotated[str, choice(tuple(dict.fromkeys((*WINDOWS, *IMPACT_WINDOWS))), OTHER_WORDS)]
+Estimator = Annotated[str, choice(("auto", "h1", "h2", "hv", "lrm", "periodic"))]
+EmaAnswer = Annotated[str, choice(("auto", "linear", "polished"))]
+Scaling = Annotated[str, choice(("auto", *METHODS))]
+Line = Annotated[
+    list[str | datetime.date], Expected("a text, a date or a list of them", lambda parts: ", ".join(map(str, parts)), first=listed)
+]
+Path = Annotated[str, Predicate(bool), Expected("a path", hint='write for example "idle/*.uff"')]
+Paths = Annotated[list[Path], Expected("a list of paths", hint='write for example ["idle/*.uff"]', first=listed)]
 
 
-def dof(text: Any, where: Entry, hint: str | None = None) -> Dof:
-    """A DOF label."""
-    try:
-        return Dof.parse(text)
-    except DofError as error:
-        raise ConfigError(error.message, where=str(where), hint=hint or error.hint) from None
+class Record(TypedDict, total=False):
+    """Files and the part of each that counts."""
+
+    file: Path
+    start_s: Time
+    stop_s: Time
 
 
-def setting(name: str, value: Any, where: Entry) -> Any:
-    """The value of a setting of [analysis]."""
-    return SETTINGS[name](value, where)
+class StateFiles(TypedDict, total=False):
+    """A section such as [idle]."""
+
+    records: Annotated[list[Annotated[Record, Expected("", first=_record)]], Expected("", first=listed)]
+    frfs: Paths
 
 
-def _band(value: Any, where: Entry) -> tuple[float, float]:
-    good = isinstance(value, list | tuple) and len(value) == 2 and all(is_number(v) for v in value)
-    expected = "two frequencies [low, high] in Hz with 0 <= low < high"
-    hint = f"did you mean [{value[1]:g}, {value[0]:g}]?" if good and 0 <= value[1] < value[0] else "for example band = [5.0, 220.0]"
-    expect(value, good and 0 <= value[0] < value[1], expected, where, hint)
-    return float(value[0]), float(value[1])
+class GeometryFile(TypedDict, total=False):
+    """The section [geometry]."""
+
+    file: Path
+    units: Length
 
 
-def _bands(value: Any, where: Entry) -> tuple[tuple[float, float], ...]:
-    good = isinstance(value, list | tuple)
-    hint = f"write [[{value[0]:g}, {value[1]:g}]]" if good and len(value) == 2 and all(is_number(v) for v in value) else None
-    expect(value, good and hint is None, "a list of [low, high] in Hz", where, hint)
-    return tuple(_band(v, where) for v in value)
+Units = TypedDict(  # type: ignore[misc]  # of the quantities that are known
+    "Units",
+    {quantity: Annotated[str, _unit(quantity)] for quantity in SI_UNIT}
+    | {"length": Length, "sampling_hz": Positive, "frequency_step_hz": Positive, "columns": Annotated[Any, Expected("", _columns)]},
+    total=False,
+)
+"""The section [units]."""
 
 
-def _numbers(value: Any, where: Entry) -> tuple[float, ...]:
-    good = isinstance(value, list | tuple) and all(is_number(v) and v > 0 for v in value)
-    return tuple(float(v) for v in expect(value, good, "a list of frequencies in Hz", where))
+class ChannelEntry(TypedDict, total=False):
+    """A channel in [channels]."""
+
+    dof: Annotated[Any, Expected("", lambda label: Dof.parse(label) and label)]
+    quantity: Text
+    unit: Annotated[str, _unit()]
+    sensitivity: Annotated[float, Predicate(bool), Expected("a number other than 0")]
+    exclude: Flag
+    reason: Text
 
 
-def _texts(value: Any, where: Entry) -> tuple[str, ...]:
-    return tuple(expect(value, isinstance(value, list | tuple) and all(isinstance(v, str) for v in value), "a list of texts", where))
+Channel = Annotated[ChannelEntry, Expected("", _channel)]
+Directions = Annotated[dict[str, Annotated[tuple[Number, Number, Number], Expected("three numbers")]], Expected("", _directions)]
 
 
-def _dofs(value: Any, where: Entry) -> tuple[str, ...]:
-    return tuple(str(dof(text, where)) for text in _texts(value, where))
+class Between(TypedDict, total=False):
+    """What may differ between two measurements: all relative, offsets as a share of a shape, the skew in seconds."""
+
+    sensor_gain: Spread
+    force_gain: Spread
+    stiffness: Spread
+    damping: Spread
+    offset: Spread
+    skew: Spread
 
 
-def _kinds(value: Any, where: Entry) -> tuple[str, ...]:
-    from operando.structure.effects import catalogue
+class TitleBlock(TypedDict, total=False):
+    """Lines of the title block of the report; a list is joined by commas, a date of TOML is written as one."""
 
-    known = catalogue()
-    for name in (texts := _texts(value, where)):
-        if name not in known:
-            raise ConfigError(f"unknown kind of effect {name!r}", where=str(where), hint=nearest(name, sorted(known), 40))
-    return texts
-
-
-def _scaling(value: Any, where: Entry) -> str:
-    return one_of(("auto", *METHODS), value, where)
+    object: Line
+    date: Line
+    operator: Line
+    sensors: Line
+    comments: Line
 
 
-def _window(value: Any, where: Entry) -> str:
-    return one_of(tuple(dict.fromkeys((*WINDOWS, *IMPACT_WINDOWS))), value, where, OTHER_WORDS)
+class OwnEffects(TypedDict, total=False):
+    """The section [effects]."""
 
-
-def _hits(value: Any, where: Entry) -> tuple[str, ...]:
-    texts = _texts(value, where)
-    for text in texts:
-        if not re.fullmatch(r".+#\d{1,9}", text):
-            hint = 'write FILE#NUMBER, as in "idle/hammer1.uff#3"; numbers from 0'
-            raise ConfigError(f"{text!r:.200} names no hit", where=str(where), hint=hint)
-    return texts
-
-
-def _positive(value: Any, where: Entry) -> float:
-    return float(expect(value, is_number(value) and value > 0, "a positive number", where))
-
-
-def _overlap(value: Any, where: Entry) -> float:
-    hint = f"a share, not per cent: did you mean {value / 100:g}?" if is_number(value) and 1 < value < 100 else None
-    return float(expect(value, is_number(value) and 0 <= value < 1, "a number from 0 to below 1", where, hint))
-
-
-def _order(value: Any, where: Entry) -> int:
-    good = isinstance(value, int) and not isinstance(value, bool) and 2 <= value <= 100_000
-    return int(expect(value, good, "a whole number of at least 2", where))
-
-
-def _threshold(value: Any, where: Entry) -> float:
-    return float(expect(value, is_number(value) and 0 < value <= 1, "a MAC value above 0 and up to 1", where))
-
-
-def _flag(value: Any, where: Entry) -> bool:
-    return bool(expect(value, isinstance(value, bool), "true or false", where))
-
-
-def _choice(choices: tuple[str, ...]) -> Callable[[Any, Entry], str]:
-    return lambda value, where: one_of(choices, value, where)
-
-
-SETTINGS: dict[str, Callable[[Any, Entry], Any]] = {
-    "band": _band, "block_seconds": _positive, "overlap": _overlap, "window": _window, "estimator": _choice(ESTIMATORS),
-    "hits": _choice(HITS), "hits_reject": _hits, "references": _dofs, "max_order": _order, "ema": _choice(EMA_ANSWERS),
-    "modes_hz": _numbers, "select_hz": _numbers, "reject_hz": _numbers,
-    "threshold": _threshold, "scaling": _scaling, "known_harmonics_hz": _numbers, "exclude_bands": _bands, "kinds": _kinds,
-    "places": _dofs, "oma_max_order": _order, "oma_references": _dofs, "oma_select_hz": _numbers, "oma_reject_hz": _numbers,
-    "second_opinion": _flag,
-}  # fmt: skip
-"""The check of each setting of [analysis]."""
+    modules: Annotated[list[Name], Expected("a list of Python files", hint='for example modules = ["my_laws.py"]')]

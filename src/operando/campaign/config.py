@@ -7,7 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
+
+from typing_extensions import TypedDict
 
 from operando.campaign.parameters import Row, Value, axis_of, read_table, row_of, shown, value_of
 from operando.campaign.store import in_store, matches
@@ -15,10 +17,8 @@ from operando.config import Test, load_test, parse_text, text_of, toml_table
 from operando.entries import Entry, lines_of
 from operando.errors import ConfigError
 from operando.pipeline import STAGES
-from operando.values import check_keys, nearest
+from operando.values import Count, Expected, Name, choice, listed, nearest, read
 
-_KEYS = ("name", "tests", "template", "table", "rows", "units", "over", "baseline", "until", "workers")
-_WORKER_KEYS = ("processes", "scheduler", "cluster", "jobs", "options")
 CLUSTERS = ("slurm", "kubernetes")
 _HOLE = re.compile(r"\{([A-Za-z_]\w*)\}")
 _GIVES = 'give tests = ["runs/{speed}/test.toml"], or template = "test.toml" with table = "runs.csv"'
@@ -42,11 +42,26 @@ class Workers:
         For the cluster's own constructor (queue, memory, image …).
     """
 
-    processes: int | None = None
-    scheduler: str | None = None
-    cluster: str | None = None
-    jobs: int = 1
-    options: Mapping[str, Any] = field(default_factory=dict)
+    processes: Count | None = None
+    scheduler: Name | None = None
+    cluster: Annotated[str, choice(CLUSTERS)] | None = None
+    jobs: Count = 1
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+class Entries(TypedDict, total=False):
+    """The campaign file as it is written."""
+
+    name: Name
+    tests: Annotated[list[Name], Expected("a list of paths", first=listed)]
+    template: Name
+    table: Name
+    rows: Annotated[list[Any], Expected("a list", hint="write rows = [{speed = 600}, {speed = 900}]")]
+    units: dict[str, Name]
+    over: Name
+    baseline: Any
+    until: Annotated[str, choice(STAGES)]
+    workers: Workers
 
 
 @dataclass(frozen=True)
@@ -156,55 +171,35 @@ def load_campaign(path: str | Path) -> Campaign:
     if "idle" in table or "operating" in table:
         hint = f'run it with `operando run {path}`, or name it in a campaign file: tests = ["{path.name}"]'
         raise ConfigError("is a test file, expected a campaign file", where=str(path), hint=hint)
-    check_keys(table, _KEYS, where)
-    name = _text(table.get("name", path.absolute().parent.name), where.at("name"))
-    units = _table(table.get("units", {}), where.within("units"))
-    for key, unit in units.items():
-        _text(unit, where.within("units").at(key))
-    members, found_units = _members(table, path.parent, where)
-    campaign = Campaign(name, path, members, {**found_units, **units})
-    for key in units:
+    found: Entries = read(Entries, table, where)
+    name = found.get("name", path.absolute().parent.name)
+    members, units = _members(found, path.parent, where)
+    campaign = Campaign(name, path, members, units | found.get("units", {}))
+    for key in found.get("units", {}):
         if key not in campaign.columns:
             raise ConfigError(f"{key!r} is no parameter", where=str(where.within("units").at(key)), hint=nearest(key, campaign.columns))
-    until = table.get("until")
-    if until is not None and until not in STAGES:
-        hint = nearest(str(until), STAGES)
-        raise ConfigError(f"{until!r:.200} is no stage; stages: {', '.join(STAGES)}", where=str(where.at("until")), hint=hint)
-    over = _over(table.get("over"), campaign, where.at("over"))
-    return Campaign(
-        name, path, members, campaign.units, over, _baseline(table.get("baseline"), campaign, where.at("baseline")),
-        "baseline" in table, until, _workers(_table(table.get("workers", {}), where.within("workers")), where.within("workers")),
-    )  # fmt: skip
+    return replace(
+        campaign,
+        over=_over(found.get("over"), campaign, where.at("over")),
+        baseline=_baseline(found.get("baseline"), campaign, where.at("baseline")),
+        baseline_given="baseline" in found,
+        until=found.get("until"),
+        workers=found.get("workers", Workers()),
+    )
 
 
-def _text(value: Any, where: Entry) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise ConfigError(f"{value!r:.200} is not allowed; expected a text", where=str(where))
-    return value.strip()
-
-
-def _table(value: Any, where: Entry) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"{value!r:.200} is not allowed; expected a table", where=str(where))
-    return value
-
-
-def _members(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[tuple[Member, ...], dict[str, str]]:
+def _members(table: Entries, folder: Path, where: Entry) -> tuple[tuple[Member, ...], dict[str, str]]:
     units: dict[str, str] = {}
     rows: list[Row] = []
     if "table" in table:
-        rows, units = read_table(folder / _text(table["table"], where.at("table")))
-    if "rows" in table:
-        given = table["rows"]
-        if not isinstance(given, list):
-            raise ConfigError("rows is no list", where=str(where.at("rows")), hint="write rows = [{speed = 600}, {speed = 900}]")
-        rows = [*rows, *(row_of(entry, f"{where.at('rows')}, row {i}") for i, entry in enumerate(given, 1))]
+        rows, units = read_table(folder / table["table"])
+    rows = [*rows, *(row_of(entry, f"{where.at('rows')}, row {i}") for i, entry in enumerate(table.get("rows", []), 1))]
     template = text = None
     if "template" in table:
-        if in_store(_text(table["template"], where.at("template"))):
+        if in_store(table["template"]):
             hint = 'name test files there: tests = ["s3://bucket/{speed}/test.toml"]'
             raise ConfigError("a template cannot be in an object store", where=str(where.at("template")), hint=hint)
-        template = _test_file(folder / table["template"].strip())
+        template = _test_file(folder / table["template"])
         text = text_of(template)
         if not rows:
             hint = 'give table = "runs.csv", or rows = [{speed = 600}, {speed = 900}]'
@@ -219,9 +214,8 @@ def _members(table: Mapping[str, Any], folder: Path, where: Entry) -> tuple[tupl
         else:
             _check_filled(template, text, row, len(rows))
             found.append((template, text, row))
-    patterns = table.get("tests", [])
-    for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        found += [(path, None, row) for path, row in _matches(_text(pattern, where.at("tests")), folder, where.at("tests"))]
+    for pattern in table.get("tests", []):
+        found += [(path, None, row) for path, row in _matches(pattern, folder, where.at("tests"))]
     if not found:
         raise ConfigError("names no test", where=str(where), hint=_GIVES)
     return _named(found), units
@@ -328,23 +322,6 @@ def _baseline(value: Any, campaign: Campaign, where: Entry) -> str:
             return member.name
     words = ", ".join(shown(k, v, campaign.units) for k, v in wanted.items())
     raise ConfigError(f"no test has {words}", where=str(where), hint="tests: " + ", ".join(m.name for m in members[:12]))
-
-
-def _workers(table: Mapping[str, Any], where: Entry) -> Workers:
-    check_keys(table, _WORKER_KEYS, where)
-    for key in ("processes", "jobs"):
-        value = table.get(key, 1)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise ConfigError(f"{value!r:.200} is not allowed; expected a whole number of at least 1", where=str(where.at(key)))
-    cluster = table.get("cluster")
-    if cluster is not None and cluster not in CLUSTERS:
-        hint = nearest(str(cluster), CLUSTERS)
-        raise ConfigError(
-            f"{cluster!r:.200} is not allowed; expected one of {', '.join(CLUSTERS)}", where=str(where.at("cluster")), hint=hint
-        )
-    scheduler = None if table.get("scheduler") is None else _text(table["scheduler"], where.at("scheduler"))
-    options = _table(table.get("options", {}), where.at("options"))
-    return Workers(table.get("processes"), scheduler, cluster, table.get("jobs", 1), dict(options))
 
 
 __all__ = ["CLUSTERS", "Campaign", "Member", "Value", "Workers", "load_campaign", "load_member"]
