@@ -134,6 +134,13 @@ def test_wrong_files_are_refused_with_help(folder, old, new, message, hint):
         assert hint in error["hint"]
 
 
+def test_of_several_records_the_wrong_one_is_named(folder):
+    wrong = 'records = ["idle/*.uff", {file = "idle/run2.uff", start_s = "7 s"}]'
+    path = write(folder, FULL.replace('records = ["idle/*.uff"]', wrong, 1))
+    with pytest.raises(ConfigError, match=r"\[idle\] records, entry 2: start_s is '7 s', expected a time in s"):
+        load_test(path)
+
+
 def test_missing_file_and_no_measurement(folder):
     with pytest.raises(ConfigError, match="no such test file"):
         load_test(folder / "none.toml")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operando.data import Frf, ModalModel
-from operando.diagnosis import diagnose_frf
+from operando.diagnosis import diagnose_frf, poor_idle
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.criteria import ABOVE_ERROR, EXPLAINED
@@ -119,6 +119,30 @@ def test_nothing_is_told_where_the_same_structure_is_measured_again(idle_frf, se
     found = diagnose_frf(model(), [CheckRun("run", "1 N", roved(seed))], idle_frf=idle_frf)
     assert found.verdict == "inconclusive"
     assert found.effects == ()
+
+
+def test_no_effect_is_told_where_the_scan_has_another_than_the_fit(idle_frf, monkeypatch):
+    """The scan holds the idle model, the fit adapts it: what only one of them has may be an error of the measurement."""
+    scan = poor_idle.robust_scan
+
+    def scan_with_a_spring_first(case, x):
+        rows = scan(case, x)
+        assert (rows[0][1].kind, rows[0][1].places) == ("point_mass", (DRIVEN,))
+        return sorted(rows, key=lambda row: row[1].kind != "ground_spring")
+
+    check = [CheckRun("run", "1 N", roved(11, ADDED))]
+    monkeypatch.setattr(poor_idle, "robust_scan", scan_with_a_spring_first)
+    found = diagnose_frf(model(), check, idle_frf=idle_frf, kinds=("point_mass", "ground_spring"))
+    assert not found.effects
+    assert found.verdict in ("inconclusive", "unexplained")
+
+
+def test_effects_of_one_location_are_alike_where_one_kind_contains_the_other():
+    mass, absorber, spring = (Term(kind, (DRIVEN,), (0.0,)) for kind in ("point_mass", "tuned_absorber", "ground_spring"))
+    assert all(poor_idle.same_effect(a, b) for a, b in ((mass, absorber), (absorber, mass), (mass, mass)))
+    assert not poor_idle.same_effect(mass, spring)
+    assert not poor_idle.same_effect(mass, replace(mass, places=(0,)))
+    assert not poor_idle.same_effect(mass, replace(mass, sign=-1))
 
 
 def test_effects_lower_the_error_by_themselves(idle_frf, rest):

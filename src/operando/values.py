@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt, Predicate
@@ -123,8 +124,10 @@ def _said(kind: Any, error: ErrorDetails, where: Entry) -> ConfigError:
     loc, value = error["loc"], error["input"]
     names = [where.section] * bool(where.section) + [part for part in loc if isinstance(part, str)]
     here = where.within(names[0]).at("".join(names[1:2]))
+    # a list of tables: which of them
+    number = next((f", entry {a + 1}" for a, b in pairwise(loc) if isinstance(a, int) and isinstance(b, str)), "")
     if error["type"] in _UNKNOWN:
-        return ConfigError(f"unknown key {names[-1]!r}", where=str(here), hint=nearest(names[-1], keys_of(kind, *loc[:-1]), 40))
+        return ConfigError(f"unknown key {names[-1]!r}", where=f"{here}{number}", hint=nearest(names[-1], keys_of(kind, *loc[:-1]), 40))
     if error["type"] in _NO_TABLE and len(names) == 1:
         hint = f"write [{names[0]}] on a line of its own"
         return ConfigError(f"{names[0]!r} is a value, expected a table", where=str(where.at(names[0])), hint=hint)
@@ -140,7 +143,7 @@ def _said(kind: Any, error: ErrorDetails, where: Entry) -> ConfigError:
     if isinstance(cause, _NotExpected):
         found = f"{value!r:.200} is not allowed;" if len(names) == 2 else f"{names[-1]} is {value!r:.200},"
         message = f"{found} {message}"
-    return ConfigError(message, where=str(here), hint=cause.hint)
+    return ConfigError(message, where=f"{here}{number}", hint=cause.hint)
 
 
 def words_of(kind: Any) -> str:
