@@ -13,6 +13,7 @@ import pytest
 
 from operando.diagnosis import diagnose, from_records
 from operando.diagnosis.from_records import DISTORTION, standing, suspicion
+from operando.diagnosis.records import steps
 from operando.frf import estimate_frf
 from operando.pipeline.levels import check_frfs
 from test_nonlinear_records import STRIP, records
@@ -131,3 +132,34 @@ def test_more_noise_than_at_rest_does_not_belittle_a_linear_effect(monkeypatch, 
     made = from_records.diagnose_levels(lambda: replace(linear, ladder=ladder), STRIP.idle(), frfs("spring"), records()["spring"])
     assert made.verdict == verdict
     assert any(said in note for note in made.notes)
+
+
+@pytest.mark.parametrize("of_laws", [(3,), (1, 3)])
+def test_hysteresis_is_tried_where_the_best_law_is_as_well(monkeypatch, of_laws):
+    """Any force explains most between two DOFs, the best law of one displacement is at the second: what remembers is tried at both."""
+    spots = {place: SimpleNamespace(place=place, free=1.0, fit=[], select=[], validation=[]) for place in ((1, 3), (3,))}
+    laws, walked = {}, []
+
+    def fit_law(motions, kind):
+        walked.append(next(place for place, spot in spots.items() if spot.fit is motions))
+        return steps.ForceLaw(kind, {}, 1.0)
+
+    def settle_law(spot, law, turns=0):
+        return steps.Tried(spot, law, 5.0 if law.kind == "hysteresis" else laws[spot.place], 1.0)
+
+    def roughly(spot, kind, side):
+        laws[spot.place] = 20.0 if spot.place == of_laws else 30.0
+        return laws[spot.place], spot, steps.ForceLaw(kind, {}, side)
+
+    monkeypatch.setattr(steps, "rank_places", lambda case, places, say=None: [(1.0, (1, 3)), (1.01, (3,))])
+    monkeypatch.setattr(steps, "Sets", SimpleNamespace(of=lambda case: None))
+    monkeypatch.setattr(steps, "baseline", lambda sets: (100.0, 100.0))
+    monkeypatch.setattr(steps, "examine", lambda sets, place: spots[place])
+    monkeypatch.setattr(steps, "each", lambda do, rows: [do(row) for row in rows])
+    for name, stub in (("fit_law", fit_law), ("settle_law", settle_law), ("roughly", roughly)):
+        monkeypatch.setattr(steps, name, stub)
+    case = SimpleNamespace(places=((1, 3), (3,)))
+    made = steps.search_step(case, ("cubic_stiffness", "hysteresis"), None, 1.0)
+    assert set(walked) == {(1, 3), of_laws}
+    assert len(walked) == len(set(walked))
+    assert made.tried[0].law.kind == "hysteresis"

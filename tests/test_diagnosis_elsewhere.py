@@ -13,7 +13,7 @@ from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
-from operando.diagnosis.criteria import BETWEEN_STD, LEAST_BETWEEN_STD, LOOSE, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
+from operando.diagnosis.criteria import AS_AT_REST, BETWEEN_STD, LEAST_BETWEEN_STD, LOOSE, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
 from operando.diagnosis.hypotheses import (
     _HALF,
     Lacking,
@@ -368,6 +368,19 @@ def test_what_stands_instead_of_two_effects_is_tried_by_what_one_leaves(monkeypa
 
     assert instead_of_two(one, days, Rival(one, days), 0.0, again, LINE, lambda text: None) is None
     assert asked == (["between"] if part < _HALF else ["mode"])
+
+
+@pytest.mark.parametrize(("share", "taken"), [(0.99, True), (1.01, False)])
+def test_a_place_between_sensors_explains_the_check_as_the_idle_model_does_the_idle_frfs(monkeypatch, share, taken):
+    """``AS_AT_REST``: up to twice the discrepancy at rest; beyond it, something else is asked."""
+    one, at_rest = case(add_mass), 0.004
+    days = fit(one, one.forward.start)
+    there = (Found(replace(days, alpha=share * AS_AT_REST * at_rest), days, {}), 10.0)
+    one.at_rest["robust"] = [(-robust_cost(one, one.forward.start), Term("point_mass", (1,), (0.0,)), False)]
+    monkeypatch.setattr(hypotheses, "with_nothing_touched", lambda *args, **how: there)
+    monkeypatch.setattr(hypotheses, "mode_with_nothing_touched", lambda *args, **how: None)
+    found = instead_of_two(one, days, Rival(one, days), at_rest, lambda idle: [], LINE, lambda text: None)
+    assert found == (there if taken else None)
 
 
 def test_a_mode_that_does_not_explain_the_lines_alone_is_not_fitted_again():

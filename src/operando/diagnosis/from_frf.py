@@ -14,7 +14,7 @@ from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import EXPLAINED, LOOSE
+from operando.diagnosis.criteria import LOOSE
 from operando.diagnosis.days import no_other_day, unlike_days, untouched
 from operando.diagnosis.document import (
     between_rows,
@@ -44,6 +44,7 @@ from operando.diagnosis.suggested import suggested_by_modes
 from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, Term, touched
 from operando.diagnosis.verdict import (
     explains_lines,
+    misses_idle_frfs,
     moved_peaks,
     no_other_answer,
     peaks_text,
@@ -132,7 +133,7 @@ def diagnose_frf(
             say("idle model on the idle FRFs")
             rest = at_rest(known, idle_frf, band)
         model = known if rest is None else rest.idle
-        poor = rest is not None and misses_idle_frfs(rest)
+        poor = rest is not None and misses_idle_frfs(rest.state)
         if rest is not None and idle_frf is not None and poor:
             say(f"it differs by {100 * rest.state.alpha:.0f} %: what it leaves counts as error of the measurements")
             frf = with_what_is_left(frf, rest.state)
@@ -334,7 +335,7 @@ def told(
     if name == "no_misfit" and (hidden := floor_reason(floor)) is not None:
         name, why = "inconclusive", hidden
     where = where_it_fails(idle, check, band, compared)
-    poor = rest is not None and misses_idle_frfs(rest)
+    poor = rest is not None and misses_idle_frfs(rest.state)
     if name == "inconclusive" and (poor or not best.terms) and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
         name, why = "unexplained", f"{why + '; ' if why else ''}{peaks_text(moved)}"
     shown = best.terms if said.terms and name != "unexplained" else ()
@@ -368,11 +369,6 @@ def told(
     )
 
 
-def misses_idle_frfs(rest: AtRest) -> bool:
-    """Whether the idle model differs from the idle FRFs themselves by more than an explanation may leave."""
-    return rest.state.alpha > EXPLAINED
-
-
 def notes_of(
     idle: ModalModel, check: Sequence[CheckRun], run: CheckRun, found: Found, rest: AtRest | None, one_set_up: float | None
 ) -> tuple[str, ...]:
@@ -394,7 +390,7 @@ def notes_of(
             "unexplained. The FRFs of the model with the effects have what ties the modes to each other; its idle modes alone do not"
         )
     case = found.best.case
-    if rest is not None and misses_idle_frfs(rest):
+    if rest is not None and misses_idle_frfs(rest.state):
         notes.append(
             "what the idle model leaves of the idle FRFs counts as error of the operating measurement, too; one effect was looked for, "
             "none beside it, none between sensors, and no mode missing in the idle model"

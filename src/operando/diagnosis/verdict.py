@@ -248,6 +248,11 @@ def explains_lines(state: State) -> bool:
     return on_validation_lines(state)[0] < MOST_CHI_SQUARE and state.alpha <= EXPLAINED
 
 
+def misses_idle_frfs(rest: State) -> bool:
+    """Whether the idle model differs from the idle FRFs themselves by more than an explanation may leave."""
+    return rest.alpha > EXPLAINED
+
+
 def verdict(found: Found, rest: State | None) -> Verdict:
     """The verdict with all that is told with it.
 
@@ -285,8 +290,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     explained = explains_lines(best)
     far = _UNLIKE if unlike_days(best) else ""
     still = _MOVED if untouched(best) else ""
-    lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves" if rest and rest.alpha > EXPLAINED else ""
-    if lost:  # effects were judged where they were looked for (``poor_idle``)
+    if rest is not None and misses_idle_frfs(rest):  # effects were judged where they were looked for (``poor_idle``)
+        lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves"
         return ("partial" if best.terms and supported(best) else "inconclusive"), lost
     if far or still or not explained:
         before = on_validation_lines(found.empty)[1]

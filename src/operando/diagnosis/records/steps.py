@@ -128,9 +128,13 @@ def search_step(case: RecordsCase, kinds: Sequence[str], say: Callable[[str], No
         return min((t.selection for t in (*tried, *walked)), default=np.inf)
 
     def remember() -> None:
-        law = fit_law(spots[0].fit, "hysteresis") if "hysteresis" in kinds and not walked and least() > simple else None
-        if law is not None:
-            walked.append(settle_law(spots[0], law, turns=FIRST_TURNS))
+        """Hysteresis, at the best place of all forces and at that of the best law."""
+        if "hysteresis" not in kinds or walked or least() <= simple:
+            return
+        of_laws = min(tried, key=lambda t: t.selection).spot if tried else spots[0]
+        for spot in {s.place: s for s in (spots[0], of_laws)}.values():
+            if (law := fit_law(spot.fit, "hysteresis")) is not None:
+                walked.append(settle_law(spot, law, turns=FIRST_TURNS))
 
     if least() > FAR * simple:
         remember()
