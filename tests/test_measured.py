@@ -146,3 +146,30 @@ def test_a_mass_at_the_drive_point_of_the_plate_is_found(state, mass):
     (effect,) = found.effects
     assert (effect.kind, effect.location[0].node) == ("point_mass", again.references[0].node)
     assert abs(effect.values["mass"] - mass) < 2 * effect.std["mass"] < 0.5 * mass
+
+
+@pytest.mark.slow
+def test_no_effect_of_another_kind_is_told_on_the_plate():
+    """A spring of 100 kN/m, on the plate clamped again: adapted to errors of the measurement, the idle model has a mass removed."""
+    idle, again = plate("ref_1"), plate("ref_3")
+    drive = next(i for i, d in enumerate(again.responses) if d.same_axis(again.references[0]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        receptance = np.nan_to_num(again.data[drive] / (2 * np.pi * again.frequencies_hz) ** 2)  # force and accelerometer of opposite sense
+    held = replace(again, data=again.data / (1 + 1e5 * receptance))
+    found = diagnose(fit_ema(idle, band=(40.0, 500.0)), check=[CheckRun("ref_3", "1 N", held)], idle_frf=idle, band=(40.0, 500.0))
+    assert all("spring" in e.kind and e.location[0].same_axis(again.references[0]) for e in found.effects)
+    assert found.verdict in ("partial", "unexplained")
+
+
+def test_a_mass_on_the_base_of_the_bookcase_and_what_looks_like_it(bookcase, bookcase_model):
+    """2 kg at the shaker, which the measured FRFs make exactly: the base is stiff, so a mass at its other sensor does as well."""
+    loaded = replace(bookcase, data=bookcase.data / (1 + 2.0 * bookcase.data[8]))
+    found = diagnose(bookcase_model, check=[CheckRun("loaded", "1 N", loaded)], idle_frf=bookcase, band=(5.0, 80.0))
+    assert found.verdict == "partial"  # the idle model misses the idle FRFs
+    (effect,) = found.effects
+    assert (effect.kind, str(effect.location[0])) == ("point_mass", "8-Y")
+    assert abs(effect.values["mass"] - 2.0) < 2 * effect.std["mass"]
+    others = {(e.kind, str(e.location[0])) for e in found.ambiguous_with}
+    assert others
+    assert others <= {("point_mass", "0-Y"), ("point_mass", "4-Y")}
+    assert "to tell it from point_mass at" in found.proposed_measurement

@@ -73,8 +73,9 @@ def one_effect(cases: Sequence[Case], say: Say) -> Found:
     With all unknowns free, or a second effect beside the first, the errors of such a model become effects: on a plate whose modes drifted
     while the hammer roved, absorbers of 10 mg with thousands of nats. For the same reason no evidence tells the hypotheses apart, and
     each is told of the size by its own share of the shifted modes: the size is their mean, with half of their difference in its interval.
-    The scan, for which the idle model is exact, must name the same effect as the fit, for which it may adapt: fitted to a spring of
-    100 kN/m on the plate clamped again, the adapted model has a mass of 22 g removed.
+    What lowers the error as far is stated as one that may stand in its place. The scan, for which the idle model is exact, must name the
+    same effect as the fit, for which it may adapt: fitted to a spring of 100 kN/m on the plate clamped again, the adapted model has a mass
+    of 22 g removed.
 
     Parameters
     ----------
@@ -92,7 +93,9 @@ def one_effect(cases: Sequence[Case], say: Say) -> Found:
     nothing = Found(empty, empty, search.pool | {empty.key: empty})
     if not best.terms or not same_effect(best.terms[0], rows[0][1]) or not lowered_alone(best):
         return nothing
-    found = Found(best, search.pool[()], search.pool)
+    # no evidence tells these apart either
+    as_well = [s for s in search.pool.values() if s.terms and not same_effect(s.terms[0], best.terms[0]) and lowered_alone(s)]
+    found = Found(best, search.pool[()], search.pool, as_well=as_well)
     if day is case:
         return found
     other = fitted_if_can_be(day, approach(day, started(day, best.terms))[1], _FROM)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -55,12 +55,15 @@ class Found:
     unnamed : State, optional
         With what explains the lines where nothing else does, and is no effect of the catalogue at a location: a force law of no kind, or
         one on motions that no sensor shows.
+    as_well : list of State
+        What may stand in the place of the best, where evidence does not tell them apart.
     """
 
     best: State
     empty: State
     pool: dict[Key, State]
     unnamed: State | None = None
+    as_well: list[State] = field(default_factory=list)
 
 
 def search(

@@ -68,8 +68,10 @@ class Verdict:
 
 
 def others(found: Found) -> list[State]:
-    """States beside the best that make up the 95 % set, without those that only add to it."""
+    """States beside the best that make up the 95 % set, without those that only add to it, or that do as well."""
     best = found.best
+    if found.as_well:
+        return found.as_well
     rivals = [s for s in found.pool.values() if not set(best.key) < set(s.key)]
     weights = np.exp([score(s) - score(best) for s in rivals])
     weights /= weights.sum()
