@@ -137,7 +137,7 @@ def test_no_effect_is_told_where_the_scan_has_another_than_the_fit(idle_frf, mon
     assert found.verdict in ("inconclusive", "unexplained")
 
 
-def test_effects_of_one_location_are_alike_where_one_kind_contains_the_other():
+def test_effects_are_the_same_at_one_location_where_one_kind_contains_the_other():
     mass, absorber, spring = (Term(kind, (DRIVEN,), (0.0,)) for kind in ("point_mass", "tuned_absorber", "ground_spring"))
     assert all(poor_idle.same_effect(a, b) for a, b in ((mass, absorber), (absorber, mass), (mass, mass)))
     assert not poor_idle.same_effect(mass, spring)

@@ -68,7 +68,7 @@ class Verdict:
 
 
 def others(found: Found) -> list[State]:
-    """States beside the best that make up the 95 % set, without those that only add to it, or that do as well."""
+    """What may stand in the place of the best: the rest of the 95 % set, without states that only add to it; else what does as well."""
     best = found.best
     if found.as_well:
         return found.as_well
