@@ -11,6 +11,7 @@ from operando.ema import choose, fit_ema, linear, without_doubts
 from operando.ema.choose import SETTLE_ROUNDS, choose_modes
 from operando.ema.discrepancy import fit_variance
 from operando.ema.doubts import unknown_to
+from operando.ema.findings import NOTABLE_OFFSET
 from operando.ema.fit import model_dofs
 from operando.ema.linear import NOISE_LIMITED, SETTLED, fit_linear
 from operando.ema.pairs import frf_pairs, informative_lines, noise_shape
@@ -194,6 +195,19 @@ def test_an_offset_under_the_window_hides_no_mode():
     tail = 20 * np.sqrt(np.mean(np.abs(h) ** 2)) * F[0] / (1j * F)
     model = fit_ema(as_frf(h + tail), band=BAND)
     assert_modes(model, c, f_tolerance=3e-4, z_tolerance=0.05)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.06, 0.3])
+def test_an_offset_of_the_sensors_that_the_model_leaves_out_is_stated(share):
+    _, h = frfs()
+    unit, inside = 1 / (1j * F), (BAND[0] <= F) & (BAND[1] >= F)
+    size = share / np.median((np.abs(unit) / np.abs(h))[..., inside])
+    model = fit_ema(as_frf(h + size * unit), band=BAND, ema="linear")
+    of_all = np.median((np.abs(size * unit) / np.abs(h + size * unit))[..., inside])
+    assert model.details.linear.sensor_offset == pytest.approx(of_all, rel=0.2, abs=0.004)
+    said = [f for f in model.findings if f.kind == "sensor_offset"]
+    assert len(said) == (share > NOTABLE_OFFSET)
+    assert all(f.severity == ("warning" if share > 0.1 else "info") and "1/s" in f.message for f in said)
 
 
 def test_model_error_is_estimated():

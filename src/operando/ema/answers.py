@@ -60,6 +60,8 @@ class LinearModes:
         α: median over the pairs of the error in proportion to the FRF.
     correlation : float
         ν: lines that count as one.
+    sensor_offset : float
+        What an offset of the sensors (1/s), which no structure has, is of the FRFs: median over lines and pairs.
     """
 
     frequencies_hz: Real
@@ -70,6 +72,7 @@ class LinearModes:
     scaled: NDArray[np.bool_]
     model_error: float
     correlation: float
+    sensor_offset: float
 
     def to_dict(self) -> dict[str, Any]:
         """JSON object, one entry a pole."""
@@ -90,11 +93,13 @@ class LinearModes:
             }
             for k, e in enumerate(self.evidence)
         ]
-        return {"poles": poles, "model_error": self.model_error, "correlated_lines": self.correlation}
+        return {"poles": poles, "model_error": self.model_error, "correlated_lines": self.correlation, "sensor_offset": self.sensor_offset}
 
 
-def linear_modes(fit: LinearFit, evidence: list[Evidence], scaled: NDArray[np.bool_]) -> LinearModes:
-    """What is kept of the linear stage."""
+def linear_modes(
+    fit: LinearFit, pairs: Pairs, band: tuple[float, float], evidence: list[Evidence], scaled: NDArray[np.bool_]
+) -> LinearModes:
+    """What is kept of the linear stage; ``pairs`` with all lines."""
     std = np.sqrt(np.diag(stated_covariance(fit)))
     return LinearModes(
         fit.mean_hz,
@@ -105,6 +110,7 @@ def linear_modes(fit: LinearFit, evidence: list[Evidence], scaled: NDArray[np.bo
         scaled,
         fit.model_error,
         fit.correlation,
+        fit.sensor_offset(pairs, band),
     )
 
 

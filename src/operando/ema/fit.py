@@ -294,7 +294,7 @@ def _answer(
         fit = fit.turned(turned)
     evidence = evidence_of_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
-    kept = linear_modes(fit, evidence, mass.scaled)
+    kept = linear_modes(fit, pairs, job.band, evidence, mass.scaled)
     signs = drive_residues(fit, mass, np.array([not e.doubts for e in evidence]))
     wanted, reason = _polish_wanted(job, fit)
     found: _Outcome | None = None

@@ -22,6 +22,7 @@ from operando.ema.projection import (
     search_poles,
     shift_curvature,
     synthesis,
+    tail_columns,
     updated_spreads,
 )
 
@@ -80,6 +81,13 @@ class LinearFit:
     def noise_limited(self) -> bool:
         """Whether the noise rules: phases and weak modes can be believed then, and a likelihood of noise alone may polish."""
         return self.model_error < NOISE_LIMITED
+
+    def sensor_offset(self, pairs: Pairs, band: tuple[float, float]) -> float:
+        """What the term 1/s is of the FRFs of the same pairs on all lines in band: median over lines and pairs."""
+        inside = (pairs.frequencies_hz >= band[0]) & (pairs.frequencies_hz <= band[1])
+        column = tail_columns(pairs.frequencies_hz[inside], self.ends_hz[1], self.ends_hz[0], pairs.window_rate)[-2]
+        offset = np.abs(self.projection.tails[:, -2:-1] * column)
+        return float(np.median(offset / np.maximum(np.abs(pairs.accelerance[:, inside]), 1e-300)))
 
     def shift_error(self, band: tuple[float, float]) -> float:
         """Largest error that poles common to all pairs would make at a resonance in band, as a share of the FRF: rms shift over ζ.
