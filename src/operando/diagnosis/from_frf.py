@@ -145,6 +145,7 @@ def diagnose_frf(
 
         def cases(model: Idle) -> list[Case]:
             """Two days in a laboratory and one set-up, or what the test states."""
+            model = model.with_near(band, fitted=True)  # days move and damp modes just outside the band as well, and their flanks are seen
             days = Case(model, frf, band, spreads_of(between or {}), **asked)
             return [days] if between else [days, Case(model, frf, band, SAME_SET_UP, like=days, **asked)]
 

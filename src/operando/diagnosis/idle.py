@@ -270,9 +270,14 @@ class Idle:
         lag, moves = self.lags.at(self.lag, scale, g, own)
         return times * lag, Moves(times * moves.shared, times * moves.own)
 
-    def with_near(self, band: tuple[float, float]) -> Idle:
-        """With the residual terms near the band [Hz] as modes, which damping may tie to others: no peak, but more than a flank is there."""
+    def with_near(self, band: tuple[float, float], fitted: bool = False) -> Idle:
+        """With the residual terms near the band [Hz] as modes, which damping may tie to others: no peak, but more than a flank is there.
+
+        ``fitted``: those alone whose frequencies were fitted, which are modes of the structure; others stand at assumed ones.
+        """
         near = self.residual & (self.f > band[0] / NEAR) & (self.f < band[1] * NEAR)
+        if fitted:
+            near &= self.f_root.any(axis=1)
         if not near.any():
             return self
         residual = self.residual & ~near
