@@ -159,7 +159,14 @@ def test_compare_results_with_a_measurement(folder, tmp_path):
     assert document["band_hz"] == [10.0, 90.0]
     assert json.loads((tmp_path / "comparison.json").read_text()) == document
     text = call("compare", folder, tmp_path / "check.uff").stdout
-    assert text.startswith("operational FRFs by the hybrid route: error")
+    assert text.startswith("operational FRFs by the hybrid route, 10 to 90 Hz: error")
+    narrow = answer("compare", folder, tmp_path / "check.uff", "--band", "20", "60")
+    assert narrow["band_hz"] == [20.0, 60.0]
+    assert narrow["model"]["n_lines"] < document["model"]["n_lines"]
+    for band in (("60", "20"), ("500", "900")):
+        done = call("compare", folder, tmp_path / "check.uff", "--band", *band)
+        assert done.exit_code == 1
+        assert f"{band[0]} " in done.stderr
 
 
 def test_compare_by_the_other_route(with_effect, folder, tmp_path):

@@ -1,6 +1,7 @@
 """Errors by mode: peaks refitted in measurement and model; variances; levels."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -234,3 +235,17 @@ def test_a_measurement_of_the_opposite_sense_is_noted_once_with_its_consequence(
     assert "with one of the two reversed" in note
     assert one.relative_error == compare(idle, Frf(measured.data[:, :1], F, LABELS, LABELS[:1])).relative_error
     assert compare(other, other).notes == ()
+
+
+def test_a_model_is_compared_in_the_band_it_was_fitted_in_unless_another_one_is_named():
+    chain = Chain(5)
+    whole, measured = model(chain.hz, chain.zeta, chain.phi), truth(chain)
+    low, high = 0.8 * chain.hz[0], 0.5 * (chain.hz[1] + chain.hz[2])
+    idle = replace(whole, band_hz=(low, high))
+    c = compare(idle, measured)
+    assert c.n_lines == 25 * int(((low <= F) & (high >= F)).sum())
+    assert c.to_dict() | {"notes": []} == compare(idle, measured, (low, high)).to_dict() | {"notes": []}
+    assert c.notes[0].startswith(f"compared in the band of the model, {low:.4g} to {high:.4g} Hz")
+    assert compare(idle, measured, (F[0], F[-1])).n_lines == compare(whole, measured).n_lines == 25 * F.size
+    elsewhere = replace(whole, band_hz=(2 * F[-1], 3 * F[-1]))
+    assert compare(elsewhere, measured).n_lines == 25 * F.size

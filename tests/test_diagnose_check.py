@@ -129,6 +129,9 @@ def test_kinds_without_a_location_alone_are_searched(chain, idle):
     """A mass that none of them explains: the scans over locations have no rows."""
     found = diagnose(idle, check=[running(chain, [0, 3], mass=0.6 * at(4))], kinds=("global_stiffness", "global_damping"))
     assert found.verdict in ("partial", "unexplained")
+    asked = "only these kinds of effects were looked for, as the test asks: global_stiffness, global_damping"
+    assert asked in found.notes
+    assert not any("DOFs alone" in n for n in found.notes)
 
 
 def test_wrong_effect_by_hand_is_said_to_be_wrong(chain, idle):

@@ -587,6 +587,7 @@ def test_order_and_sense_of_sensors_do_not_matter():
     idle = idle_of(c)
     one = diagnose_modes(idle, operating, kinds=("point_mass",), places=("4+Z",))
     two = diagnose_modes(idle, turned, kinds=("point_mass",), places=("4+Z",))
+    assert "effects were looked for at these DOFs alone, as the test asks: 4+Z" in one.notes
     assert two.effects[0].values["mass"] == pytest.approx(one.effects[0].values["mass"], rel=1e-6)
 
 

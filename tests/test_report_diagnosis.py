@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from operando.compare import compare_all
+from operando.compare.verdict import FLOOR_DB
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
@@ -20,7 +21,16 @@ from operando.report.figures_diagnosis import places_figure, running_median, ste
 from operando.report.figures_records import force_figure, level_figure, simulation_figure
 from operando.report.parts import Numbering, render
 from operando.report.sections import build
-from operando.report.words_diagnosis import BY_HAND, FAULT, VERDICTS, diagnosis_words, effect_words, error_by_step, found_intro
+from operando.report.words_diagnosis import (
+    BY_HAND,
+    FAULT,
+    VERDICTS,
+    between_words,
+    diagnosis_words,
+    effect_words,
+    error_by_step,
+    found_intro,
+)
 from operando.results import CheckRun, Results
 from operando.structure import LinearEquivalent, Model
 from operando.structure.effects import Effect
@@ -624,3 +634,25 @@ def test_every_line_keeps_its_place():
     frf = Frf(np.ones((1, 1, 10), complex), FrequencyAxis(np.arange(1.0, 11.0)), (Dof(1, "Z"),), (Dof(1, "Z"),))
     assert derive_diagnosis.every(frf, 20) is frf
     assert derive_diagnosis.every(frf, 4).frequencies_hz.tolist() == [1.0, 4.0, 7.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("floor", "said", "drawn"),
+    [
+        (0.1, "noise and the model's own uncertainty explain 0.10 dB of it.", True),
+        (0.6, "noise and the model's own uncertainty make 0.60 dB, so nothing of it is left to explain.", True),
+        (121.0, f"alone may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model cannot be stated.", False),
+    ],
+)
+def test_no_more_than_all_of_an_error_is_explained_by_noise(floor, said, drawn):
+    words = diagnosis_words(document(noise_floor_db=floor))
+    [sentence] = [s for s in words.sentences if "own uncertainty" in s]
+    assert sentence.endswith(said)
+    assert (words.ladder.shown_floor == floor) == drawn
+
+
+def test_what_differs_farther_than_days_do_may_be_what_has_changed():
+    rows = [{"what": "stiffness", "location": [], "value": -0.024, "std": 0.0007, "unusual": True}]
+    assert between_words({"between": rows}).endswith("Farther than days in a laboratory: stiffness; that may be part of what has changed.")
+    usual = between_words({"between": [rows[0] | {"unusual": False}]})
+    assert usual == "Between the two measurements differ, as days in a laboratory do: stiffness by −2.4 ± 0.14 %."

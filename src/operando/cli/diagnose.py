@@ -59,8 +59,8 @@ def text_of(name: str | None, document: dict[str, Any]) -> str:
     lines += [f"  {sentence}" if intro else sentence for sentence in words.found]
     lines += [*words.sentences, *words.decide]
     parts = ["\n".join(lines), steps_table(document["ladder"])]  # the hold-out set is named above
-    if words.ladder.decibel and words.ladder.floor is not None:
-        parts[-1] += f"\nnoise floor {words.ladder.floor:.4g} dB"
+    if words.ladder.decibel and words.ladder.shown_floor is not None:
+        parts[-1] += f"\nnoise floor {words.ladder.shown_floor:.4g} dB"
     if document.get("notes"):
         parts.append("\n".join(f"note: {n}" for n in document["notes"]))
     return "\n\n".join(parts)

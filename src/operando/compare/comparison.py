@@ -141,7 +141,7 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
         FRFs: the reference; without variance they are taken as exact, several are pooled. A model: modes are paired by shape and
         frequency.
     band_hz : (float, float), optional
-        Lines, or modes, used; default all.
+        Lines, or modes, used; default the band that the model was fitted in, else all.
 
     Returns
     -------
@@ -169,8 +169,22 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
     runs = [measured] if isinstance(measured, Frf) else list(measured) if isinstance(measured, list | tuple) else [measured]
     for run in runs or [None]:
         expect(run, Frf, "a model is compared with FRFs or another model", "read(file).frfs and estimate_frf(records) give FRFs")
+    own, notes = (band_of(model), []) if band_hz is None else (None, [])
+    if own is not None and all(np.any((run.frequencies_hz >= own[0]) & (run.frequencies_hz <= own[1])) for run in runs):
+        band_hz = own
+        if any(run.frequencies_hz[0] < own[0] or run.frequencies_hz[-1] > own[1] for run in runs):
+            notes = [f"compared in the band of the model, {own[0]:.4g} to {own[1]:.4g} Hz; band_hz names another one"]
     with one_blas_thread():
-        return _compare(model, runs, band_hz)
+        found = _compare(model, runs, band_hz)
+    return replace(found, notes=(*notes, *found.notes))
+
+
+def band_of(model: Any) -> tuple[float, float] | None:
+    """The band [Hz] that a model was fitted in, of the idle modes where it is made from them; None where none is known."""
+    for part in (model, getattr(model, "modes", None), getattr(model, "idle", None)):
+        if (band := getattr(part, "band_hz", None)) is not None:
+            return float(band[0]), float(band[1])
+    return None
 
 
 def _compare(model: FrfModel | Frf, runs: list[Frf], band_hz: tuple[float, float] | None, peaks: _Fit = fit_peaks) -> Comparison:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
 from operando.diagnosis.criteria import UNUSUAL, tolerated
 from operando.diagnosis.joints import no_more_than_days
@@ -162,6 +163,18 @@ def detectable_rows(state: State, verdict: Verdict) -> list[dict[str, Any]]:
         where = places[:1] if kind == "point_mass" else places
         out.append({"kind": kind, "location": [str(dofs[i]) for i in where], "parameter": name, "value": size, "unit": unit})
     return out
+
+
+def restricted(case: Case, *usual: Sequence[str]) -> list[str]:
+    """That only some kinds were looked for, or only at some DOFs, where the test asks for it; ``usual`` are the sets looked for else."""
+    notes = []
+    if set(case.kinds) not in [set(kinds) for kinds in usual]:
+        notes.append(f"only these kinds of effects were looked for, as the test asks: {', '.join(case.kinds)}")
+    sensors = [i for i in range(len(case.dofs)) if i not in case.idle.midway]
+    if not set(sensors) <= set(case.allowed):
+        asked = ", ".join(str(case.dofs[i]) for i in sensors if i in case.allowed)
+        notes.append(f"effects were looked for at these DOFs alone, as the test asks: {asked}")
+    return notes
 
 
 def odds_text(nats: float) -> str:

@@ -27,6 +27,7 @@ from operando.diagnosis.document import (
     odds_text,
     picture,
     proposal,
+    restricted,
 )
 from operando.diagnosis.farther_off import farther_off
 from operando.diagnosis.free_law import with_free_law
@@ -401,6 +402,7 @@ def notes_of(
             "effects between two locations (coupling, gyroscopic, circulatory) were not looked for: the error of the idle model on the "
             "idle FRFs themselves is too large for anything to be explained; name them in [analysis] kinds to look for them"
         )
+    notes += restricted(case, SEARCHED, AT_ONE_LOCATION)
     count = len(case.dofs) - len(case.idle.midway) - case.forward.responses.size
     if count:
         notes.append(f"{count} DOFs of the idle model were not measured in operation: what happens there follows from the others alone")

@@ -12,7 +12,7 @@ from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
 from operando.diagnosis.criteria import MOST_CHI_SQUARE
-from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder, odds_text
+from operando.diagnosis.document import between_rows, candidate_rows, detectable_rows, ladder, odds_text, restricted
 from operando.diagnosis.hypotheses import search_both
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.modes_case import TOLD_BY_MODES, ModesCase
@@ -158,7 +158,7 @@ def _diagnosis(idle: ModalModel, found: Found, rest: AtRest | None, geometry: Ge
         {"by_dof": [], "by_band": [], "by_mode": _by_mode(found, final)},
         None,
         ("operating_modes",),
-        notes=tuple(_notes(lines, rest, one_set_up)),
+        notes=tuple(_notes(found.best.case, lines, rest, one_set_up)),
         idle=idle,
         model=model_of(idle, final, geometry),
         judged_on={"state": "operating", "measured": _validated_on(lines)},
@@ -194,8 +194,8 @@ def _validated_on(lines: OperatingModes) -> str:
     return "one third of the values (of each mode its frequency, damping or shape, in turn) was predicted from the others"
 
 
-def _notes(lines: OperatingModes, rest: AtRest | None, one_set_up: float | None) -> list[str]:
-    notes = [_validated_on(lines)]
+def _notes(case: Case, lines: OperatingModes, rest: AtRest | None, one_set_up: float | None) -> list[str]:
+    notes = [_validated_on(lines), *restricted(case, TOLD_BY_MODES)]
     if one_set_up is not None and one_set_up > 0:
         notes.append(
             f"the data say that nothing was touched between the idle and the operating measurement ({odds_text(one_set_up)}); "

@@ -60,11 +60,12 @@ def steps_figure(ladder: ErrorByStep, verdict: str, grade: str) -> tuple[Figure,
     lines = [(i, r.everything) for i, r in enumerate(rows) if ladder.on_hold_out and np.isfinite(r.everything) and r.everything > 0]
     if lines:
         axes.plot(*np.transpose(lines), ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=0.9, zorder=4)
-    if ladder.floor is not None and ladder.floor > bottom:
-        axes.axhspan(bottom, ladder.floor, color=PALE, alpha=0.55, lw=0, zorder=1)
-        axes.axhline(ladder.floor, color=INK, lw=1.1, ls=(0, (4, 2)), zorder=3)
-        words = f"noise floor {ladder.text(ladder.floor)}" if ladder.decibel else "1: as good as the noise allows"
-        axes.annotate(words, (1, ladder.floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
+    floor = ladder.shown_floor
+    if floor is not None and floor > bottom:
+        axes.axhspan(bottom, floor, color=PALE, alpha=0.55, lw=0, zorder=1)
+        axes.axhline(floor, color=INK, lw=1.1, ls=(0, (4, 2)), zorder=3)
+        words = f"noise floor {ladder.text(floor)}" if ladder.decibel else "1: as good as the noise allows"
+        axes.annotate(words, (1, floor), (-3, 3), ("axes fraction", "data"), "offset points", ha="right", va="bottom", fontsize=8.5)
     for i, v in enumerate(values):
         axes.annotate(
             ladder.text(v), (i, _clear_of(v, rows[i].everything if lines else np.nan, axes)), (0, 5), textcoords="offset points",
@@ -82,13 +83,13 @@ def steps_figure(ladder: ErrorByStep, verdict: str, grade: str) -> tuple[Figure,
     axes.text(*at, word, transform=axes.transAxes, ha="center", va="bottom", color="white", fontsize=10.5, fontweight="bold", bbox=box)
     steps = [f"idle model {ladder.text(values[0])}"]
     steps += [f"with {r.effect.label if r.effect else 'effect'} {ladder.text(v)}" for r, v in zip(rows[1:], values[1:], strict=True)]
-    floor = "" if ladder.floor is None else f"; noise floor {ladder.text(ladder.floor)}"
-    return figure, f"Error by step, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}{floor}"
+    steps += [] if floor is None else [f"noise floor {ladder.text(floor)}"]
+    return figure, f"Error by step, verdict {verdict.replace('_', ' ')}: {'; '.join(steps)}"
 
 
 def _steps_scale(axes: Axes, ladder: ErrorByStep, values: NDArray[np.float64]) -> float:
     """Set the axis of the errors; the value its columns stand on."""
-    top = float(np.max([*values, *(r.everything for r in ladder.rows if np.isfinite(r.everything)), ladder.floor or 0.0]))
+    top = float(np.max([*values, *(r.everything for r in ladder.rows if np.isfinite(r.everything)), ladder.shown_floor or 0.0]))
     kind = "Hold-out" if ladder.on_hold_out else "Error on all data:"
     if ladder.decibel:
         axes.set_ylim(0, 1.2 * max(top, 1e-9))

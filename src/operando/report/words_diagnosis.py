@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from operando.compare.verdict import FLOOR_DB
 from operando.errors import OperandoError
 from operando.indicators import INTERVAL
 from operando.report.text import decibel, finite, listing, number, plus_minus
@@ -19,7 +20,7 @@ VERDICTS: dict[str, tuple[str, str]] = {
     "explained": ("Cause found", "good"),
     "ambiguous": ("Something is missing; these data do not distinguish between several effects", "fair"),
     "partial": ("Part of the cause found", "fair"),
-    "unexplained": ("Something is missing that no effect of the catalogue explains", "poor"),
+    "unexplained": ("Something is missing that no effect looked for explains", "poor"),
 }
 """Verdict → what it means, and the colour class."""
 
@@ -104,6 +105,11 @@ class ErrorByStep:
     on_hold_out: bool = True
     floor: float | None = None
     by_phase: bool = False
+
+    @property
+    def shown_floor(self) -> float | None:
+        """The floor; None where it is so high that an agreement says nothing: its dB are those of small errors."""
+        return None if self.floor is None or (self.decibel and self.floor > FLOOR_DB) else self.floor
 
     def text(self, value: float) -> str:
         """A value with its unit."""
@@ -310,7 +316,7 @@ def _would_have_been_seen(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def between_words(document: Mapping[str, Any]) -> str:
-    """What differs between the two measurements and is no missing physics, in one sentence."""
+    """What differs between the two measurements, and whether days in a laboratory do."""
     rows = document.get("between") or []
     parts = []
     for what, name in (("sensor_gain", "gains of sensors"), ("force_gain", "of forces")):
@@ -324,8 +330,13 @@ def between_words(document: Mapping[str, Any]) -> str:
     if not parts:
         return ""
     unusual = [f"{kind_words(r['what'])} {listing(r['location'])}".strip() for r in rows if r.get("unusual")]
-    text = _typeset(f"Between the two measurements differ, and are no missing physics: {listing(parts, len(parts))}")
-    return text + (f"; unusually far: {listing(unusual, MOST_NAMED)}." if unusual else ".")
+    listed = listing(parts, len(parts))
+    if not unusual:
+        return _typeset(f"Between the two measurements differ, as days in a laboratory do: {listed}.")
+    return _typeset(
+        f"Between the two measurements differ: {listed}. Farther than days in a laboratory: {listing(unusual, MOST_NAMED)}; that may be "
+        "part of what has changed."
+    )
 
 
 def _found(effect: EffectWords) -> str:
@@ -391,11 +402,25 @@ def _errors(ladder: ErrorByStep, output_only: bool) -> str:
     text = f"On {where}, the error of the idle model is {value(first)}"
     text += f", with {'the effect' if added == 1 else 'the effects'} {value(last)}" if added else ""
     if ladder.decibel:
-        return text + (f"; noise and the model's own uncertainty explain {decibel(ladder.floor)}." if ladder.floor is not None else ".")
+        return text + _floor_words(ladder, last)
     text += (
         f" (reduced chi-square {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 = as good as the noise allows)"
     )
     return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
+
+
+def _floor_words(ladder: ErrorByStep, error: float) -> str:
+    """What noise and the model's own uncertainty make of an error [dB], as the end of a sentence."""
+    if ladder.floor is None:
+        return "."
+    if ladder.shown_floor is None:
+        return (
+            f"; noise and the model's own uncertainty alone may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model "
+            "cannot be stated."
+        )
+    if ladder.floor < error:
+        return f"; noise and the model's own uncertainty explain {decibel(ladder.floor)} of it."
+    return f"; noise and the model's own uncertainty make {decibel(ladder.floor)}, so nothing of it is left to explain."
 
 
 def lines_words(judged_on: Mapping[str, Any]) -> str:
