@@ -217,6 +217,13 @@ def test_matching_tells_close_modes_apart(merged):
     assert [sorted(c.members.items()) for c in clusters] == [[(0, 0), (1, 1)], [(0, 1), (1, 0)]]
 
 
+def test_a_mean_is_no_more_certain_than_its_values_can_be():
+    """Three values that agree by chance, or those of a steady harmonic: a resonance in so long a record cannot be known so well."""
+    values, least = np.array([2.1, 2.1, 2.1]), np.full(3, 4e-6)
+    assert mean_with_scatter(values, np.full(3, 1e-10), least).variance == pytest.approx(4e-6 / 3)
+    assert mean_with_scatter(values, np.full(3, 9e-6), least).variance == pytest.approx(9e-6 / 3)
+
+
 def test_mean_with_scatter_covers():
     """95 % intervals of the mean hold with and without scatter between the values, as the docstring says."""
     rng = np.random.default_rng(0)

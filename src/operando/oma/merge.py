@@ -60,7 +60,8 @@ def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any], least: NDAr
     ----------
     values, variances : (k,) arrays
     least : (k,) array, optional
-        Variances the weights never go below; the variance of the mean is made of the stated ones.
+        Variances the weights never go below, nor does the variance of the mean below what it would have with them: values that agree
+        better than they can agree by chance.
     """
     y, own_variance = np.asarray(values, float), np.asarray(variances, float)
     v = np.maximum(own_variance, least)
@@ -79,7 +80,7 @@ def mean_with_scatter(values: NDArray[Any], variances: NDArray[Any], least: NDAr
             low, high = (tau2, high) if excess(tau2) > 0 else (low, tau2)
     w = 1 / (v + tau2)
     w = w / w.sum()
-    own, between = float(np.sum(w**2 * own_variance)), float(tau2 * np.sum(w**2))
+    own, between = float(max(np.sum(w**2 * own_variance), np.sum(w**2 * least))), float(tau2 * np.sum(w**2))
     variance = own + between
     if between > 0:
         freedom = (y.size - 1) * (variance / between) ** 2
