@@ -12,6 +12,8 @@ from operando.compare import recommended
 from operando.compare.route import CLOSE_DB, Route, is_good
 from operando.data import Finding
 from operando.indicators import phase_collinearity
+from operando.report.agreement import MODEL_NAMES as MODEL_NAMES
+from operando.report.agreement import agreement, close_words
 from operando.report.derive import (
     ModePair,
     all_findings,
@@ -29,15 +31,6 @@ from operando.report.words_diagnosis import effect_words, found_by_itself
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
 from operando.scaling.no_scale import no_scale
-
-MODEL_NAMES = {
-    "ofrf": "hybrid route",
-    "effect": "idle model + effects",
-    "msf_all": "operating shapes, all scaled by MSF",
-    "idle_shapes": "idle shapes with operating poles",
-    "idle": "idle model",
-}
-
 
 CLASS_WORDS = {
     "unchanged": ("same shape", "good"),
@@ -111,7 +104,7 @@ def headline(results: Results) -> Headline:
         return Headline(verdict, "poor" if limits else "fair", tuple(sentences), tuple(limits))
     error = float(ofrf["error_db"])
     others = [(name, float(m["error_db"])) for name, m in models.items() if name not in ("ofrf", "effect") and finite(m.get("error_db"))]
-    sentences.append(_agreement(ofrf, others))
+    sentences += agreement(ofrf, others)
     by_level = _levels_text(results)
     if by_level:
         sentences.append(by_level)
@@ -119,7 +112,7 @@ def headline(results: Results) -> Headline:
     if is_good(ofrf) and error >= CLOSE_DB:
         verdict, grade = "The operational FRFs agree with the validation measurement as well as the noise allows", "good"
     elif error < CLOSE_DB:
-        verdict, grade = f"The operational FRFs agree with the validation measurement to within {CLOSE_DB:g} dB", "good"
+        verdict, grade = close_words(ofrf)
     elif idle is not None and error > 0.95 * idle:
         measured = validation_run(results)
         where = f" at {measured.level}" if measured is not None and _levels_text(results) else ""
@@ -227,17 +220,6 @@ def _levels_text(results: Results) -> str:
     return (
         f"The level matters: {listing(parts)}. The lowest level is the validation level; operational FRFs stand for the level of operation."
     )
-
-
-def _agreement(ofrf: dict[str, Any], others: list[tuple[str, float]]) -> str:
-    text = f"Against the validation measurement (known force, operating state) their error is {decibel(ofrf['error_db'])} rms"
-    if others:
-        text += " (" + ", ".join(f"{MODEL_NAMES.get(name, name)}: {decibel(e)}" for name, e in others) + ")"
-    if finite(ofrf.get("noise_floor_db")):
-        text += f"; noise of that measurement and the model's own uncertainty explain {decibel(ofrf['noise_floor_db'])} of it"
-    if finite(ofrf.get("misfit")):
-        text += f" (reduced chi-square {number(ofrf['misfit'], 3)}, 1 = as good as the noise allows)"
-    return text + "."
 
 
 def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
