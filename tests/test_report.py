@@ -489,6 +489,37 @@ def test_what_the_fit_did_is_told(html):
     assert "misfit 1.0 &lt;ok&gt;" in body
 
 
+def test_real_modes_do_not_hold_where_the_idle_model_says_they_are_not(whole):
+    from operando.diagnosis import complex_idle
+
+    message = "residues of the mode at 53.48 Hz are not in phase (quadrature part 25 % rms)"
+    results = only(whole, idle=whole.idle, idle_frf=whole.idle_frf)
+    real = lambda found: assumptions(replace_results(results, findings=found))[0]  # noqa: E731
+    assert real([]).state == "holds"
+    assert real([complex_idle._not_tried(ValueError("lines differ"))]).state == "holds", "this says nothing of the modes"
+    stated = real([Finding("complex_modes", message, "info")])
+    assert stated.state == "doubtful"
+    assert message in stated.text
+
+
+def test_columns_that_hold_nothing_are_left_out(whole, html):
+    """Real shapes have a phase collinearity of 1 by construction, and residues to one force have one shape whatever they are."""
+    idle, operating = html.index('id="idle"'), html.index('id="operating"')
+    assert '<th scope="col" class="n">Phase collinearity' not in html[idle:operating]
+    assert "The fit makes them real" in html[idle:operating]
+    assert '<th scope="col" class="n">Phase collinearity' in html[operating:]
+    pole = SimpleNamespace(evidence=9.0, rank_share=1.0, collinearity=0.99, quadrature=0.01, drift=0.0, doubts=())
+    linear = SimpleNamespace(
+        evidence=[pole], frequencies_hz=[20.0], frequency_std_hz=[0.1], damping_ratios=[0.01], damping_ratio_std=[0.001]
+    )
+    details = SimpleNamespace(linear=linear, answer="")
+    for references in (1, 2):
+        frf = whole.idle_frf.select(references=whole.idle_frf.references[:references])
+        text = render_report(only(whole, idle=replace(whole.idle, details=details), idle_frf=frf))
+        assert "Evidence of each pole" in text
+        assert ("One shape [%]" in text) == (references == 2)
+
+
 def test_level_dependence_is_told_and_excuses_reciprocity(whole):
     finding = Finding("nonlinear", "runs differ by 39 % of |H|", "warning")
     runs = [r for r in whole.check if r.level == "b"]

@@ -41,6 +41,9 @@ CLASS_WORDS = {
 
 RECIPROCITY = "Reciprocity in operation"
 
+NOT_FITTED = "complex modes cannot be fitted"
+"""How the finding ``complex_modes`` begins that says nothing of the modes: the fit that would show them was not possible."""
+
 SCALE_DOUBT_DB = 0.5
 """Median error of the modal scale against the check from which an unchanged mass is doubted."""
 
@@ -290,7 +293,7 @@ def assumptions(results: Results) -> list[Assumption]:
     found = all_findings(results)
     linear = _linear(results, found)
     return [
-        _light_and_real(results),
+        _light_and_real(results, found),
         _dominant_modes(results),
         _same_mass(results, nonlinear=linear.state == "fails"),
         _ema_better(results),
@@ -299,28 +302,27 @@ def assumptions(results: Results) -> list[Assumption]:
     ]
 
 
-def _light_and_real(results: Results) -> Assumption:
+def _light_and_real(results: Results, found: list[Finding]) -> Assumption:
     name = "Light damping, real modes"
-    if results.idle is None and results.operating is None:
+    models = [model for model in (results.idle, results.operating) if model is not None]
+    if not models:
         return Assumption(name, "untested", "No modes were identified.")
-    damping, complex_modes = [], []
-    for model in (results.idle, results.operating):
-        if model is not None:
-            damping += model.damping_ratios.tolist()
-    if results.operating is not None:
-        for i in range(results.operating.n_modes):
-            mpc = phase_collinearity(results.operating.shapes[:, i])
-            if mpc < 0.9:
-                complex_modes.append(f"{number(results.operating.frequencies_hz[i], 4)} Hz ({mpc:.2f})")
-    top = max(damping, default=float("nan"))
-    text = f"Greatest damping ratio {fixed(100 * top, 2)} %. "
+    top = max((z for model in models for z in model.damping_ratios.tolist()), default=float("nan"))
+    text = f"Greatest damping ratio {fixed(100 * top, 2)} %."
+    idle = [f.message.rstrip(".") for f in found if f.kind == "complex_modes" and not f.message.startswith(NOT_FITTED)]
+    if idle:
+        text += f" Idle modes that are not real: {'; '.join(idle)}. The shapes stated are real."
+    complex_modes = []
+    for i in range(0 if results.operating is None else results.operating.n_modes):
+        mpc = phase_collinearity(results.operating.shapes[:, i])  # type: ignore[union-attr]
+        if mpc < 0.9:
+            complex_modes.append(f"{number(results.operating.frequencies_hz[i], 4)} Hz ({mpc:.2f})")  # type: ignore[union-attr]
     if complex_modes:
-        text += f"Operating shapes that are not real (modal phase collinearity below 0.9): {listing(complex_modes)}; "
+        text += f" Operating shapes that are not real (modal phase collinearity below 0.9): {listing(complex_modes)}; "
         text += "their imaginary part is lost in the operational FRFs."
-        return Assumption(name, "doubtful", text)
-    if results.operating is not None:
-        text += "All operating shapes are close to real (modal phase collinearity 0.9 or more)."
-    return Assumption(name, "holds" if top < 0.05 else "doubtful", text)
+    elif results.operating is not None:
+        text += " All operating shapes are close to real (modal phase collinearity 0.9 or more)."
+    return Assumption(name, "holds" if top < 0.05 and not idle and not complex_modes else "doubtful", text)
 
 
 def _dominant_modes(results: Results) -> Assumption:

@@ -18,6 +18,7 @@ def idle(results: Results, page: Numbering) -> dict[str, Any]:
     """FRFs at rest, stabilisation, rejected poles, residual modes, chi-square, reciprocity, comparison with a library."""
     frf, model, band = results.idle_frf, results.idle, derive.analysis_band(results)
     out: dict[str, Any] = {"frf": frf, "model": model, "error": None, "reciprocity": []} | _identified(results, model, "idle")
+    out["one_reference"] = frf is not None and len(frf.references) == 1  # residues to one force have one shape whatever they are
     if frf is not None:
         synthesised = derive.model_frf(derive.scaled_idle(results), frf)
         error = None if synthesised is None else _misfit_by_pair(synthesised, frf, results)
@@ -86,7 +87,8 @@ def _identified(results: Results, model: ModalModel | None, which: str) -> dict[
     shapes = [np.asarray(model.shapes[:, i]) for i in range(model.n_modes)]
     std = [None if model.shape_std is None else float(np.linalg.norm(model.shape_std[:, i])) for i in range(model.n_modes)]
     return out | {
-        "band": band, "scaled": model.scaling == "unit_modal_mass", "collinearity": [phase_collinearity(s) for s in shapes],
+        "band": band, "scaled": model.scaling == "unit_modal_mass",
+        "collinearity": [phase_collinearity(s) for s in shapes] if np.any(np.imag(model.shapes)) else None,
         "top": [int(np.argmax(np.abs(s))) for s in shapes],
         "shape_std": [None if v is None or not np.any(s) else v / float(np.linalg.norm(s)) for v, s in zip(std, shapes, strict=True)],
     }  # fmt: skip
