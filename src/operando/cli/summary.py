@@ -86,7 +86,9 @@ def run_text(results: Results, out: Path) -> str:
     if results.idle is not None:
         parts.append(f"Idle modes ({_scaling(results)}):\n" + mode_table(results.idle))
     if results.operating is not None:
-        parts.append("Operational modes:\n" + mode_table(results.operating, results.hybrid))
+        parts.append("Operational modes:\n" + mode_table(results.operating, results.hybrid, results.idle))
+    if said := _intervals(results):
+        parts.append(said)
     if results.diagnosis is not None:
         from operando.cli.diagnose import text_of
 
@@ -159,10 +161,10 @@ def _lines(comparison: dict[str, Any]) -> str:
     return text + (f" in {band[0]:.4g} … {band[1]:.4g} Hz" if band else "")
 
 
-def mode_table(model: Any, hybrid: Any = None) -> str:
-    """Frequency and damping with 95 % intervals (±); the idle partner of operational modes."""
+def mode_table(model: Any, hybrid: Any = None, idle: Any = None) -> str:
+    """Frequency and damping with 95 % intervals (±); the idle partner of operational modes, and the change of frequency from it."""
     from operando.indicators import INTERVAL
-    from operando.report.assessment import CLASS_WORDS
+    from operando.report.class_words import class_words
 
     rows = []
     f_std, z_std = model.frequency_std_hz, model.damping_ratio_std
@@ -177,15 +179,28 @@ def mode_table(model: Any, hybrid: Any = None) -> str:
             "" if model.in_band[i] else "no",
         ]
         if hybrid is not None:
-            p = pairs.get(i)
+            p = pairs.get(i, {"idle": None, "mac": None})
+            j = p["idle"]
             row += [
-                "" if p is None or p["idle"] is None else str(p["idle"]),
-                "" if p is None or p["mac"] is None else f"{p['mac']:.3f}",
-                "" if p is None else CLASS_WORDS.get(p["class"], (p["class"],))[0],
+                "" if j is None else str(j),
+                "" if j is None or idle is None else f"{100 * (model.frequencies_hz[i] / idle.frequencies_hz[j] - 1):+.2f}",
+                "" if p["mac"] is None else f"{p['mac']:.3f}",
+                class_words(p)[0] if i in pairs else "",
             ]
         rows.append(row)
     head = ["mode", "Hz", "± Hz", "damping %", "± %", "band"]
-    return table(rows, head + (["idle", "MAC", "class"] if hybrid is not None else []))
+    return table(rows, head + (["idle", "Hz changed by %", "MAC", "class"] if hybrid is not None else []))
+
+
+def _intervals(results: Results) -> str:
+    """What ± means in the tables of modes, said once; nothing where no mode has an interval."""
+    idle, operating = (
+        model is not None and model.n_modes > 0 and model.frequency_std_hz is not None for model in (results.idle, results.operating)
+    )
+    if not idle and not operating:
+        return ""
+    of_idle = " Of idle modes it is that of one measurement (noise, error of the fit): another day or mounting may differ by more."
+    return "± is the 95 % interval." + (of_idle if idle else "")
 
 
 def findings_text(results: Results, most: int = 12) -> str:

@@ -14,6 +14,7 @@ from operando.data import Finding
 from operando.indicators import phase_collinearity
 from operando.report.agreement import MODEL_NAMES as MODEL_NAMES
 from operando.report.agreement import agreement, close_words
+from operando.report.class_words import shapes_counted
 from operando.report.derive import (
     ModePair,
     all_findings,
@@ -31,13 +32,6 @@ from operando.report.words_diagnosis import effect_words, found_by_itself
 from operando.results import Results
 from operando.scaling.methods import IN_WORDS
 from operando.scaling.no_scale import no_scale
-
-CLASS_WORDS = {
-    "unchanged": ("same shape", "good"),
-    "changed": ("shape changed", "fair"),
-    "beyond_idle_band": ("beyond idle band", "fair"),
-    "unpaired": ("no idle partner", "poor"),
-}
 
 RECIPROCITY = "Reciprocity in operation"
 
@@ -174,9 +168,7 @@ def _what_they_are(results: Results) -> str:
     pairing, scaling = pairing_of(results), scaling_of(results)
     modal = getattr(results.hybrid, "modal", None)
     dofs = len(modal.dofs) if modal is not None else 0
-    classes = [str(p.get("class")) for p in pairing]
-    parts = [f"{classes.count('unchanged')} with the same shape as idle"]
-    parts += [f"{n} {word}" for n, word in _class_words(classes)]
+    parts = shapes_counted(pairing)
     residual = modal.n_residuals if modal is not None else 0
     text = (
         f"Operational FRFs between {count(dofs, 'DOF')} ({dofs * dofs} pairs), {band_text(analysis_band(results))}, "
@@ -199,15 +191,6 @@ def _what_they_are(results: Results) -> str:
         words = IN_WORDS.get(scaling["method"], f"method {scaling['method']}")
         text += f" Scaling: {words}" + (f" (κ = {number(kappa, 3)})." if finite(kappa) else ".")
     return text
-
-
-def _class_words(classes: list[str]) -> list[tuple[int, str]]:
-    words = {
-        "changed": "with a changed shape",
-        "beyond_idle_band": "paired beyond the idle band",
-        "unpaired": "without an idle partner",
-    }
-    return [(classes.count(k), w) for k, w in words.items() if k in classes]
 
 
 def _levels_text(results: Results) -> str:

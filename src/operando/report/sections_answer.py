@@ -9,7 +9,8 @@ from markupsafe import Markup
 
 from operando.data import Frf
 from operando.report import derive, figures_compare, figures_frf, live
-from operando.report.assessment import CLASS_WORDS, MODEL_NAMES, assumptions, headline, route_words, scope, shifted
+from operando.report.assessment import MODEL_NAMES, assumptions, headline, route_words, scope, shifted
+from operando.report.class_words import class_words
 from operando.report.parts import Numbering
 from operando.report.text import decibel, finite, fixed, number
 from operando.results import Results
@@ -44,7 +45,7 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
     return {
         "head": headline(results), "route": route, "alone": alone, "tiles": [] if alone else _tiles(results), "bars": bars, "pair": pair,
         "pairs": derive.mode_pairs(results),
-        "class_words": CLASS_WORDS, "assumptions": tested, "state_words": STATE_WORDS,
+        "class_words": class_words, "assumptions": tested, "state_words": STATE_WORDS,
     }  # fmt: skip
 
 

@@ -11,7 +11,8 @@ from operando.dof import match_dofs
 from operando.errors import DofError
 from operando.indicators import mac
 from operando.report import derive, figures_compare, figures_modes, live
-from operando.report.assessment import CLASS_WORDS, scope
+from operando.report.assessment import scope
+from operando.report.class_words import class_words
 from operando.report.parts import Numbering
 from operando.report.text import count, finite, fixed
 from operando.results import Results
@@ -118,7 +119,7 @@ def scaling(results: Results, page: Numbering) -> dict[str, Any]:
     others = [(name, v, refused.get(name)) for name, v in (info.get("alternatives") or {}).items() if name != info.get("method")]
     return {
         "info": info, "methods": IN_WORDS, "residuals": residuals, "pairs": [p for p in derive.mode_pairs(results) if p.row],
-        "notes": list(dict.fromkeys(notes)), "changes": _changes(results), "class_words": CLASS_WORDS, "scale": _polar,
+        "notes": list(dict.fromkeys(notes)), "changes": _changes(results), "class_words": class_words, "scale": _polar,
         "others": sorted(others, key=lambda o: float(o[1]) if finite(o[1]) else np.inf),
     } | _condition(results)  # fmt: skip
 

@@ -1,0 +1,65 @@
+"""What ``operando run`` prints: tables of modes, what ± is, how operational modes stand to idle ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from operando.cli.summary import mode_table, run_text
+from operando.data import ModalModel
+from operando.report.class_words import class_words, shapes_counted
+from operando.results import Results
+
+DOFS = ("1+Z", "2+Z", "3+Z")
+PAIRING = [
+    {"operating": 0, "idle": 0, "mac": 0.763, "class": "unchanged"},
+    {"operating": 1, "idle": 1, "mac": 0.98, "class": "unchanged"},
+    {"operating": 2, "idle": None, "mac": None, "class": "unpaired"},
+]
+
+
+def model(hz, std=True):
+    n = len(hz)
+    return ModalModel(
+        np.array(hz), 0.01 * np.ones(n), np.eye(3)[:, :n], DOFS, covariance=np.diag(1e-4 * np.ones(2 * n + 3 * n)) if std else None
+    )
+
+
+def test_operational_modes_stand_beside_idle_ones_with_their_change():
+    hybrid = SimpleNamespace(to_dict=lambda: {"pairing": PAIRING})
+    rows = mode_table(model([7.939, 20.1, 30.0]), hybrid, model([6.867, 20.0])).splitlines()
+    assert rows[0].split("band")[1].split() == ["idle", "Hz", "changed", "by", "%", "MAC", "class"]
+    assert rows[1].split()[-6:] == ["+15.61", "0.763", "similar", "shape", "(MAC", "0.76)"]
+    assert rows[2].endswith("+0.50  0.980  same shape")
+    assert rows[3].endswith("no idle partner")
+    assert "%" in mode_table(model([7.0]))
+
+
+def test_what_the_interval_is_stands_once_under_the_tables():
+    text = run_text(Results("x", idle=model([6.867]), operating=model([7.9])), Path("nowhere"))
+    assert text.count("95 % interval") == 1
+    assert text.index("Operational modes") < text.index("± is the 95 % interval. Of idle modes it is that of one measurement")
+    assert "Of idle modes" not in run_text(Results("x", operating=model([7.9])), Path("nowhere"))
+    assert "95 %" not in run_text(Results("x", operating=model([7.9], std=False)), Path("nowhere"))
+
+
+@pytest.mark.parametrize(
+    ("row", "percent", "words"),
+    [
+        ({"class": "unchanged", "mac": 0.95}, 15.61, "same shape, frequency +15.6 %"),
+        ({"class": "unchanged", "mac": 0.763}, 15.61, "similar shape (MAC 0.76), frequency +15.6 %"),
+        ({"class": "unchanged", "mac": 0.763}, None, "similar shape (MAC 0.76)"),
+        ({"class": "unpaired", "mac": None}, None, "no idle partner"),
+        ({}, None, "not paired"),
+    ],
+)
+def test_shapes_are_the_same_from_a_mac_of_0_9_on(row, percent, words):
+    assert class_words(row, percent)[0] == words
+
+
+def test_shapes_are_counted_as_they_are_named():
+    assert shapes_counted(PAIRING) == ["1 with the same shape as idle", "1 with a similar shape (MAC 0.76)", "1 without an idle partner"]
+    assert shapes_counted(PAIRING[1:2]) == ["1 with the same shape as idle"]
