@@ -17,6 +17,7 @@ from operando.dof import Dof
 from operando.errors import WriteError
 from operando.report import assumptions, derive, headline, render_report, sections_rest, write_report
 from operando.report.figures_modes import ShapePair, mode_shapes
+from operando.report.idle_check import idle_peaks
 from operando.report.parts import render
 from operando.report.svg import thin
 from operando.report.text import count, decibel, fixed, listing, number, plus_minus
@@ -589,12 +590,31 @@ def test_without_operating_records_the_idle_model_is_held_against_the_validation
     why = {"ofrf": "the test has no [operating] records"}
     results = replace_results(whole, operating=None, hybrid=None, diagnosis=None, comparison=alone, left_out=why)
     error = results.comparison["models"]["idle"]["error_db"]
-    assert headline(results).verdict == f"The idle model is off by {decibel(error)} in operation"
+    assert headline(results).verdict == f"The idle model is off by {decibel(error)} from the validation measurement"
     text = render_report(results)
     Page(text)
     for part in ("Models against the validation measurement", "Level error by response DOF", "Errors by mode", "covariance of the EMA"):
         assert part in text
     assert "Operational FRFs at drive points" not in text
+    assert ": idle model against the validation measurement</title>" in text
+    for part in ("How good the operational", "Operational frequency response functions ·", "operating (right", 'id="scaling"'):
+        assert part not in text
+    answer = text[text.index('id="answer"') : text.index('id="data"')]
+    assert "Oper." not in answer
+    assert "Operating frequency" not in answer
+    assert "Validation frequency [Hz]" in answer
+
+
+def test_idle_modes_stand_beside_the_peaks_of_the_validation_measurement(whole):
+    hz = whole.idle.frequencies_hz
+    near = {"frequency_hz": 1.02 * hz[3], "frequency_error_percent": 100 * (1 / 1.02 - 1), "damping_ratio": 0.011}
+    by_mode = [near, {"frequency_hz": 1.1 * hz[4], "frequency_error_percent": None, "damping_ratio": 0.01}]
+    only_idle = {**whole.comparison, "models": {"idle": whole.comparison["models"]["idle"] | {"by_mode": by_mode}}}
+    found = idle_peaks(replace_results(whole, operating=None, hybrid=None, comparison=only_idle))
+    assert [p.idle for p in found if p.frequency_hz is not None] == [3, None]
+    assert next(p for p in found if p.idle == 3).percent == pytest.approx(2.0)
+    assert sum(p.idle is not None for p in found) == N
+    assert idle_peaks(replace_results(whole, comparison=None)) == []
 
 
 def test_figures_and_texts_of_the_user_stand_in_sections_of_their_own(tmp_path):

@@ -27,6 +27,7 @@ from operando.report.derive import (
     scaling_of,
     validation_run,
 )
+from operando.report.idle_check import idle_against_check
 from operando.report.text import band_text, count, decibel, finite, fixed, listing, number
 from operando.report.words_diagnosis import effect_words, found_by_itself
 from operando.results import Results
@@ -238,9 +239,9 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
 
 
 def _idle_alone(results: Results) -> str:
-    """What is said first of a test without operational FRFs: how far the idle model is off in operation, where that was measured."""
+    """What is said first of a test without operational FRFs: how far the idle model is off, where that was measured."""
     error = (comparison_models(results).get("idle") or {}).get("error_db")
-    return f"The idle model is off by {decibel(error)} in operation" if finite(error) else "No operational FRFs"
+    return f"The idle model is off by {decibel(error)} from the validation measurement" if finite(error) else "No operational FRFs"
 
 
 def _without_hybrid(results: Results) -> tuple[str, ...]:
@@ -263,7 +264,8 @@ def _without_hybrid(results: Results) -> tuple[str, ...]:
             text += ", because there are no operational modes"
         elif results.idle is None:
             text += ", because there is no idle model"
-    return (text + ".", (listing(have)[:1].upper() + listing(have)[1:] + ".") if have else "Nothing has been identified yet.")
+    said = (text + ".", (listing(have)[:1].upper() + listing(have)[1:] + ".") if have else "Nothing has been identified yet.")
+    return said[::-1] if idle_against_check(results) else said  # such a test asks for no operational FRFs
 
 
 def shifted(results: Results) -> list[ModePair]:

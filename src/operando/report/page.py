@@ -17,6 +17,7 @@ from operando.data import expect
 from operando.errors import DataError
 from operando.printable import without_active
 from operando.report.derive import analysis_band
+from operando.report.idle_check import TITLE, idle_against_check
 from operando.report.parts import Numbering, Section, render, without_blank_lines
 from operando.report.sections import build
 from operando.report.svg import Drawing
@@ -115,10 +116,11 @@ class Report:
         title = results.name or "unnamed test"
         meta = f"Analysis band {band_text(analysis_band(results))}"
         both = results.hybrid is not None or results.diagnosis is not None
-        kicker = ("Operational frequency response functions" if both else "Modal analysis") + " · test report"
-        return render_page(
-            f"{title}: {'operational FRFs' if both else 'modes'}", title, kicker, meta, sections, results.settings.get("report") or {}
-        )
+        kicker, what = ("Operational frequency response functions", "operational FRFs") if both else ("Modal analysis", "modes")
+        if idle_against_check(results):
+            kicker, what = TITLE, f"{TITLE[0].lower()}{TITLE[1:]}"
+        block = results.settings.get("report") or {}
+        return render_page(f"{title}: {what}", title, f"{kicker} · test report", meta, sections, block)
 
     def save(self, path: str | Path) -> None:
         """Write one self-contained HTML file; it appears whole or not at all (written beside, then renamed).

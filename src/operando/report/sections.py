@@ -7,6 +7,7 @@ from typing import Any
 
 from operando.report import sections_answer, sections_diagnosis, sections_modes, sections_rest, sections_states
 from operando.report.assessment import scope
+from operando.report.idle_check import TITLE, idle_against_check
 from operando.report.parts import Numbering, Section, render
 from operando.results import Results
 
@@ -33,9 +34,15 @@ def build(results: Results, page: Numbering | None = None) -> list[Section]:
     page = page or Numbering()
     state, answer = _ALONE.get(scope(results), ("", ""))
     names = ["answer", "data", state, "shapes", "settings"] if state else [n for n in _MAKERS if n != "missing" or results.diagnosis]
+    of_idle = idle_against_check(results)
+    if of_idle:
+        names = [n for n in names if n not in ("operating", "scaling")]
+        answer = "How good the idle model is" if results.diagnosis else f"Answer: {TITLE[0].lower()}{TITLE[1:]}"
     sections = []
     for anchor, title, make in (_MAKERS[name] for name in names):
         if anchor == "answer":  # one answer a page
             title = answer or ("How good the operational FRFs are" if results.diagnosis else title)
+        if anchor == "ofrf" and of_idle:
+            title = TITLE
         sections.append(Section(anchor, title, render(f"{anchor}.html.j2", page, results=results, **make(results, page))))
     return sections

@@ -11,6 +11,7 @@ from operando.data import Frf
 from operando.report import derive, figures_compare, figures_frf, live
 from operando.report.assessment import MODEL_NAMES, assumptions, headline, route_words, scope, shifted
 from operando.report.class_words import class_words
+from operando.report.idle_check import idle_peaks, one_state
 from operando.report.parts import Numbering
 from operando.report.text import decibel, finite, fixed, number
 from operando.results import Results
@@ -44,7 +45,7 @@ def answer(results: Results, page: Numbering) -> dict[str, Any]:
     tested = [a for a in assumptions(results) if not alone or a.state != "untested"]
     return {
         "head": headline(results), "route": route, "alone": alone, "tiles": [] if alone else _tiles(results), "bars": bars, "pair": pair,
-        "pairs": derive.mode_pairs(results),
+        "pairs": derive.mode_pairs(results), "one_state": one_state(results), "peaks": idle_peaks(results),
         "class_words": class_words, "assumptions": tested, "state_words": STATE_WORDS,
     }  # fmt: skip
 

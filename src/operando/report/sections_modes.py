@@ -13,6 +13,7 @@ from operando.indicators import mac
 from operando.report import derive, figures_compare, figures_modes, live
 from operando.report.assessment import scope
 from operando.report.class_words import class_words
+from operando.report.idle_check import one_state
 from operando.report.parts import Numbering
 from operando.report.text import count, finite, fixed
 from operando.results import Results
@@ -35,7 +36,7 @@ def shapes(results: Results, page: Numbering) -> dict[str, Any]:
         drawn = figures_modes.mode_shapes(results.geometry, model.dofs, pairs[:MOST_SHAPES])
         drawn.csv = figures_modes.shapes_csv(model.dofs, pairs)
     return {
-        "model": model, "alone": scope(results) != "all",
+        "model": model, "alone": scope(results) != "all", "one_state": one_state(results),
         "on_nodes": on_nodes, "drawn": drawn, "n_pairs": len(pairs), "most": MOST_SHAPES, "live": live.shapes(results),
     } | _mac(results)  # fmt: skip
 
