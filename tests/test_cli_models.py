@@ -73,6 +73,7 @@ def test_ofrf_defaults_and_files(folder, tmp_path):
         (["--frequencies", "5:2:1"], 2, "A <= B"),
         (["--frequencies", "5-20"], 2, "A:B:STEP"),
         (["--frequencies", "0:20:0"], 2, "STEP > 0"),
+        (["--frequencies", "0:20:1"], 1, "FRFs at 0 Hz (accelerance, mobility, receptance) are not computed"),
         (["--route", "effect"], 1, "no model with accepted effects"),
         (["-o", "file.xyz"], 1, "tells no format"),
     ],

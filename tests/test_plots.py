@@ -85,6 +85,21 @@ def test_large_matrices_say_how_much_is_drawn(model):
     assert len(plots.plot_frf(many, responses="*", references="1+Z").lines) == 4
 
 
+def test_the_title_of_an_overlay_names_the_pair_of_each_curve(frf):
+    a, b = frf["2+Z", "1+Z"], frf["1+Z", "1+Z"]
+    both = "2+Z from 1+Z; 1+Z from 1+Z"
+    assert plots.plot_frf([a, b]).get_title(loc="left") == both
+    assert plots.plot_frf([a, a]).get_title(loc="left") == "2+Z from 1+Z"
+    for labels in (None, ["second"]):
+        top = plots.plot_frf(a)
+        assert plots.plot_frf(b, top, labels=labels).get_title(loc="left") == both
+    top = plots.plot_ofrf(a)
+    assert plots.plot_ofrf(b, axes=top).get_title(loc="left") == both
+    top = plots.plot_frf(a)
+    top.set_title("Pump, 900 rpm", loc="left")
+    assert plots.plot_frf(b, top, labels=["second"]).get_title(loc="left") == "Pump, 900 rpm"
+
+
 def test_own_axes_get_the_magnitude_alone(frf):
     own = new_axes()
     assert plots.plot_frf(frf["1+Z", "1+Z"], own) is own

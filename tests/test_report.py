@@ -20,7 +20,7 @@ from operando.report.figures_modes import ShapePair, mode_shapes
 from operando.report.idle_check import idle_peaks
 from operando.report.parts import render
 from operando.report.svg import thin
-from operando.report.text import count, decibel, fixed, listing, number, plus_minus
+from operando.report.text import band_text, count, decibel, fixed, listing, number, plus_minus
 from operando.results import CheckRun, Results
 from operando.scaling import scale_operational
 from operando.stabilization import PoleTable, RejectedPole, Stabilization
@@ -396,6 +396,7 @@ def test_value_and_its_95_percent_interval_have_matching_digits(value, std, text
 def test_words():
     assert (count(0, "mode"), count(1, "mode"), count(3, "mode")) == ("no modes", "1 mode", "3 modes")
     assert listing(["a", "b", "c"]) == "a, b and c"
+    assert (band_text((5.4, 142.2)), band_text((53.477, 53.477)), band_text(None)) == ("5.4–142.2 Hz", "53.477 Hz", "–")
     assert number(float("nan")) == "–"
     assert number(1.23456e-7, 3) == "1.23·10⁻⁷"
     assert fixed(-0.001, 2, sign=True) == "+0.00" or fixed(-0.001, 2, sign=True) == "0.00"

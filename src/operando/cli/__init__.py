@@ -32,7 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "effects": ("effects", "The catalogue of effects, with locations, parameters and units."),
     "convert": ("convert", "Convert between file formats."),
     "report": ("report", "Rebuild report.html of a results folder."),
-    "workbench": ("workbench", "The same in the browser: modes, effects, channels and runs of a test."),
+    "workbench": ("workbench", "A test in the browser: choose its modes, effects, channels and runs by hand."),
     "campaign": ("campaign", "Many tests: modes and missing effects over speed, load or date."),
     "completion": ("completion", "Completion of commands and options at the Tab key of a shell."),
 }

@@ -225,6 +225,9 @@ def check_lines(lines: Any, measured: Frf, where: str) -> None:
         step = float(lines[1] - lines[0]) if len(lines) > 1 else 1.0
         a, b = max(low, float(lines[0])), min(high, float(lines[-1]))
         hint = f"did you mean {a:.6g}:{b:.6g}:{step:.6g}?" if a <= b else f"frequencies are in Hz, within {low:.6g} and {high:.6g}"
+        if lines[0] == 0:
+            what = f"FRFs at 0 Hz (accelerance, mobility, receptance) are not computed; the idle FRFs have {low:.6g} to {high:.6g} Hz"
+            raise ConfigError(what, where=where, hint=hint)
         raise ConfigError(f"{out:g} Hz is none of the lines of the idle FRFs, {low:.6g} to {high:.6g} Hz", where=where, hint=hint)
 
 

@@ -216,7 +216,8 @@ def poor_poles(fit: LinearFit) -> list[tuple[int, str, str]]:
         width = zeta[k] * hz[k]
         code = reason = ""
         if score < 0:
-            code, reason = "no_evidence", f"its evidence is {-score:.0f} short of what its unknowns cost"
+            short = f" (by {-score:.0f} nats)" if score <= -0.5 else ""  # nearer, a number would read as none
+            code, reason = "no_evidence", f"it improves the fit by less than its unknowns cost{short}"
         elif log_std[k] > MAX_LOG_DAMPING_STD:
             code, reason = "uncertain", f"its damping {100 * zeta[k]:.3g} % is uncertain by {100 * log_std[k]:.0f} % of itself"
         elif std[k] > 0.5 * width:

@@ -158,7 +158,7 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
                 "info",
                 band_hz=(min(h for h, _ in moving), max(h for h, _ in moving)),
                 consequence="each pair has its own small shift in the fit; the frequency stated is the mean",
-                action="measure all rows in one go at constant temperature, or with fewer kilograms of roving sensors",
+                action="measure all rows in one go at constant temperature, or with lighter roving sensors, or dummy masses",
             )
         )
     turned = [(float(h), e.quadrature) for h, e in inside if e.quadrature > NOTABLE_QUADRATURE and not e.doubts]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,9 @@ HEIGHTS = {"magnitude": 3.0, "phase": 1.0, "coherence": 0.8}
 
 MOST_CURVES = 8
 """Curves drawn at most of one FRF matrix; the title says how many pairs there are."""
+
+PAIR = re.compile(r"[^\s;]+ from [^\s;]+")
+"""A pair as a title of these figures names it."""
 
 MARGIN = 0.15
 """Part of the analysis band that is shown beyond it on either side."""
@@ -161,8 +165,7 @@ def plot_frf(
                 places["coherence"].plot(f[keep], frf.coherence[i, j, part][keep], color=color, lw=0.8)
         _dress(places, chosen[0][0], wanted, sizes, [f.frequencies_hz[shown_lines(f, band)] for f, _ in chosen], band)
         top = next(iter(places.values()))
-        if own or labels is None:
-            _title(top, chosen, single)
+        _title(top, chosen, single, own or labels is None, done)
         if legend:
             top.legend(loc="best", ncols=1 if len(curves) < 5 else 2)
     return top
@@ -281,13 +284,25 @@ def _tall(axes: Axes) -> bool:
     return figure is None or axes.get_position().height * figure.get_figheight() > 0.62
 
 
-def _title(axes: Axes, chosen: list[tuple[Frf, int]], single: bool) -> None:
+def pairs_title(axes: Axes, pairs: Sequence[str], done: int) -> str:
+    """The pairs of the curves in axes, each once: those in the title where ``done`` curves are there already, and new ones."""
+    old = axes.get_title(loc="left").split("; ") if done else []
+    return "; ".join(dict.fromkeys([*(p for p in old if PAIR.fullmatch(p)), *pairs]))
+
+
+def _title(axes: Axes, chosen: list[tuple[Frf, int]], single: bool, anew: bool, done: int) -> None:
+    """Name the pairs; with ``anew`` False only where the title of curves drawn before would leave out a new one."""
     frf, total = chosen[0]
     count = frf.data.shape[0] * frf.data.shape[1]
-    if count < total:
+    pairs = [f"{f.responses[0]} from {f.references[0]}" for f, _ in chosen]
+    if not anew:
+        old = axes.get_title(loc="left")
+        if single and done and old and all(PAIR.fullmatch(p) for p in old.split("; ")):
+            axes.set_title(pairs_title(axes, pairs, done), loc="left")
+    elif count < total:
         axes.set_title(f"{count} of {total} pairs; choose others by frf[responses, references]", fontsize=9, fontweight="normal")
     elif single:
-        axes.set_title(f"{frf.responses[0]} from {frf.references[0]}")
+        axes.set_title(pairs_title(axes, pairs, done))
 
 
 def plot_frf_rms(

@@ -107,8 +107,11 @@ def listing(items: Iterable[object], most: int = 8) -> str:
 
 
 def band_text(band: Sequence[float] | None) -> str:
-    """``5.4–142.2 Hz``."""
-    return DASH if band is None else f"{plain(band[0])}–{plain(band[1])} Hz"
+    """``5.4–142.2 Hz``; one frequency where both ends read the same."""
+    if band is None:
+        return DASH
+    low, high = plain(band[0]), plain(band[1])
+    return f"{low} Hz" if low == high else f"{low}–{high} Hz"
 
 
 def plain(value: Any, digits: int = 5) -> str:
