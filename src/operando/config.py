@@ -50,7 +50,7 @@ class Analysis:
     ema : {"auto", "linear", "polished"}
         Which answer of the EMA to give: the linear stage, the maximum-likelihood fit, or what the data support.
     modes_hz : tuple of float
-        Exactly these idle modes [Hz]: the nearest stable pole of each; an error where there is none near.
+        Exactly these idle modes [Hz]: the nearest stable pole of each, within 1 %; an error where there is none, or two reach one pole.
     select_hz : tuple of float
         Idle modes besides the automatic ones [Hz].
     reject_hz : tuple of float

@@ -1,6 +1,6 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
-from operando.data.arrays import band_limits, complex_of, numbers_of
+from operando.data.arrays import band_limits, complex_of, frequencies_of, numbers_of
 from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
 from operando.data.frf import FrequencyAxis, Frf
@@ -49,6 +49,7 @@ __all__ = [
     "file_hash",
     "filling",
     "force_rms",
+    "frequencies_of",
     "group_findings",
     "level_groups",
     "mapped_rows",

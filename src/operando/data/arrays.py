@@ -83,6 +83,37 @@ def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
         raise DataError(f"{what} {values!r}: no numbers", hint=hint) from error
 
 
+def frequencies_of(values: Any, what: str) -> tuple[float, ...]:
+    """Frequencies named by hand [Hz], one alone as a list of one.
+
+    Parameters
+    ----------
+    values : number or array_like, optional
+        What was given; None is none.
+    what : str
+        What it is, in words.
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    DataError
+        If they are no list of positive numbers.
+
+    Examples
+    --------
+    >>> frequencies_of(27.2, "modes_hz"), frequencies_of([27.2, 58.5], "modes_hz")
+    ((27.2,), (27.2, 58.5))
+    """
+    hint = "give frequencies in Hz, as [12.1, 15.5]"
+    hz = np.atleast_1d(numbers_of(() if values is None else values, what, hint))
+    if hz.ndim != 1 or not np.all(np.isfinite(hz) & (hz > 0)):
+        raise DataError(f"{what} {values!r}: expected a list of positive frequencies", hint=hint)
+    return tuple(float(f) for f in hz)
+
+
 def band_limits(band: Any) -> tuple[float, float]:
     """Both limits of a band [Hz], whatever their order.
 

@@ -202,9 +202,11 @@ class ModalModel(ModalFigures, Noun):
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""
-        hz = [f"{f:.4g}" for f in self.frequencies_hz]
+        inside = np.asarray(self.in_band, bool)
+        hz = [f"{f:.4g}" for f in self.frequencies_hz[inside]]
+        modes, outside = counted(len(hz), "mode"), self.n_modes - len(hz)
         return {
-            "Modes": counted(self.n_modes, "mode") + (f" at {names_text(hz, 6)} Hz" if hz else ""),
+            "Modes": (f"{modes} at {names_text(hz, 6)} Hz" if hz else modes) + (f" in band, {outside} outside the band" if outside else ""),
             "Residual terms": counted(self.n_residuals, "residual term") if self.n_residuals else "",
             "DOFs": f"{counted(len(self.dofs), 'DOF')} {names_text(self.dofs)}",
             "Shapes": ("unit modal mass" if self.scaling == "unit_modal_mass" else "no scale") + ("" if self.si else ", units not known"),

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel, numbers_of
+from operando.data import Finding, ModalModel
 from operando.ema.answers import LinearModes
+from operando.ema.doubts import evidence_of_modes
 from operando.ema.findings import doubtful_findings
 from operando.ema.linear import LinearFit
 from operando.ema.pairs import Real
 from operando.ema.unit_mass import UnitMassShapes
 from operando.errors import IdentificationError
-from operando.stabilization import RejectedPole, Stabilization
+from operando.stabilization import HAND_TOLERANCE, RejectedPole, Stabilization
 
 NEAR_WIDTHS = 3.0
-"""A frequency named by hand means the nearest pole within so many half bandwidths of it, or one per cent."""
+"""A pole within so many half bandwidths of a pole that the answer has is that pole, less exactly: its resonance is a third there."""
 
+Pole = tuple[float, float, int]
+"""Frequency [Hz], damping ratio, term of the model (−1: none)."""
 AddModes = Callable[[Real, Real], tuple[LinearFit, UnitMassShapes]]
 
 
@@ -39,6 +41,8 @@ def modes_by_hand(
         With :class:`operando.ema.EmaDetails`.
     modes_hz : sequence of float
         Exactly these [Hz]; else those of the automatic answer, ``select_hz`` besides, without the one nearest to each ``reject_hz``.
+        Each means the pole nearest to it, within ``HAND_TOLERANCE``: one per cent, as a frequency is read off a plot, and as the
+        workbench and operational modes take it. The damping of a pole does not widen it: fits leave many poles of large damping.
     select_hz, reject_hz : sequences of float
     add_modes : callable
         Poles (hz, zeta) → linear fit of exactly these, and its shapes.
@@ -46,21 +50,16 @@ def modes_by_hand(
     Raises
     ------
     IdentificationError
-        If no stable pole is near a frequency named, or no mode is left.
+        If no stable pole is near a frequency named, two reach one pole, one is not there once it is fitted, or no mode is left.
     """
     terms, details = automatic.terms, automatic.details
     n = automatic.n_modes
     pool = poles_by_hand(automatic)
     known = [pole for pole in pool if pole[2] >= 0]
-    for name, given in (("modes_hz", modes_hz), ("select_hz", select_hz), ("reject_hz", reject_hz)):
-        numbers_of(list(given), name, "give frequencies in Hz, as [12.1, 15.5]")
+    named = _named(pool, (*modes_hz, *select_hz))
+    gone = set(_named(known[:n], reject_hz))
     chosen = [] if modes_hz else known[:n]
-    for wanted in (*modes_hz, *select_hz):
-        near = _nearest(pool, wanted)
-        if all(abs(near[0] - h) > 1e-4 * h for h, _, _ in chosen):
-            chosen.append(near)
-    gone = [_nearest(known[:n], refused) for refused in reject_hz]
-    chosen = [pole for pole in chosen if pole not in gone]
+    chosen = [pole for pole in dict.fromkeys([*chosen, *named]) if pole not in gone]
     if not chosen:
         raise IdentificationError("no mode is left after reject_hz", hint="leave some, or name modes in modes_hz")
     keep = np.zeros(terms.n, bool)
@@ -69,11 +68,11 @@ def modes_by_hand(
     residual = terms.residual.copy()
     residual[[i for _, _, i in chosen if i >= 0]] = False
     model = _with_marks(automatic, residual).select_terms(_positions(residual, keep))
-    new = [(h, z) for h, z, i in chosen if i < 0]
-    said = []
+    new = {pole: hz for pole, hz in named.items() if pole[2] < 0}
+    said = [f"named by hand: {hz:g} Hz, which is a mode already" for pole, hz in named.items() if not modes_hz and pole in known[:n]]
     if new:
-        model, evidence = _with_new(model, new, chosen, add_modes)
-        said += [f"added by hand: {h:.5g} Hz, evidence {e:.3g} independent lines" for (h, _), e in zip(new, evidence, strict=True)]
+        model, lines = _with_new(model, new, known, n, add_modes)
+        said += [f"added by hand: {h:.5g} Hz, evidence {e:.3g} independent lines" for (h, _, _), e in zip(new, lines, strict=True)]
     dropped = [pole for pole in known[:n] if pole not in chosen]
     said += [f"left out by hand: {h:.5g} Hz{_evidence_text(details.linear, h)}" for h, _, _ in dropped]
     rejected = [RejectedPole(h, z, "by_hand", f"left out by hand{_evidence_text(details.linear, h)}") for h, z, _ in dropped]
@@ -88,7 +87,7 @@ def modes_by_hand(
     return replace(model, details=own, misfit=misfit, provenance=model.provenance.then("modes by hand: " + "; ".join(said)))
 
 
-def poles_by_hand(automatic: ModalModel) -> list[tuple[float, float, int]]:
+def poles_by_hand(automatic: ModalModel) -> list[Pole]:
     """Poles that may be named by hand in ``modes_hz`` and ``select_hz``.
 
     Parameters
@@ -112,9 +111,7 @@ def poles_by_hand(automatic: ModalModel) -> list[tuple[float, float, int]]:
     """
     terms, known = automatic.terms, (*range(automatic.n_modes), *_doubtful_terms(automatic))
     poles = [(float(terms.frequencies_hz[i]), float(terms.damping_ratios[i]), i) for i in known]
-    # a candidate within a few half bandwidths of a pole that the answer has is that pole, less exactly
-    apart = lambda c: all(abs(c.frequency_hz - h) > NEAR_WIDTHS * z * h for h, z, _ in poles)  # noqa: E731
-    return poles + [(c.frequency_hz, c.damping_ratio, -1) for c in automatic.details.candidates if apart(c)]
+    return poles + [(c.frequency_hz, c.damping_ratio, -1) for c in automatic.details.candidates if _beside(c.frequency_hz, poles) is None]
 
 
 def without_doubts(model: ModalModel, codes: Collection[str]) -> ModalModel:
@@ -191,13 +188,43 @@ def _positions(residual: NDArray[np.bool_], keep: NDArray[np.bool_]) -> NDArray[
     return np.asarray(keep[order])
 
 
-def _with_new(
-    model: ModalModel, new: list[tuple[float, float]], chosen: list[tuple[float, float, int]], add_modes: AddModes
-) -> tuple[ModalModel, list[float]]:
-    """The model and modes it lacks, with the shapes that a linear fit of all gives these."""
-    poles = sorted((h, z) for h, z, _ in chosen)
-    fit, mass = add_modes(np.array([h for h, _ in poles]), np.array([z for _, z in poles]))
-    at = [int(np.argmin(np.abs(fit.poles.hz - h))) for h, _ in new]
+def _with_new(model: ModalModel, new: dict[Pole, float], known: list[Pole], n: int, add_modes: AddModes) -> tuple[ModalModel, list[float]]:
+    """The model and modes it lacks, with the poles and shapes that a linear fit beside all ``n`` automatic modes gives these.
+
+    Automatic modes that are not wanted stand in that fit, too: without them a new pole would move to one of them.
+
+    Parameters
+    ----------
+    model : ModalModel
+    new : dict
+        Pole → frequency that named it [Hz].
+    known : list of Pole
+        Of the automatic answer, its ``n`` modes first.
+    n : int
+    add_modes : callable
+
+    Raises
+    ------
+    IdentificationError
+        If one of the new ones is not where it was named, or is a part of a mode that is there.
+    """
+    poles = sorted({*known[:n], *new})
+    fit, mass = add_modes(np.array([h for h, _, _ in poles]), np.array([z for _, z, _ in poles]))
+    at = [poles.index(pole) for pole in new]  # both by rising frequency
+    for (h, _, _), wanted, i in zip(new, new.values(), at, strict=True):
+        found_hz = float(fit.mean_hz[i])
+        more = [(float(fit.mean_hz[j]), float(fit.poles.zeta[j]), -1) for j in at if j != i]
+        # two named ones may stand closer than a candidate may to a mode, but within a half bandwidth they are one resonance
+        _expect_there(wanted, h, found_hz, known, _beside(found_hz, known) or _beside(found_hz, more, 1.0))
+    evidence = evidence_of_modes(fit)
+    doubts = [f"{fit.mean_hz[i]:.5g} Hz: {evidence[i].doubts[0][1]}" for i in at if evidence[i].doubts]
+    if doubts:
+        said = Finding(
+            "doubtful_by_hand", f"named by hand, in doubt as a mode: {'; '.join(doubts)}", "warning",
+            consequence="its frequency, damping and shape may be those of noise or of what lies beside it",
+            action="leave it out, unless something else shows that it is a mode",
+        )  # fmt: skip
+        model = replace(model, findings=(*model.findings, said))
     t, m, k = model.terms, len(model.dofs), len(at)
     covariance = None
     if t.covariance is not None:
@@ -216,7 +243,7 @@ def _with_new(
         hz, zeta, shapes, model.dofs, residual=residual, in_band=(hz >= low) & (hz <= high), covariance=covariance, **others
     )
     order = np.concatenate([np.argsort(whole.frequencies_hz), np.arange(whole.n_modes, whole.terms.n)])
-    return whole.select_terms(order), [float(fit.evidence[:, i].sum()) for i in at]
+    return whole.select_terms(order), [evidence[i].evidence for i in at]
 
 
 def _diagram_of(diagram: Stabilization | None, model: ModalModel) -> Stabilization | None:
@@ -238,16 +265,56 @@ def _evidence_text(linear: LinearModes | None, hz: float) -> str:
     return f", for which {linear.evidence[k].evidence:.3g} independent lines speak"
 
 
-def _nearest(poles: Sequence[tuple[Any, ...]], wanted: float) -> Any:
-    """The pole nearest to a frequency named by hand.
+def _beside(hz: float, poles: Sequence[Pole], widths: float = NEAR_WIDTHS) -> float | None:
+    """Frequency of the pole that ``hz`` is too near to, in half bandwidths, to be another one."""
+    near = [h for h, z, _ in poles if abs(hz - h) <= widths * z * h]
+    return min(near, key=lambda h: abs(hz - h), default=None)
+
+
+def _named(poles: Sequence[Pole], wanted: Sequence[float]) -> dict[Pole, float]:
+    """The pole nearest to each frequency named by hand, with that frequency.
 
     Raises
     ------
     IdentificationError
-        If none is near enough to be meant.
+        If none is near enough to be meant, or two frequencies mean one.
     """
-    best = min(poles, key=lambda p: abs(p[0] - wanted), default=None)
-    if best is None or abs(best[0] - wanted) > max(0.01 * wanted, NEAR_WIDTHS * best[1] * best[0]):
-        near = "" if best is None else f"; the nearest is at {best[0]:.5g} Hz"
-        raise IdentificationError(f"no stable pole near {wanted:g} Hz{near}", hint="see the stabilisation diagram in the report")
-    return best
+    out: dict[Pole, float] = {}
+    for hz in wanted:
+        best = min(poles, key=lambda p: abs(p[0] - hz), default=None)
+        if best is None or abs(best[0] - hz) > HAND_TOLERANCE * hz:
+            raise IdentificationError(f"no stable pole near {hz:g} Hz{_nearest_text(poles, hz)}", hint=_HINT)
+        if best in out:
+            others = _nearest_text([p for p in poles if p != best], hz, "nearest other")
+            raise IdentificationError(
+                f"{out[best]:g} Hz and {hz:g} Hz reach one pole, at {best[0]:.6g} Hz{others}",
+                hint="leave one of them out, or correct it by the stabilisation diagram in the report",
+            )
+        out[best] = hz
+    return out
+
+
+def _expect_there(wanted: float, found: float, fitted: float, known: Sequence[Pole], beside: float | None) -> None:
+    """Refuse a pole that is not what was named once it is fitted beside the modes: elsewhere, or a part of another one.
+
+    Raises
+    ------
+    IdentificationError
+        It names the nearest poles of the automatic answer.
+    """
+    if beside is None and abs(fitted - wanted) <= HAND_TOLERANCE * wanted:
+        return
+    what = f"the candidate at {found:.6g} Hz is at {fitted:.6g} Hz once it is fitted"
+    part = "" if beside is None else f", a part of the one at {beside:.6g} Hz"
+    raise IdentificationError(f"no stable pole near {wanted:g} Hz: {what}{part}{_nearest_text(known, wanted)}", hint=_HINT)
+
+
+_HINT = "name one of these, or another one of the stabilisation diagram in the report"
+
+
+def _nearest_text(poles: Sequence[Pole], hz: float, which: str = "nearest") -> str:
+    """The two nearest poles, in digits by which they can be named, and how near a name has to be."""
+    near = [f"{p[0]:.6g} Hz" for p in sorted(poles, key=lambda p: abs(p[0] - hz))[:2]]
+    if not near:
+        return ""
+    return f"; the {which} is at {', the next at '.join(near)}; a frequency means a pole within {100 * HAND_TOLERANCE:g} % of it"

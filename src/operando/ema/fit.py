@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord, band_limits, expect
+from operando.data import Finding, Frf, ModalModel, TimeRecord, expect, frequencies_of
 from operando.dof import Dof, DofIndex
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
+from operando.ema.band import analysis_band
 from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.choose import ChoiceLog, choose_modes
@@ -25,7 +26,7 @@ from operando.ema.projection import Poles, project
 from operando.ema.spectra import RunSpectra, whole_records
 from operando.ema.unit_mass import UnitMassShapes, turned_dofs, unit_mass_shapes
 from operando.errors import DataError, IdentificationError
-from operando.limits import LEAST_LINES, LOWER, UPPER
+from operando.limits import LOWER, UPPER
 from operando.stabilization import RejectedPole, Stabilization
 from operando.threads import one_blas_thread
 
@@ -118,9 +119,9 @@ def fit_ema(
     max_order: int | None = None,
     records: Sequence[TimeRecord] | None = None,
     ema: str = "auto",
-    modes_hz: Sequence[float] = (),
-    select_hz: Sequence[float] = (),
-    reject_hz: Sequence[float] = (),
+    modes_hz: float | Sequence[float] = (),
+    select_hz: float | Sequence[float] = (),
+    reject_hz: float | Sequence[float] = (),
     automatic: ModalModel | None = None,
     second_opinion: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -138,7 +139,8 @@ def fit_ema(
     frf : Frf
         FRF matrix; any number of responses and references, also more references than responses (roving hammer).
     band : (float, float), optional
-        Analysis band [Hz]; default: the lines of the FRF without those at the edges.
+        Analysis band [Hz]; default: the lines of the FRF without those at the edges. It ends with the last line of the FRFs, and a
+        finding says where less is used than was asked for.
     exclude_bands : sequence of (float, float)
         Lines inside these bands [Hz] are not used, of the FRFs nor of the records.
     max_order : int, optional
@@ -147,9 +149,9 @@ def fit_ema(
         Raw runs behind the FRFs: forces and responses. Runs with a single hit are fitted through their FRFs.
     ema : {"auto", "linear", "polished"}
         Which answer to give; "auto" polishes where the model error is below 1 % and the work within two minutes or so.
-    modes_hz : sequence of float
-        Exactly these modes [Hz]: the nearest stable pole of each.
-    select_hz, reject_hz : sequences of float
+    modes_hz : float or sequence of float
+        Exactly these modes [Hz]: the nearest stable pole of each, within 1 % of it.
+    select_hz, reject_hz : float or sequence of float
         Modes beside the automatic ones, and modes without the one nearest to each [Hz].
     automatic : ModalModel, optional
         What this function returned for the same data without settings by hand: they are then answered from its kept candidates.
@@ -167,7 +169,7 @@ def fit_ema(
     Raises
     ------
     IdentificationError
-        If the band holds too few lines, no mode is found, or no pole is near a frequency named in ``modes_hz`` or ``select_hz``.
+        If the band holds too few lines, no mode is found, no pole is near a frequency named by hand, or two reach one pole.
     DataError
         If records and FRFs do not belong together, or ``ema`` is unknown.
 
@@ -179,13 +181,19 @@ def fit_ema(
     array([20., 45.])
     """
     expect(frf, Frf, "modes are identified from FRFs", "estimate_frf(records) makes them of records, read(file).frfs holds measured ones")
+    if automatic is not None:
+        expect(automatic, ModalModel, "automatic is the model that other modes are chosen in", "give what fit_ema(frf) returned")
+    exact, more = frequencies_of(modes_hz, "modes_hz"), frequencies_of(select_hz, "select_hz")
+    less = frequencies_of(reject_hz, "reject_hz")
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with one_blas_thread():
-        frf, lost = with_values(frf.to_quantity("accelerance").without_bands(exclude_bands))
+        given = frf
+        frf, lost = with_values(given.to_quantity("accelerance").without_bands(exclude_bands))
+        band, beyond = analysis_band(given, frf.frequencies_hz, band)
         records = whole_records(records)
         excluded = tuple(exclude_bands)
-        job = _Job(frf, model_dofs(frf), _analysis_band(frf, band), excluded, tuple(records or ()), ema, progress, _weights(frf))
+        job = _Job(frf, model_dofs(frf), band, excluded, tuple(records or ()), ema, progress, _weights(frf))
         model = automatic
         if model is None or not isinstance(model.details, EmaDetails) or ema not in ("auto", model.details.answer):
             model = _identify(job, max_order)
@@ -193,9 +201,9 @@ def fit_ema(
             low, high = job.band
             hint = "widen the band, check the FRFs, or name modes by modes_hz"
             raise IdentificationError(f"no mode is found between {low:g} and {high:g} Hz", hint=hint)
-        if modes_hz or select_hz or reject_hz:
-            model = modes_by_hand(model, modes_hz, select_hz, reject_hz, _exactly(job))
-        model = replace(model, findings=(*model.findings, *lost))
+        if exact or more or less:
+            model = modes_by_hand(model, exact, more, less, _exactly(job))
+        model = replace(model, findings=(*model.findings, *(f for f in (*lost, *beyond) if f not in model.findings)))
         if second_opinion:
             from operando.ema.second_opinion import opinion_on
 
@@ -207,24 +215,6 @@ def model_dofs(frf: Frf) -> tuple[Dof, ...]:
     """DOFs of the model: the responses, then references that are not among them."""
     have = DofIndex(frf.responses)
     return (*frf.responses, *(d for d in frf.references if d not in have))
-
-
-def _analysis_band(frf: Frf, band: tuple[float, float] | None) -> tuple[float, float]:
-    f = frf.frequencies_hz
-    if band is None:
-        margin = 0.02 * (f[-1] - f[0])
-        return float(max(f[0] + margin, f[f > 0][0])), float(f[-1] - margin)
-    low, high = band_limits(band)
-    if not 0 <= low < high:
-        raise DataError(f"band {low:g}-{high:g} Hz is empty", hint="give [low, high] in Hz")
-    count = int(np.sum((f > 0) & (f >= low) & (f <= high)))
-    if count < LEAST_LINES:
-        raise IdentificationError(
-            f"the band of {low:g} to {high:g} Hz holds {count} lines of the FRFs, which lie at {f[0]:g} to {f[-1]:g} Hz; "
-            f"at least {LEAST_LINES} are needed",
-            hint="choose another band",
-        )
-    return low, high
 
 
 def _weights(frf: Frf) -> Real | None:

@@ -1,0 +1,67 @@
+"""The analysis band of an experimental modal analysis: as given, as far as the FRFs reach."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from operando.data import Finding, Frf, band_limits
+from operando.ema.pairs import Real
+from operando.errors import DataError, IdentificationError
+from operando.limits import LEAST_LINES
+
+
+def analysis_band(given: Frf, lines_hz: Real, band: Any) -> tuple[tuple[float, float], tuple[Finding, ...]]:
+    """Limits of the band that is analysed [Hz], and what is to be said of it.
+
+    Parameters
+    ----------
+    given : Frf
+        As measured: a band ends with its last line.
+    lines_hz : (n_lines,) array
+        Lines that are used: those of ``given`` without excluded bands.
+    band : (float, float), optional
+        As asked for; default: the lines without those at the edges.
+
+    Returns
+    -------
+    band : (float, float)
+    findings : tuple of Finding
+        ``band_beyond_lines`` where the band asked for reaches beyond the last line by more than the spacing of the lines. FRFs of records
+        end below half the sampling rate, and where the force ends; the band of a test file is for all its data, so this is no error.
+
+    Raises
+    ------
+    DataError
+        If the band is empty or no pair of numbers.
+    IdentificationError
+        If it holds too few lines.
+    """
+    f = lines_hz
+    if band is None:
+        margin = 0.02 * (f[-1] - f[0])
+        return (float(max(f[0] + margin, f[f > 0][0])), float(f[-1] - margin)), ()
+    low, high = band_limits(band)
+    if not 0 <= low < high:
+        raise DataError(f"band {low:g}-{high:g} Hz is empty", hint="give [low, high] in Hz")
+    count = int(np.sum((f > 0) & (f >= low) & (f <= high)))
+    if count < LEAST_LINES:
+        raise IdentificationError(
+            f"the band of {low:g} to {high:g} Hz holds {count} lines of the FRFs, which lie at {f[0]:g} to {f[-1]:g} Hz; "
+            f"at least {LEAST_LINES} are needed",
+            hint="choose another band",
+        )
+    every = given.frequencies_hz
+    end = float(every[-1])
+    if high <= end + float(every[-1] - every[-2]):
+        return (low, high), ()
+    beyond = Finding(
+        "band_beyond_lines",
+        f"the band of {low:g} to {high:g} Hz reaches beyond the last line of the FRFs, {end:g} Hz",
+        "info" if any(said.kind == "excited_band" for said in given.findings) else "warning",
+        band_hz=(end, high),
+        consequence=f"modes are identified from {low:g} to {end:g} Hz",
+        action=f"give band = [{low:g}, {end:g}], or FRFs that reach farther",
+    )
+    return (low, end), (beyond,)
