@@ -81,6 +81,16 @@ def test_tables_that_are_refused(tmp_path, text, match):
         table(tmp_path, text)
 
 
+def test_the_line_proposed_for_a_missing_unit_keeps_the_quantity(tmp_path):
+    content = table(tmp_path, "Force,Voltage,acc1,probe\n1,2,3,4\n4,5,6,7\n", units={"sampling_hz": 10})
+    actions = {f.dof: f.action for f in content.findings if f.kind == "missing_unit"}
+    assert actions["Force"].endswith('[channels] "Force" = {quantity = "force", unit = "N"}')
+    assert actions["acc1"].endswith('[channels] "acc1" = {quantity = "acceleration", unit = "m/s2"}')
+    assert '"Voltage" = {quantity = "voltage", unit = "V"}; where a sensor gives this voltage' in actions["Voltage"]
+    assert "acceleration" not in actions["Force"] + actions["Voltage"]
+    assert actions["probe"].endswith("if it is an acceleration in m/s2")
+
+
 def test_what_a_table_does_not_say(tmp_path):
     text = "V1,a,b [g]\n1,2,3\n4,,6\n"
     content = table(

@@ -13,6 +13,7 @@ from operando.dof import Dof
 from operando.errors import DataError, DofError
 from operando.io.quantities import ChannelSpecs, Units, find_spec, quantity_from_words, resolve, spec_dof
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
+from operando.units import SI_UNIT
 
 
 def make_record(
@@ -129,8 +130,19 @@ def _missing_unit(name: str, quantity: str, source: str, i: int) -> Finding:
     return Finding(
         "missing_unit", f"no unit is known for channel {name}" + ("" if quantity == "unknown" else f" ({quantity})"), "warning",
         source or None, i, name, consequence="its numbers are kept as they are; nothing can be scaled to unit modal mass with them",
-        action=f'give it in the test file: [channels] "{name}" = {{quantity = "acceleration", unit = "m/s2"}}',
+        action=f"give it in the test file: [channels] {_entry_that_lacks(name, quantity)}",
     )  # fmt: skip
+
+
+def _entry_that_lacks(name: str, quantity: str) -> str:
+    """An entry of [channels] that keeps the quantity of a channel; where nobody states one, it is said to be an example."""
+    unit = SI_UNIT.get(quantity, "")
+    if not unit:
+        return f'"{name}" = {{quantity = "acceleration", unit = "m/s2"}}, if it is an acceleration in m/s2'
+    entry = f'"{name}" = {{quantity = "{quantity}", unit = "{unit}"}}'
+    if quantity == "voltage":
+        return f"{entry}; where a sensor gives this voltage, quantity and unit of what it measures, and its sensitivity in V per unit"
+    return entry
 
 
 def from_sep005(
