@@ -190,6 +190,23 @@ def test_other_formats_say_what_they_lose(tmp_path):
         operando.load(tmp_path / "text.h5")
 
 
+def test_a_file_of_another_format_is_not_called_damaged(tmp_path):
+    matrix().save(tmp_path / "idle.uff")
+    (tmp_path / "notes.txt").write_text("time [s],1+Z [g]\n0,1\n1,2\n")
+    (tmp_path / "photo.raw").write_bytes(bytes(range(256)))
+    for name, words in {"idle.uff": "in the format uff", "notes.txt": "a text, not", "photo.raw": "not an .h5 file of operando"}.items():
+        with pytest.raises(FormatError, match=words) as refused:
+            operando.load(tmp_path / name)
+        assert "results folders; operando.read takes" in refused.value.hint
+        assert "damaged" not in str(refused.value)
+    matrix().save(tmp_path / "one.h5")
+    whole = (tmp_path / "one.h5").read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"\0" * 8 + whole[8:]):
+        (tmp_path / "one.h5").write_bytes(damaged)
+        with pytest.raises(FormatError, match="damaged"):
+            operando.load(tmp_path / "one.h5")
+
+
 def test_results_are_saved_and_loaded(tmp_path):
     results = operando.Results("pump", idle=modal(), geometry=Geometry((1, 2), np.eye(2, 3)))
     results.save(tmp_path / "out")

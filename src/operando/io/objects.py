@@ -9,11 +9,14 @@ from typing import Any
 from operando.data import Frf, Geometry, ModalModel, TimeRecord
 from operando.errors import FormatError, OperandoError
 from operando.io.convert import format_of, holds, losses, write_objects
+from operando.io.detect import detect_format
 from operando.io.hdf5 import UNREADABLE, read_hdf5, write_hdf5
 from operando.io.safe import opened_hdf5
 
 NAMES = {TimeRecord: "record", Frf: "frf", ModalModel: "model", Geometry: "geometry"}
 """Group of each noun in an HDF5 file."""
+HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
+"""Names of HDF5 files, in lower case."""
 
 
 def save(obj: Any, path: str | Path) -> None:
@@ -67,6 +70,7 @@ def load_object(path: str | Path) -> Any:
     ...     load_object(f"{folder}/geometry.h5").lines
     ((1, 2),)
     """
+    _expect_hdf5(path)
     found = read_hdf5(path)
     if len(found) != 1:
         raise FormatError(
@@ -101,6 +105,7 @@ def object_names(path: str | Path) -> tuple[str, ...]:
     ...     len(object_names(f"{folder}/geometry.h5"))
     1
     """
+    _expect_hdf5(path)
     try:
         with opened_hdf5(path) as file:
             return tuple(str(name) for name in file)
@@ -108,3 +113,27 @@ def object_names(path: str | Path) -> tuple[str, ...]:
         raise
     except UNREADABLE as error:
         raise FormatError(f"cannot be read as HDF5: {error}", where=str(path), hint="operando.read takes files of other formats") from error
+
+
+def _expect_hdf5(path: str | Path) -> None:
+    """Refuse a file of another format in words of its own: it is not damaged.
+
+    A file that is in no known format and is called as HDF5 files are goes on, to be tried as a damaged one.
+
+    Raises
+    ------
+    FormatError
+        If it is a file of another format, or of none that is known.
+    """
+    try:
+        kind = detect_format(path)
+    except FormatError:
+        if Path(path).suffix.lower() in HDF5_SUFFIXES:
+            return
+        kind = ""
+    if kind in ("hdf5", "matlab"):  # MATLAB 7.3 writes HDF5, too: reading it tells what is not there
+        return
+    found = {"": "not an .h5 file of operando", "csv": "a text, not an .h5 file of operando"}
+    message = found.get(kind, f"a file in the format {kind}, not an .h5 file of operando")
+    hint = "load takes .h5 files that operando wrote, and results folders; operando.read takes measurements of other formats"
+    raise FormatError(message, where=str(path), hint=hint)
