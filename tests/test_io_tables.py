@@ -367,3 +367,22 @@ def test_a_column_name_longer_than_any_format_has_is_refused(tmp_path, length, g
     else:
         with pytest.raises(FormatError, match=f"a column name of {length} characters"):
             read(path)
+
+
+def test_channels_called_as_nodes_stay_channels(tmp_path):
+    """Two columns of ends are lines where they count nodes; samples change sign or have fractions."""
+    for text in ("node 1 [g],node 2 [g]\n0.5,1\n1,2\n", "node_1,node_2\n-1,3\n2,1\n", "time,node,x,y,z\n0,1,1,1,1\n1,2,2,2,3\n"):
+        assert table(tmp_path, text, units={"sampling_hz": 10}).records
+    with pytest.raises(FormatError, match="a table of lines between nodes"):
+        table(tmp_path, "node_1,node_2\n1,3\n2,1\n", units={"sampling_hz": 10})
+
+
+def test_a_text_called_as_a_universal_file_is_said_to_be_none(tmp_path):
+    path = tmp_path / "text.uff"
+    path.write_text("hello, this is my measurement\n1 2 3\n")
+    with pytest.raises(FormatError, match=r"^[^:]*text\.uff: no UFF file, for no line holds -1 alone; read as a table: 3 columns"):
+        read(path)
+    path.write_text("time [s],1+Z [g]\n0,1\n1,2\n")
+    content = read(path)
+    assert content.records[0].n_samples == 2
+    assert content.findings[0].message.startswith("no UFF file")

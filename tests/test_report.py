@@ -572,6 +572,12 @@ def test_a_hammer_test_has_its_own_answer_without_empty_columns(whole):
     assert "not tested" not in answer
 
 
+def test_files_that_cannot_be_read_are_named_once(whole):
+    unread = [Finding("unreadable", "cannot be read: no time column", "error", f, consequence="not used") for f in ("a.csv", "b.csv")]
+    results = replace_results(only(whole, operating=whole.operating), findings=unread)
+    assert headline(results).limits == ("a.csv, b.csv: cannot be read: no time column: not used.",)
+
+
 def test_an_output_only_test_has_its_own_answer(whole):
     results = only(whole, operating=whole.operating, left_out={"ema": "no [idle] in the test"})
     text = render_report(results)

@@ -276,3 +276,24 @@ def test_files_in_doubt_for_one_reason_are_said_in_one_line(folder, tmp_path):
         (flat / f"m{i}.uff").write_bytes((folder / "idle/run1.uff").read_bytes())
     [line] = [note for note in scaffold(flat).notes if note.startswith("unsure")]
     assert line.startswith("unsure: m0.uff, m1.uff, m2.uff, … (5) taken as idle records:")
+
+
+def test_tables_of_the_structure_are_no_records(tmp_path):
+    """Nodes, lines and directions beside the records, as campaigns bring them."""
+    rows = "\n".join(f"{i / 100},{(i * 7) % 5}" for i in range(200))
+    (tmp_path / "run.csv").write_text(f"time [s],1+Z [g]\n{rows}\n")
+    (tmp_path / "grid.txt").write_text("node_name\t x\t\t y\t z\n 1  1.8e+01 -1.8e+01 0\n 2  1.8e+01 1.8e+01 0\n")
+    (tmp_path / "points.csv").write_text("Node,x [m],y [m],z [m]\na,0,0,0\nb,1,0,0\n")
+    (tmp_path / "lines.txt").write_text("node_name_1\t node_name_2\n 3 7\n 4 8\n")
+    (tmp_path / "edges.csv").write_text("from,to\n1,2\n2,3\n")
+    (tmp_path / "directions.csv").write_text("setup,node,channel,azimuth_deg,elevation_deg\n1,5,5+X,28.9,-8.7\n")
+    made = scaffold(tmp_path)
+    assert roles(made, tmp_path) == dict.fromkeys(("directions.csv", "edges.csv", "grid.txt", "lines.txt", "points.csv"), "ignored") | {
+        "run.csv": "operating records"
+    }
+    assert 'records = ["run.csv"]' in made.text
+    assert "[channels]" not in made.text
+    [told] = [note for note in made.notes if "grid.txt" in note]
+    assert told.startswith("not used: grid.txt: a table of nodes and coordinates (node_name, x, y, z), no measurement")
+    assert "[geometry] file" in told
+    assert any("[directions]" in note for note in made.notes if "directions.csv" in note)

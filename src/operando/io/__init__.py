@@ -1,6 +1,6 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
-from operando.io.columns import NoHeader, NoLines, NoRate
+from operando.io.columns import NoHeader, NoLines, NoMeasurement, NoRate
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
@@ -20,6 +20,7 @@ __all__ = [
     "FileHeader",
     "NoHeader",
     "NoLines",
+    "NoMeasurement",
     "NoRate",
     "SetInfo",
     "check_fields",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -52,6 +53,65 @@ class NoRate(FormatError):
 
     def __init__(self, where: str) -> None:
         super().__init__("no time column and no sampling rate", where=where, hint="give [units] sampling_hz = 512 in the test file")
+
+
+class NoMeasurement(FormatError):
+    """A table that describes the structure or the sensors: nodes, lines between them, directions.
+
+    Parameters
+    ----------
+    what : str
+        What it holds, in words.
+    heads : sequence of str
+        Names of its columns.
+    where : str
+        The file.
+    """
+
+    def __init__(self, what: str, heads: Sequence[str], where: str) -> None:
+        hint = "directions belong in [directions] of the test file"
+        if "directions" not in what:
+            hint = 'operando.Geometry(nodes, coordinates, lines).save("geometry.uff") makes of it what [geometry] file takes'
+        names = ", ".join(heads[:5]) + (" …" if len(heads) > 5 else "")
+        super().__init__(f"a table of {what} ({names}), no measurement", where=where, hint=hint)
+
+
+_NODE = re.compile(r"^(node|point|knoten)s?([ _.-]?(name|number|no|nr|num|id|label|index))?s?\.?$", re.IGNORECASE)
+_ENDS = re.compile(
+    r"^((from|to|start|end|first|second)([ _-]?node)?|node[ _-]?(from|to|start|end|(name|number|no|nr|id|label)?[ _-]?[12ijab]))$",
+    re.IGNORECASE,
+)
+_DIRECTION = re.compile(r"^(azimuth|elevation|direction)([ _-]?(deg|rad))?s?$", re.IGNORECASE)
+
+
+def described_structure(heads: Sequence[str], numbers: NDArray[np.float64] | None = None) -> str:
+    """What a table describes of the structure, empty where it may be a measurement.
+
+    A column of nodes beside x, y, z or a direction is enough. Two columns of ends may be channels of two nodes as well: their numbers
+    decide, whole and positive, and no row twice the same.
+
+    Parameters
+    ----------
+    heads : sequence of str
+        Names of the columns, without units.
+    numbers : (n_rows, n_columns) array, optional
+        None where they are not read yet.
+
+    Returns
+    -------
+    str
+        ``nodes and coordinates``, ``nodes and directions``, ``lines between nodes``, or empty.
+    """
+    names = {head.lower() for head in heads}
+    if any(_NODE.match(name) for name in names) and not names & {"t", "time"}:
+        if {"x", "y", "z"} <= names:
+            return "nodes and coordinates"
+        if any(_DIRECTION.match(name) for name in names):
+            return "nodes and directions"
+    if numbers is None or len(names) != 2 or numbers.shape[1] != 2 or not all(_ENDS.match(name) for name in names):
+        return ""
+    whole = np.all(np.isfinite(numbers)) and np.all(numbers == np.round(numbers)) and np.all(numbers > 0)
+    return "lines between nodes" if whole and np.all(numbers[:, 0] != numbers[:, 1]) else ""
 
 
 def check_columns(columns: Any, where: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from operando.atomic import replacing
 from operando.data import Finding, Provenance, TimeRecord
 from operando.errors import FormatError, UnitError
-from operando.io.columns import TIME, NoHeader, NoRate, check_columns, propose_columns
+from operando.io.columns import TIME, NoHeader, NoMeasurement, NoRate, check_columns, described_structure, propose_columns
 from operando.io.content import Content, SetInfo
 from operando.io.frf_table import BARE, is_frf_table, read_bare_frf, read_frf_table
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
@@ -25,6 +26,8 @@ from operando.units import parse_unit
 _TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$", re.IGNORECASE)
 _RATE_NAMES = re.compile(r"^(fs|sampling(_?hz|_?rate|_?frequency)?|sample_?rate|rate)$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]\s*$")
+_UFF_NAMES = (".uff", ".unv", ".uf", ".bunv", ".58")
+_NO_UFF = "no UFF file, for no line holds -1 alone; read as a table"
 
 _BLOCK = 1 << 20
 LONGEST_NAME = 1000
@@ -60,7 +63,7 @@ def read_csv(
     Raises
     ------
     FormatError
-        If there is no header line, no number, no sampling rate, or the time is not even.
+        If there is no header line, no number, no sampling rate, the time is not even, or the table describes nodes.
 
     Examples
     --------
@@ -72,9 +75,21 @@ def read_csv(
     ...     read_csv(f"{folder}/run.csv").records[0].n_samples
     10
     """
+    path = Path(path)
+    if path.suffix.lower() not in _UFF_NAMES:
+        return _read_table(path, units, channels, sampling_hz)
+    try:
+        content = _read_table(path, units, channels, sampling_hz)
+    except FormatError as error:
+        error.message = f"{_NO_UFF}: {error.message}"
+        raise
+    note = Finding("format", _NO_UFF, "info", str(path), action="call it .csv or .txt if it is a table")
+    return replace(content, findings=(note, *content.findings))
+
+
+def _read_table(path: Path, units: Units | None, channels: ChannelSpecs | None, sampling_hz: float | None) -> Content:
     from operando.io.uff.reader import open_file, quick_hash
 
-    path = Path(path)
     where = str(path)
     with open_file(path) as stream:
         text = _decoded(stream.read(), where)
@@ -213,7 +228,12 @@ def _table(text: str, where: str, units: Units | None) -> tuple[list[str], list[
     names = [part.strip().strip("\"'").strip() for part in (head.split(delimiter) if delimiter else head.split())]
     if all(_is_number(part.replace(",", ".")) for part in names if part):
         return comments, *_without_header(_numbers(text[position - length :], delimiter, decimal, where).T, where, units)
+    heads = [_split_name(name)[0] for name in names if name]
+    if what := described_structure(heads):
+        raise NoMeasurement(what, heads, where)
     numbers = _numbers(rest, delimiter, decimal, where)
+    if what := described_structure(heads, numbers):
+        raise NoMeasurement(what, heads, where)
     if numbers.shape[1] < len(names) and not any(names[numbers.shape[1] :]):
         names = names[: numbers.shape[1]]
     if numbers.shape[1] > len(names):
@@ -315,8 +335,6 @@ def _block_numbers(text: str, delimiter: str | None, decimal: str, where: str) -
             return np.loadtxt(io.StringIO(clean), delimiter=delimiter, ndmin=2, comments="#")
     except (ValueError, UserWarning) as error:
         hint = "a table holds one header line such as time [s],1+Z [m/s2], and numbers below it"
-        if Path(where).suffix.lower() in (".uff", ".unv", ".uf", ".58"):
-            hint = "a universal file has sets between lines of -1; this file has none, so it was read as a table"
         raise FormatError(f"the table cannot be read: {str(error).splitlines()[0]}", where=where, hint=hint) from error
 
 

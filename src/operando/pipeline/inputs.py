@@ -146,7 +146,7 @@ class Inputs:
         if not found:
             what = "force and responses" if force else "responses"
             reasons = [
-                f.message
+                f"{self.label(file)}: {f.message}" if len(state.records) > 1 else f.message
                 for file in state.records
                 for f in self.findings.get(file, ())
                 if f.severity == "error" or f.kind == "unused_record"

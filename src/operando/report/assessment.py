@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.compare import recommended
 from operando.compare.route import CLOSE_DB, Route, is_good
-from operando.data import Finding
+from operando.data import Finding, names_text
 from operando.indicators import phase_collinearity
 from operando.report.agreement import MODEL_NAMES as MODEL_NAMES
 from operando.report.agreement import agreement, close_words
@@ -234,8 +235,17 @@ def _modes_alone(results: Results, limits: tuple[str, ...]) -> Headline:
     else:
         sentences.append(f"Shapes are of arbitrary scale: operational FRFs need an idle measurement with a known force besides{missing}.")
     wrong = [f for f in all_findings(results) if f.severity == "error"]
-    limits += tuple(f"{f.message}" + (f": {f.consequence}." if f.consequence else ".") for f in wrong[:3])
+    limits += tuple(_with_files(wrong))[:3]
     return Headline(verdict, "good" if good and not limits else "fair", tuple(sentences), limits)
+
+
+def _with_files(wrong: Sequence[Finding]) -> list[str]:
+    """Errors of the data, each with the files it is in, once."""
+    files: dict[str, dict[str, None]] = {}
+    for f in wrong:
+        text = f.message + (f": {f.consequence}." if f.consequence else ".")
+        files.setdefault(text, {}).update(dict.fromkeys([f.file] if f.file and f.file not in text else []))
+    return [f"{names_text(names)}: {text}" if names else text for text, names in files.items()]
 
 
 def _idle_alone(results: Results) -> str:

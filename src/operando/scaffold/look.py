@@ -152,7 +152,7 @@ def _passed_over(file: Path) -> str:
 
 def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
     """What a file holds; what it is taken for is decided when all are known."""
-    from operando.io import NoHeader, NoLines, NoRate, read
+    from operando.io import NoHeader, NoLines, NoMeasurement, NoRate, read
 
     if reason:
         return Taken(file, "ignored", reason)
@@ -170,6 +170,8 @@ def _look(file: Path, folder: Path, reason: str, seen: Seen) -> Taken | _Draft:
         except NoRate:
             content = read(file, units={"sampling_hz": 1.0})
             seen.rateless.append(file.name)
+    except NoMeasurement as error:
+        return Taken(file, "ignored", f"{error.message}: {error.hint}", sure=False)
     except OperandoError as error:
         return Taken(file, "ignored", f"cannot be read: {error.message}", sure=False)
     if not (content.records or content.frfs):
