@@ -297,3 +297,52 @@ def test_tables_of_the_structure_are_no_records(tmp_path):
     assert told.startswith("not used: grid.txt: a table of nodes and coordinates (node_name, x, y, z), no measurement")
     assert "[geometry] file" in told
     assert any("[directions]" in note for note in made.notes if "directions.csv" in note)
+
+
+def test_arrays_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):
+    np.savez(tmp_path / "mast.npz", data=np.random.default_rng(0).normal(size=(3000, 4)).astype(np.float32))
+    made = scaffold(tmp_path)
+    assert roles(made, tmp_path) == {"mast.npz": "operating records"}
+    assert "3000 samples without a sampling rate" in made.taken[0].reason
+    assert "# sampling_hz = 512  # needed, mast.npz does not say" in made.text.splitlines()
+    assert any("give [units] sampling_hz, nothing runs without" in note for note in made.notes)
+    write_test(made, tmp_path / "test.toml")
+    asked = {"# sampling_hz": "sampling_hz", '# "ch': '"ch'}
+    text = (tmp_path / "test.toml").read_text()
+    for commented, given in asked.items():
+        text = text.replace(commented, given)
+    (tmp_path / "test.toml").write_text(text)
+    test = load_test(tmp_path)
+    [record] = operando.read(tmp_path / "mast.npz", units=test.units, channels=test.channels).records
+    assert (record.sampling_hz, len(record.response_indices)) == (512, 4)
+
+
+def test_an_array_of_coordinates_lacks_no_rate(tmp_path):
+    np.savez(tmp_path / "geometry.npz", nodes=np.random.default_rng(0).normal(size=(30, 3)))
+    with pytest.raises(MissingError, match=r"no measurement.*no data with a time or frequency axis"):
+        scaffold(tmp_path)
+
+
+def test_what_is_proposed_of_slow_records_lies_within_them(tmp_path):
+    """30 Hz, names that tell no direction, and one number for two sensors."""
+    rows = "\n".join(f"{i / 30:.6f},{(i * 7) % 5},{(i * 3) % 4},1" for i in range(3000))
+    (tmp_path / "tower.csv").write_text(f"time [s],LAT069_FA [g],LAT069_SS [g],top_x [g]\n{rows}\n")
+    made = scaffold(tmp_path)
+    [line] = [line for line in made.text.splitlines() if "band =" in line]
+    low, high = json.loads(line.split("=")[1].split("#")[0])
+    assert (low, high) == (0.1, 12.0)  # ten periods in 100 s, 0.4 of the rate
+    assert "sampled at 30 Hz" in line
+    lines = {line.split(" = ")[0].strip('"'): line for line in made.text.splitlines() if line.startswith('"')}
+    assert lines["LAT069_FA"].endswith('dof = "69+Z", quantity = "acceleration"}  # invented: the direction; correct it')
+    assert "# invented: node 70 (69+Z is taken) and the direction; correct it" in lines["LAT069_SS"]
+    assert "# invented: node 1; correct it" in lines["top_x"]
+    write_test(made, tmp_path / "test.toml")
+    assert load_test(tmp_path).channels["LAT069_SS"]["dof"] == "70+Z"
+
+
+def test_a_band_of_the_idle_files_lies_within_the_operating_records(tmp_path):
+    (tmp_path / "idle").mkdir()
+    operando.write_uff(tmp_path / "idle/frf.uff", operando.Frf([[range(1, 199)]], range(2, 200), "1+Z", "1+Z"))
+    rows = "\n".join(f"{i / 50},{(i * 7) % 5}" for i in range(1000))
+    (tmp_path / "run.csv").write_text(f"time [s],1+Z [g]\n{rows}\n")
+    assert "# band = [2, 20]" in scaffold(tmp_path).text

@@ -49,10 +49,23 @@ class NoLines(FormatError):
 
 
 class NoRate(FormatError):
-    """Time histories whose sampling rate nobody states."""
+    """Time histories whose sampling rate nobody states.
 
-    def __init__(self, where: str) -> None:
-        super().__init__("no time column and no sampling rate", where=where, hint="give [units] sampling_hz = 512 in the test file")
+    Parameters
+    ----------
+    where : str
+        The file.
+    message, hint : str, optional
+        What was found in place of a rate, and what to do.
+    """
+
+    def __init__(
+        self,
+        where: str,
+        message: str = "no time column and no sampling rate",
+        hint: str = "give [units] sampling_hz = 512 in the test file",
+    ) -> None:
+        super().__init__(message, where=where, hint=hint)
 
 
 class NoMeasurement(FormatError):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from operando.data import QUANTITIES, Finding, FrequencyAxis, Frf, Provenance, TimeRecord
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError, FormatError, UnitError
-from operando.io.columns import NoLines
+from operando.io.columns import NoLines, NoRate
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof, stated_hz, stated_rate
 from operando.io.sep005 import make_record
@@ -29,6 +29,8 @@ _NAMES = re.compile(r"^(channels?|channel_?names?|names?|labels?)$", re.IGNORECA
 _UNITS = re.compile(r"^(units?|unit_?str|channel_?units?)$", re.IGNORECASE)
 _COHERENCE = re.compile(r"^C\d+_\d+$")
 _SPECTRUM = re.compile(r"^(G|P|psd|asd|auto|spec|coh)", re.IGNORECASE)
+_STRUCTURE = re.compile(r"^(nodes?|coord\w*|xyz|grid|geometry|points|lines|elements|faces)$", re.IGNORECASE)
+"""Names of arrays that describe the structure: they lack no sampling rate."""
 _SMALLEST = 8
 RESPONSES = {"accelerance": "acceleration", "mobility": "velocity", "receptance": "displacement"}
 """FRF → quantity of its response."""
@@ -85,7 +87,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     Raises
     ------
     FormatError
-        If no data with a time or frequency axis are found.
+        If no data with a time or frequency axis are found; ``NoRate`` where a matrix lacks nothing but a sampling rate.
     """
     source = Source(str(path), variables, units, channels, Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",)))
     records: list[TimeRecord] = []
@@ -94,6 +96,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     notes: dict[str, str] = {}
     lacking: NoLines | None = None
     broken: DataError | None = None
+    rateless = False
     groups = Groups(source)
     for variable in source.arrays:
         value = np.squeeze(variable.value)
@@ -115,6 +118,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
         except (FormatError, DataError) as error:
             notes[variable.path] = error.message
             lacking = error if isinstance(error, NoLines) else lacking
+            rateless |= isinstance(error, NoRate) and not _STRUCTURE.match(variable.name)
             broken = error if isinstance(error, DataError) and error.hint else broken
     for group, found in groups.frfs():
         frfs.append(group)
@@ -131,10 +135,10 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
         raise FormatError(broken.message, where=str(path), hint=broken.hint)
     if not records and not frfs:
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:6]) or "no arrays"
-        raise FormatError(
-            f"no data with a time or frequency axis found ({seen})", where=str(path),
-            hint="give [units] sampling_hz, or save fs or a time vector beside the data",
-        )  # fmt: skip
+        message, hint = f"no data with a time or frequency axis found ({seen})", "or save fs or a time vector beside the data"
+        if rateless:
+            raise NoRate(str(path), message, f"give [units] sampling_hz = 512 in the test file, {hint}")
+        raise FormatError(message, where=str(path), hint=f"give [units] sampling_hz, {hint}")
     return Content(str(path), kind, tuple(records), tuple(frfs), sets=infos, findings=tuple(findings))
 
 
@@ -280,7 +284,7 @@ def _table_record(value: NDArray[Any], variable: Variable, source: Source) -> Ti
     table = value.T if value.shape[0] >= value.shape[1] else value
     sampling = _sampling(variable, source.arrays, table.shape[1], source.rate)
     if sampling is None:
-        raise FormatError("no sampling rate or time vector beside it")
+        raise NoRate(source.where, "no sampling rate or time vector beside it")
     found = source.names.get(variable.home, source.names.get("", []))
     labels = found if len(found) == len(table) else [variable.name if len(table) == 1 else f"ch{i + 1}" for i in range(len(table))]
     stated = source.unit_texts.get(variable.home, source.unit_texts.get("", []))

@@ -11,7 +11,7 @@ from typing import Any
 
 from operando.atomic import replacing
 from operando.errors import ConfigError, MissingError, OperandoError
-from operando.scaffold.band import excited_band, proposed_band
+from operando.scaffold.band import excited_band, held_band, proposed_band
 from operando.scaffold.labels import Seen, labelled
 from operando.scaffold.text import can_be_named, file_text
 
@@ -220,7 +220,9 @@ def _look_at_record(file: Path, content: Any, seen: Seen) -> _Draft:
 
     record = max(content.records, key=lambda r: r.data.size)
     timed = file.name not in seen.rateless
-    seen.rates |= {record.sampling_hz} if timed else set()
+    if timed:
+        seen.rates.add(record.sampling_hz)
+        seen.held[str(file)] = held_band(record)
     record = labelled(record, seen)
     for channel in record.channels:
         if channel.name in seen.labels and "exclude" in seen.labels[channel.name]:

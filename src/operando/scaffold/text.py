@@ -85,7 +85,7 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     lines += [f'# {quantity} = "{units.get(quantity, "?")}"' for quantity in sorted(seen.unitless)]
     if seen.labels or seen.unlabelled:
         lines += ["", "[channels]  # what the files do not say"]
-        lines += [f"{quoted(name)} = {_inline(label)}" for name, label in seen.labels.items()]
+        lines += [f"{quoted(name)} = {_inline(label)}{_said(seen.invented.get(name))}" for name, label in seen.labels.items()]
         lines += [
             f'# {quoted(name)} = {{dof = "{i}+Z", quantity = "acceleration", unit = "g"}}'
             for i, name in enumerate(list(seen.unlabelled)[:64], 1)
@@ -93,13 +93,19 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
         lines += ['# "force" = {dof = "1+Z"}  # where the force acts'] if seen.unlabelled_force else []
     lines += ["", "[analysis]"]
     if band is None:
-        top = f"; sampled at {max(seen.rates):.6g} Hz" if seen.rates else ""
-        lines.append(f"# band = [5.0, 200.0]  # Hz; without it the band is chosen from the data{top}")
+        lines.append(
+            "# band = [5.0, 200.0]  # Hz, an example: no file says which frequencies it holds; without it the data choose the band"
+        )
     else:
         reason = printable(band.reason)
         lines.append(f"# band = [{band.low_hz:.4g}, {band.high_hz:.4g}]  # Hz, proposed: {reason}; take off the # to use it")
     head = ["# " + printable(note) for note in notes]
     return "\n".join([*head, *([""] if head else []), *lines]) + "\n"
+
+
+def _said(invented: str | None) -> str:
+    """What stands behind a guessed line of [channels]."""
+    return f"  # invented: {invented}; correct it" if invented else ""
 
 
 def _inline(label: dict[str, Any]) -> str:
