@@ -380,7 +380,7 @@ def test_channels_called_as_nodes_stay_channels(tmp_path):
 def test_a_text_called_as_a_universal_file_is_said_to_be_none(tmp_path):
     path = tmp_path / "text.uff"
     path.write_text("hello, this is my measurement\n1 2 3\n")
-    with pytest.raises(FormatError, match=r"^[^:]*text\.uff: no UFF file, for no line holds -1 alone; read as a table: 3 columns"):
+    with pytest.raises(FormatError, match=r"^[^:]*text\.uff: no UFF file \(no line with -1\), read as a table: 3 columns"):
         read(path)
     path.write_text("time [s],1+Z [g]\n0,1\n1,2\n")
     content = read(path)

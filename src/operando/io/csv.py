@@ -27,7 +27,8 @@ _TIME_NAMES = re.compile(r"^(t|time|zeit|temps|seconds?|time[ _]?s|timestamp)$",
 _RATE_NAMES = re.compile(r"^(fs|sampling(_?hz|_?rate|_?frequency)?|sample_?rate|rate)$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]\s*$")
 _UFF_NAMES = (".uff", ".unv", ".uf", ".bunv", ".58")
-_NO_UFF = "no UFF file, for no line holds -1 alone; read as a table"
+_NO_UFF = "no UFF file (no line with -1), read as a table"
+_UFF_HAS = "a universal file has sets between lines of -1; this file has none"
 
 _BLOCK = 1 << 20
 LONGEST_NAME = 1000
@@ -82,6 +83,7 @@ def read_csv(
         content = _read_table(path, units, channels, sampling_hz)
     except FormatError as error:
         error.message = f"{_NO_UFF}: {error.message}"
+        error.hint = _UFF_HAS + (f"; a table: {error.hint}" if error.hint else "")
         raise
     note = Finding("format", _NO_UFF, "info", str(path), action="call it .csv or .txt if it is a table")
     return replace(content, findings=(note, *content.findings))
