@@ -261,6 +261,39 @@ def test_inspect_takes_the_unit_of_coordinates_from_the_test_file(tmp_path):
         assert ("in which unit its coordinates are" in said.stdout) == unclear
 
 
+def test_inspect_tells_damage_first_and_advises_nothing_from_it(tmp_path):
+    """A force set whose header declares more than it holds, or whose first separator is broken; FRFs cut short."""
+    from operando import Frf
+    from operando.io import read_uff_sets, write_uff
+
+    measured = record(running_chain(), [0], 5.0, 11, "record")
+    write_uff(tmp_path / "record.uff", measured.select([*measured.force_indices, *measured.response_indices]))
+    whole = (tmp_path / "record.uff").read_bytes()
+    assert "damaged" not in call("inspect", tmp_path / "record.uff").stdout
+    start = next(raw.start for raw, _ in read_uff_sets(tmp_path / "record.uff") if raw.number == 58)
+    size = f"{measured.n_samples:10d}".encode()
+    assert size in whole[start:]
+    more = whole[:start] + whole[start:].replace(size, f"{measured.n_samples + 1:10d}".encode(), 1)
+    broken = whole[:start] + whole[start:].replace(b"-1", b"x1", 1)
+    write_uff(tmp_path / "frf.uff", Frf([[range(1, 99)], [range(1, 99)]], range(5, 103), ["2+Z", "1+Z"], "1+Z"))
+    short = (tmp_path / "frf.uff").read_bytes()[:-300]
+    words = {"1 of 6 sets not used: set 1": more, "belong to no set": broken, "not used: set 2 (frequency response": short}
+    for told, raw in words.items():
+        (tmp_path / "damaged.uff").write_bytes(raw)
+        done = call("inspect", tmp_path / "damaged.uff")
+        assert done.exit_code == 0, done.output
+        lines = done.stdout.splitlines()
+        assert lines[1].startswith("  damaged  ")
+        assert told in lines[1]
+        assert done.stdout.count(told) == 1
+        for advice in ("no force channel", "no drive point", "no response", "no coherence"):
+            assert advice not in done.stdout
+        assert "they may be in the damaged part" in done.stdout
+        entry = answer("inspect", tmp_path / "damaged.uff")["files"][0]
+        assert told in entry["damage"][0]
+        assert any(f["severity"] == "error" for f in entry["findings"])
+
+
 def test_inspect_says_what_is_there(tmp_path):
     from operando.io import write_uff
 

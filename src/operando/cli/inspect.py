@@ -80,14 +80,18 @@ def _text(document: dict[str, Any]) -> str:
 
 def _file_text(entry: dict[str, Any]) -> str:
     from operando.data import counted
+    from operando.io.inspect import DAMAGE
 
     if entry["error"] is not None:
         hint = entry["error"]["hint"]
         return f"{entry['path']}: cannot be read: {entry['error']['error']}" + (f" ({hint})" if hint else "")
     lines = [f"{entry['path']} ({entry['format']}, {counted(len(entry['sets']), 'set')})"]
+    lines += [f"  damaged  {text}" for text in entry["damage"]]
     lines += [f"  found    {text}" for text in entry["found"]]
     lines += [f"  used     {text}" for text in entry["used"]]
-    lines += [f"  ignored  {text}" for text in _ignored(entry["ignored"])]
+    told = [f for f in entry["findings"] if f["severity"] == "error" and f["kind"] in DAMAGE]
+    sets = {f["set"] for f in told}
+    lines += [f"  ignored  {text}" for text in _ignored([s for s in entry["ignored"] if s["set"] not in sets])]
     lines += [f"  missing  {text}" for text in entry["missing"]]
     for record in entry["records"]:
         rows = [[c["dof"] or "-", c["quantity"], _unit(c), c["name"]] for c in record["channels"][:64]]
@@ -100,7 +104,7 @@ def _file_text(entry: dict[str, Any]) -> str:
     for model in entry["models"]:
         modes = [f"{f:.4g} Hz" for f in model["frequencies_hz"]]
         lines.append(f"    modes      {_some(modes)}")
-    for f in entry["findings"]:
+    for f in [f for f in entry["findings"] if f not in told]:
         todo = f" ({f['action']})" if f["action"] and f["severity"] != "info" else ""
         lines.append(f"  {f['severity']:8s} {f['message']}{todo}")
     return "\n".join(lines)

@@ -8,13 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Finding, Frf, Geometry, ModalModel, TimeRecord
+from operando.data import Finding, Frf, Geometry, ModalModel, TimeRecord, counted
 from operando.errors import OperandoError
 from operando.io.content import Content
 from operando.io.detect import read
 from operando.io.quantities import ChannelSpecs, Units
 
 SCHEMA = "operando/inspect/1"
+DAMAGE = ("truncated", "unknown_set", "outside_sets")
+"""Kinds of errors that say that a part of a file is lost."""
+_FUNCTIONS = (0, 58)
+"""Types of sets that hold what was measured; 0 where not even the type can be read."""
 
 
 def inspect_files(paths: Iterable[str | Path], units: Units | None = None, channels: ChannelSpecs | None = None) -> dict[str, Any]:
@@ -76,15 +80,16 @@ def inspect_files(paths: Iterable[str | Path], units: Units | None = None, chann
 
 def _unread(path: str | Path, error: OperandoError, finding: Finding) -> dict[str, Any]:
     return {
-        "path": str(path), "format": None, "sets": [], "records": [], "frfs": [], "models": [], "geometry": None, "found": [], "used": [],
-        "ignored": [], "missing": [], "findings": [finding.to_dict()], "error": error.to_dict(),
+        "path": str(path), "format": None, "damage": [], "sets": [], "records": [], "frfs": [], "models": [], "geometry": None, "found": [],
+        "used": [], "ignored": [], "missing": [], "findings": [finding.to_dict()], "error": error.to_dict(),
     }  # fmt: skip
 
 
 def inspect_content(content: Content) -> tuple[dict[str, Any], list[Finding]]:
     """Entry of one file in the JSON of :func:`inspect_files`, and its findings.
 
-    ``sets`` is the whole inventory; ``found`` and ``missing`` are sentences; ``used`` counts the sets used by title, ``ignored`` lists
+    ``damage`` says in sentences what of a damaged file is lost; what may be in that part is not called missing. ``sets`` is the whole
+    inventory; ``found`` and ``missing`` are sentences; ``used`` counts the sets used by title, ``ignored`` lists
     sets not used with the reason.
 
     Parameters
@@ -105,16 +110,18 @@ def inspect_content(content: Content) -> tuple[dict[str, Any], list[Finding]]:
     ...     inspect_content(operando.read(f"{folder}/frf.uff"))[0]["format"]
     'uff'
     """
-    extra = [f for record in content.records for f in _drive_point(record, content.path)]
+    damage, functions_lost = _damage(content)
+    extra = [] if functions_lost else [f for record in content.records for f in _drive_point(record, content.path)]
     findings = [*content.findings, *extra]
-    missing = [text for record in content.records for text in _missing_of_record(record)]
-    missing += [text for frf in content.frfs for text in _missing_of_frf(frf)]
+    missing = [text for record in content.records for text in _missing_of_record(record, functions_lost)]
+    missing += [text for frf in content.frfs for text in _missing_of_frf(frf, functions_lost)]
     if not content.objects:
         missing.append("nothing that can be analysed: no time record, FRF, modes or geometry")
     unused = [s for s in content.sets if s.status != "used"]
     entry = {
         "path": content.path,
         "format": content.format,
+        "damage": damage,
         "sets": [s.to_dict() for s in content.sets],
         "records": [_record(r) for r in content.records],
         "frfs": [_frf(f) for f in content.frfs],
@@ -128,6 +135,29 @@ def inspect_content(content: Content) -> tuple[dict[str, Any], list[Finding]]:
         "error": None,
     }
     return entry, findings
+
+
+def _damage(content: Content) -> tuple[list[str], bool]:
+    """What of a damaged file is lost, and whether measured functions may be in that part."""
+    wrong = [f for f in content.findings if f.severity == "error" and f.kind in DAMAGE]
+    types = {s.index: s.number for s in content.sets}
+    refused = [f for f in wrong if f.kind != "outside_sets" and f.set in types]
+    numbers = {types[f.set] for f in refused if f.set is not None}
+    lost = [s for s in content.sets if s.status == "not understood" and s.number in numbers]
+    out = []
+    if refused:
+        reasons = "; ".join(f.message.replace(" is not used: ", ": ") for f in refused)
+        out.append(f"{len(lost)} of {counted(len(content.sets), 'set')} not used: {reasons}{_to_do(refused)}")
+    out += [f"{f.message}{_to_do([f])}" for f in wrong if f not in refused]
+    functions_lost = bool(numbers.intersection(_FUNCTIONS)) or len(wrong) > len(refused)
+    if functions_lost:
+        out.append("whether forces, responses, drive points or coherence are missing is not said: they may be in the damaged part")
+    return out, functions_lost
+
+
+def _to_do(findings: list[Finding]) -> str:
+    actions = "; ".join(dict.fromkeys(f.action for f in findings if f.action))
+    return f" ({actions})" if actions else ""
 
 
 def _counted(titles: list[str]) -> list[str]:
@@ -194,11 +224,11 @@ def _geometry(g: Geometry) -> dict[str, Any]:
     return {"nodes": len(g.nodes), "lines": len(g.lines), "faces": len(g.faces), "unit": "m" if g.unit_known else None}
 
 
-def _missing_of_record(r: TimeRecord) -> list[str]:
+def _missing_of_record(r: TimeRecord, functions_lost: bool) -> list[str]:
     out = []
-    if not r.force_indices:
+    if not r.force_indices and not functions_lost:
         out.append("no force channel: usable as operating record only")
-    if not r.response_indices:
+    if not r.response_indices and not functions_lost:
         out.append("no response channel with a DOF and a motion quantity: say in [channels] what the channels are")
     unlabelled = [c.name or f"set {c.set}" for c in r.channels if c.dof is None]
     if unlabelled:
@@ -209,10 +239,12 @@ def _missing_of_record(r: TimeRecord) -> list[str]:
     return out
 
 
-def _missing_of_frf(f: Frf) -> list[str]:
+def _missing_of_frf(f: Frf, functions_lost: bool) -> list[str]:
     out = []
     if not f.si:
         out.append("no units of the FRFs: frequencies and damping only, no scaling to unit modal mass; give them in [units]")
+    if functions_lost:
+        return out
     if not f.drive_points():
         out.append("no drive point among the FRFs: modes cannot be scaled to unit modal mass")
     if f.coherence is None:
