@@ -333,9 +333,9 @@ def test_what_is_proposed_of_slow_records_lies_within_them(tmp_path):
     assert (low, high) == (0.1, 12.0)  # ten periods in 100 s, 0.4 of the rate
     assert "sampled at 30 Hz" in line
     lines = {line.split(" = ")[0].strip('"'): line for line in made.text.splitlines() if line.startswith('"')}
-    assert lines["LAT069_FA"].endswith('dof = "69+Z", quantity = "acceleration"}  # invented: the direction; correct it')
-    assert "# invented: node 70 (69+Z is taken) and the direction; correct it" in lines["LAT069_SS"]
-    assert "# invented: node 1; correct it" in lines["top_x"]
+    assert lines["LAT069_FA"].endswith('dof = "69+Z", quantity = "acceleration"}  # guessed, in no file: the direction; correct it')
+    assert "# guessed, in no file: node 70 (69+Z is taken) and the direction; correct it" in lines["LAT069_SS"]
+    assert "# guessed, in no file: node 1; correct it" in lines["top_x"]
     write_test(made, tmp_path / "test.toml")
     assert load_test(tmp_path).channels["LAT069_SS"]["dof"] == "70+Z"
 

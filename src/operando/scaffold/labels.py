@@ -25,7 +25,7 @@ class Seen:
     ``loudest`` rms of each force channel; ``bands`` in which each measurement with force has power [Hz]; ``lineless`` files of FRFs without
     frequencies → lines; ``rateless`` files of time histories without a rate; ``unlabelled_force``: FRFs of one reference name no DOFs;
     ``pairs`` of FRFs and their state → files; ``held`` frequencies [Hz] that each record can hold, by its length and its sampling rate;
-    ``invented``: name of a channel in ``labels`` → what of its DOF no file says.
+    ``guessed``: name of a channel in ``labels`` → what of its DOF no file says.
     """
 
     unitless: dict[str, set[str]] = field(default_factory=dict)
@@ -41,7 +41,7 @@ class Seen:
     unlabelled_force: bool = False
     pairs: dict[frozenset[tuple[str, str]], list[Path]] = field(default_factory=dict)
     held: dict[str, tuple[float, float]] = field(default_factory=dict)
-    invented: dict[str, str] = field(default_factory=dict)
+    guessed: dict[str, str] = field(default_factory=dict)
 
 
 def labelled(record: Any, seen: Seen) -> Any:
@@ -57,7 +57,7 @@ def labelled(record: Any, seen: Seen) -> Any:
     for channel in motion:
         taken = {label["dof"] for label in seen.labels.values() if "dof" in label and label["quantity"] in MOTION}
         if channel.name not in seen.labels:
-            dof, seen.invented[channel.name] = _dof_of_name(channel.name, taken)
+            dof, seen.guessed[channel.name] = _dof_of_name(channel.name, taken)
             seen.labels[channel.name] = {"dof": dof, "quantity": channel.quantity}
     channels = [replace(c, dof=Dof.parse(seen.labels[c.name]["dof"])) if c in motion else c for c in record.channels]
     forces = [c for c in record.channels if c.is_force]
@@ -66,7 +66,7 @@ def labelled(record: Any, seen: Seen) -> Any:
             dof, why = _dof_of_force(record, channels, force)
             seen.labels[force.name] = {"dof": dof, "quantity": force.quantity}
             if all(dof != str(c.dof) for c in channels):  # a node of its own; a drive point was told by the measurement
-                seen.invented[force.name] = "where the force acts"
+                seen.guessed[force.name] = "where the force acts"
             seen.guesses.append(f"{force.name} taken as the force at {dof}: {why}")
     for channel in record.channels:
         if channel not in motion and channel not in forces and channel.quantity != "unknown":
@@ -81,7 +81,7 @@ def labelled(record: Any, seen: Seen) -> Any:
 
 
 def _dof_of_name(name: str, taken: set[str]) -> tuple[str, str]:
-    """A DOF no other channel has, and what of it is invented (empty: nothing).
+    """A DOF no other channel has, and what of it is guessed, in no file (empty: nothing).
 
     It is the number in a channel name and a direction at its end, else the next free node along +Z.
     """
@@ -91,8 +91,8 @@ def _dof_of_name(name: str, taken: set[str]) -> tuple[str, str]:
     wanted = node = int(match[1]) if match else 1
     while f"{node}{direction}" in taken:
         node += 1
-    invented = [f"node {node}" + (f" ({wanted}{direction} is taken)" if match else "")] if not match or node != wanted else []
-    return f"{node}{direction}", " and ".join([*invented, *([] if axis else ["the direction"])])
+    own = [f"node {node}" + (f" ({wanted}{direction} is taken)" if match else "")] if not match or node != wanted else []
+    return f"{node}{direction}", " and ".join([*own, *([] if axis else ["the direction"])])
 
 
 def _dof_of_force(record: Any, channels: Sequence[Any], force: Any) -> tuple[str, str]:

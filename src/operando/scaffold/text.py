@@ -85,7 +85,7 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     lines += [f'# {quantity} = "{units.get(quantity, "?")}"' for quantity in sorted(seen.unitless)]
     if seen.labels or seen.unlabelled:
         lines += ["", "[channels]  # what the files do not say"]
-        lines += [f"{quoted(name)} = {_inline(label)}{_said(seen.invented.get(name))}" for name, label in seen.labels.items()]
+        lines += [f"{quoted(name)} = {_inline(label)}{_said(seen.guessed.get(name))}" for name, label in seen.labels.items()]
         lines += [
             f'# {quoted(name)} = {{dof = "{i}+Z", quantity = "acceleration", unit = "g"}}'
             for i, name in enumerate(list(seen.unlabelled)[:64], 1)
@@ -103,9 +103,9 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     return "\n".join([*head, *([""] if head else []), *lines]) + "\n"
 
 
-def _said(invented: str | None) -> str:
+def _said(guessed: str | None) -> str:
     """What stands behind a guessed line of [channels]."""
-    return f"  # invented: {invented}; correct it" if invented else ""
+    return f"  # guessed, in no file: {guessed}; correct it" if guessed else ""
 
 
 def _inline(label: dict[str, Any]) -> str:
