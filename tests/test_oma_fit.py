@@ -144,6 +144,8 @@ def test_choice_by_hand(clean):
     rejected = fit_oma(record(clean), band=BAND, reject_hz=[CHAIN.hz[2]], uncertainty=False)
     assert rejected.n_modes == 4
     assert "by_hand" in [r.code for r in rejected.details.rejected if abs(r.frequency_hz - CHAIN.hz[2]) < 0.5]
+    with pytest.raises(DataError, match="reject_hz 'ab': no numbers"):
+        fit_oma(record(clean), band=BAND, reject_hz="ab", uncertainty=False)
     with pytest.raises(IdentificationError, match="by hand"):
         fit_oma(record(clean), band=BAND, select_hz=[190.0], uncertainty=False)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from operando.data import ModalModel, TimeRecord, band_limits, several
+from operando.data import ModalModel, TimeRecord, band_limits, frequencies_of, several
 from operando.errors import ConfigError
 from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
@@ -24,8 +24,8 @@ def fit_oma(
     max_order: int | None = None,
     references: object = None,
     known_harmonics_hz: Sequence[float] = (),
-    select_hz: Sequence[float] = (),
-    reject_hz: Sequence[float] = (),
+    select_hz: float | Sequence[float] = (),
+    reject_hz: float | Sequence[float] = (),
     method: str = "ssi-cov",
     block_rows: int | None = None,
     tolerances: Tolerances | None = None,
@@ -54,7 +54,7 @@ def fit_oma(
         Channels correlated with; default all.
     known_harmonics_hz : sequence of float
         Rotor orders known to the user [Hz]: taken out whether or not they stand out.
-    select_hz, reject_hz : sequences of float
+    select_hz, reject_hz : float or sequence of float
         Choice by hand [Hz]: taken beside the automatic choice, or left out (``operando.stabilization.select_modes``).
     method : {"ssi-cov", "ssi-dat"}
         ``ssi-dat`` is run by pyOMA-2, on the longest run, without uncertainty.
@@ -116,8 +116,8 @@ def fit_oma(
             max_order,
             references,
             tuple(float(f) for f in known_harmonics_hz),
-            tuple(float(f) for f in select_hz),
-            tuple(float(f) for f in reject_hz),
+            frequencies_of(select_hz, "select_hz"),
+            frequencies_of(reject_hz, "reject_hz"),
             method,
             block_rows,
             tolerances,
