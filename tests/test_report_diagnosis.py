@@ -654,5 +654,7 @@ def test_no_more_than_all_of_an_error_is_explained_by_noise(floor, said, drawn):
 def test_what_differs_farther_than_days_do_may_be_what_has_changed():
     rows = [{"what": "stiffness", "location": [], "value": -0.024, "std": 0.0007, "unusual": True}]
     assert between_words({"between": rows}).endswith("Farther than days in a laboratory: stiffness; that may be part of what has changed.")
+    gains = [{"what": "sensor_gain", "location": [f"{i}+Z"], "value": 1.2, "std": 0.01, "unusual": True} for i in range(6)]
+    assert "Farther than days in a laboratory: stiffness, sensor gain 0+Z," in between_words({"between": [*gains, *rows]})
     usual = between_words({"between": [rows[0] | {"unusual": False}]})
     assert usual == "Between the two measurements differ, as days in a laboratory do: stiffness by −2.4 ± 0.14 %."

@@ -77,7 +77,9 @@ def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | Non
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
     said = lines_words(judged_on or {})
     head = table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"])
-    return f"{head}\nχ²: reduced chi-square, 1 = as good as the noise allows" + (f"; hold-out set: {said}" if said else "")
+    used = "\ndB: rms over the lines that the diagnosis uses; a comparison of models takes all lines in band"
+    used = used if any(row["error_db"] is not None for row in ladder) else ""
+    return f"{head}{used}\nχ²: reduced chi-square, 1 = as good as the noise allows" + (f"; hold-out set: {said}" if said else "")
 
 
 def refit_answer(refit: Refit) -> Answer:

@@ -151,7 +151,7 @@ def comparison_table(comparison: dict[str, Any]) -> str:
     ]
     on = comparison.get("judged_on") or {}
     head = table(rows, ["model", "error dB", "relative %", "reduced χ²", "floor dB"])
-    return head + (f"\nin operation, {', '.join(on['runs'])}, level {on['level_name']}, {_lines(comparison)}" if on else "")
+    return head + (f"\nagainst {', '.join(on['runs'])}, level {on['level_name']}, {_lines(comparison)}" if on else "")
 
 
 def _lines(comparison: dict[str, Any]) -> str:

@@ -329,7 +329,8 @@ def between_words(document: Mapping[str, Any]) -> str:
                 parts.append(f"{name} by {100 * (float(r['value']) - zero):+.2g} ± {number(100 * INTERVAL * float(r['std']), 2)} %")
     if not parts:
         return ""
-    unusual = [f"{kind_words(r['what'])} {listing(r['location'])}".strip() for r in rows if r.get("unusual")]
+    whole_first = sorted((r for r in rows if r.get("unusual")), key=lambda r: bool(r["location"]))
+    unusual = [f"{kind_words(r['what'])} {listing(r['location'])}".strip() for r in whole_first]
     listed = listing(parts, len(parts))
     if not unusual:
         return _typeset(f"Between the two measurements differ, as days in a laboratory do: {listed}.")
