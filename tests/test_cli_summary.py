@@ -10,7 +10,7 @@ import pytest
 
 from operando.cli.summary import mode_table, run_text
 from operando.data import ModalModel
-from operando.report.class_words import class_words, shapes_counted
+from operando.report.class_words import SAME_MAC, class_words, shapes_counted
 from operando.results import Results
 
 DOFS = ("1+Z", "2+Z", "3+Z")
@@ -63,3 +63,8 @@ def test_shapes_are_the_same_from_a_mac_of_0_9_on(row, percent, words):
 def test_shapes_are_counted_as_they_are_named():
     assert shapes_counted(PAIRING) == ["1 with the same shape as idle", "1 with a similar shape (MAC 0.76)", "1 without an idle partner"]
     assert shapes_counted(PAIRING[1:2]) == ["1 with the same shape as idle"]
+
+
+def test_shapes_are_the_same_from_a_stated_mac_on():
+    assert class_words({"class": "unchanged", "mac": SAME_MAC})[0] == "same shape"
+    assert class_words({"class": "unchanged", "mac": SAME_MAC - 0.01})[0].startswith("similar shape")

@@ -11,6 +11,7 @@ from operando.compare.comparison import lowest_level
 from operando.compare.peaks import find_peaks, fit_peaks
 from operando.data import Frf, ModalModel
 from operando.results import CheckRun
+from operando.scaling import scale_operational
 from structures import Chain, modified
 
 LABELS = tuple(f"{i}+Z" for i in range(1, 6))
@@ -248,4 +249,14 @@ def test_a_model_is_compared_in_the_band_it_was_fitted_in_unless_another_one_is_
     assert c.notes[0].startswith(f"compared in the band of the model, {low:.4g} to {high:.4g} Hz")
     assert compare(idle, measured, (F[0], F[-1])).n_lines == compare(whole, measured).n_lines == 25 * F.size
     elsewhere = replace(whole, band_hz=(2 * F[-1], 3 * F[-1]))
-    assert compare(elsewhere, measured).n_lines == 25 * F.size
+    beyond = compare(elsewhere, measured)
+    assert beyond.n_lines == 25 * F.size
+    assert "all lines are compared" in beyond.notes[0]
+
+
+def test_a_hybrid_model_is_compared_in_the_band_of_its_operational_modes():
+    chain = Chain(5)
+    idle, measured = model(chain.hz, chain.zeta, chain.phi), truth(chain)
+    low, high = 0.8 * chain.hz[0], 0.5 * (chain.hz[2] + chain.hz[3])
+    hybrid = scale_operational(replace(idle, band_hz=(F[0], F[-1])), replace(idle, band_hz=(low, high)))
+    assert compare(hybrid, measured).n_lines == 25 * int(((low <= F) & (high >= F)).sum())

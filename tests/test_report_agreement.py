@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operando.compare.verdict import FLOOR_DB
 from operando.report.agreement import agreement, close_words, worst_peak
 
 PEAKS = [
@@ -41,6 +42,9 @@ def test_noise_never_explains_more_than_the_whole_error():
     assert "no larger than what noise of that measurement and the model's own uncertainty make" in larger
     assert "(0.67 dB, the larger part the model's uncertainty), so nothing is left to explain" in larger
     assert "rather too wide than too narrow (reduced chi-square 0.400" in larger
+    untold = agreement(model(noise_floor_db=2 * FLOOR_DB), [])[0]
+    assert f"may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model cannot be stated" in untold
+    assert "nothing is left" not in untold
     mixed = agreement(model(noise_floor_db=0.67, misfit=1.3, model_share=0.2), [])[0]
     assert "the larger part noise" in mixed
     assert "too wide" not in mixed, "a reduced chi-square above 1 says the contrary"

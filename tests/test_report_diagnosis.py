@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from operando.compare import compare_all
-from operando.compare.verdict import FLOOR_DB
+from operando.compare.verdict import FLOOR_DB, GOOD
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
 from operando.report import assumptions, derive, derive_diagnosis, render_report, sections_diagnosis
@@ -640,7 +640,7 @@ def test_every_line_keeps_its_place():
     ("floor", "said", "drawn"),
     [
         (0.1, "noise and the model's own uncertainty explain 0.10 dB of it.", True),
-        (0.6, "noise and the model's own uncertainty make 0.60 dB, so nothing of it is left to explain.", True),
+        (0.6, "no larger than what noise and the model's own uncertainty make (0.60 dB), so nothing is left to explain.", True),
         (121.0, f"alone may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model cannot be stated.", False),
     ],
 )
@@ -649,6 +649,12 @@ def test_no_more_than_all_of_an_error_is_explained_by_noise(floor, said, drawn):
     [sentence] = [s for s in words.sentences if "own uncertainty" in s]
     assert sentence.endswith(said)
     assert (words.ladder.shown_floor == floor) == drawn
+
+
+def test_a_floor_above_the_error_does_not_outweigh_the_chi_square():
+    words = diagnosis_words(document(noise_floor_db=0.6, misfits=(5000.0, GOOD)))
+    [sentence] = [s for s in words.sentences if "own uncertainty" in s]
+    assert sentence.endswith("make (0.60 dB), but the reduced chi-square says that something is left.")
 
 
 def test_what_differs_farther_than_days_do_may_be_what_has_changed():

@@ -169,19 +169,23 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
     runs = [measured] if isinstance(measured, Frf) else list(measured) if isinstance(measured, list | tuple) else [measured]
     for run in runs or [None]:
         expect(run, Frf, "a model is compared with FRFs or another model", "read(file).frfs and estimate_frf(records) give FRFs")
-    own, notes = (band_of(model), []) if band_hz is None else (None, [])
-    if own is not None and all(np.any((run.frequencies_hz >= own[0]) & (run.frequencies_hz <= own[1])) for run in runs):
-        band_hz = own
-        if any(run.frequencies_hz[0] < own[0] or run.frequencies_hz[-1] > own[1] for run in runs):
-            notes = [f"compared in the band of the model, {own[0]:.4g} to {own[1]:.4g} Hz; band_hz names another one"]
+    note: tuple[str, ...] = ()
+    if band_hz is None and (own := _band_of(model)) is not None:
+        of_model = f"the band of the model, {own[0]:.4g} to {own[1]:.4g} Hz"
+        if not all(np.any((run.frequencies_hz >= own[0]) & (run.frequencies_hz <= own[1])) for run in runs):
+            note = (f"a measurement has no line in {of_model}: all lines are compared, for which it was not made",)
+        else:
+            band_hz = own
+            if any(run.frequencies_hz[0] < own[0] or run.frequencies_hz[-1] > own[1] for run in runs):
+                note = (f"compared in {of_model}; band_hz names another one",)
     with one_blas_thread():
         found = _compare(model, runs, band_hz)
-    return replace(found, notes=(*notes, *found.notes))
+    return replace(found, notes=(*note, *found.notes))
 
 
-def band_of(model: Any) -> tuple[float, float] | None:
-    """The band [Hz] that a model was fitted in, of the idle modes where it is made from them; None where none is known."""
-    for part in (model, getattr(model, "modes", None), getattr(model, "idle", None)):
+def _band_of(model: Any) -> tuple[float, float] | None:
+    """The band [Hz] that modes were fitted in: the model's own, those of operation of a hybrid one, the idle ones below effects."""
+    for part in (model, getattr(model, "modal", None), getattr(model, "idle", None)):
         if (band := getattr(part, "band_hz", None)) is not None:
             return float(band[0]), float(band[1])
     return None

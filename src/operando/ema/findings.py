@@ -189,10 +189,10 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
         out.append(
             Finding(
                 "sensor_offset",
-                f"an offset of the sensors, which no structure has, makes {share} of the FRFs (a term 1/s; median over lines and pairs)",
+                f"a term 1/s, as an offset of the sensors makes, is {share} of the FRFs (median over lines and pairs)",
                 "warning" if modes.sensor_offset > 0.1 else "info",
-                consequence="the fit takes it into account, and the model leaves it out: between the peaks, and most below the first of "
-                "them, its FRFs differ from the measured ones by that much",
+                consequence="the fit takes it into account, and the model leaves it out as no part of the structure: between the peaks, "
+                "and most below the first of them, its FRFs differ from the measured ones by that much",
                 action="subtract the mean before each hit, and look for a step of the base line after it (cable, overload, temperature); "
                 "strong damping of a suspension just below the band looks alike",
             )

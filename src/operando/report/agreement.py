@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from operando.compare.route import CLOSE_DB
+from operando.compare.verdict import FLOOR_DB, GOOD
 from operando.report.text import count, decibel, finite, fixed, number
 
 MODEL_NAMES = {
@@ -42,7 +43,11 @@ def agreement(ofrf: Mapping[str, Any], others: Sequence[tuple[str, float]]) -> l
         text += " (" + ", ".join(f"{MODEL_NAMES.get(name, name)}: {decibel(e)}" for name, e in others) + ")"
     misfit = ofrf.get("misfit")
     if finite(ofrf.get("noise_floor_db")):
-        text += _against_the_floor(ofrf)
+        both, share = "noise of that measurement and the model's own uncertainty", ofrf.get("model_share")
+        larger = "" if not finite(share) else ", the larger part " + ("the model's uncertainty" if float(share or 0) > 0.5 else "noise")
+        text += against_the_floor(float(ofrf["error_db"]), float(ofrf["noise_floor_db"]), misfit, both, larger)
+        if ofrf["error_db"] < ofrf["noise_floor_db"] <= FLOOR_DB and (not finite(misfit) or float(misfit or 0) < 1):
+            text += ", and the intervals are rather too wide than too narrow"
     if finite(misfit):
         text += f" (reduced chi-square {number(misfit, 3)}, 1 = as good as the noise allows)"
     sentences = [text + "."]
@@ -57,15 +62,27 @@ def agreement(ofrf: Mapping[str, Any], others: Sequence[tuple[str, float]]) -> l
     return sentences
 
 
-def _against_the_floor(ofrf: Mapping[str, Any]) -> str:
-    """What noise and the model's own uncertainty make of the error; where they make more than all of it, what follows."""
-    error, floor = float(ofrf["error_db"]), float(ofrf["noise_floor_db"])
-    both = "noise of that measurement and the model's own uncertainty"
+def against_the_floor(error: float, floor: float, misfit: Any, both: str, larger: str = "") -> str:
+    """What noise and the model's own uncertainty make of an error [dB], as the end of a sentence.
+
+    dB above ``FLOOR_DB`` are no longer those of small errors. Where the floor is above the error nothing is left to explain, unless the
+    reduced chi-square, which the few lines near antiresonances do not rule, says that something is.
+
+    Parameters
+    ----------
+    error, floor : float
+        dB, rms.
+    misfit : float or None
+        Reduced chi-square of the same lines.
+    both : str
+        Noise and the model's own uncertainty, in words.
+    larger : str, optional
+        Which of them is the larger part.
+    """
+    if floor > FLOOR_DB:
+        return f"; {both} alone may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model cannot be stated"
     if floor <= error:
         return f"; {both} explain {decibel(floor)} of it"
-    share, misfit = ofrf.get("model_share"), ofrf.get("misfit")
-    larger = "" if not finite(share) else ", the larger part " + ("the model's uncertainty" if float(share or 0) > 0.5 else "noise")
-    text = f"; that is no larger than what {both} make ({decibel(floor)}{larger}), so nothing is left to explain"
-    if not finite(misfit) or float(misfit or 0) < 1:
-        text += ", and the intervals are rather too wide than too narrow"
-    return text
+    text = f"; that is no larger than what {both} make ({decibel(floor)}{larger}), "
+    some = finite(misfit) and float(misfit) >= GOOD
+    return text + ("but the reduced chi-square says that something is left" if some else "so nothing is left to explain")

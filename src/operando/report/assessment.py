@@ -307,11 +307,11 @@ def _light_and_real(results: Results, found: list[Finding]) -> Assumption:
     idle = [f.message.rstrip(".") for f in found if f.kind == "complex_modes" and not f.message.startswith(NOT_FITTED)]
     if idle:
         text += f" Idle modes that are not real: {'; '.join(idle)}. The shapes stated are real."
-    complex_modes = []
-    for i in range(0 if results.operating is None else results.operating.n_modes):
-        mpc = phase_collinearity(results.operating.shapes[:, i])  # type: ignore[union-attr]
+    operating, complex_modes = results.operating, []
+    for hz, shape in () if operating is None else zip(operating.frequencies_hz, operating.shapes.T, strict=True):
+        mpc = phase_collinearity(shape)
         if mpc < 0.9:
-            complex_modes.append(f"{number(results.operating.frequencies_hz[i], 4)} Hz ({mpc:.2f})")  # type: ignore[union-attr]
+            complex_modes.append(f"{number(hz, 4)} Hz ({mpc:.2f})")
     if complex_modes:
         text += f" Operating shapes that are not real (modal phase collinearity below 0.9): {listing(complex_modes)}; "
         text += "their imaginary part is lost in the operational FRFs."

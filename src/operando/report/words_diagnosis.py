@@ -10,6 +10,7 @@ from typing import Any
 from operando.compare.verdict import FLOOR_DB
 from operando.errors import OperandoError
 from operando.indicators import INTERVAL
+from operando.report.agreement import against_the_floor
 from operando.report.text import decibel, finite, listing, number, plus_minus
 from operando.structure.effects import Effect
 from operando.units import engineering_unit
@@ -269,11 +270,12 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     ladder = error_by_step(document)
     output_only = not any(str(d).startswith("check") for d in document.get("data") or ["check_frf"])
     others = _diagnosed(document) if by_hand else (_others(document, verdict, effects),)
-    judged_on = document.get("judged_on") or {}
+    judged_on, last = document.get("judged_on") or {}, (document.get("ladder") or [{}])[-1]
+    misfit = last.get("heldout_misfit") if ladder.on_hold_out else last.get("misfit")
     where = f"Hold-out set: {lines_words(judged_on)}." if judged_on and not output_only else ""
     hidden = "" if by_hand else _hidden(document)
     differ = "" if by_hand else between_words(document)
-    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only), where, hidden, differ, *others)
+    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only, misfit), where, hidden, differ, *others)
     found = tuple(_found(e) for e in effects)
     decide = _deciding(document, verdict, effects)
     said = tuple(s for s in sentences if s)
@@ -388,7 +390,7 @@ def _diagnosed(document: Mapping[str, Any]) -> tuple[str, ...]:
     return (*(f"{w[:1].upper()}{w[1:]}." for w in said), found)
 
 
-def _errors(ladder: ErrorByStep, output_only: bool) -> str:
+def _errors(ladder: ErrorByStep, output_only: bool, misfit: Any) -> str:
     if not ladder.rows:
         return ""
     first, last = ladder.rows[0].heldout, ladder.rows[-1].heldout
@@ -403,25 +405,12 @@ def _errors(ladder: ErrorByStep, output_only: bool) -> str:
     text = f"On {where}, the error of the idle model is {value(first)}"
     text += f", with {'the effect' if added == 1 else 'the effects'} {value(last)}" if added else ""
     if ladder.decibel:
-        return text + _floor_words(ladder, last)
+        both = "noise and the model's own uncertainty"
+        return text + ("" if ladder.floor is None else against_the_floor(last, ladder.floor, misfit, both)) + "."
     text += (
         f" (reduced chi-square {number(first, 3)}" + (f", then {number(last, 3)}" if added else "") + "; 1 = as good as the noise allows)"
     )
     return text + ("; it is the phase that is wrong, levels in dB hardly show it." if ladder.by_phase else ".")
-
-
-def _floor_words(ladder: ErrorByStep, error: float) -> str:
-    """What noise and the model's own uncertainty make of an error [dB], as the end of a sentence."""
-    if ladder.floor is None:
-        return "."
-    if ladder.shown_floor is None:
-        return (
-            f"; noise and the model's own uncertainty alone may make more than {FLOOR_DB:g} dB, so how much of it is an error of the model "
-            "cannot be stated."
-        )
-    if ladder.floor < error:
-        return f"; noise and the model's own uncertainty explain {decibel(ladder.floor)} of it."
-    return f"; noise and the model's own uncertainty make {decibel(ladder.floor)}, so nothing of it is left to explain."
 
 
 def lines_words(judged_on: Mapping[str, Any]) -> str:
