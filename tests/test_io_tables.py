@@ -369,6 +369,39 @@ def test_a_column_name_longer_than_any_format_has_is_refused(tmp_path, length, g
             read(path)
 
 
+def test_a_table_of_nodes_is_a_geometry(tmp_path):
+    geometry = table(tmp_path, "# frame\nNode;x [mm];y;z;colour\n1;0;1,5;2;red\n\n7;100;-3;0;blue\nFRAM:2;0;0;0;red\n").geometry
+    assert geometry.nodes == (1, 7, "FRAM:2")
+    np.testing.assert_allclose(geometry.coordinates, [[0, 1.5e-3, 2e-3], [0.1, -3e-3, 0], [0, 0, 0]])
+    assert geometry.unit_known
+
+
+def test_a_table_of_nodes_without_a_unit_takes_that_of_the_test_file(tmp_path):
+    text = "node_name\t x\t y\t z\n 1 1.8e+01 -1 0\n 2 0 1 0\n"
+    content = table(tmp_path, text)
+    assert not content.geometry.unit_known
+    assert [f.kind for f in content.findings] == ["missing_unit"]
+    stated = table(tmp_path, text, units={"length": "in"})
+    assert stated.geometry.coordinates[0, 0] == pytest.approx(18 * 0.0254)
+    assert not stated.findings
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("a,0,0,0", "line 3: 'a' is no node"),
+        ("2.5,0,0,0", "line 3: '2.5' is no node"),
+        ("2,0,x,0", "line 3: y is 'x', expected a coordinate"),
+        ("2,0,0,nan", "line 3: z is 'nan', expected a coordinate"),
+        ("2,0,0", "line 3: 3 cells, but 4 columns"),
+        ("1,0,0,0", "line 3: node 1 stands there a second time"),
+    ],
+)
+def test_a_wrong_row_of_a_table_of_nodes_is_named(tmp_path, row, message):
+    with pytest.raises(FormatError, match=message):
+        table(tmp_path, f"node,x [m],y [m],z [m]\n1,0,0,0\n{row}\n")
+
+
 def test_channels_called_as_nodes_stay_channels(tmp_path):
     """Two columns of ends are lines where they count nodes; samples change sign or have fractions."""
     for text in ("node 1 [g],node 2 [g]\n0.5,1\n1,2\n", "node_1,node_2\n-1,3\n2,1\n", "time,node,x,y,z\n0,1,1,1,1\n1,2,2,2,3\n"):

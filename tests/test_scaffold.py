@@ -283,19 +283,22 @@ def test_tables_of_the_structure_are_no_records(tmp_path):
     rows = "\n".join(f"{i / 100},{(i * 7) % 5}" for i in range(200))
     (tmp_path / "run.csv").write_text(f"time [s],1+Z [g]\n{rows}\n")
     (tmp_path / "grid.txt").write_text("node_name\t x\t\t y\t z\n 1  1.8e+01 -1.8e+01 0\n 2  1.8e+01 1.8e+01 0\n")
-    (tmp_path / "points.csv").write_text("Node,x [m],y [m],z [m]\na,0,0,0\nb,1,0,0\n")
+    (tmp_path / "points.csv").write_text("Node,x [m],y [m],z [m]\n1,0,0,0\n2,1,0,0\n")
     (tmp_path / "lines.txt").write_text("node_name_1\t node_name_2\n 3 7\n 4 8\n")
     (tmp_path / "edges.csv").write_text("from,to\n1,2\n2,3\n")
     (tmp_path / "directions.csv").write_text("setup,node,channel,azimuth_deg,elevation_deg\n1,5,5+X,28.9,-8.7\n")
     made = scaffold(tmp_path)
-    assert roles(made, tmp_path) == dict.fromkeys(("directions.csv", "edges.csv", "grid.txt", "lines.txt", "points.csv"), "ignored") | {
-        "run.csv": "operating records"
+    assert roles(made, tmp_path) == dict.fromkeys(("directions.csv", "edges.csv", "lines.txt"), "ignored") | {
+        "run.csv": "operating records",
+        "grid.txt": "geometry",
+        "points.csv": "geometry",
     }
     assert 'records = ["run.csv"]' in made.text
     assert "[channels]" not in made.text
-    [told] = [note for note in made.notes if "grid.txt" in note]
-    assert told.startswith("not used: grid.txt: a table of nodes and coordinates (node_name, x, y, z), no measurement")
-    assert "[geometry] file" in told
+    assert 'file = "grid.txt"' in made.text
+    [told] = [note for note in made.notes if "lines.txt" in note]
+    assert told.startswith("not used: lines.txt: a table of lines between nodes (node_name_1, node_name_2), no measurement")
+    assert "[geometry] takes" in told
     assert any("[directions]" in note for note in made.notes if "directions.csv" in note)
 
 

@@ -69,7 +69,7 @@ class NoRate(FormatError):
 
 
 class NoMeasurement(FormatError):
-    """A table that describes the structure or the sensors: nodes, lines between them, directions.
+    """A table that describes the structure or the sensors: lines between nodes, directions.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class NoMeasurement(FormatError):
     def __init__(self, what: str, heads: Sequence[str], where: str) -> None:
         hint = "directions belong in [directions] of the test file"
         if "directions" not in what:
-            hint = 'operando.Geometry(nodes, coordinates, lines).save("geometry.uff") makes of it what [geometry] file takes'
+            hint = 'operando.Geometry(nodes, coordinates, lines).save("geometry.uff") makes a file with lines, which [geometry] takes'
         names = ", ".join(heads[:5]) + (" …" if len(heads) > 5 else "")
         super().__init__(f"a table of {what} ({names}), no measurement", where=where, hint=hint)
 
@@ -95,6 +95,15 @@ _ENDS = re.compile(
     re.IGNORECASE,
 )
 _DIRECTION = re.compile(r"^(azimuth|elevation|direction)([ _-]?(deg|rad))?s?$", re.IGNORECASE)
+
+
+NODES = "nodes and coordinates"
+"""What a table is called whose nodes have x, y and z: a geometry."""
+
+
+def is_node_column(name: str) -> bool:
+    """Whether a column is called as one of nodes: ``Node``, ``point no``, ``node_name``."""
+    return _NODE.match(name) is not None
 
 
 def described_structure(heads: Sequence[str], numbers: NDArray[np.float64] | None = None) -> str:
@@ -113,12 +122,12 @@ def described_structure(heads: Sequence[str], numbers: NDArray[np.float64] | Non
     Returns
     -------
     str
-        ``nodes and coordinates``, ``nodes and directions``, ``lines between nodes``, or empty.
+        ``NODES``, ``nodes and directions``, ``lines between nodes``, or empty.
     """
     names = {head.lower() for head in heads}
-    if any(_NODE.match(name) for name in names) and not names & {"t", "time"}:
+    if any(is_node_column(name) for name in names) and not names & {"t", "time"}:
         if {"x", "y", "z"} <= names:
-            return "nodes and coordinates"
+            return NODES
         if any(_DIRECTION.match(name) for name in names):
             return "nodes and directions"
     if numbers is None or len(names) != 2 or numbers.shape[1] != 2 or not all(_ENDS.match(name) for name in names):

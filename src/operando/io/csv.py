@@ -7,6 +7,7 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 from operando.atomic import replacing
 from operando.data import Finding, Provenance, TimeRecord
 from operando.errors import FormatError, UnitError
-from operando.io.columns import TIME, NoHeader, NoMeasurement, NoRate, check_columns, described_structure, propose_columns
+from operando.io.columns import NODES, TIME, NoHeader, NoMeasurement, NoRate, check_columns, described_structure, propose_columns
 from operando.io.content import Content, SetInfo
 from operando.io.frf_table import BARE, is_frf_table, read_bare_frf, read_frf_table
+from operando.io.node_table import read_node_table
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
@@ -44,6 +46,8 @@ def read_csv(
     ``["Hz", "magnitude", "deg"]``, ``["Hz", "real", "imag"]``, ``["Hz", "dB"]``, or ``["s", "g", "N"]``: time, then the unit of
     each channel.
 
+    A table with a column of nodes and the columns x, y and z is a geometry (``node_table``).
+
     The rate comes from a time column (``t``, ``time``, …), a column or comment ``fs``, ``sampling_hz`` or ``units["sampling_hz"]``.
 
     Parameters
@@ -64,7 +68,7 @@ def read_csv(
     Raises
     ------
     FormatError
-        If there is no header line, no number, no sampling rate, the time is not even, or the table describes nodes.
+        If there is no header line, no number, no sampling rate, the time is not even, or the table describes lines or directions.
 
     Examples
     --------
@@ -95,7 +99,11 @@ def _read_table(path: Path, units: Units | None, channels: ChannelSpecs | None, 
     where = str(path)
     with open_file(path) as stream:
         text = _decoded(stream.read(), where)
-    comments, names, texts, table = _table(text, where, units)
+    head = _head(text, where)
+    comments = head.comments
+    if described_structure([_split_name(name)[0] for name in head.names if name]) == NODES:
+        return _nodes(text, head, path, units)
+    names, texts, table = _table(text, head, where, units)
     del text
     if is_frf_table(names):
         return read_frf_table(names, texts, table, comments, path, units, channels)
@@ -205,8 +213,19 @@ def _decoded(raw: bytes, where: str) -> str:
     raise FormatError("the text cannot be decoded", where=where)
 
 
-def _table(text: str, where: str, units: Units | None) -> tuple[list[str], list[str], list[str], NDArray[np.float64]]:
-    """Comments, column names, unit texts, (n_columns, n_rows) numbers."""
+class _Head(NamedTuple):
+    """What stands above the rows of a table, and where these begin."""
+
+    comments: list[str]
+    names: list[str]
+    delimiter: str | None
+    decimal: str
+    position: int
+    length: int
+
+
+def _head(text: str, where: str) -> _Head:
+    """The header line, and what it and the first rows say of the table."""
     lines = text.split("\n", 60)
     comments: list[str] = []
     position = 0
@@ -228,8 +247,27 @@ def _table(text: str, where: str, units: Units | None) -> tuple[list[str], list[
         raise FormatError("no header line and data below it", where=where, hint="the first line names the columns: name [unit]")
     delimiter, decimal = _delimiter(head, rows)
     names = [part.strip().strip("\"'").strip() for part in (head.split(delimiter) if delimiter else head.split())]
+    return _Head(comments, names, delimiter, decimal, position, length)
+
+
+def _nodes(text: str, head: _Head, path: Path, units: Units | None) -> Content:
+    """A table of nodes and coordinates, row by row: nodes may be texts."""
+    split = [_split_name(name) for name in head.names]
+    first = text[: head.position].count("\n") + 1
+    rows = [(first + i, row.split(head.delimiter)) for i, row in enumerate(text[head.position :].split("\n")) if _is_row(row)]
+    return read_node_table([s[0] for s in split], [s[1] for s in split], rows, head.decimal, path, units)
+
+
+def _is_row(line: str) -> bool:
+    return bool(line.strip()) and line.strip()[0] not in "#%"
+
+
+def _table(text: str, head: _Head, where: str, units: Units | None) -> tuple[list[str], list[str], NDArray[np.float64]]:
+    """Column names, unit texts, (n_columns, n_rows) numbers."""
+    names, delimiter, decimal = head.names, head.delimiter, head.decimal
+    rest = text[head.position :]
     if all(_is_number(part.replace(",", ".")) for part in names if part):
-        return comments, *_without_header(_numbers(text[position - length :], delimiter, decimal, where).T, where, units)
+        return _without_header(_numbers(text[head.position - head.length :], delimiter, decimal, where).T, where, units)
     heads = [_split_name(name)[0] for name in names if name]
     if what := described_structure(heads):
         raise NoMeasurement(what, heads, where)
@@ -254,7 +292,7 @@ def _table(text: str, where: str, units: Units | None) -> tuple[list[str], list[
         )
     filled = [i for i, name in enumerate(names) if name or np.any(np.isfinite(numbers[:, i]))]
     split = [_split_name(names[i]) for i in filled]
-    return comments, [s[0] for s in split], [s[1] for s in split], np.ascontiguousarray(numbers[:, filled].T)
+    return [s[0] for s in split], [s[1] for s in split], np.ascontiguousarray(numbers[:, filled].T)
 
 
 def _without_header(table: NDArray[np.float64], where: str, units: Units | None) -> tuple[list[str], list[str], NDArray[np.float64]]:

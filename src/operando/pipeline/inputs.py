@@ -229,12 +229,9 @@ class Inputs:
                     geometry = replace(geometry, coordinates=geometry.coordinates * factor, unit_known=True)
                 return geometry
         if test.geometry_file is not None and self.findings.get(test.geometry_file) == []:
-            self._note(
-                test.geometry_file,
-                Finding(
-                    "no_geometry", "the geometry file holds no nodes", file=test.geometry_file.name, action="UFF 15 or 2411 is expected"
-                ),
-            )
+            action = "UFF 15 or 2411 is expected, or a table with the columns node, x, y, z"
+            name = test.geometry_file.name
+            self._note(test.geometry_file, Finding("no_geometry", "the geometry file holds no nodes", file=name, action=action))
         return None
 
     def inventory(self) -> list[dict[str, Any]]:
