@@ -160,14 +160,14 @@ def test_real_modes_stand_where_complex_ones_cannot_be_looked_for():
         data[response, :, lines % N == response] = np.nan
     model = with_complex_modes(real_modes(), replace(frf, data=data))
     assert model.coupling is None
-    assert any(f.kind == "complex_modes" and f.consequence == "the idle model has real modes" for f in model.findings)
+    assert any(f.kind == "complex_modes_not_tried" and f.consequence == "the idle model has real modes" for f in model.findings)
 
 
 def test_real_modes_stand_where_the_covariance_of_complex_ones_fails(monkeypatch):
     monkeypatch.setattr("operando.diagnosis.complex_idle.moved_by_force_noise", lambda state: np.linalg.cholesky(-np.eye(3)))
     model = with_complex_modes(real_modes(), idle_frf())
     assert model.coupling is None
-    assert [f.kind for f in model.findings] == ["complex_modes"]
+    assert [f.kind for f in model.findings] == ["complex_modes_not_tried"]
 
 
 def test_a_line_that_is_exactly_zero_leaves_the_variance_of_the_others():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from operando import load_test
@@ -66,6 +68,13 @@ def test_full_file(folder):
     assert settings["max_order"] is None
     assert settings["channels"]["13+Z"] == {"exclude": True, "reason": "cable"}
     assert set(Analysis().to_dict()) <= set(settings)
+
+
+def test_the_short_form_names_the_files_of_each_state_and_what_is_chosen(tmp_path):
+    test = Test("pump", geometry_file=tmp_path / "geometry.uff", idle=State(records=(tmp_path / "a.uff", tmp_path / "b.uff")))
+    assert repr(test) == "<Test: pump; idle 2 records; geometry geometry.uff>"
+    test = replace(test.with_analysis(band=(5, 220)), check=State(frfs=(tmp_path / "check.uff",)), units={"force": "N"})
+    assert repr(test) == "<Test: pump; idle 2 records; check 1 FRF file; geometry geometry.uff; band (5.0, 220.0); [units]>"
 
 
 def test_folder_and_bom_and_name(folder):

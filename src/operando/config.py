@@ -6,7 +6,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -109,7 +109,7 @@ class Analysis:
         return {key: _plain(value) for key, value in asdict(self).items()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Test:
     """One test: the files of each state, units and channels where the files are silent, settings.
 
@@ -156,6 +156,19 @@ class Test:
     report: dict[str, str] = field(default_factory=dict)
     effects: tuple[Path, ...] = ()
     given: Given = field(default_factory=dict, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        usual, counted = Analysis(), lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}"
+        states = [
+            f"{name} {' and '.join(counted(len(f), noun) for f, noun in ((of.records, 'record'), (of.frfs, 'FRF file')) if f)}"
+            for name, of in self.states.items()
+            if of
+        ]
+        chosen = {f.name: getattr(self.analysis, f.name) for f in fields(Analysis)}
+        analysis = ", ".join(f"{key} {value}" for key, value in chosen.items() if value != getattr(usual, key))
+        sections = [f"[{key}]" for key in ("units", "channels", "directions", "between", "report") if getattr(self, key)]
+        geometry = "" if self.geometry_file is None else f"geometry {self.geometry_file.name}"
+        return f"<Test: {'; '.join(part for part in (self.name, *states, geometry, analysis, ' '.join(sections)) if part)}>"
 
     def where(self, section: str, key: str = "") -> str:
         """An entry of the test file in words: file, line, section, key."""

@@ -127,7 +127,7 @@ def _tied(model: ModalModel, idle: Idle, by_force_noise: tuple[Array, Array]) ->
 
 def _not_tried(error: Exception) -> Finding:
     return Finding(
-        "complex_modes",
+        "complex_modes_not_tried",
         f"complex modes cannot be fitted to these idle FRFs: {str(error).split(' (')[0]}",
         "info",
         consequence="the idle model has real modes",

@@ -304,7 +304,7 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
     if verdict.name == "unexplained" and unlike_neighbours(best):
         return "put sensors in all directions between those beside the location, idle and in operation: they show what moves there"
     if verdict.name in ("partial", "unexplained"):
-        return "measure the running structure at another level and with the force at another point: does the rest depend on level?"
+        return "measure this state at another level and with the force at another point: does the rest depend on level?"
     if verdict.name == "inconclusive":
         at = case.lines.fit
         problem = best.problem
@@ -318,7 +318,7 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
         there = case.lines.there
         noise = float(np.mean(case.lines.variance[at][:, there] / case.lines.level[at][:, there] ** 2))
         if noise > best.alpha**2:
-            return "the noise of the validation measurement hides it: measure again in operation with a larger force or more averages"
+            return "the noise of the validation measurement hides it: measure this state again with a larger force or more averages"
         return "what no parameter explains hides it: measure rest and operation in one set-up, without touching sensors or shaker"
     return None
 

@@ -37,9 +37,6 @@ from operando.scaling.no_scale import no_scale
 
 RECIPROCITY = "Reciprocity in operation"
 
-NOT_FITTED = "complex modes cannot be fitted"
-"""How the finding ``complex_modes`` begins that says nothing of the modes: the fit that would show them was not possible."""
-
 SCALE_DOUBT_DB = 0.5
 """Median error of the modal scale against the check from which an unchanged mass is doubted."""
 
@@ -304,7 +301,7 @@ def _light_and_real(results: Results, found: list[Finding]) -> Assumption:
         return Assumption(name, "untested", "No modes were identified.")
     top = max((z for model in models for z in model.damping_ratios.tolist()), default=float("nan"))
     text = f"Greatest damping ratio {fixed(100 * top, 2)} %."
-    idle = [f.message.rstrip(".") for f in found if f.kind == "complex_modes" and not f.message.startswith(NOT_FITTED)]
+    idle = [f.message.rstrip(".") for f in found if f.kind == "complex_modes"]
     if idle:
         text += f" Idle modes that are not real: {'; '.join(idle)}. The shapes stated are real."
     operating, complex_modes = results.operating, []
