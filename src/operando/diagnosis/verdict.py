@@ -293,7 +293,7 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
     far = _UNLIKE if unlike_days(best) else ""
     still = _MOVED if untouched(best) else ""
     if rest is not None and misses_idle_frfs(rest):  # effects were judged where they were looked for (``poor_idle``)
-        lost = f"the idle model differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves"
+        lost = f"the idle model, one set of shapes for all pairs, differs by {100 * rest.alpha:.1f} % from the idle FRFs themselves"
         return ("partial" if best.terms and supported(best) else "inconclusive"), lost
     if far or still or not explained:
         before = on_validation_lines(found.empty)[1]

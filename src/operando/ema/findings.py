@@ -178,7 +178,8 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
         out.append(
             Finding(
                 "model_error",
-                f"the FRFs differ from any set of modes by {100 * modes.model_error:.2g} % of themselves (median of the pairs)",
+                f"the FRFs differ from any set of modes by {100 * modes.model_error:.2g} % of themselves"
+                " (median of the pairs, each with residues of its own)",
                 "warning" if modes.model_error > 0.1 else "info",
                 consequence="this error, not the noise, sets the uncertainties",
                 action="hits, temperature, level and mounting are the usual reasons",
