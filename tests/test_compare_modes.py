@@ -228,9 +228,12 @@ def test_frf_against_frf_on_common_lines():
 def test_a_measurement_of_the_opposite_sense_is_noted_once_with_its_consequence():
     chain = Chain(5)
     idle, measured = model(chain.hz, chain.zeta, chain.phi), truth(chain)
-    other = Frf(-measured.data, F, LABELS, LABELS)
-    assert compare(idle, measured).notes == ()
-    one = compare(idle, Frf(-measured.data[:, :1], F, LABELS, LABELS[:1]))
+    noise = np.full(measured.data.shape, 1e-12)
+    other = Frf(-measured.data, F, LABELS, LABELS, variance=noise)
+    assert compare(idle, Frf(measured.data, F, LABELS, LABELS, variance=noise)).notes == ()
+    [exact] = compare(idle, measured).notes
+    assert exact.startswith("the FRFs compared with state neither variance nor coherence and count as exact")
+    one = compare(idle, Frf(-measured.data[:, :1], F, LABELS, LABELS[:1], variance=noise[:, :1]))
     [note] = one.notes
     assert note.startswith("force and accelerometer have opposite senses at the measured drive point 1+Z")
     assert "with one of the two reversed" in note

@@ -303,6 +303,11 @@ def collect(made: Frf, ref: Frf, labels: list[Dof], notes: list[str]) -> Lines:
     f = np.broadcast_to(ref.frequencies_hz, shape)
     if not np.all(good):
         notes.append(f"{int(np.sum(~good))} lines are not finite, left out")
+    if ref.variance is None:
+        notes.append(
+            "the FRFs compared with state neither variance nor coherence and count as exact: chi-square and noise floor know only of the "
+            "uncertainty of the model"
+        )
     unstated = 0 if made.variance is None else int(np.sum(np.isnan(made.variance) & good))
     if unstated:
         notes.append(f"the model states no variance on {unstated} of {int(good.sum())} lines: that of the measurement alone counts there")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from operando.compare import FOUND
-from operando.compare.verdict import floor_reason
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
@@ -334,8 +333,6 @@ def told(
     if name in FOUND and (worse := farther_off(best)):
         name, why = "partial", worse
     floor = floor_db(found.empty)
-    if name == "no_misfit" and (hidden := floor_reason(floor)) is not None:
-        name, why = "inconclusive", hidden
     where = where_it_fails(idle, check, band, compared)
     poor = rest is not None and misses_idle_frfs(rest.state)
     if name == "inconclusive" and (poor or not best.terms) and (moved := moved_peaks(where["by_mode"], case.between.spreads)):
@@ -392,6 +389,12 @@ def notes_of(
             "unexplained. The FRFs of the model with the effects have what ties the modes to each other; its idle modes alone do not"
         )
     case = found.best.case
+    unstated = [("validation", case.lines.noise_stated), ("idle", rest is None or rest.state.case.lines.noise_stated)]
+    if which := " and ".join(name for name, stated in unstated if not stated):
+        notes.append(
+            f"the {which} FRFs state neither variance nor coherence: their noise is estimated from how much neighbouring lines differ, "
+            "which is too little where a window makes the noise of neighbours alike"
+        )
     if rest is not None and misses_idle_frfs(rest.state):
         notes.append(
             "what the idle model leaves of the idle FRFs counts as error of the operating measurement, too; one effect was looked for, "

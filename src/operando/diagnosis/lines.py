@@ -11,6 +11,7 @@ from scipy.signal import find_peaks
 
 from operando.data import Frf
 from operando.diagnosis.criteria import BLOCKS, CORRELATED_LINES, FIT_LINES, POOLED_LINES, VALIDATION_LINES
+from operando.ema.pairs import noise_shape
 from operando.errors import DataError
 
 Array = NDArray[Any]
@@ -50,6 +51,8 @@ class Lines:
         Numbers of the lines of each set.
     there : (responses, references) bool array
         Pairs that were measured.
+    noise_stated : bool
+        Whether the FRFs bring a variance; else it is that of :func:`~operando.ema.pairs.noise_shape`, by which neighbouring lines differ.
     w : (lines,) array [rad/s]
     h, variance, level : (lines, responses, references) arrays
         FRFs, their variance, and their rms over ±1 % of frequency: a share of it does not vanish at antiresonances.
@@ -75,7 +78,8 @@ class Lines:
     ) -> None:
         self.f, self.zeta = f, zeta
         hz, h = frf.frequencies_hz, np.moveaxis(frf.data, 2, 0)
-        variance = (0.01 * np.abs(h)) ** 2 if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
+        self.noise_stated = frf.variance is not None
+        variance = np.zeros(h.shape) if frf.variance is None else np.moveaxis(frf.variance, 2, 0)
         finite = np.isfinite(h) & np.isfinite(variance)
         self.there = finite.mean(axis=0) > 0.5
         good = finite[:, self.there].all(1)
@@ -86,10 +90,14 @@ class Lines:
                 hint="name the bad channel in the test file, or widen the band",
             )
         hz, h = hz[good], np.where(self.there, h[good], 0)
-        variance = np.maximum(_pooled(np.where(self.there, variance[good], 1.0), np.abs(h) ** 2), 1e-8 * np.abs(h) ** 2)
-        told = frf.variance is not None
+        given = (
+            np.where(self.there, variance[good], 1.0)
+            if self.noise_stated
+            else noise_shape(np.asarray(h, complex).reshape(len(h), -1).T).T.reshape(h.shape)
+        )
+        variance = np.maximum(_pooled(given, np.abs(h) ** 2), 1e-8 * np.abs(h) ** 2)
         measured = h[:, self.there], variance[:, self.there]
-        self.correlated = correlated or (alike_lines(*measured) if told else CORRELATED_LINES)
+        self.correlated = correlated or (alike_lines(*measured) if self.noise_stated else CORRELATED_LINES)
         # a pair that was not measured weighs nothing
         variance = np.where(self.there, variance, _NOTHING * np.mean(np.abs(h[:, self.there]) ** 2))
         block = _blocks(np.mean(np.log(np.maximum(np.abs(h[:, self.there]) ** 2, 1e-300)), axis=1), np.searchsorted(hz, f))

@@ -238,6 +238,7 @@ def with_discrepancy(state: State, alpha: float) -> State:
     return replace(state, x=problem.point(x), alpha=alpha, factor=factor)
 
 
+@np.errstate(all="ignore")  # far from the data a size may be beyond all numbers: its cost is infinite
 def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
     """Robust way from a start to the neighbourhood of a fit, on few lines, then more: Student weights, damped steps. Cost and end."""
     lines, damping, now = case.lines, 1.0, np.inf
@@ -257,17 +258,18 @@ def approach(case: Case, start: Point, turns: int = 4) -> tuple[float, Point]:
             rows = Rows(weights=np.sqrt(2 / (noise + np.abs(residual) ** 2)))
             try:
                 made = case.forward.derived(problem.point(x), problem.w, rows)
-            except np.linalg.LinAlgError:  # two poles in one
+                information = Information.of(made.shared, made.own)
+                factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
+            except np.linalg.LinAlgError:  # two poles in one, or derivatives that are no numbers
                 return np.inf, start
-            information = Information.of(made.shared, made.own)
             gradient = problem.gradient(made.shared, made.own, rows.flat(residual[..., None])[..., 0], x)
             for _ in range(9):
-                factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
                 there = x + problem.limited(problem.solved(factor, gradient))
                 ahead, new = problem.tried(there, cost)
                 if new < now:
                     break
                 damping = max(damping, 0.1) * 10
+                factor = Factor.of(information, (1 + damping) * problem.precision, (1 + damping) * problem.own_precision)
             else:
                 break
             x, h, damping, gain, now = there, ahead, damping / 10, now - new, new
