@@ -162,6 +162,28 @@ def test_short_forms_are_short_and_harmless():
     assert "1 force 3-Z; 2 responses 3+Z, 4+X; 1 other channel" in repr(record())
 
 
+def test_results_of_an_analysis_print_short():
+    from operando import Diagnosis, Effect, Model
+    from operando.diagnosis import Applied
+    from operando.ema import EmaDetails
+    from operando.results import CheckRun
+
+    spring = Effect("ground_spring", "2+Z", {"stiffness": 2e4}, {"stiffness": 100.0})
+    rows = [{"step": i, "heldout_error_db": v, "long": ["x"] * 1000} for i, v in enumerate((8.8, 0.2))]
+    found = Diagnosis("explained", (spring,), (), "excite 3+Z while it runs", tuple(rows), tuple(rows), {"by_dof": rows}, 0.1, idle=modal())
+    assert repr(found) == (
+        "<Diagnosis: explained; ground_spring at 2+Z, 20.0 ± 0.2 kN/m; 0.20 dB on the hold-out set; proposed: excite 3+Z while it runs>"
+    )
+    model = Model(modal(), (spring,))
+    assert repr(model) == "<Model: 4 idle modes at 4 DOFs; ground_spring at 2+Z, 20.0 ± 0.2 kN/m>"
+    applied = Applied(model, (spring,), tuple(rows), ("words",))
+    assert repr(applied) == "<Applied: ground_spring at 2+Z, 20.0 ± 0.2 kN/m; 8.80 dB before, 0.20 dB after on the hold-out set>"
+    details = EmaDetails(None, (), (), (5.0, 60.0), np.ones(4), 1.0, True, False)
+    for obj in (found, model, applied, details, CheckRun("run 1", "20 N", matrix(), 20.0)):
+        assert len(repr(obj)) < 300
+        assert obj._repr_html_().startswith("<table>")
+
+
 # Saved, loaded, in other forms.
 
 

@@ -10,8 +10,8 @@ from typing import Any
 from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted
 
 
-@dataclass
-class CheckRun:
+@dataclass(repr=False)
+class CheckRun(Short):
     """One set of FRFs measured in operation that the model is compared with.
 
     Attributes
@@ -31,6 +31,11 @@ class CheckRun:
     frf: Frf
     force_n: float | None = None
     levels_agree: bool = False
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        force = "" if self.force_n is None else f"force {self.force_n:.3g} N rms"
+        return {"Name": self.name, "Level": self.level, "Force": force, "FRFs": repr(self.frf)}
 
     def stated_level(self) -> dict[str, Any]:
         """The level as documents hold it: a number with its unit, and its name."""

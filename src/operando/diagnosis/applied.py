@@ -6,14 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from operando.data import Short
 from operando.structure import Model
 from operando.structure.effects import Effect
 
 _LITTLE = 0.1  # an effect that lowers the misfit by less than this part has no support in the data
 
 
-@dataclass(frozen=True)
-class Applied:
+@dataclass(frozen=True, repr=False)
+class Applied(Short):
     """A model with effects chosen by hand.
 
     Parameters
@@ -35,6 +36,15 @@ class Applied:
     ladder: tuple[dict[str, Any], ...]
     words: tuple[str, ...]
     judged_on: Mapping[str, Any] = field(default_factory=dict)
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says; ± is the 95 % interval."""
+        errors = [row.get("heldout_error_db") for row in self.ladder]
+        known = len(errors) > 1 and errors[0] is not None and errors[-1] is not None
+        return {
+            "Effects": " + ".join(e.short for e in self.effects),
+            "Validation": f"{errors[0]:.2f} dB before, {errors[-1]:.2f} dB after on the hold-out set" if known else "",
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """JSON object: effects, errors by step, words, and what the figures on lines never fitted stand on."""

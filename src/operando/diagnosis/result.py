@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Geometry, ModalModel
+from operando.data import Geometry, ModalModel, Short, counted
 from operando.diagnosis.drawn import Drawn
 from operando.results import CheckRun
 from operando.structure import Model
 from operando.structure.effects import Effect
 
 
-@dataclass(frozen=True)
-class Diagnosis(Drawn):
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Drawn, Short):
     """What is missing in the idle model, with evidence.
 
     Parameters
@@ -57,6 +57,8 @@ class Diagnosis(Drawn):
     --------
     >>> import operando
     >>> found = operando.Diagnosis("no_misfit", (), (), None, (), (), {}, None)
+    >>> found
+    <Diagnosis: no_misfit>
     >>> found.to_dict()["verdict"]
     'no_misfit'
     """
@@ -79,6 +81,19 @@ class Diagnosis(Drawn):
     reason: str | None = None
     between: tuple[dict[str, Any], ...] | None = None
     discrepancy: dict[str, Any] | None = None
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says; ± is the 95 % interval."""
+        left = self.ladder[-1].get("heldout_error_db") if self.ladder else None
+        return {
+            "Verdict": self.verdict,
+            "Effects": " + ".join(e.short for e in self.effects),
+            "Alternatives": "or " + ", ".join(e.short for e in self.ambiguous_with) if self.ambiguous_with else "",
+            "Validation": f"{left:.2f} dB on the hold-out set" if left is not None else "",
+            "Reason": f"reason: {self.reason}" if self.reason else "",
+            "Proposed measurement": f"proposed: {self.proposed_measurement}" if self.proposed_measurement else "",
+            "Notes": counted(len(self.notes), "note") if self.notes else "",
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""

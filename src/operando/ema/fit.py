@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord, expect, frequencies_of
+from operando.data import Finding, Frf, ModalModel, Short, TimeRecord, counted, expect, frequencies_of
 from operando.dof import Dof, DofIndex
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
 from operando.ema.band import analysis_band
@@ -45,8 +45,8 @@ ACCEPTED_MISFIT = 3.0
 """Reduced chi-square on unused lines up to which a polished answer is taken without a look at the linear one's."""
 
 
-@dataclass(frozen=True)
-class EmaDetails:
+@dataclass(frozen=True, repr=False)
+class EmaDetails(Short):
     """What the identification did.
 
     Parameters
@@ -91,6 +91,14 @@ class EmaDetails:
     answer_reason: str = ""
     linear: LinearModes | None = None
     candidates: tuple[Candidate, ...] = ()
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        return {
+            "Answer": f"{self.answer} fit of {self.fit_band_hz[0]:g} to {self.fit_band_hz[1]:g} Hz",
+            "Normalised error": f"reduced chi-square {self.fit_misfit:.3g} on its lines" if np.isfinite(self.fit_misfit) else "",
+            "Poles": f"{counted(len(self.candidates), 'candidate pole')}, {len(self.rejected)} rejected",
+        }
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel
+from operando.data import ModalModel, Short, counted, names_text
 from operando.oma.spectra import Spectra
 from operando.stabilization import RejectedPole, Stabilization
 
@@ -105,8 +105,8 @@ class JointCheck:
         return {"text": self.text, "modes": rows}
 
 
-@dataclass(frozen=True)
-class OmaDetails:
+@dataclass(frozen=True, repr=False)
+class OmaDetails(Short):
     """How the modes were found.
 
     Parameters
@@ -140,6 +140,14 @@ class OmaDetails:
     halves: tuple[ModalModel, ...] = ()
     setups: tuple[SetUp, ...] = ()
     joint: JointCheck | None = None
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        return {
+            "Poles": f"{counted(len(self.model_orders), 'pole')} taken, {len(self.rejected)} rejected",
+            "Harmonics": f"harmonics at {names_text([f'{f:.4g}' for f in self.harmonics_hz])} Hz" if len(self.harmonics_hz) else "",
+            "Set-ups": f"{len(self.setups)} set-ups merged" if self.setups else "",
+        }
 
     @property
     def rejected(self) -> tuple[RejectedPole, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, expect
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, Short, counted, expect
 from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
@@ -23,8 +23,8 @@ from operando.threads import one_blas_thread
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, repr=False)
+class Model(Short):
     """The idle modal model plus effects in the order they were added.
 
     Parameters
@@ -52,6 +52,8 @@ class Model:
     >>> import numpy as np, operando
     >>> idle = operando.ModalModel([10.0], [0.01], np.array([[1.0]]), "1+Z", scaling="unit_modal_mass")
     >>> model = operando.Model(idle).add("ground_spring@1+Z=stiffness:1000")
+    >>> model
+    <Model: 1 idle mode at 1 DOF; ground_spring at 1+Z, 1 kN/m>
     >>> float(model.modes().frequencies_hz[0].round(2))
     11.2
     """
@@ -76,6 +78,13 @@ class Model:
                 place_weights(e, self.idle, self.geometry)
             if e.kind == "missing_mode" and e.shape is None:
                 raise ConfigError("a missing mode needs its shape", hint="let the diagnosis fit it: operando add DIR missing_mode")
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says; ± is the 95 % interval."""
+        return {
+            "Idle": f"{counted(self.idle.n_modes, 'idle mode')} at {counted(len(self.idle.dofs), 'DOF')}",
+            "Effects": " + ".join(e.short for e in self.effects) or "no effect",
+        }
 
     # The list of effects.
 

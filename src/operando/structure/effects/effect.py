@@ -157,6 +157,11 @@ class Effect:
         return ", ".join(parts)
 
     @property
+    def short(self) -> str:
+        """Kind, location and size in a few words."""
+        return ", ".join(part for part in (f"{self.kind} at {self.place}" if self.place else self.kind, self.size) if part)
+
+    @property
     def explanation(self) -> str:
         """One sentence in plain words."""
         text = self.definition.explain(self.place, self.size, self.removed)
