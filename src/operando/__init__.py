@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from operando.oma import fit_oma as fit_oma
     from operando.pipeline import run as run
     from operando.report import Report as Report
+    from operando.results import CheckRun as CheckRun
     from operando.results import Results as Results
     from operando.scaling import HybridModel as HybridModel
     from operando.scaling import scale_operational as scale_operational
@@ -74,6 +75,7 @@ _WHERE = {
     "read": "operando.io",
     "write_uff": "operando.io",
     "load": "operando.store",
+    "CheckRun": "operando.results",
     "Results": "operando.results",
     "Report": "operando.report",
     "load_test": "operando.config",

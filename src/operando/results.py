@@ -24,6 +24,12 @@ class CheckRun(Short):
         Least rms of the forces [N]; None where it is not known.
     levels_agree : bool
         Whether several levels stand together here because they differ by no more than noise.
+
+    Examples
+    --------
+    >>> import operando
+    >>> operando.CheckRun("run 1", "20 N", operando.Frf([[[1.0, 2.0]]], [5.0, 6.0], "1+Z", "1+Z"), 20.0)
+    <CheckRun: run 1; level 20 N; force 20 N rms; 1 response 1+Z; 1 reference 1+Z; 2 lines, 5 to 6 Hz in steps of 1 Hz>
     """
 
     name: str
@@ -35,7 +41,9 @@ class CheckRun(Short):
     def facts(self) -> dict[str, str]:
         """What the short form says."""
         force = "" if self.force_n is None else f"force {self.force_n:.3g} N rms"
-        return {"Name": self.name, "Level": self.level, "Force": force, "FRFs": repr(self.frf)}
+        return {"Name": self.name, "Level": f"level {self.level}" if self.level else "", "Force": force} | {
+            name: words for name, words in self.frf.facts().items() if name in ("Responses", "References", "Lines")
+        }
 
     def stated_level(self) -> dict[str, Any]:
         """The level as documents hold it: a number with its unit, and its name."""

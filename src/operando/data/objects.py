@@ -9,7 +9,7 @@ import html
 import importlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from operando.errors import ObjectError
 from operando.paths import path_of
@@ -18,8 +18,6 @@ from operando.printable import printable
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-T = TypeVar("T")
 
 MOST_NAMES = 4
 """Names shown of a list in the short form of an object."""
@@ -181,15 +179,15 @@ class Noun(Saved):
         return made
 
 
-def several(value: Any, kind: type[T], what: str, hint: str) -> list[T]:
+def several(value: Any, kind: type | tuple[type, ...], what: str, hint: str) -> list[Any]:
     """One object of a kind, or several in a list or tuple, as a list.
 
     Parameters
     ----------
     value : object
         What was given.
-    kind : type[T]
-        Class of each object.
+    kind : type or tuple[type, ...]
+        Class or classes of each object.
     what : str
         What needs it, in words.
     hint : str

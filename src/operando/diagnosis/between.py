@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.diagnosis.idle import Idle
+from operando.errors import ConfigError
 
 Array = NDArray[Any]
 
@@ -98,9 +99,19 @@ class Outside:
 
 
 def spreads_of(stated: Mapping[str, float]) -> dict[str, float]:
-    """Spreads where a test states some of them; those that go together keep their proportion."""
+    """Spreads where a test states some of them; those that go together keep their proportion.
+
+    Raises
+    ------
+    ConfigError
+        If a name is not known, or its value is no standard deviation.
+    """
     out = SPREADS.copy()
     for name, value in stated.items():
+        if name not in FAMILIES:
+            raise ConfigError(f"between: {name!r} is not known", hint="known are " + ", ".join(FAMILIES))
+        if not isinstance(value, (int, float)) or not 0 <= value < np.inf:
+            raise ConfigError(f"between: {name} of {value!r} is no standard deviation", hint="give a number from 0, as 0.01")
         usual, parts = FAMILIES[name]
         out |= {part: SPREADS[part] * value / usual for part in parts}
     return out

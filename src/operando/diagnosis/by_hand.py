@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from operando.data import Frf, Geometry, ModalModel
+from operando.data import Frf, Geometry, ModalModel, expect, several
 from operando.diagnosis.applied import Applied, words_of
+from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, validation_runs
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
@@ -34,9 +35,9 @@ _HANDLED = ("dynamic_stiffness", "sensor_map", "modal_change", "added_mode")
 
 def apply_effects(
     idle: ModalModel,
-    effects: Sequence[Effect | str],
+    effects: Effect | str | Sequence[Effect | str],
     *,
-    check: Sequence[CheckRun],
+    check: Frf | CheckRun | Sequence[Frf | CheckRun],
     geometry: Geometry | None = None,
     band: tuple[float, float] | None = None,
     refit: bool = True,
@@ -50,10 +51,10 @@ def apply_effects(
     ----------
     idle : ModalModel
         Of unit modal mass.
-    effects : sequence of Effect or str
+    effects : Effect, str, or several
         In order; values are starting values unless an effect fixes them.
-    check : sequence of CheckRun
-        FRFs of the running structure.
+    check : Frf, CheckRun, or several
+        FRFs of the running structure, as for :func:`operando.diagnose`.
     geometry : Geometry, optional
         For effects at places without a sensor.
     band : (float, float), optional
@@ -69,6 +70,7 @@ def apply_effects(
     Returns
     -------
     Applied
+        The model with the effects refitted, the error of each step, and words about each effect.
 
     Raises
     ------
@@ -78,15 +80,28 @@ def apply_effects(
         If there is no check.
     ConfigError
         If FRFs say nothing of an effect.
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> shapes = np.array([[0.85, 0.53], [0.53, -0.85]])
+    >>> known = np.diag(np.repeat([1e-6, 1e-4], [2, 6]) ** 2)
+    >>> idle = operando.ModalModel([12.0, 31.0], [0.01, 0.01], shapes, "1+Z, 2+Z", "unit_modal_mass", covariance=known)
+    >>> running = operando.Model(idle).add("point_mass@2+Z=mass:0.1").frf(np.arange(5, 45, 0.2), variance=False)
+    >>> operando.apply_effects(idle, "point_mass@2+Z", check=running)
+    <Applied: point_mass at 2+Z, 100.0 ± 0.2 g; 4.01 dB before, 0.00 dB after on the hold-out set>
     """
+    expect(idle, ModalModel, "effects are added to idle modes", "fit_ema(frf) gives them")
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
-    if not check:
+    runs = validation_runs(check)
+    if not runs:
         raise MissingError(
             "no FRFs of a validation measurement to test an added effect on", hint="measure the running structure with a known force"
         )
     say = progress or (lambda text: None)
-    wanted = [parse_effect(e, band or idle.band_hz) if isinstance(e, str) else e for e in effects]
+    given = several(effects, (Effect, str), "effects are added", 'write effects, or texts as "point_mass@3+Z"')
+    wanted = [parse_effect(e, band or idle.band_hz) if isinstance(e, str) else e for e in given]
     if not refit:
         wanted = [replace(e, fixed=e.definition.names) for e in wanted]
     for e in wanted:
@@ -95,8 +110,8 @@ def apply_effects(
                 f"{e.kind} cannot be tested on FRFs", hint="name a linear kind, or give the records of the validation measurement"
             )
     with one_blas_thread():
-        run = chosen_run(check)
-        band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
+        run = chosen_run(runs)
+        band = band_asked(band, run.frf) or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
         known = Idle.of(idle, band, run.frf.references if idle_frf is None else idle_frf.references)
         rest = None if idle_frf is None else at_rest(known, idle_frf, band)
         known = known if rest is None else rest.idle
@@ -135,6 +150,8 @@ def apply_effects(
                 words.append(
                     f"the data speak for another one: {better[0]} would lower it to {better[1]:.4g}; `operando remove` takes step {k} back"
                 )
+        if not run.frf.si:
+            words.append(UNKNOWN_UNITS)
         return Applied(model_of(idle, final, geometry), effects_of(final), tuple(rows), tuple(words), judged_on(final, run))
 
 

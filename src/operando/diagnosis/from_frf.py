@@ -10,6 +10,7 @@ import numpy as np
 
 from operando.compare import FOUND
 from operando.data import Frf, Geometry, ModalModel, TimeRecord, expect
+from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, kinds_asked, places_asked, validation_runs
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
@@ -52,7 +53,6 @@ from operando.diagnosis.verdict import (
     verdict_and_reason,
     with_validation,
 )
-from operando.dof import parse_dofs
 from operando.errors import ConfigError, DataError, MissingError
 from operando.frf import in_one_sense, opposed_dofs
 from operando.results import CheckRun
@@ -125,7 +125,7 @@ def diagnose_frf(
         if idle_frf is not None and (opposed := opposed_dofs(idle_frf)):  # the idle model has them in one sense
             frf = in_one_sense(frf, [d for d in opposed_dofs(frf, opposed) if any(d.same_axis(o) for o in opposed)])
             idle_frf = in_one_sense(idle_frf, opposed)
-        band = band or idle.band_hz or (float(run.frf.frequencies_hz[0]), float(run.frf.frequencies_hz[-1]))
+        band = band_asked(band, frf) or idle.band_hz or (float(frf.frequencies_hz[0]), float(frf.frequencies_hz[-1]))
         driven = run.frf.references if idle_frf is None else idle_frf.references
         rest = None
         known = Idle.of(idle, band, driven)
@@ -140,7 +140,7 @@ def diagnose_frf(
             model = at_rest(known, with_what_is_left(idle_frf, rest.state), band).idle
         asked: dict[str, Any] = {
             "kinds": searched(kinds, poor),
-            "places": None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)],
+            "places": places_asked(idle, places),
         }
 
         def cases(model: Idle) -> list[Case]:
@@ -196,10 +196,10 @@ def diagnose_frf(
 def diagnose(
     idle: ModalModel,
     *,
-    check: Sequence[CheckRun] = (),
+    check: Frf | CheckRun | Sequence[Frf | CheckRun] = (),
     operating: ModalModel | None = None,
     geometry: Geometry | None = None,
-    kinds: Sequence[str] | None = None,
+    kinds: str | Sequence[str] | None = None,
     places: Sequence[Any] | None = None,
     band: tuple[float, float] | None = None,
     progress: Callable[[str], None] | None = None,
@@ -217,14 +217,16 @@ def diagnose(
     ----------
     idle : ModalModel
         Of unit modal mass, with residual terms and covariance.
-    check : sequence of CheckRun
-        FRFs of the running structure.
+    check : Frf, CheckRun, or several, optional
+        FRFs of the running structure; as :class:`operando.CheckRun` with a name and a level. The run of the lowest level is used.
     operating : ModalModel, optional
         Operational modes, used where there is no check.
     geometry : Geometry, optional
         Sensor positions, for what counts as a neighbour.
-    kinds, places : sequences, optional
-        Look only for these.
+    kinds : str or sequence of str, optional
+        Look only for these kinds of :func:`operando.catalogue`.
+    places : DOF labels, optional
+        Look only at these DOFs of the idle model.
     band : (float, float), optional
         Hz; default the idle model's band.
     progress : callable, optional
@@ -242,42 +244,62 @@ def diagnose(
         ``sensor_gain``, ``force_gain``, ``stiffness``, ``damping``, ``offset``, ``skew``; 0 where nothing was touched. Where nothing is
         stated, two days in a laboratory and one set-up are both tried, and the more probable one is told.
 
+    Returns
+    -------
+    Diagnosis
+        Verdict, effects with their sizes, and what stands behind them; ``.model`` predicts FRFs of the running structure.
+
     Raises
     ------
     DataError
-        If the idle model is not scaled to unit modal mass.
+        If the idle model is not scaled to unit modal mass, or the validation FRFs have too few lines in the band.
+    DofError
+        If a DOF of ``places`` is not in the idle model, or check and idle model have none in common.
+    ConfigError
+        If a kind, or a name in ``between``, is not known.
     MissingError
         If there is neither a check nor operational modes.
+
+    Examples
+    --------
+    A mass of 100 g on a chain of two, found from the FRFs of the running structure:
+
+    >>> import numpy as np, operando
+    >>> shapes = np.array([[0.85, 0.53], [0.53, -0.85]])
+    >>> known = np.diag(np.repeat([1e-6, 1e-4], [2, 6]) ** 2)
+    >>> idle = operando.ModalModel([12.0, 31.0], [0.01, 0.01], shapes, "1+Z, 2+Z", "unit_modal_mass", covariance=known)
+    >>> running = operando.Model(idle).add("point_mass@2+Z=mass:0.1").frf(np.arange(5, 45, 0.2), variance=False)
+    >>> found = operando.diagnose(idle, check=running, kinds="point_mass")
+    >>> found
+    <Diagnosis: explained; point_mass at 2+Z, 100.0 ± 0.2 g; 0.00 dB on the hold-out set; 3 notes>
+    >>> round(found.effects[0].values["mass"], 3)
+    0.1
     """
     expect(idle, ModalModel, "a diagnosis needs idle modes first", "fit_ema(frf) gives them")
-    for run in check:
-        expect(
-            run,
-            CheckRun,
-            "check takes validation measurements",
-            'operando.results.CheckRun("run 1", "20 N", frf) names the FRFs and their level',
-        )
-    asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds, "places": places, "band": band}
+    runs = validation_runs(check)
+    asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds_asked(kinds), "places": places, "band": band}
     asked |= {"progress": progress, "compared": compared}
 
     def from_frf() -> Diagnosis:
-        return diagnose_frf(idle, check, idle_frf=idle_frf, between=between, operating=operating, **asked)
+        return diagnose_frf(idle, runs, idle_frf=idle_frf, between=between, operating=operating, **asked)
 
     if records:
         from operando.diagnosis.from_records import diagnose_levels
 
-        return diagnose_levels(from_frf if check else None, idle, check, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
-    if check:
-        return from_frf()
-    if operating is None:
+        found = diagnose_levels(from_frf if runs else None, idle, runs, records, idle_frf=idle_frf, exclude_bands=exclude_bands, **asked)
+    elif runs:
+        found = from_frf()
+    elif operating is not None:
+        from operando.diagnosis.from_modes import diagnose_modes
+
+        del asked["compared"]
+        return diagnose_modes(idle, operating, idle_frf=idle_frf, between=between, **asked)
+    else:
         raise MissingError(
             "neither FRFs of a validation measurement nor operational modes to diagnose from",
-            hint="diagnose(idle, check=[operando.results.CheckRun(...)]) or diagnose(idle, operating=modes)",
+            hint="diagnose(idle, check=frf) or diagnose(idle, operating=modes)",
         )
-    from operando.diagnosis.from_modes import diagnose_modes
-
-    del asked["compared"]
-    return diagnose_modes(idle, operating, idle_frf=idle_frf, between=between, **asked)
+    return found if all(run.frf.si for run in runs) else replace(found, notes=(UNKNOWN_UNITS, *found.notes))
 
 
 def chosen_run(check: Sequence[CheckRun]) -> CheckRun:

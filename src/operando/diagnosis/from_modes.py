@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel
+from operando.diagnosis.arguments import kinds_asked, places_asked
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
@@ -21,7 +22,7 @@ from operando.diagnosis.posterior import AtRest, State, at_rest
 from operando.diagnosis.result import Diagnosis
 from operando.diagnosis.search import Found, search
 from operando.diagnosis.verdict import no_other_answer, verdict, with_validation
-from operando.dof import Dof, parse_dofs
+from operando.dof import Dof
 from operando.errors import ConfigError, DataError
 from operando.structure.effects import Effect
 from operando.threads import one_blas_thread
@@ -92,7 +93,7 @@ def diagnose_modes(
             rest = at_rest(model, idle_frf, band)
             model = rest.idle
         lines = OperatingModes(model, operating, parts)
-        where = None if places is None else [i for p in parse_dofs(places) for i, d in enumerate(idle.dofs) if d.same_axis(p)]
+        where = places_asked(idle, places)
 
         def cases(model: Idle) -> list[Case]:
             """Two days in a laboratory and one set-up, or what the test states."""
@@ -116,7 +117,8 @@ def told_by_modes(kinds: Sequence[str] | None) -> tuple[str, ...]:
     ConfigError
         If none of those named can be told from modes.
     """
-    known = tuple(k for k in TOLD_BY_MODES if kinds is None or k in kinds)
+    asked = kinds_asked(kinds)
+    known = tuple(k for k in TOLD_BY_MODES if asked is None or k in asked)
     if not known:
         raise ConfigError("none of the kinds asked for shows in operational modes", hint="kinds: " + ", ".join(TOLD_BY_MODES))
     return known

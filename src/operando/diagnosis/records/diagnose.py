@@ -14,7 +14,7 @@ from operando.diagnosis.records.detect import detect, distortion
 from operando.diagnosis.records.refine import refined
 from operando.diagnosis.records.result import RecordsDiagnosis
 from operando.diagnosis.records.steps import SearchStep, Tried, choose, improves, search_step, with_law
-from operando.dof import Dof, parse_dofs
+from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
 from operando.structure.effects import catalogue, kind_of
 from operando.threads import one_blas_thread
@@ -99,12 +99,8 @@ def measured_distortion(
 
 def place_rows(idle: ModalModel, places: Sequence[Any]) -> list[tuple[int, ...]]:
     """Rows of the idle model of DOFs or pairs of DOFs."""
-    index = {d.key: i for i, d in enumerate(idle.dofs)}
-    out = []
-    for place in places:
-        dofs = parse_dofs(place if not isinstance(place, (str, Dof)) else (place,))
-        out.append(tuple(index[d.key] for d in dofs if d.key in index))
-    return [p for p in out if p]
+    each = (places,) if isinstance(places, (str, Dof)) else places
+    return [tuple(match_dofs(parse_dofs(place), idle.dofs)[0]) for place in each]
 
 
 def wanted_kinds(kinds: Sequence[str] | None) -> list[str]:

@@ -1,0 +1,95 @@
+"""What a diagnosis is asked for: validation measurements, kinds, locations and bands as users give them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from operando.data import Frf, ModalModel, band_limits, several
+from operando.dof import match_dofs, parse_dofs
+from operando.errors import DataError
+from operando.limits import LEAST_LINES
+from operando.results import CheckRun
+from operando.structure.effects import kind_of
+
+UNKNOWN_UNITS = (
+    "the units of the validation measurement are not known: sizes are in units of the file; give the units of force and acceleration"
+)
+
+
+def validation_runs(check: Frf | CheckRun | Sequence[Frf | CheckRun]) -> list[CheckRun]:
+    """FRFs of the running structure as validation runs, by the names of their files.
+
+    Parameters
+    ----------
+    check : Frf, CheckRun, or several
+        A :class:`operando.CheckRun` states name and level; an :class:`operando.Frf` is called by its own name, else ``check``, and all
+        of them are of one level.
+
+    Returns
+    -------
+    list of CheckRun
+
+    Raises
+    ------
+    ObjectError
+        If it is something else.
+    """
+    hint = "give the FRFs that were measured while it runs, or CheckRun(name, level, frf) to name them and their level"
+    given = several(check, (CheckRun, Frf), "check takes validation measurements", hint)
+    numbers = [f" {i}" if len(given) > 1 else "" for i in range(1, len(given) + 1)]
+    return [
+        run if isinstance(run, CheckRun) else CheckRun(run.name or f"check{number}", "as given", run)
+        for run, number in zip(given, numbers, strict=True)
+    ]
+
+
+def kinds_asked(kinds: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    """Kinds of effects by name, one alone as a list of one.
+
+    Raises
+    ------
+    ConfigError
+        If one is no kind; it names the nearest.
+    """
+    if kinds is None:
+        return None
+    names = (kinds,) if isinstance(kinds, str) else tuple(kinds)
+    for name in names:
+        kind_of(name)
+    return names
+
+
+def places_asked(idle: ModalModel, places: Any) -> list[int] | None:
+    """Rows of the idle model of the locations asked for.
+
+    Raises
+    ------
+    DofError
+        If one is no DOF of the idle model; it names the nearest.
+    """
+    return None if places is None else match_dofs(parse_dofs(places), idle.dofs)[0]
+
+
+def band_asked(band: Any, frf: Frf) -> tuple[float, float] | None:
+    """Limits of a band [Hz] in which the FRFs have lines.
+
+    Raises
+    ------
+    DataError
+        If it is no pair of frequencies, or the FRFs have too few lines there.
+    """
+    if band is None:
+        return None
+    low, high = band_limits(band)
+    f = frf.frequencies_hz
+    count = int(np.sum((f > 0) & (f >= low) & (f <= high)))
+    if count < LEAST_LINES:
+        raise DataError(
+            f"the band of {low:g} to {high:g} Hz holds {count} lines of the validation FRFs, which lie at {f[0]:g} to {f[-1]:g} Hz; "
+            f"at least {LEAST_LINES} are needed",
+            hint="choose another band",
+        )
+    return low, high
