@@ -8,7 +8,7 @@ import pytest
 
 from operando.data import Frf, ModalModel
 from operando.ema import fit_ema, poles_by_hand
-from operando.ema.by_hand import NEAR_WIDTHS, modes_by_hand
+from operando.ema.by_hand import NEAR_WIDTHS, _with_marks, modes_by_hand
 from operando.ema.candidates import Candidate
 from operando.errors import DataError, IdentificationError, ObjectError
 from operando.stabilization import HAND_TOLERANCE
@@ -121,6 +121,18 @@ def test_a_pole_in_doubt_named_by_hand_is_said(found):
     again = fit_ema(frf, band=BAND, automatic=fit_ema(frf, band=BAND, automatic=model, reject_hz=HZ[1]), select_hz=HZ[1])
     np.testing.assert_allclose(again.frequencies_hz, HZ, rtol=1e-4)
     assert not [f for f in again.findings if f.kind == "doubtful_by_hand"]
+
+
+def test_modes_by_hand_stand_in_rising_order(found):
+    frf, model = found
+    residual = model.terms.residual.copy()
+    residual[0] = True  # in doubt: it stands behind the modes
+    named = fit_ema(frf, band=BAND, automatic=_with_marks(model, residual), modes_hz=HZ[[2, 0, 1]])
+    np.testing.assert_allclose(named.frequencies_hz, HZ, rtol=1e-4)
+    np.testing.assert_allclose(named.damping_ratios, model.damping_ratios, rtol=1e-9)
+    np.testing.assert_allclose(named.shapes, model.shapes, rtol=1e-9)
+    np.testing.assert_allclose(named.frequency_std_hz, model.frequency_std_hz, rtol=1e-9)
+    np.testing.assert_allclose(named.details.stabilization.selected_hz, named.frequencies_hz)
 
 
 @pytest.mark.parametrize(

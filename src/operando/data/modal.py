@@ -34,9 +34,9 @@ class ModalModel(ModalFigures, Noun):
     Parameters
     ----------
     frequencies_hz : (n_modes,) array
-        |λ|/2π [Hz] of the modes, increasing.
+        |λ|/2π [Hz] of the modes, in the order given; identification puts them in rising order.
     damping_ratios : (n_modes,) array
-        −Re λ/|λ|.
+        −Re λ/|λ|, between −1 and 1.
     shapes : (n_dofs, n_modes) array
         Real, of unit modal mass [kg^(−1/2)] if ``scaling`` is "unit_modal_mass"; complex of arbitrary scale if "unscaled".
     dofs : tuple of Dof
@@ -105,6 +105,12 @@ class ModalModel(ModalFigures, Noun):
             put(name, value)
         residuals = self.residuals if self.residuals is not None and len(self.residuals) else None
         put("residuals", residuals)
+        if np.any(np.abs(self.damping_ratios) >= 1):
+            worst = int(np.argmax(np.abs(self.damping_ratios)))
+            raise DataError(
+                f"a damping ratio of {self.damping_ratios[worst]:.4g} at {self.frequencies_hz[worst]:.4g} Hz is of no vibration",
+                hint="damping ratios are parts of the critical damping, between -1 and 1: 0.02 for 2 %",
+            )
         if residuals is not None and residuals.shapes.shape[0] != len(self.dofs):
             raise DataError(f"residual terms of {residuals.shapes.shape[0]} DOFs do not belong to modes of {len(self.dofs)} DOFs")
         n = self.n_modes
@@ -298,8 +304,19 @@ class ModalModel(ModalFigures, Noun):
         return None if std is None else std[:, : self.n_modes]
 
     def select_modes(self, keep: Sequence[int] | NDArray[Any]) -> ModalModel:
-        """Some of the modes (indices or mask), covariance included, without residual terms."""
-        return self.select_terms(np.arange(self.n_modes)[keep if isinstance(keep, np.ndarray) else list(keep)])
+        """Some of the modes (indices or mask), covariance included, without residual terms.
+
+        Raises
+        ------
+        DataError
+            If one is not there.
+        """
+        try:
+            some = np.arange(self.n_modes)[keep if isinstance(keep, np.ndarray) else list(keep)]
+        except (IndexError, TypeError) as error:
+            hint = f"the model has {counted(self.n_modes, 'mode')}, counted from 0: select_modes([0])"
+            raise DataError(f"modes {keep!r} cannot be selected", hint=hint) from error
+        return self.select_terms(some)
 
     def select_terms(self, keep: Sequence[int] | NDArray[Any]) -> ModalModel:
         """Some of the terms (indices or mask over ``terms``), covariance included; modes stay modes, residual terms residual."""

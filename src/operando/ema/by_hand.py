@@ -68,6 +68,7 @@ def modes_by_hand(
     residual = terms.residual.copy()
     residual[[i for _, _, i in chosen if i >= 0]] = False
     model = _with_marks(automatic, residual).select_terms(_positions(residual, keep))
+    model = _sorted(model)  # a pole in doubt that is named stood behind the modes
     new = {pole: hz for pole, hz in named.items() if pole[2] < 0}
     said = [f"named by hand: {hz:g} Hz, which is a mode already" for pole, hz in named.items() if not modes_hz and pole in known[:n]]
     if new:
@@ -156,7 +157,7 @@ def without_doubts(model: ModalModel, codes: Collection[str]) -> ModalModel:
     findings = tuple(f for f in model.findings if f.kind != "doubtful_pole")
     inside = [(float(h), e) for h, e in zip(linear.frequencies_hz, evidence, strict=True) if low <= h <= high]
     out = _with_marks(replace(model, findings=(*findings, *doubtful_findings(inside))), residual)
-    out = out.select_terms(np.concatenate([np.argsort(out.frequencies_hz), np.arange(out.n_modes, out.terms.n)]))
+    out = _sorted(out)
     own = replace(model.details, linear=replace(linear, evidence=evidence), rejected=kept)
     return replace(out, details=replace(own, stabilization=_diagram_of(own.stabilization, out)))
 
@@ -180,6 +181,11 @@ def _with_marks(model: ModalModel, residual: NDArray[np.bool_]) -> ModalModel:
         t.frequencies_hz, t.damping_ratios, t.shapes, model.dofs,
         residual=residual, in_band=inside, covariance=t.covariance, std=t.std, **others,
     )  # fmt: skip
+
+
+def _sorted(model: ModalModel) -> ModalModel:
+    """Modes by rising frequency, residual terms as they are."""
+    return model.select_terms(np.concatenate([np.argsort(model.frequencies_hz), np.arange(model.n_modes, model.terms.n)]))
 
 
 def _positions(residual: NDArray[np.bool_], keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -242,8 +248,7 @@ def _with_new(model: ModalModel, new: dict[Pole, float], known: list[Pole], n: i
     whole = ModalModel.from_terms(
         hz, zeta, shapes, model.dofs, residual=residual, in_band=(hz >= low) & (hz <= high), covariance=covariance, **others
     )
-    order = np.concatenate([np.argsort(whole.frequencies_hz), np.arange(whole.n_modes, whole.terms.n)])
-    return whole.select_terms(order), [evidence[i].evidence for i in at]
+    return _sorted(whole), [evidence[i].evidence for i in at]
 
 
 def _diagram_of(diagram: Stabilization | None, model: ModalModel) -> Stabilization | None:
