@@ -275,6 +275,19 @@ def test_complex_shapes_are_turned_to_the_real_axis():
     assert plots.plot_complexity(ModalModel([1.0], [0.01], np.array([[1.0], [1j]]), "1+Z, 2+Z")).patches[0].get_height() == pytest.approx(0)
 
 
+def test_complexity_of_real_shapes_is_not_drawn():
+    real = ModalModel([1.0], [0.01], np.array([[1.0], [-1.0]]), "1+Z, 2+Z")
+    turning = ModalModel([1.0], [0.01], np.array([[1.0], [1j]]), "1+Z, 2+Z")
+    with pytest.raises(DataError, match="the shapes are real by construction"):
+        real.plot_complexity()
+    for draw in (turning.plot_complexity, turning.plot_participation):
+        with pytest.raises(ObjectError, match="drawn on matplotlib Axes, not int"):
+            draw(0)
+    pytest.importorskip("pandas")
+    assert "modal_phase_collinearity" not in real.to_dataframe()
+    assert turning.to_dataframe()["modal_phase_collinearity"].tolist() == [0.0]
+
+
 # Records.
 
 

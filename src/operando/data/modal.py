@@ -374,6 +374,11 @@ class ModalModel(ModalFigures, Noun):
         lag = self.terms.coupling.lag if self.terms.coupling is not None else 0
         return np.asarray(self.terms.shapes @ form.vectors - poles * (lag @ form.vectors))[:, : self.n_modes]
 
+    @property
+    def real_shapes(self) -> bool:
+        """Whether the shapes are real by construction, as those of an EMA are: their phase collinearity is 1 then and says nothing."""
+        return not np.any(np.imag(self.complex_shapes))
+
     def rows(self, dofs: object) -> NDArray[Any]:
         """Shape rows of the modes at the DOFs asked for, sign by their sense (n_wanted, n_modes)."""
         return shape_rows(self.shapes, self.dofs, dofs)

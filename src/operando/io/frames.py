@@ -40,7 +40,9 @@ def dataframe(obj: Any) -> pandas.DataFrame:
     -------
     pandas.DataFrame
         Of a record: one column a channel over ``time_s``. Of FRFs: complex, one column a pair (response, reference) over
-        ``frequency_hz``. Of a model: one row a mode, with its shape in a column for each DOF. Of a geometry: one row a node.
+        ``frequency_hz``. Of a model: one row a mode, with its shape in a column for each DOF; ``modal_phase_collinearity`` where the
+        shapes are complex. Standard deviations of shapes are in :func:`dataset` (``shape_std``) and ``model.shape_std``, residual terms in
+        ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: one row a node.
 
     Raises
     ------
@@ -72,7 +74,8 @@ def dataframe(obj: Any) -> pandas.DataFrame:
             "frequency_std_hz": _or_nan(obj.frequency_std_hz, obj.n_modes),
             "damping_ratio": obj.damping_ratios,
             "damping_ratio_std": _or_nan(obj.damping_ratio_std, obj.n_modes),
-            "modal_phase_collinearity": [phase_collinearity(obj.shapes[:, k]) for k in range(obj.n_modes)],
+            # of shapes that are real by construction it says nothing
+            **({} if obj.real_shapes else {"modal_phase_collinearity": [phase_collinearity(v) for v in obj.complex_shapes.T]}),
             "in_band": np.asarray(obj.in_band),
         } | {str(d): obj.shapes[i] for i, d in enumerate(obj.dofs)}
         table = pd.DataFrame(rows, index=pd.RangeIndex(obj.n_modes, name="mode"))
@@ -98,8 +101,8 @@ def dataset(obj: Any) -> xarray.Dataset:
     -------
     xarray.Dataset
         Of a record: ``data`` (channel, time_s). Of FRFs: ``frf``, ``variance``, ``coherence`` (response, reference, frequency_hz). Of a
-        model: ``frequency_hz``, ``damping_ratio`` with their deviations (mode), ``shape`` (dof, mode). Of a geometry: ``coordinates``
-        (node, axis).
+        model: ``frequency_hz``, ``damping_ratio`` with their deviations (mode), ``shape``, ``shape_std`` (dof, mode); residual terms are in
+        ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: ``coordinates`` (node, axis).
 
     Raises
     ------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from operando.data import ModalModel
+from operando.data import ModalModel, expect
 from operando.errors import DataError, ObjectError
 from operando.indicators import INTERVAL, common_shapes, mac, mean_phase_deviation, phase_collinearity
 from operando.plots.matrix import draw_matrix
@@ -130,6 +130,7 @@ def plot_participation(model: ModalModel, axes: Axes | None = None, *, dofs: obj
     ['100', '20']
     """
     _check(model)
+    _check_axes(axes)
     wanted = model.dofs if dofs is None else model[dofs].dofs
     peak = np.max(np.abs(model.shapes), axis=0, initial=0)
     share = 100 * np.abs(model.rows(wanted)) / np.where(peak > 0, peak, 1)
@@ -158,6 +159,11 @@ def plot_complexity(model: ModalModel, axes: Axes | None = None) -> Axes:
     matplotlib Axes
         Of the collinearity.
 
+    Raises
+    ------
+    DataError
+        If the shapes are real by construction, as those of :func:`operando.fit_ema`: there is nothing to draw.
+
     Examples
     --------
     >>> import numpy as np, operando
@@ -166,9 +172,16 @@ def plot_complexity(model: ModalModel, axes: Axes | None = None) -> Axes:
     'MPC [%]'
     """
     _check(model)
+    _check_axes(axes)
+    if model.real_shapes:
+        raise DataError(
+            "the shapes are real by construction, so that each has a phase collinearity of 100 %",
+            hint="operational modes (fit_oma) have complex shapes",
+        )
     x = np.arange(model.n_modes)
-    collinear = [100 * phase_collinearity(model.shapes[:, k]) for k in x]
-    deviation = [float(np.degrees(mean_phase_deviation(model.shapes[:, k]))) for k in x]
+    shapes = model.complex_shapes
+    collinear = [100 * phase_collinearity(shapes[:, k]) for k in x]
+    deviation = [float(np.degrees(mean_phase_deviation(shapes[:, k]))) for k in x]
     with style():
         axes = new_axes(max(5.0, 1.5 + 0.5 * x.size), 3.6) if axes is None else axes
         right = axes.twinx()
@@ -270,6 +283,13 @@ def plot_changes(
         axes.grid(True, axis="y")
         axes.tick_params(axis="x", length=0)
     return axes
+
+
+def _check_axes(axes: object) -> None:
+    from matplotlib.axes import Axes
+
+    if axes is not None:
+        expect(axes, Axes, "the figure is drawn on matplotlib Axes", "all modes are drawn; leave it out for a new figure")
 
 
 def _check(model: object) -> None:

@@ -88,7 +88,7 @@ def _identified(results: Results, model: ModalModel | None, which: str) -> dict[
     std = [None if model.shape_std is None else float(np.linalg.norm(model.shape_std[:, i])) for i in range(model.n_modes)]
     return out | {
         "band": band, "scaled": model.scaling == "unit_modal_mass",
-        "collinearity": [phase_collinearity(s) for s in shapes] if np.any(np.imag(model.shapes)) else None,
+        "collinearity": None if model.real_shapes else [phase_collinearity(s) for s in model.complex_shapes.T],
         "top": [int(np.argmax(np.abs(s))) for s in shapes],
         "shape_std": [None if v is None or not np.any(s) else v / float(np.linalg.norm(s)) for v, s in zip(std, shapes, strict=True)],
     }  # fmt: skip
