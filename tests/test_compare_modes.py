@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import operando
 from operando.compare import compare, compare_all
 from operando.compare.comparison import lowest_level
 from operando.compare.peaks import find_peaks, fit_peaks
 from operando.data import Frf, ModalModel
+from operando.errors import DataError
 from operando.results import CheckRun
 from operando.scaling import scale_operational
 from structures import Chain, modified
@@ -263,3 +265,37 @@ def test_a_hybrid_model_is_compared_in_the_band_of_its_operational_modes():
     low, high = 0.8 * chain.hz[0], 0.5 * (chain.hz[2] + chain.hz[3])
     hybrid = scale_operational(replace(idle, band_hz=(F[0], F[-1])), replace(idle, band_hz=(low, high)))
     assert compare(hybrid, measured).n_lines == 25 * int(((low <= F) & (high >= F)).sum())
+
+
+def test_one_common_dof_compares_no_shape():
+    one = ModalModel([10.0, 20.0], [0.01, 0.01], np.array([[1.0, 1.0], [1.0, -1.0], [0.5, 2.0]]), "1+Z, 2+Z, 3+Z")
+    other = ModalModel([10.5, 20.0], [0.01, 0.01], np.array([[1.0, 1.0], [1.0, 1.0]]), "3-Z, 4+Z")
+    with pytest.raises(DataError, match=r"only the DOF 3\+Z in common: over one DOF every MAC is 1"):
+        operando.mac(one, other)
+    with pytest.raises(DataError, match="over one DOF every MAC is 1"):
+        operando.mac(other["3-Z"])
+    found = operando.compare(one, other)
+    assert [(m["first"], m["second"], m["mac"], m["same_shape"]) for m in found.modes] == [(0, 0, None, None), (1, 1, None, None)]
+    assert np.isnan(found.mac).all()
+    assert found.to_dict()["mac"] is None
+    assert found.notes[0] == "compared over 1 common DOF; left out: 1+Z, 2+Z of the first, 4+Z of the second"
+    assert "shapes not compared" in repr(found)
+
+
+def test_dofs_that_only_one_model_has_are_said():
+    one = ModalModel([10.0, 20.0], [0.01, 0.01], np.array([[1.0, 1.0], [1.0, -1.0], [0.5, 2.0]]), "1+Z, 2+Z, 3+Z")
+    with pytest.warns(UserWarning, match=r"MAC over 2 common DOFs; left out: 3\+Z of the first") as said:
+        operando.mac(one, one["1+Z, 2+Z"])
+    assert said[0].filename == __file__
+    assert operando.compare(one, one["1+Z, 2+Z"]).notes == ("compared over 2 common DOFs; left out: 3+Z of the first",)
+    assert operando.compare(one, one).notes == ()
+
+
+def test_units_that_one_side_does_not_know_are_said():
+    model = ModalModel([10.0, 20.0], [0.01, 0.01], np.array([[1.0, 1.0], [1.0, -1.0]]), "1+Z, 2+Z", "unit_modal_mass")
+    frf = model.frf(np.arange(5.0, 30.0, 0.1))
+    words = "the units of model and measurement are not both known: the errors hold the ratio of their units"
+    assert words in operando.compare(model, replace(frf, si=False)).notes
+    assert words in operando.compare(replace(model, si=False), frf).notes
+    assert words not in operando.compare(model, frf).notes
+    assert "the units of the second model are not known" in operando.compare(model, replace(model, si=False)).notes[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data.frf import Frf
 from operando.data.modal import ModalModel, phase_collinearity
-from operando.dof import DofIndex
+from operando.data.objects import counted, names_text
+from operando.dof import Dof, DofIndex
 from operando.errors import DataError, ObjectError
 
-__all__ = ["common_shapes", "frf_correlation", "mac", "mean_phase_deviation", "phase_collinearity"]
+__all__ = ["common_shapes", "frf_correlation", "left_out", "mac", "mean_phase_deviation", "phase_collinearity"]
 
 INTERVAL = 1.96
 """Standard deviations in the 95 % interval, which is what ± stands for wherever people read it."""
@@ -24,7 +27,8 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
     Parameters
     ----------
     first : (m, n1) array or ModalModel
-        Shapes in columns; of models, at the DOFs that both have, in the sense of the first.
+        Shapes in columns; of models, at the DOFs that both have, in the sense of the first. A warning names the DOFs that only one
+        has.
     second : (m, n2) array or ModalModel, optional
         Default: ``first`` (AutoMAC).
 
@@ -37,7 +41,7 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
     ObjectError
         If one is a model and the other is not.
     DataError
-        If two models have no DOF in common, or arrays have different numbers of rows.
+        If two models have fewer than two DOFs in common, over which every MAC is 1, or arrays have different numbers of rows.
 
     Examples
     --------
@@ -50,7 +54,14 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
         if not (isinstance(first, ModalModel) and isinstance(other, ModalModel)):
             found = f"{type(first).__name__} and {type(other).__name__}"
             raise ObjectError(f"MAC of {found} is not defined", hint="give two models, or two arrays of shapes: model.shapes")
-        a, b, _ = common_shapes(first, other)
+        a, b, dofs = common_shapes(first, other)
+        if len(dofs) < 2:
+            raise DataError(
+                f"the models have only the DOF {dofs[0]} in common: over one DOF every MAC is 1",
+                hint="measure both states at two DOFs or more; DOFs of the first: " + ", ".join(map(str, first.dofs[:20])),
+            )
+        if left := left_out(first, other, dofs):
+            warnings.warn(f"MAC {left}", stacklevel=2)
     else:
         a, b = np.asarray(first), np.asarray(other)
     if not (np.issubdtype(a.dtype, np.number) and np.issubdtype(b.dtype, np.number) and a.ndim in (1, 2) and b.ndim in (1, 2)):
@@ -64,6 +75,33 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
     cross = np.abs(a.conj().T @ b) ** 2
     norm = np.outer(np.sum(np.abs(a) ** 2, axis=0), np.sum(np.abs(b) ** 2, axis=0))
     return np.divide(cross, norm, out=np.zeros_like(norm), where=norm > 0)
+
+
+def left_out(first: ModalModel, second: ModalModel, dofs: Sequence[Dof]) -> str:
+    """Which DOFs two models do not share, in words; empty where they share all.
+
+    Parameters
+    ----------
+    first, second : ModalModel
+        Two models.
+    dofs : sequence of Dof
+        Those they share.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import numpy as np, operando
+    >>> one, two = (operando.ModalModel([20.0], [0.01], np.ones((2, 1)), dofs) for dofs in ("1+Z, 2+Z", "2+Z, 3+Z"))
+    >>> left_out(one, two, common_shapes(one, two)[2])
+    'over 1 common DOF; left out: 1+Z of the first, 3+Z of the second'
+    """
+    shared = DofIndex(dofs)
+    alone = [[d for d in model.dofs if d not in shared] for model in (first, second)]
+    words = [f"{names_text(names)} of the {which}" for names, which in zip(alone, ("first", "second"), strict=True) if names]
+    return f"over {counted(len(dofs), 'common DOF')}; left out: {', '.join(words)}" if words else ""
 
 
 def common_shapes(first: ModalModel, second: ModalModel) -> tuple[NDArray[Any], NDArray[Any], tuple[Any, ...]]:

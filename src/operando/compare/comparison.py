@@ -180,7 +180,14 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
                 note = (f"compared in {of_model}; band_hz names another one",)
     with one_blas_thread():
         found = _compare(model, runs, band_hz)
+    if any(run.si != _si_of(model) for run in runs):
+        note = (*note, "the units of model and measurement are not both known: the errors hold the ratio of their units")
     return replace(found, notes=(*note, *found.notes))
+
+
+def _si_of(model: Any) -> bool:
+    """Whether the units of what a model predicts are known."""
+    return all(getattr(part, "si", True) for part in (model, getattr(model, "modal", None), getattr(model, "idle", None)))
 
 
 def _band_of(model: Any) -> tuple[float, float] | None:

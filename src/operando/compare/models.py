@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from operando.data import ModalModel, Saved, counted, plots
 from operando.errors import DataError, ObjectError
-from operando.indicators import common_shapes
+from operando.indicators import common_shapes, left_out
 from operando.scaling import pair_modes
 
 if TYPE_CHECKING:
@@ -32,13 +32,16 @@ class ModelComparison(Saved):
         The models, within the band asked for.
     modes : tuple of dict
         One a pair, by frequency: ``first``, ``second`` (mode numbers), ``frequency_hz`` and ``damping_ratio`` (of both),
-        ``frequency_percent``, ``damping_percent`` (change from the first to the second), ``mac``, ``same_shape`` (bool).
+        ``frequency_percent``, ``damping_percent`` (change from the first to the second), ``mac``, ``same_shape`` (bool); the last two are
+        None where the models share one DOF alone, over which no shape can be compared.
     only_first, only_second : tuple of int
         Modes without a partner.
     mac : (n_first, n_second) array
         At the DOFs that both have.
     n_dofs : int
         How many these are.
+    notes : tuple of str
+        DOFs that only one of the models has.
 
     Examples
     --------
@@ -55,6 +58,7 @@ class ModelComparison(Saved):
     only_second: tuple[int, ...]
     mac: NDArray[np.float64]
     n_dofs: int
+    notes: tuple[str, ...] = ()
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""
@@ -62,19 +66,21 @@ class ModelComparison(Saved):
         lonely = len(self.only_first) + len(self.only_second)
         return {
             "Pairs": f"{counted(len(self.modes), 'mode')} paired over {counted(self.n_dofs, 'DOF')}",
-            "Shapes": f"{sum(m['same_shape'] for m in self.modes)} with MAC ≥ {THRESHOLD:g}",
+            "Shapes": f"{sum(m['same_shape'] for m in self.modes)} with MAC ≥ {THRESHOLD:g}" if self.n_dofs > 1 else "shapes not compared",
             "Frequencies": f"frequencies differ by up to {max(shift):.3g} %" if shift else "",
             "Alone": f"{lonely} without a partner" if lonely else "",
+            "Notes": "; ".join(self.notes),
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON object: pairs, modes without a partner, MAC matrix."""
+        """JSON object: pairs, modes without a partner, MAC matrix (None over one DOF), notes."""
         return {
             "modes": [dict(m) for m in self.modes],
             "only_first": list(self.only_first),
             "only_second": list(self.only_second),
-            "mac": self.mac.tolist(),
+            "mac": self.mac.tolist() if self.n_dofs > 1 else None,
             "n_dofs": self.n_dofs,
+            "notes": list(self.notes),
         }
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -141,6 +147,12 @@ def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None 
     a, b = (_in_band(modal_of(m), band_hz) for m in (first, second))
     shapes_a, shapes_b, dofs = common_shapes(a, b)
     pairing = pair_modes(shapes_a, a.frequencies_hz, shapes_b, b.frequencies_hz, THRESHOLD)
+    comparable = len(dofs) > 1
+    notes = [f"compared {left}" for left in [left_out(a, b, dofs)] if left]
+    if not comparable:
+        notes.append("modes are paired by frequency alone: over one DOF every MAC is 1")
+    if a.si != b.si:
+        notes.append(f"the units of the {'second' if a.si else 'first'} model are not known: its shapes have another scale")
     rows: list[dict[str, Any]] = []
     for p in pairing.pairs:
         if p.idle is None:
@@ -152,13 +164,14 @@ def compare_models(first: Any, second: Any, band_hz: tuple[float, float] | None 
                 "first": int(p.idle), "second": int(p.operating), "frequency_hz": list(f), "damping_ratio": list(z),
                 "frequency_percent": 100 * (f[1] - f[0]) / f[0] if f[0] else None,
                 "damping_percent": 100 * (z[1] - z[0]) / z[0] if z[0] else None,
-                "mac": float(p.mac), "same_shape": bool(p.mac >= THRESHOLD),
+                "mac": float(p.mac) if comparable else None, "same_shape": bool(p.mac >= THRESHOLD) if comparable else None,
             }
         )  # fmt: skip
     rows.sort(key=lambda r: r["first"])
     taken = {r["second"] for r in rows}
+    matrix = pairing.mac if comparable else np.full(pairing.mac.shape, np.nan)
     alone = tuple(j for j in range(b.n_modes) if j not in taken)
-    return ModelComparison(a, b, tuple(rows), tuple(pairing.idle_without_partner), alone, pairing.mac, len(dofs))
+    return ModelComparison(a, b, tuple(rows), tuple(pairing.idle_without_partner), alone, matrix, len(dofs), tuple(notes))
 
 
 def modal_of(model: Any) -> ModalModel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -56,7 +57,7 @@ def plot_mac(
     ObjectError
         If the second is no model.
     DataError
-        If the models have no DOF in common.
+        If the models have fewer than two DOFs in common.
 
     Examples
     --------
@@ -69,7 +70,9 @@ def plot_mac(
         raise ObjectError(f"MAC of a {type(second).__name__} cannot be drawn", hint="give a ModalModel")
     if isinstance(first, ModalModel):
         other = first if second is None else second
-        values = mac(first, other)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the title says over how many DOFs
+            values = mac(first, other)
         labels = (mode_labels(first), mode_labels(other)) if labels is None else labels
         if title is None:
             n = len(first.dofs) if second is None else len(common_shapes(first, other)[2])
