@@ -270,3 +270,12 @@ def test_std_alone_is_enough():
     only = replace(operating, covariance=None, std=std)
     one, other = scale_operational(idle, operating).frf([20.0, 50.0]), scale_operational(idle, only).frf([20.0, 50.0])
     assert other.variance == pytest.approx(one.variance, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["auto", *METHODS])
+def test_methods_whose_interval_holds_noise_only_say_so(method):
+    idle = ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1.0, 1.0], [1.0, -1.0]]), "1+Z, 2+Z", "unit_modal_mass")
+    operating = ModalModel([21.0, 45.0], [0.01, 0.02], np.array([[2.0, 3.0], [2.0, -3.0]]), "1+Z, 2+Z")
+    said = [f.kind for f in scale_operational(idle, operating, method=method).findings]
+    assert ("noise_only_interval" in said) == (method in ("msf_all", "eq13", "eq15", "eq20", "idle_shapes"))
+    assert method == "auto" or f"``{method}``" in scale_operational.__doc__

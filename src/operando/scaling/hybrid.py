@@ -21,7 +21,7 @@ from operando.scaling.doubt import scale_doubt
 from operando.scaling.evidence import Choice, choose_method
 from operando.scaling.expansion import expand, make_prior
 from operando.scaling.flips import class_flips, flip_probability
-from operando.scaling.methods import IN_WORDS, Task, real_shapes, scaled_shapes
+from operando.scaling.methods import IN_WORDS, Task, noise_only, real_shapes, scaled_shapes
 from operando.scaling.missing import missing_modes, with_missing
 from operando.scaling.model import HybridModel
 from operando.scaling.pairing import Pairing, pair_modes
@@ -48,7 +48,19 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     threshold : float
         ε of Eq 1: MAC from which a mode counts as unchanged.
     method : str
-        ``auto`` or one of ``operando.scaling.METHODS``.
+        ``auto`` chooses by evidence and says why. By name (equations of Shen & Lu 2024; derivations in the documentation, "Scaling"):
+
+        - ``msf_all``: all modes by modal scale factor onto their idle partner (Eq 2, 3);
+        - ``sqrt_mac``: the same over √MAC, so that each shape has the length of its idle partner (this project);
+        - ``eq13``, ``eq15``: modes of the same shape by MSF, changed ones to unit modal mass with the condensed mass of the idle shapes,
+          one by one (Eq 13), or together by the principal square root (Eq 15);
+        - ``eq20``: root and inversion exchanged, over all modes (Eq 20);
+        - ``idle_shapes``: idle shapes with the operational poles, for modes whose shapes stay;
+        - ``expansion``, ``expansion_stiffness``: expansion in the idle modes weighted by a prior, with mass or stiffness as idle (this
+          project).
+
+        The intervals of ``msf_all``, ``eq13``, ``eq15``, ``eq20`` and ``idle_shapes`` hold noise only, not the error of what the method
+        assumes, and are too narrow where the shapes changed; the model says so in a finding.
 
     Returns
     -------
@@ -159,6 +171,7 @@ def _scale(idle: ModalModel, operating: ModalModel, threshold: float, method: st
         findings += choice.findings
     else:
         choice = Choice(method, f"asked for: {IN_WORDS[method]}", {})
+        findings += noise_only(method)
     alike = [p for p in pairing.pairs if p.idle is not None and p.kind != "changed"]
     at_rest = np.array([p.idle for p in alike], int)
     shift = common_shift(idle.frequencies_hz[at_rest], np.array([proper.frequencies_hz[p.operating] for p in alike]))

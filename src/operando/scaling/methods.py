@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data import Finding
 from operando.errors import ConfigError, IdentificationError
 from operando.limits import METHODS
 from operando.scaling.expansion import Prior, expand, unit_size
@@ -29,7 +30,40 @@ IN_WORDS = {
 }
 """What each method does."""
 
+NOISE_ONLY = ("msf_all", "eq13", "eq15", "eq20", "idle_shapes")
+"""Methods whose covariance holds what noise does to their result, and not how far their assumption is from the structure."""
+
 Array = NDArray[Any]
+
+
+def noise_only(method: str) -> list[Finding]:
+    """The finding that the intervals of a method asked for by name hold noise only; none for the others.
+
+    Parameters
+    ----------
+    method : str
+        One of ``operando.scaling.METHODS``.
+
+    Returns
+    -------
+    list of Finding
+
+    Examples
+    --------
+    >>> [f.kind for f in noise_only("eq15")], noise_only("expansion")
+    (['noise_only_interval'], [])
+    """
+    if method not in NOISE_ONLY:
+        return []
+    return [
+        Finding(
+            "noise_only_interval",
+            f"scaling by {method}, asked for by name: the intervals of its operational FRFs hold noise only",
+            "warning",
+            consequence="the error of what the method assumes is not in them: the 95 % band may hold far less than 95 % of the true FRF",
+            action='compare with method="auto"; `alternatives` states how many dB lie between the methods',
+        )
+    ]
 
 
 def real_shapes(shapes: ArrayLike) -> tuple[Array, Array]:
