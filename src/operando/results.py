@@ -5,9 +5,13 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted
+from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted, plots
+from operando.errors import MissingError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(repr=False)
@@ -76,9 +80,9 @@ class Results(Short):
     hybrid : operando.scaling.HybridModel or None
     check : list of CheckRun
     comparison : dict or None
-        ``comparison.json``.
+        ``comparison.json``; :meth:`plot_comparison` draws it.
     diagnosis : dict or None
-        ``diagnosis.json``.
+        ``diagnosis.json``; :meth:`plot_ladder` and :meth:`plot_where` draw it, as do the functions of ``operando.plots``.
     effect_covariance : array or None
         Joint covariance of the idle model as the diagnosis left it and the effects' values (see ``operando.structure.Model``).
     effect_idle : ModalModel or None
@@ -141,6 +145,77 @@ class Results(Short):
             "Diagnosis": f"diagnosis: {self.diagnosis['verdict'].replace('_', ' ')}" if self.diagnosis else "",
             "Left out": ", ".join(f"{stage} left out" for stage in self.left_out),
         }
+
+    def plot_ladder(self, axes: Axes | None = None) -> Axes:
+        """Error by step of the diagnosis: see :func:`operando.plots.plot_steps`.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        MissingError
+            If the results hold no diagnosis.
+        """
+        made: Axes = plots().plot_steps(self._held("diagnosis"), axes)
+        return made
+
+    def plot_where(self, axes: Axes | None = None, *, by: str = "dof") -> Axes:
+        """Where the idle model fails in operation: see :func:`operando.plots.plot_where`.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+        by : {"dof", "band", "mode"}
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        MissingError
+            If the results hold no diagnosis.
+        """
+        made: Axes = plots().plot_where(self._held("diagnosis"), axes, by=by)
+        return made
+
+    def plot_comparison(self, model: str = "ofrf", axes: Axes | None = None, *, by: str = "dof") -> Axes:
+        """Level error of one model of the comparison: see :func:`operando.plots.plot_comparison`.
+
+        Parameters
+        ----------
+        model : str
+            ``idle``, ``ofrf``, ``effect``, or another one of ``comparison["models"]``.
+        axes : matplotlib Axes, optional
+        by : {"dof", "band", "mode"}
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        MissingError
+            If the results hold no comparison, or it has no such model.
+        """
+        models = self._held("comparison")["models"]
+        if model not in models:
+            raise MissingError(f"the comparison has no model {model!r}", hint="it has " + ", ".join(models))
+        made: Axes = plots().plot_comparison(models[model], axes, by=by)
+        return made
+
+    def _held(self, stage: str) -> dict[str, Any]:
+        document: dict[str, Any] | None = getattr(self, stage)
+        if document is None:
+            reason = self.left_out.get({"diagnosis": "diagnose", "comparison": "compare"}[stage])
+            raise MissingError(f"the results hold no {stage}", hint=reason or "run the test with a validation measurement ([check])")
+        return document
 
     def save(self, path: str | Path) -> None:
         """Write the results as ``model.h5`` into a folder, or into a file whose name ends with ``.h5``; :func:`operando.load` reads them.

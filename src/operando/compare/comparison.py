@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -22,6 +23,7 @@ from operando.scaling import HybridModel
 from operando.threads import one_blas_thread
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
 
@@ -106,6 +108,27 @@ class Comparison(Saved):
         """
         made: Axes = plots().plot_comparison(self, axes, by=by)
         return made
+
+    def to_dataframe(self, by: str = "dof") -> pandas.DataFrame:
+        """Errors by response DOF, band or mode as a table; the figures over all lines are in ``.attrs``.
+
+        Parameters
+        ----------
+        by : {"dof", "band", "mode"}
+
+        Raises
+        ------
+        DataError
+            If ``by`` is something else.
+        MissingError
+            If pandas is not installed.
+        """
+        if by not in ("dof", "band", "mode"):
+            raise DataError(f"errors by {by!r} are not known", hint="use dof, band or mode")
+        told = self.to_dict()
+        table: pandas.DataFrame = importlib.import_module("operando.io.frames").library("pandas").DataFrame(told[f"by_{by}"])
+        table.attrs = {key: value for key, value in told.items() if not key.startswith("by_")}
+        return table
 
     def to_dict(self) -> dict[str, Any]:
         """JSON object as in the specification."""

@@ -84,18 +84,23 @@ class ModelComparison(Saved):
         }
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """One row a pair of modes.
+        """One row a pair of modes, with the standard deviations of both models (NaN where a model states none).
 
         Raises
         ------
         MissingError
             If pandas is not installed.
         """
-        rows = [
-            {k: v for k, v in m.items() if not isinstance(v, list)}
-            | {f"{k}_{side}": m[k][i] for k in ("frequency_hz", "damping_ratio") for i, side in enumerate(("first", "second"))}
-            for m in self.modes
-        ]
+        sides = (("first", self.first), ("second", self.second))
+        rows = []
+        for m in self.modes:
+            row = {k: v for k, v in m.items() if not isinstance(v, list)}
+            for i, (side, model) in enumerate(sides):
+                stds = (("frequency_hz", "frequency_std_hz"), ("damping_ratio", "damping_ratio_std"))
+                for value, std in stds:
+                    known = getattr(model, std)
+                    row |= {f"{value}_{side}": m[value][i], f"{std}_{side}": np.nan if known is None else float(known[m[side]])}
+            rows.append(row)
         table: pandas.DataFrame = importlib.import_module("operando.io.frames").library("pandas").DataFrame(rows)
         return table
 

@@ -226,6 +226,10 @@ def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: boo
             out.append("uncertainty of the modes")
         if any(d.sign < 0 for d in obj.dofs):
             out.append("the sense of DOFs: shapes are along the positive axes now")
+        if obj.band_hz is not None:
+            out.append(f"band of the analysis, {obj.band_hz[0]:g} to {obj.band_hz[1]:g} Hz")
+        if obj.misfit is not None:
+            out.append(f"reduced chi-square, {obj.misfit:.3g}")
         if not np.all(obj.in_band):
             out.append("which modes lie in the band")
     if kind == "uff" and not binary and isinstance(obj, TimeRecord | Frf):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -167,8 +167,8 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
 
     Parameters
     ----------
-    comparison : Comparison
-        Comparison to draw.
+    comparison : Comparison or mapping
+        A comparison, or one of the models of ``comparison.json``.
     axes : matplotlib Axes, optional
         Default: of a new figure.
     by : {"dof", "band", "mode"}
@@ -193,11 +193,12 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     """
     if by not in ("dof", "band", "mode"):
         raise DataError(f"errors by {by!r} are not known", hint="use dof, band or mode")
-    rows = [dict(r) for r in getattr(comparison, f"by_{by}")]
-    axes = draw_errors(rows, axes, by=by, floor=comparison.noise_floor_db, hint="; ".join(comparison.notes) or None)
-    if comparison.error_db is not None:
+    told = comparison if isinstance(comparison, Mapping) else comparison.to_dict()
+    rows = [dict(r) for r in told.get(f"by_{by}") or ()]
+    axes = draw_errors(rows, axes, by=by, floor=told.get("noise_floor_db"), hint="; ".join(told.get("notes") or ()) or None)
+    if told.get("error_db") is not None:
         with style():
-            axes.set_title(f"Level error {comparison.error_db:.2f} dB over all lines and pairs")
+            axes.set_title(f"Level error {told['error_db']:.2f} dB over all lines and pairs")
     return axes
 
 

@@ -14,6 +14,7 @@ from operando.scaling.pairing import Pairing
 from operando.threads import one_blas_thread
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
 
@@ -145,6 +146,20 @@ class HybridModel(Saved):
         """
         with one_blas_thread():
             return self.modal.frf(frequencies, responses, references, quantity)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """One row a mode: the scaled modes (``modal.to_dataframe()``) with their idle partner, MAC, class and the spread of their scale.
+
+        Raises
+        ------
+        MissingError
+            If pandas is not installed.
+        """
+        table = self.modal.to_dataframe()
+        rows = {p["operating"]: p for p in self.to_dict()["pairing"]}
+        for place, (name, key) in enumerate((("idle_mode", "idle"), ("mac", "mac"), ("class", "class"), ("scale_std", "scale_std"))):
+            table.insert(place, name, [rows[r][key] if r in rows else None for r in range(self.modal.n_modes)])
+        return table
 
     def to_dict(self) -> dict[str, Any]:
         """``{"pairing": […], "scaling": {…}}`` of ``summary.json``."""
