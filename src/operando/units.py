@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import Final
 
@@ -121,6 +122,45 @@ def parse_unit(text: str, quantity: str | None = None) -> tuple[str, float]:
             hint="for example: " + ", ".join(list(alternatives)[:8]),
         )
     return found
+
+
+def stated_unit(text: str, quantity: str = "unknown") -> tuple[str, str, float]:
+    """Quantity, SI unit and factor to SI of what is stated of a channel.
+
+    Parameters
+    ----------
+    text : str
+        Unit as written, empty where not known.
+    quantity : str
+        Physical quantity, ``unknown`` where the unit tells it.
+
+    Returns
+    -------
+    quantity : str
+    unit : str
+        SI unit; empty where no unit is stated.
+    factor : float
+        Multiply a value in ``text`` by this to get SI; 1 where no unit is stated.
+
+    Raises
+    ------
+    UnitError
+        If the quantity or the unit is unknown, or the unit is of another quantity.
+
+    Examples
+    --------
+    >>> from operando.units import stated_unit
+    >>> stated_unit("kN", "force")
+    ('force', 'N', 1000.0)
+    """
+    if quantity not in SI_UNIT:
+        near = get_close_matches(str(quantity).strip().lower(), SI_UNIT, 1, 0.4)
+        hint = (f"did you mean {near[0]!r}? " if near else "") + "one of " + ", ".join(SI_UNIT)
+        raise UnitError(f"unknown quantity {quantity!r}", hint=hint)
+    if not text or text == SI_UNIT[quantity]:
+        return quantity, text, 1.0
+    found, factor = parse_unit(text, {"stress": "pressure", "reaction_force": "force"}.get(quantity, quantity))
+    return (found if quantity in ("unknown", "general") else quantity), SI_UNIT[found], factor
 
 
 def si_factor(text: str, quantity: str | None = None) -> float:

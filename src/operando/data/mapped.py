@@ -323,6 +323,37 @@ def filling(shape: tuple[int, int], dtype: DTypeLike) -> Iterator[_Filled]:
         ) from error
 
 
+def scaled_rows(data: Any, factors: Sequence[float]) -> Any:
+    """Rows of samples, each times its factor; samples in a file are multiplied as they are read.
+
+    Parameters
+    ----------
+    data : (n_channels, n_samples) array or MappedSamples
+        Samples.
+    factors : sequence of float
+        One a row.
+
+    Returns
+    -------
+    (n_channels, n_samples) array or MappedSamples
+        The same object where all factors are 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scaled_rows(np.ones((2, 2)), [1.0, 1000.0]).tolist()
+    [[1.0, 1.0], [1000.0, 1000.0]]
+    """
+    if all(factor == 1.0 for factor in factors):
+        return data
+
+    def times(samples: NDArray[Any], which: Sequence[int], first: int, last: int) -> NDArray[Any]:
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file; the raw-data checks tell what is not finite
+            return np.stack([row * factors[k] if factors[k] != 1.0 else row for row, k in zip(samples, which, strict=True)])
+
+    return data.changed_by(times, data.dtype) if isinstance(data, MappedSamples) else times(data, range(len(data)), 0, data.shape[1])
+
+
 @dataclass(frozen=True)
 class RowStatistics:
     """Statistics of each channel over its finite samples.

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from operando.data import mapped
 from operando.data.arrays import frozen
 from operando.data.findings import Finding
-from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics
+from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics, scaled_rows
 from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.dof import Dof
-from operando.errors import DataError, DofError
+from operando.errors import DataError, DofError, UnitError
+from operando.units import stated_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,9 +36,10 @@ class Channel:
     dof : Dof, str or None
         Where and in which sense it measures; None where not known. A text such as ``12+Z`` is read.
     quantity : str
-        ``acceleration``, ``force``, ``velocity``, … or ``unknown``.
+        ``acceleration``, ``force``, ``velocity``, … or ``unknown``; a unit tells which one it is.
     unit : str
-        Unit of the data as held. SI (``m/s2``, ``N``) wherever the unit was known; empty where it was not.
+        Unit of the samples given with it (``m/s2``, ``g``, ``N``, ``lbf``), empty where not known. The channels of a record are in SI:
+        :class:`TimeRecord` converts the samples and notes the unit given as ``source_unit``.
     name : str
         Channel name in the source.
     source_unit : str
@@ -49,6 +51,8 @@ class Channel:
     ------
     DofError
         If a text is no DOF.
+    UnitError
+        If the quantity or the unit is not known, or the unit is of another quantity.
 
     Examples
     --------
@@ -67,6 +71,10 @@ class Channel:
     def __post_init__(self) -> None:
         if isinstance(self.dof, str):
             object.__setattr__(self, "dof", Dof.parse(self.dof))
+        try:
+            object.__setattr__(self, "quantity", stated_unit(self.unit, self.quantity)[0])
+        except UnitError as error:
+            raise UnitError(error.message, where=f"channel {self.label}" if self.label else None, hint=error.hint) from None
 
     @property
     def label(self) -> str:
@@ -86,8 +94,8 @@ class TimeRecord(Noun):
     Parameters
     ----------
     data : (n_channels, n_samples) float array
-        Samples, SI where the units are known. Made read-only. Samples of more than 67 MB that lie in a file, or in a read-only memory map,
-        stay there (:class:`operando.data.mapped.MappedSamples`).
+        Samples, each row in the unit of its channel; the record holds them in SI where the unit is known. Made read-only. Samples of
+        more than 67 MB that lie in a file, or in a read-only memory map, stay there (:class:`operando.data.mapped.MappedSamples`).
     sampling_hz : float
         Sampling rate [Hz].
     channels : sequence of Channel
@@ -103,7 +111,7 @@ class TimeRecord(Noun):
     Raises
     ------
     DataError
-        If shapes and labels disagree or the sampling rate is not positive.
+        If shapes and labels disagree, the sampling rate is not positive, or something else than :class:`Channel` is given.
 
     Examples
     --------
@@ -112,6 +120,12 @@ class TimeRecord(Noun):
     >>> record = operando.TimeRecord(np.zeros((2, 1000)), 500.0, channels)
     >>> record
     <TimeRecord: 1 force 1+Z; 1 response 3+Z; 1000 samples at 500 Hz, 2 s>
+
+    Samples in another unit become SI:
+
+    >>> record = operando.TimeRecord(np.ones((1, 1000)), 500.0, [operando.Channel("3+Z", "acceleration", "g")])
+    >>> record.data[0, 0], record.channels[0].unit
+    (np.float64(9.80665), 'm/s2')
     """
 
     data: NDArray[np.floating[Any]]
@@ -125,11 +139,22 @@ class TimeRecord(Noun):
     def __post_init__(self) -> None:
         object.__setattr__(self, "data", _samples(self.data))
         object.__setattr__(self, "channels", tuple(self.channels))
+        if not all(isinstance(c, Channel) for c in self.channels):
+            hint = 'write operando.Channel("3+Z", "acceleration", "m/s2") for each row'
+            raise DataError(f"the channels are {self.channels!r:.100}", where=self.name or None, hint=hint)
         object.__setattr__(self, "findings", tuple(self.findings))
         if self.data.shape[0] != len(self.channels):
             raise DataError(f"{self.data.shape[0]} rows but {len(self.channels)} channel labels", where=self.name or None)
         if not (np.isfinite(self.sampling_hz) and self.sampling_hz > 0):
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
+        scales = [stated_unit(c.unit, c.quantity) for c in self.channels]
+        if any(unit != c.unit for c, (_, unit, _) in zip(self.channels, scales, strict=True)):
+            object.__setattr__(self, "data", _samples(scaled_rows(self.data, [factor for _, _, factor in scales])))
+            in_si = (
+                c if unit == c.unit else replace(c, unit=unit, source_unit=c.source_unit or c.unit)
+                for c, (_, unit, _) in zip(self.channels, scales, strict=True)
+            )
+            object.__setattr__(self, "channels", tuple(in_si))
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from operando.data import Channel, Finding, MappedSamples, Provenance, TimeRecord
+from operando.data.mapped import scaled_rows
 from operando.dof import Dof
 from operando.errors import DataError, DofError
 from operando.io.quantities import ChannelSpecs, Units, find_spec, quantity_from_words, resolve, spec_dof
@@ -92,24 +93,8 @@ def make_record(
         labels.append(Channel(dof, scale.quantity, scale.unit, name, scale.source_unit, i))
     if not rows:
         raise DataError("no channel is left", where=source or None, hint="[channels] excludes them all")
-    return TimeRecord(
-        _scaled(array, rows, factors), sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance()
-    )
-
-
-def _scaled(array: Any, rows: list[int], factors: list[float]) -> Any:
-    """Some rows of samples, each times its factor."""
     part = array if len(rows) == len(array) else array[rows]
-    if all(factor == 1.0 for factor in factors):
-        return part
-
-    def times(samples: np.ndarray, which: Sequence[int]) -> np.ndarray:
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file; the raw-data checks tell what is not finite
-            return np.stack([row * factors[k] if factors[k] != 1.0 else row for row, k in zip(samples, which, strict=True)])
-
-    if isinstance(part, MappedSamples):
-        return part.changed_by(lambda samples, which, first, last: times(samples, which), part.dtype)
-    return times(part, range(len(rows)))
+    return TimeRecord(scaled_rows(part, factors), sampling_hz, tuple(labels), start_s, source, tuple(findings), provenance or Provenance())
 
 
 def _dof_of(name: str) -> Dof | None:
