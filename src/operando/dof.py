@@ -80,6 +80,7 @@ class Dof:
 
     Examples
     --------
+    >>> from operando import Dof
     >>> Dof(12, "Z", -1)
     Dof('12-Z')
     >>> str(Dof.parse("FRAM:12+X"))

@@ -45,7 +45,8 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
 
     Examples
     --------
-    >>> mac([[1.0, 0.0], [1.0, 1.0]]).round(2)
+    >>> import operando
+    >>> operando.mac([[1.0, 0.0], [1.0, 1.0]]).round(2)
     array([[1. , 0.5],
            [0.5, 1. ]])
     """

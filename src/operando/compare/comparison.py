@@ -179,10 +179,10 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
 
     Examples
     --------
-    >>> import numpy as np
-    >>> one = ModalModel([10.0, 20.0], [0.01, 0.01], np.eye(2), "1+Z, 2+Z")
-    >>> other = ModalModel([10.5, 20.0], [0.01, 0.01], np.eye(2), "1+Z, 2+Z")
-    >>> compare(one, other).modes[0]["frequency_percent"]
+    >>> import numpy as np, operando
+    >>> one = operando.ModalModel([10.0, 20.0], [0.01, 0.01], np.eye(2), "1+Z, 2+Z")
+    >>> other = operando.ModalModel([10.5, 20.0], [0.01, 0.01], np.eye(2), "1+Z, 2+Z")
+    >>> operando.compare(one, other).modes[0]["frequency_percent"]
     5.0
     """
     if isinstance(measured, ModalModel | HybridModel):

@@ -207,7 +207,8 @@ class Frf(Noun):
 
         Examples
         --------
-        >>> frf = Frf([[[1.0, 2.0, 1.0]]], [1.0, 2.0, 3.0], "1+Z", "1+Z")
+        >>> import operando
+        >>> frf = operando.Frf([[[1.0, 2.0, 1.0]]], [1.0, 2.0, 3.0], "1+Z", "1+Z")
         >>> frf.plot(frf.plot(), quantity="compliance").get_ylabel()
         'Receptance [m/N]'
         """
@@ -353,7 +354,8 @@ class Frf(Noun):
 
         Examples
         --------
-        >>> Frf([[[1.0, 1.0]]], [1.0, 2.0], "1+Z", "1+Z").to_quantity("compliance").quantity
+        >>> import operando
+        >>> operando.Frf([[[1.0, 1.0]]], [1.0, 2.0], "1+Z", "1+Z").to_quantity("compliance").quantity
         'receptance'
         """
         quantity = quantity_named(quantity, reciprocals=False)
@@ -389,7 +391,8 @@ class Frf(Noun):
 
         Examples
         --------
-        >>> Frf([[[1e-6]]], [1.0], "1+Z", "1+Z", "receptance").values("dynamic stiffness")[0, 0, 0].real
+        >>> import operando
+        >>> operando.Frf([[[1e-6]]], [1.0], "1+Z", "1+Z", "receptance").values("dynamic stiffness")[0, 0, 0].real
         np.float64(1000000.0)
         """
         name = quantity_named(quantity)

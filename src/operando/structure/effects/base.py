@@ -41,6 +41,7 @@ class Parameter:
 
     Examples
     --------
+    >>> from operando import Parameter
     >>> gap = Parameter("gap", "m", 1e-6, 1e-2, "log", 1e-4, "half the play")
     >>> gap.bounds()
     (1e-06, 0.01)
@@ -167,6 +168,7 @@ class EffectKind:
 
     Examples
     --------
+    >>> from operando import EffectKind, Parameter
     >>> class Inerter(EffectKind):
     ...     kind, plain, places = "inerter", "an inerter between two points", 2
     ...     parameters = (Parameter("inertance", "kg", 1e-3, 1e4, "log", 1.0, "inertance"),)

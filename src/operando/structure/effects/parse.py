@@ -40,7 +40,8 @@ def parse_effect(text: str, band_hz: tuple[float, float] | None = None, fixed: b
 
     Examples
     --------
-    >>> parse_effect("ground_spring@3+Z=stiffness:1e6").size
+    >>> import operando
+    >>> operando.parse_effect("ground_spring@3+Z=stiffness:1e6").size
     '1 MN/m'
     """
     try:

@@ -40,7 +40,8 @@ def register(kind: type[EffectKind]) -> type[EffectKind]:
 
     Examples
     --------
-    >>> from operando import EffectKind, Parameter
+    >>> from operando import EffectKind, Parameter, register
+    >>> from operando.structure.effects.registry import unregister
     >>> @register
     ... class Inerter(EffectKind):
     ...     kind, plain, places = "inerter_here", "an inerter between two points", 2
@@ -87,7 +88,8 @@ def catalogue() -> dict[str, EffectKind]:
 
     Examples
     --------
-    >>> catalogue()["clearance"].plain
+    >>> import operando
+    >>> operando.catalogue()["clearance"].plain
     'a stop with play on both sides'
     """
     return dict(_KINDS)
