@@ -381,3 +381,15 @@ def test_the_entry_point_is_the_one_that_minds_ctrl_c():
     if not project.is_file():
         pytest.skip("an installed package has no pyproject.toml beside it")
     assert tomllib.loads(project.read_text())["project"]["scripts"] == {"operando": "operando.__main__:main"}
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder where nobody can make a folder")
+@pytest.mark.parametrize("name", ["/proc/results", "/proc/deep/results"])
+def test_a_folder_that_takes_no_folders_is_named(name: str) -> None:
+    with (
+        pytest.raises(WriteError, match="the folder /proc takes no new files"),
+        results_folder(name, "test", make=True),
+    ):
+        pass
+    with pytest.raises(WriteError, match="the folder /proc takes no new files"):
+        operando.Results("test").save(name)

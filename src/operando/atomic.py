@@ -43,6 +43,8 @@ def writing(path: str | Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         hint = _HINTS.get(error.errno or 0, "give the same command again when this is put right")
+        if error.errno == errno.ENOENT and error.filename and (folder := Path(os.fsdecode(error.filename)).parent).is_dir():
+            reason, hint = f"the folder {folder} takes no new files or folders", _CLOSED
         raise WriteError(f"cannot be written: {reason}", where=str(path), hint=hint) from error
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from operando.atomic import writing
 from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted, plots
 from operando.errors import MissingError
 
@@ -227,6 +228,7 @@ class Results(Short):
         """
         target = Path(path)
         if target.suffix.lower() not in (".h5", ".hdf5"):
-            target.mkdir(parents=True, exist_ok=True)
+            with writing(target):
+                target.mkdir(parents=True, exist_ok=True)
             target = target / "model.h5"
         importlib.import_module("operando.store").save_results(self, target)
