@@ -55,7 +55,7 @@ class CheckRun(Short):
         return {"level": self.force_n, "unit": "N", "level_name": self.level}
 
 
-@dataclass(repr=False)
+@dataclass(repr=False, eq=False)
 class Results(Short):
     """Results of one test, filled stage by stage; what a stage did not make stays None.
 

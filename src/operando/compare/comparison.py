@@ -34,7 +34,7 @@ class FrfModel(Protocol):
         """FRFs at the lines asked for."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Comparison(Saved):
     """One M of ``comparison.json``.
 

@@ -22,7 +22,7 @@ THRESHOLD = 0.7
 """MAC from which a mode has kept its shape, as in scaling."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ModelComparison(Saved):
     """Modes of one model paired with those of another.
 

@@ -48,7 +48,7 @@ class LibraryMode:
     reference: str | None = None
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class LibraryComparison(Short):
     """One library beside operando on the data of one state.
 

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
+from operando.data.objects import ByContent
 from operando.errors import DataError
 
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class ModalCoupling:
+@dataclass(frozen=True, eq=False)
+class ModalCoupling(ByContent):
     """Viscous damping that is not in proportion to stiffness and mass, as it ties the terms of a model of unit modal mass.
 
     In modal coordinates the damping matrix is then not diagonal (Rayleigh 1877, § 102). Between two terms of the model it is

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
 from operando.data.findings import Finding
-from operando.data.objects import Noun, common_name, counted, names_text, plots
+from operando.data.objects import ByContent, Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.data.quantities import QUANTITIES, RECIPROCALS, quantity_named, unit_of
 from operando.dof import Dof, DofIndex, match_dofs, named_dofs, parse_dofs
@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True)
-class FrequencyAxis:
+ROUNDING = 1e-3
+"""How far a coherence may lie beyond 0 to 1, and a variance below 0 (as a share of the largest): files hold them in few digits."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyAxis(ByContent):
     """Frequency lines, even or not.
 
     Parameters
@@ -74,7 +78,7 @@ class FrequencyAxis:
         return slice(i, j)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Frf(Noun):
     """Frequency response functions H[response, reference] = response/force, e^{+iωt}.
 

@@ -76,7 +76,7 @@ class Appearance:
     face_colors: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Geometry(Noun):
     """Nodes with coordinates [m], lines and faces between them.
 

@@ -27,7 +27,7 @@ from operando.errors import DataError
 from operando.synthesis import POWER, synthesis_variance, synthesise
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ModalModel(ModalFigures, Noun):
     """Modes of a structure, and beside them the residual terms that complete its FRFs.
 

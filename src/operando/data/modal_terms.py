@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data.arrays import frozen
 from operando.data.coupling import ModalCoupling
+from operando.data.objects import ByContent
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
 
 
-@dataclass(frozen=True)
-class ResidualTerms:
+@dataclass(frozen=True, eq=False)
+class ResidualTerms(ByContent):
     """Pseudo-modes that stand for what lies outside the band: part of every synthesis, never modes.
 
     Parameters

@@ -87,7 +87,7 @@ class Channel:
         return self.quantity in ("force", "moment", "reaction_force")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class TimeRecord(Noun):
     """Evenly sampled channels of one run.
 

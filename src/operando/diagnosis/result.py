@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from operando.data import Geometry, ModalModel, Short, counted
+from operando.data.objects import ByContent
 from operando.diagnosis.drawn import Drawn
 from operando.results import CheckRun
 from operando.structure import Model
 from operando.structure.effects import Effect
 
 
-@dataclass(frozen=True, repr=False)
-class Diagnosis(Drawn, Short):
+@dataclass(frozen=True, repr=False, eq=False)
+class Diagnosis(ByContent, Drawn, Short):
     """What is missing in the idle model, with evidence.
 
     Parameters

@@ -64,7 +64,7 @@ class FileHeader:
     written: str = ""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Content(Short):
     """Everything found in one file.
 

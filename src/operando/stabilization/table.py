@@ -85,7 +85,7 @@ class RejectedPole:
     reason: str
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Stabilization(Short):
     """Stabilisation diagram with selection.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, Short, counted, expect
+from operando.data.objects import ByContent
 from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
@@ -23,8 +24,8 @@ from operando.threads import one_blas_thread
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True, repr=False)
-class Model(Short):
+@dataclass(frozen=True, repr=False, eq=False)
+class Model(ByContent, Short):
     """The idle modal model plus effects in the order they were added.
 
     Parameters
