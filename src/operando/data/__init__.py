@@ -1,6 +1,6 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
-from operando.data.arrays import band_limits, complex_of, frequencies_of, numbers_of
+from operando.data.arrays import band_limits, complex_of, frequencies_of, numbers_of, ordered_band, positive_band
 from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
 from operando.data.frf import FrequencyAxis, Frf
@@ -58,9 +58,11 @@ __all__ = [
     "numbers_of",
     "once_of_a_sense",
     "one_level",
+    "ordered_band",
     "phase_collinearity",
     "pieces",
     "plots",
+    "positive_band",
     "quantity_named",
     "row_statistics",
     "several",

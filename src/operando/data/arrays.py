@@ -16,9 +16,12 @@ def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = 
     Raises
     ------
     DataError
-        If the number of dimensions is not ``ndim``.
+        If it holds no numbers, or the number of dimensions is not ``ndim``.
     """
-    array = np.asarray(value, dtype=dtype)
+    try:
+        array = np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} is {value!r:.60}: no numbers", hint="give an array of numbers") from error
     if ndim is not None and array.ndim != ndim:
         raise DataError(f"{name} has {array.ndim} dimensions, expected {ndim}")
     view = array.view()
@@ -140,3 +143,61 @@ def band_limits(band: Any) -> tuple[float, float]:
     if limits.shape != (2,):
         raise DataError(f"band {band!r} is no pair of frequencies", hint="give [low, high] in Hz")
     return float(limits[0]), float(limits[1])
+
+
+def ordered_band(band: Any) -> tuple[float, float]:
+    """Limits of a band [Hz], the lower one first.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Band.
+
+    Returns
+    -------
+    (float, float)
+
+    Raises
+    ------
+    DataError
+        If it is no pair of numbers, or the limits are reversed.
+
+    Examples
+    --------
+    >>> ordered_band([5, 70])
+    (5.0, 70.0)
+    """
+    low, high = band_limits(band)
+    if low > high:
+        raise DataError(f"the band of {low:g} to {high:g} Hz is reversed", hint=f"give the lower limit first: ({high:g}, {low:g})")
+    return low, high
+
+
+def positive_band(band: Any) -> tuple[float, float]:
+    """Limits of a band that is analysed [Hz]: not below 0 Hz, the upper one above the lower one.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Band.
+
+    Returns
+    -------
+    (float, float)
+
+    Raises
+    ------
+    DataError
+        If it is no such band.
+
+    Examples
+    --------
+    >>> positive_band([5, 70])
+    (5.0, 70.0)
+    """
+    low, high = ordered_band(band)
+    if low < 0:
+        raise DataError(f"the band of {low:g} to {high:g} Hz begins below 0 Hz", hint="give [low, high] in Hz, from 0 on")
+    if not low < high:
+        raise DataError(f"the band of {low:g} to {high:g} Hz is empty", hint="give [low, high] in Hz")
+    return low, high

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen
+from operando.data.arrays import frozen, ordered_band
 from operando.data.findings import Finding
 from operando.data.objects import ByContent, Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
@@ -137,7 +137,7 @@ class Frf(Noun):
     def __post_init__(self) -> None:
         object.__setattr__(self, "data", frozen(self.data, complex, 3, "FRF data"))
         if not isinstance(self.axis, FrequencyAxis):
-            object.__setattr__(self, "axis", FrequencyAxis(np.asarray(self.axis, float)))
+            object.__setattr__(self, "axis", FrequencyAxis(self.axis))
         object.__setattr__(self, "responses", parse_dofs(self.responses))
         object.__setattr__(self, "references", parse_dofs(self.references))
         object.__setattr__(self, "findings", tuple(self.findings))
@@ -148,8 +148,7 @@ class Frf(Noun):
             array = getattr(self, name)
             if array is not None:
                 object.__setattr__(self, name, frozen(array, float, 3, name))
-                if array.shape != expected:
-                    raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+                self._check_beside(name, expected)
         if self.setups is not None:
             object.__setattr__(self, "setups", frozen(self.setups, int, 2, "setups"))
             if self.setups.shape != expected[:2]:
@@ -163,6 +162,19 @@ class Frf(Noun):
                         f"{label} DOF {d} appears twice (in either sense)", hint="give each its own DOF; in a test file by [channels]"
                     )
                 seen.add(d.key)
+
+    def _check_beside(self, name: str, expected: tuple[int, ...]) -> None:
+        """Refuse a variance or coherence of another shape, or with values that none can have."""
+        array = np.asarray(getattr(self, name))
+        if array.shape != expected:
+            raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+        size = float(np.max(np.abs(array), where=np.isfinite(array), initial=0.0)) if name == "variance" else 1.0
+        wrong = (array < -ROUNDING * size) | (array > (np.inf if name == "variance" else 1 + ROUNDING))
+        if wrong.any():
+            i, j, k = np.argwhere(wrong)[0]
+            where = f"{self.responses[i]}/{self.references[j]} at {self.frequencies_hz[k]:g} Hz"
+            hint = "give E|ΔH|² of each line, at least 0" if name == "variance" else "give γ² of each line, 0 to 1"
+            raise DataError(f"the {name} of {where} is {array[i, j, k]:g}; {np.sum(wrong)} of {array.size} values cannot be", hint=hint)
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""
@@ -201,7 +213,7 @@ class Frf(Noun):
         band : (float, float), optional
             Analysis band [Hz], shaded outside.
         noise : bool
-            Draw the standard deviation of the first pair.
+            Draw the standard deviation of the first pair drawn; select one pair to see its own.
         parts : sequence of {"magnitude", "phase", "coherence"}
 
         Returns
@@ -257,8 +269,22 @@ class Frf(Noun):
         return self.axis.values
 
     def band(self, low: float, high: float) -> Frf:
-        """The lines within [low, high] Hz."""
-        return self.lines(self.axis.band(low, high))
+        """The lines within [low, high] Hz.
+
+        Raises
+        ------
+        DataError
+            If the band is reversed, or holds no line.
+        """
+        low, high = ordered_band((low, high))
+        part = self.axis.band(low, high)
+        if part.stop <= part.start:
+            f = self.frequencies_hz
+            raise DataError(
+                f"the band of {low:g} to {high:g} Hz holds no lines of the FRFs, which lie at {f[0]:g} to {f[-1]:g} Hz",
+                hint="choose another band",
+            )
+        return self.lines(part)
 
     def lines(self, which: slice | ArrayLike) -> Frf:
         """Some of the lines: a slice, positions in increasing order, or a mask."""

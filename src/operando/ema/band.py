@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Finding, Frf, band_limits
+from operando.data import Finding, Frf, positive_band
 from operando.ema.pairs import Real
-from operando.errors import DataError, IdentificationError
+from operando.errors import IdentificationError
 from operando.limits import LEAST_LINES
 
 
@@ -34,7 +34,7 @@ def analysis_band(given: Frf, lines_hz: Real, band: Any) -> tuple[tuple[float, f
     Raises
     ------
     DataError
-        If the band is empty or no pair of numbers.
+        If the band is empty, reversed, begins below 0 Hz or is no pair of numbers.
     IdentificationError
         If it holds too few lines.
     """
@@ -42,9 +42,7 @@ def analysis_band(given: Frf, lines_hz: Real, band: Any) -> tuple[tuple[float, f
     if band is None:
         margin = 0.02 * (f[-1] - f[0])
         return (float(max(f[0] + margin, f[f > 0][0])), float(f[-1] - margin)), ()
-    low, high = band_limits(band)
-    if not 0 <= low < high:
-        raise DataError(f"band {low:g}-{high:g} Hz is empty", hint="give [low, high] in Hz")
+    low, high = positive_band(band)
     count = int(np.sum((f > 0) & (f >= low) & (f <= high)))
     if count < LEAST_LINES:
         raise IdentificationError(

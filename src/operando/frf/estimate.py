@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings, several
+from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings, positive_band, several
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.averaged import averaged_run, few_averages
@@ -66,7 +66,7 @@ def estimate_frf(
         ``periodic`` averages whole periods of a force that repeats, on the lines it excites (see :mod:`operando.frf.periodic`).
         ``lrm`` is the leakage-free local rational estimate on whole records. None or ``auto``: ``periodic`` where a force repeats and
         no block length is given; H1 where blocks are long enough for the damping (hammer: where each response decays before the next
-        hit), else ``lrm``; the findings ``periodic_excitation`` and ``estimator`` give the reason.
+        hit), else ``lrm``; in any case of letters. The findings ``periodic_excitation`` and ``estimator`` give the reason.
     block_seconds : float, optional
         Block length of H1, H2, Hv [s]. Default: an eighth of the record, less where the resonances are broad enough, or where the lines
         of all pairs would be more than 4 million; hammer: the shortest time between two hits.
@@ -118,12 +118,14 @@ def estimate_frf(
     usable_records, lost = usable_channels(given)
     runs = [run for _, run in _survivors(run_input, usable_records, lambda record: record.name, lost)]
     wanted = None if references is None else parse_dofs(references)
+    estimator = estimator.lower() if isinstance(estimator, str) else estimator
     if estimator not in (None, "auto", "lrm", "periodic", *ESTIMATORS):
         raise DataError(f"estimator {estimator!r} is none of auto, periodic, lrm, {', '.join(ESTIMATORS)}")
     if hits not in ("auto", "all", "off"):
         raise DataError(f"hits {hits!r} is none of auto, all, off")
-    if band is not None and not 0 <= band[0] < band[1]:
-        raise DataError(f"band {band} Hz is empty")
+    band = None if band is None else positive_band(band)
+    if block_seconds is not None and not (np.isfinite(block_seconds) and block_seconds > 0):
+        raise DataError(f"block_seconds = {block_seconds:g} is no length", hint="give a positive number of seconds")
     quantities = {r.quantity for r in runs}
     if len(quantities) > 1:
         raise DataError(f"the runs measure different quantities: {', '.join(sorted(quantities))}", hint="estimate them apart")

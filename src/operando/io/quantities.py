@@ -9,6 +9,11 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from operando.data import Finding
+from operando.data.frf import ROUNDING
 from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError, UnitError
 from operando.units import SI_UNIT, UFF_QUANTITIES, parse_unit
@@ -227,6 +232,35 @@ def spec_dof(spec: Mapping[str, Any], dof: Dof | None) -> Dof | None:
         return Dof.parse(str(spec["dof"]))
     except DofError as error:
         raise ConfigError(error.message, where="[channels]", hint=error.hint) from error
+
+
+def possible_coherence(coherence: NDArray[Any] | None, where: str) -> tuple[NDArray[Any] | None, list[Finding]]:
+    """A coherence without the values that none can have, and what was left out.
+
+    Parameters
+    ----------
+    coherence : array or None
+        As in the file.
+    where : str
+        File, for the finding.
+
+    Returns
+    -------
+    coherence : array or None
+        NaN where it was less than 0 or more than 1.
+    findings : list of Finding
+    """
+    if coherence is None:
+        return None, []
+    wrong = (coherence < -ROUNDING) | (coherence > 1 + ROUNDING)
+    if not wrong.any():
+        return coherence, []
+    message = f"{np.sum(wrong)} of {wrong.size} values of the coherence are below 0 or above 1, the first is {coherence[wrong][0]:g}"
+    finding = Finding(
+        "impossible_coherence", message, file=where or None, consequence="they are left out: the noise there is not known",
+        action="look at what the program that wrote the file calls coherence",
+    )  # fmt: skip
+    return np.where(wrong, np.nan, coherence), [finding]
 
 
 def stated_hz(units: Units | None, *keys: str) -> float | None:

@@ -16,7 +16,7 @@ from operando.dof import Dof
 from operando.errors import ConfigError, DataError, DofError, FormatError, UnitError
 from operando.io.columns import NoLines, NoRate
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units, find_spec, resolve, spec_dof, stated_hz, stated_rate
+from operando.io.quantities import ChannelSpecs, Units, find_spec, possible_coherence, resolve, spec_dof, stated_hz, stated_rate
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
 from operando.io.uff.reader import quick_hash
@@ -347,7 +347,9 @@ def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source:
         data, quantity, si = _scaled(table[keep], [specs[i] for i in keep], kind, source.units, channels)
     if not si:
         findings.append(_missing_unit(title, quantity, source.where))
-    frf = Frf(data, FrequencyAxis(frequencies), dofs, references, quantity, coherence=None if coherence is None else coherence[keep], si=si,
+    coherence, wrong = possible_coherence(None if coherence is None else coherence[keep], source.where)
+    findings += wrong
+    frf = Frf(data, FrequencyAxis(frequencies), dofs, references, quantity, coherence=coherence, si=si,
               name=f"{source.where}:{title}", provenance=source.provenance)  # fmt: skip
     return frf, findings
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from operando.data import FrequencyAxis, Frf
 from operando.dof import Dof, Node
 from operando.errors import DataError, FormatError, UnitError
-from operando.io.quantities import Scale, code_quantity, find_spec, resolve, spec_dof, split_ratio
+from operando.io.quantities import Scale, code_quantity, find_spec, possible_coherence, resolve, spec_dof, split_ratio
 from operando.io.uff.header58 import Header58
 from operando.io.uff.inventory import Inventory
 from operando.io.uff.split import RawSet
@@ -240,6 +240,8 @@ def _frf(group: list[_Function], coherences: list[_Beside], errors: list[_Beside
         filled[i, j] = f.raw.index
         inventory.use(f.raw, f.header.title, "SI" if f.si else "numbers kept: unit unknown")
     coherence = _matched(coherences, group, rows, columns, data, "coherence of the FRF", inventory)
+    coherence, wrong = possible_coherence(coherence, inventory.file)
+    inventory.findings.extend(wrong)
     deviation = _matched(errors, group, rows, columns, data, "standard deviation of the FRF", inventory)
     averages = _averages(group, inventory)
     with np.errstate(over="ignore", invalid="ignore"):
