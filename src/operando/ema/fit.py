@@ -152,7 +152,8 @@ def fit_ema(
     exclude_bands : sequence of (float, float)
         Lines inside these bands [Hz] are not used, of the FRFs nor of the records.
     max_order : int, optional
-        Order of the linear fit shown in the stabilisation diagram.
+        Order of the linear fit shown in the stabilisation diagram; the modes do not depend on it. Where the lines do not allow for such an
+        order, there is no diagram, and a finding says so.
     records : sequence of TimeRecord, optional
         Raw runs behind the FRFs: forces and responses. Runs with a single hit are fitted through their FRFs.
     ema : {"auto", "linear", "polished"}
@@ -179,7 +180,7 @@ def fit_ema(
     IdentificationError
         If the band holds too few lines, no mode is found, no pole is near a frequency named by hand, or two reach one pole.
     DataError
-        If records and FRFs do not belong together, or ``ema`` is unknown.
+        If records and FRFs do not belong together, all FRFs are zero, ``ema`` is unknown or ``max_order`` is no order.
 
     Examples
     --------
@@ -193,11 +194,14 @@ def fit_ema(
         expect(automatic, ModalModel, "automatic is the model that other modes are chosen in", "give what fit_ema(frf) returned")
     exact, more = frequencies_of(modes_hz, "modes_hz"), frequencies_of(select_hz, "select_hz")
     less = frequencies_of(reject_hz, "reject_hz")
+    if max_order is not None and not (isinstance(max_order, int | np.integer) and max_order >= 1):
+        raise DataError(f"max_order = {max_order!r} is no order", hint="give a whole number from 1 on, for example 60")
     if ema not in ANSWERS:
         raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
     with one_blas_thread():
         given = frf
-        frf, lost = with_values(given.to_quantity("accelerance").without_bands(exclude_bands))
+        frf, lost = with_values(given.without_bands(exclude_bands))
+        frf = frf.to_quantity("accelerance")
         band, beyond = analysis_band(given, frf.frequencies_hz, band)
         records = whole_records(records)
         excluded = tuple(exclude_bands)
@@ -301,7 +305,7 @@ def _answer(
     answer = "linear" if found is None else "polished"
     if found is None:
         found = _linear(job, pairs, fit, log, kept, mass, turned, signs)
-    stabilization = _diagram(job, found.fit_band, max_order, *found.poles)
+    stabilization = _diagram(job, found.fit_band, max_order, found.findings, *found.poles)
     details = EmaDetails(
         stabilization,
         (*found.rejected, *(() if stabilization is None else stabilization.rejected)),
@@ -484,13 +488,19 @@ def _exactly(job: _Job) -> AddModes:
     return add
 
 
-def _diagram(job: _Job, fit_band: tuple[float, float], max_order: int | None, hz: Real, zeta: Real, shapes: Real) -> Stabilization | None:
+def _diagram(
+    job: _Job, fit_band: tuple[float, float], max_order: int | None, findings: list[Finding], hz: Real, zeta: Real, shapes: Real
+) -> Stabilization | None:
     data = np.nan_to_num(job.frf.data)
-    order = max_order or int(np.clip(np.ceil(6 * hz.size / min(data.shape[:2])), 10, 80))
+    order = int(max_order) if max_order else int(np.clip(np.ceil(6 * hz.size / min(data.shape[:2])), 10, 80))
     try:
         rate = job.frf.exponential_window_rate
         diagram = stabilization_diagram(job.frf.frequencies_hz, data, max_order=order, weights=job.weights, band=fit_band, window_rate=rate)
-    except IdentificationError:
+    except IdentificationError as error:
+        findings.append(Finding(
+            "no_diagram", f"no stabilisation diagram of order {order} can be made: {error.message}", "info", band_hz=fit_band,
+            consequence="the modes do not depend on it", action="give a lower max_order" if max_order else "",
+        ))  # fmt: skip
         return None
     members = tuple(np.flatnonzero(np.abs(diagram.table.frequency_hz - h) < 0.003 * h) for h in hz)
     # What the linear diagram rejected but the refined fit took is not rejected.

@@ -157,22 +157,42 @@ def informative_lines(f: Real, hz: Real, zeta: Real, per_width: int = 8) -> NDAr
 def with_values(frf: Frf) -> tuple[Frf, tuple[Finding, ...]]:
     """The FRFs without responses and references of which no line is a number, and what was left out.
 
+    What is infinite is no number: it becomes NaN. Lines of which some pair that is measured at others holds no number are left out of
+    that pair by the fits; a finding says so.
+
     Raises
     ------
     DataError
-        If none is left.
+        If none is left, or all are zero.
     """
-    there = np.isfinite(frf.data).any(axis=2)
-    if not there.any():
+    finite = np.isfinite(frf.data)
+    if not finite.any():
         raise DataError("no value of the FRFs is a number", hint="look at the channels with operando inspect")
+    if not frf.data[finite].any():
+        raise DataError("all values of the FRFs are zero", hint="look at the channels with operando inspect")
+    if np.isinf(frf.data).any():
+        frf = replace(frf, data=np.where(finite, frf.data, np.nan))
+    there = finite.any(axis=2)
+    found: list[Finding] = []
+    if (partial := there[:, :, None] & ~finite & (frf.frequencies_hz > 0)).any():
+        i, j, _ = np.argwhere(partial)[0]
+        hz = frf.frequencies_hz[partial.any(axis=(0, 1))]
+        pairs = int(np.sum(partial.any(axis=2)))
+        where = f"{hz[0]:g} Hz" if hz.size == 1 else f"{hz[0]:g} to {hz[-1]:g} Hz"
+        lines = "1 line" if hz.size == 1 else f"{hz.size} lines"
+        named = f"{frf.responses[i]}/{frf.references[j]}" + (f" and {pairs - 1} more" if pairs > 1 else "")
+        found.append(Finding(
+            "nan", f"{lines} of the FRF {named} hold no number ({where})", "warning", dof=str(frf.responses[i]),
+            band_hz=(float(hz[0]), float(hz[-1])), consequence="the model is fitted without these values", action="measure there again",
+        ))  # fmt: skip
     rows, columns = there.any(axis=1), there.any(axis=0)
     if rows.all() and columns.all():
-        return frf, ()
-    named = ((frf.responses, rows), (frf.references, columns))
-    lost = list(dict.fromkeys(str(d) for dofs, seen in named for d, s in zip(dofs, seen, strict=True) if not s))
-    responses, references = ([d for d, s in zip(dofs, seen, strict=True) if s] for dofs, seen in named)
-    finding = Finding(
+        return frf, tuple(found)
+    named_dofs = ((frf.responses, rows), (frf.references, columns))
+    lost = list(dict.fromkeys(str(d) for dofs, seen in named_dofs for d, s in zip(dofs, seen, strict=True) if not s))
+    responses, references = ([d for d, s in zip(dofs, seen, strict=True) if s] for dofs, seen in named_dofs)
+    found.insert(0, Finding(
         "nan", f"no line of the FRFs at {', '.join(lost)} is a number", "warning", dof=lost[0],
         consequence="the model is made without", action="measure there again, or exclude the channel in [channels]",
-    )  # fmt: skip
-    return frf.select(responses, references), (finding,)
+    ))  # fmt: skip
+    return frf.select(responses, references), tuple(found)
