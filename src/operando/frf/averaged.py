@@ -19,6 +19,8 @@ from operando.frf.runs import RunEstimate, coherence_of, same_references
 from operando.frf.spectra import CrossSpectra, block_starts, cross_spectra
 
 FEW_AVERAGES = 4.0
+BIASED = 9.0
+"""Mean of |H − H1|² over the variance of H from which H2 or Hv is said to be biased: three standard deviations."""
 _SAID = 1e-4  # part of its amplitude that a peak lost to the length of blocks, from which its history names it
 
 
@@ -83,7 +85,7 @@ def averaged_run(
         how += "".join(f", cut off at {hz:.4g} Hz and put back: {100 * part:.1g} %" for hz, part in put_right if part > _SAID)
     with np.errstate(divide="ignore"):
         gain = spectra.averages / inverse
-    findings = (*run.findings, *_average_findings(run, spectra, condition))
+    findings = (*run.findings, *_average_findings(run, spectra, condition), *_bias_findings(run, spectra, estimator, h, variance))
     return RunEstimate(
         spectra.frequencies_hz,
         h,
@@ -140,6 +142,32 @@ def _average_findings(run: RunInput, spectra: CrossSpectra, condition: np.ndarra
             )
         )
     return out
+
+
+def _bias_findings(run: RunInput, spectra: CrossSpectra, estimator: str, h: np.ndarray, variance: np.ndarray) -> list[Finding]:
+    """A finding where H2 or Hv differs from H1 by more than the variance says: noise makes one of them wrong, and no variance holds it."""
+    if estimator == "h1" or spectra.averages <= len(run.forces):
+        return []
+    apart = np.abs(h - estimate(spectra, "h1")[0]) ** 2
+    known = np.isfinite(apart) & np.isfinite(variance) & (variance > 0)
+    if not known.any():
+        return []
+    ratio = float(np.mean(apart[known] / variance[known]))
+    share = float(np.sqrt(np.sum(apart[known]) / np.sum(np.abs(h[known]) ** 2)))
+    if ratio < BIASED:
+        return []
+    name = estimator.capitalize()
+    return [
+        Finding(
+            "biased_estimator",
+            f"{name} differs from H1 by {100 * share:.2g} % of the FRFs, on average {np.sqrt(ratio):.2g} times the standard deviation",
+            "warning",
+            file=run.name,
+            consequence=f"noise on the responses makes {name} too large, most between resonances, noise on the force makes H1 too "
+            "small, most at resonances; the variance holds neither",
+            action='use estimator = "h1" where the force is measured with less noise than the responses',
+        )
+    ]
 
 
 def few_averages(estimates: Sequence[RunEstimate]) -> list[Finding]:
