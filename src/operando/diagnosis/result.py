@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from operando.data import Geometry, ModalModel, Short, counted
-from operando.data.objects import ByContent
 from operando.diagnosis.drawn import Drawn
 from operando.results import CheckRun
 from operando.structure import Model
@@ -17,7 +16,7 @@ from operando.structure.effects import Effect
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Diagnosis(ByContent, Drawn, Short):
+class Diagnosis(Drawn, Short):
     """What is missing in the idle model, with evidence.
 
     Parameters

@@ -40,9 +40,11 @@ def dataframe(obj: Any) -> pandas.DataFrame:
     -------
     pandas.DataFrame
         Of a record: one column a channel over ``time_s``. Of FRFs: complex, one column a pair (response, reference) over
-        ``frequency_hz``. Of a model: one row a mode, with its shape in a column for each DOF; ``modal_phase_collinearity`` where the
-        shapes are complex. Standard deviations of shapes are in :func:`dataset` (``shape_std``) and ``model.shape_std``, residual terms in
-        ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: one row a node.
+        ``frequency_hz``; then, where they are known, the standard deviation and the coherence of each, as columns
+        (response, "1+Z std") and (response, "1+Z coherence"). Of a model: one row a mode, with its shape in a column for each DOF;
+        ``modal_phase_collinearity`` where the shapes are complex. Standard deviations of shapes are in :func:`dataset` (``shape_std``)
+        and ``model.shape_std``, residual terms in ``model.residuals``, the covariance in ``model.covariance``. Of a geometry: one row
+        a node.
 
     Raises
     ------
@@ -63,10 +65,15 @@ def dataframe(obj: Any) -> pandas.DataFrame:
         table = pd.DataFrame(np.asarray(obj.data).T.copy(), index=index, columns=_channel_names(obj))
         table.attrs = {"units": {n: c.unit for n, c in zip(_channel_names(obj), obj.channels, strict=True)}, "name": obj.name}
     elif isinstance(obj, Frf):
-        pairs = [(str(r), str(f)) for r in obj.responses for f in obj.references]
-        columns = pd.MultiIndex.from_tuples(pairs, names=("response", "reference"))
+        beside = {"": obj.data, " std": None if obj.variance is None else np.sqrt(np.maximum(obj.variance, 0)), " coherence": obj.coherence}
         index = pd.Index(obj.frequencies_hz, name="frequency_hz")
-        table = pd.DataFrame(obj.data.reshape(len(pairs), -1).T.copy(), index=index, columns=columns)
+        parts = []
+        for word, array in beside.items():
+            if array is not None:
+                pairs = [(str(r), f"{f}{word}") for r in obj.responses for f in obj.references]
+                columns = pd.MultiIndex.from_tuples(pairs, names=("response", "reference"))
+                parts.append(pd.DataFrame(array.reshape(len(pairs), -1).T.copy(), index=index, columns=columns))
+        table = pd.concat(parts, axis=1)
         table.attrs = {"quantity": obj.quantity, "unit": unit_of(obj.quantity) if obj.si else "", "name": obj.name}
     elif isinstance(obj, ModalModel):
         rows = {

@@ -92,7 +92,7 @@ def plot_frf(
     labels : sequence of str, optional
         One word for each of ``frfs``. Default: their names.
     noise : bool
-        Draw the standard deviation of the first FRF, dotted.
+        Draw the standard deviation of the first pair drawn (of the first FRF), dotted.
     difference : bool
         Draw the size of the difference of the second FRF from the first, where they are on the same lines.
     parts : sequence of {"magnitude", "phase", "coherence"}

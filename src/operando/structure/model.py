@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, Short, counted, expect
-from operando.data.objects import ByContent
 from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
@@ -25,7 +24,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Model(ByContent, Short):
+class Model(Short):
     """The idle modal model plus effects in the order they were added.
 
     Parameters
