@@ -89,6 +89,30 @@ def test_what_is_not_periodic_is_refused():
         best_linear_approximation(np.zeros(10), np.zeros(9), RATE)
 
 
+def test_input_that_would_pass_for_a_linear_test_is_refused():
+    force, x = shaken(6e5, 0.0)
+    bad = x.copy()
+    bad[3000] = np.nan
+    with pytest.raises(DataError, match="responses: 1 of 6144 samples are not finite, the first at 3000"):
+        best_linear_approximation(force, bad, RATE)
+    for period in (1000, 1023, 512):
+        with pytest.raises(DataError, match="its period seems to be 1024"):
+            best_linear_approximation(force, x, RATE, period=period)
+    with pytest.raises(DataError, match="neither after 1000"):
+        best_linear_approximation(np.random.default_rng(0).standard_normal(6144), x, RATE, period=1000)
+    with pytest.raises(DataError, match="sampling_hz is 0"):
+        best_linear_approximation(force, x, 0.0)
+    assert best_linear_approximation(force, x, RATE, period=2048).period == 2048
+
+
+def test_it_prints_short():
+    text = repr(best_linear_approximation(*shaken(6e5, 0.0), RATE))
+    assert "1 response" in text
+    assert "of 1024 samples" in text
+    assert "nonlinear: distortion repeats" in text
+    assert len(text) < 400
+
+
 @pytest.mark.skipif(not (SHARED / "data" / "f16").is_dir(), reason="the measured data are not here")
 def test_one_level_of_the_aircraft_says_that_it_is_not_linear_and_no_more():
     """Full multisine, 2 to 15 Hz, nine periods of 8192 samples; accelerations at the shaker and on both sides of the wing's mounting."""

@@ -71,8 +71,67 @@ def test_a_linear_oscillator_stays_linear():
 
 
 def test_signals_of_different_length_are_refused():
-    with pytest.raises(DataError):
+    with pytest.raises(DataError, match="5000, 4999 samples"):
         fit_single(np.zeros(5000), np.zeros(4999), RATE, (2.0, 28.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"displacement": lambda x: np.where(np.arange(x.size) == 100, np.nan, x)}, "displacement: 1 of 8000 samples are not finite"),
+        ({"displacement": lambda x: 0 * x}, "displacement is constant"),
+        ({"band": (2.0, 140.0)}, "half the sampling rate"),
+        ({"band": (28.0, 2.0)}, "half the sampling rate"),
+        ({"sampling_hz": 0.0}, "sampling_hz is 0"),
+    ],
+)
+def test_input_that_can_say_nothing_is_refused(change, says):
+    force, x = oscillator(4e6, 20.0)
+    given = {"sampling_hz": RATE, "band": (2.0, 28.0)} | change
+    given["displacement"] = change.get("displacement", lambda x: x)(x)
+    with pytest.raises(DataError, match=says):
+        fit_single(force, **given)
+
+
+@pytest.mark.parametrize(("share", "colour"), [(1e-3, 0.0), (1e-3, 0.95)])
+def test_intervals_cover_the_true_sizes_under_coloured_noise(share, colour):
+    from scipy.signal import lfilter
+
+    force, x = oscillator(4e6, 20.0)
+    truth = {
+        "mass": 2.0, "damping": 2 * 0.02 * 2.0 * 16 * np.pi, "stiffness": 2.0 * (16 * np.pi) ** 2, "cubic_stiffness.coefficient": 4e6
+    }  # fmt: skip
+    inside = []
+    for seed in range(12):
+        noise = lfilter([1], [1, -colour], np.random.default_rng(seed).standard_normal(x.size + 500))[500:]
+        found = fit_single(force, x + share * x.std() * noise / noise.std(), RATE, (2.0, 28.0), kinds=["cubic_stiffness"])
+        sizes = {name: getattr(found, name) for name in ("mass", "damping", "stiffness")}
+        sizes["cubic_stiffness.coefficient"] = found.values[0]["coefficient"]
+        inside += [abs(sizes[name] - true) < 1.96 * found.std[name] for name, true in truth.items()]
+    assert np.mean(inside) > 0.9
+
+
+def test_it_prints_short_and_with_intervals():
+    text = repr(fit_single(*oscillator(4e6, 20.0), RATE, (2.0, 28.0), kinds=["cubic_stiffness"]))
+    assert "cubic stiffness coefficient 3999999.1 ± 2.4" in text
+    assert "±" in text
+    assert "units of the signals" in text
+    assert "\n" not in text
+    assert len(text) < 400
+
+
+@pytest.mark.skipif(not (SHARED / "data" / "silverbox").is_dir(), reason="the measured data are not here")
+def test_the_sizes_of_the_measured_circuit_agree_within_their_intervals_over_records_and_bands():
+    v = np.genfromtxt(SHARED / "data" / "silverbox" / "SNLS80mV.csv", delimiter=",", skip_header=1, usecols=(0, 1))
+    v -= v[45_000:].mean(axis=0)
+    sizes = []
+    for part in (v[:40_000], v[45_000:]):
+        for band in ((5.0, 150.0), (1.0, 200.0), (30.0, 110.0)):
+            found = fit_single(*part.T, 610.35, band, kinds=["cubic_stiffness"])
+            sizes.append((found.values[0]["coefficient"], found.std["cubic_stiffness.coefficient"]))
+    for a, s in sizes:
+        for b, t in sizes:
+            assert abs(a - b) < 1.96 * np.hypot(s, t)
 
 
 @pytest.mark.skipif(not (SHARED / "data" / "silverbox").is_dir(), reason="the measured data are not here")

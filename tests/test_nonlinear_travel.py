@@ -53,6 +53,8 @@ def test_friction_without_play_has_none():
 def test_spring_and_damper_are_neither():
     f = 3e4 * WAY + 2e3 * np.gradient(WAY) * RATE
     found = fit_loop(WAY, noisy(f), RATE)
+    assert "units of the signals" in repr(found)
+    assert "\n" not in repr(found)
     assert found.kinds == ()
     assert found.values["stiffness"] == pytest.approx(3e4, rel=0.02)
     assert found.values["damping"] == pytest.approx(2e3, rel=0.02)
@@ -63,6 +65,8 @@ def test_too_few_strokes_are_refused():
         fit_loop(WAY[:700], WAY[:700], RATE)
     with pytest.raises(DataError, match="number of samples"):
         fit_loop(WAY, WAY[1:], RATE)
+    with pytest.raises(DataError, match="not finite"):
+        fit_loop(WAY, np.where(np.arange(WAY.size) == 33, np.nan, WAY), RATE)
 
 
 @pytest.mark.parametrize(("name", "kilonewton"), [("1Hz0lbtension1amplitude", (1.5, 3.5)), ("1Hz30lbtension1amplitude", (9.0, 11.0))])

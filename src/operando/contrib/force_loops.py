@@ -14,6 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.contrib.signals import checked_signals, with_interval
+from operando.data.objects import Short, counted
 from operando.errors import DataError
 
 Real = NDArray[np.float64]
@@ -29,8 +31,8 @@ POINTS = 200
 """Points of a stroke that are compared, evenly spread over its travel."""
 
 
-@dataclass(frozen=True)
-class LoopFit:
+@dataclass(frozen=True, repr=False)
+class LoopFit(Short):
     """What the loops of force over displacement show.
 
     Parameters
@@ -58,6 +60,16 @@ class LoopFit:
     errors: dict[str, float]
     strokes: int
     dissipated: float
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says; sizes are in the units of the signals."""
+        return {
+            "Laws": " and ".join(k.replace("_", " ") for k in self.kinds) or "spring and damper",
+            "Values": ", ".join(f"{name.replace('_', ' ')} {with_interval(v, self.std[name])}" for name, v in self.values.items()),
+            "Units": "in the units of the signals, ± 95 %",
+            "Error": f"error {100 * min(self.errors.values()):.2g} % of the force on strokes that were not fitted",
+            "Strokes": counted(self.strokes, "stroke"),
+        }
 
 
 @dataclass(frozen=True)
@@ -93,7 +105,7 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
     Raises
     ------
     DataError
-        If the signals differ in length or hold fewer than six strokes.
+        If a sample is not finite, the signals differ in length, or hold fewer than six strokes.
 
     Examples
     --------
@@ -103,9 +115,7 @@ def fit_loop(displacement: ArrayLike, force: ArrayLike, sampling_hz: float) -> L
     >>> fit_loop(way, 800 * np.sign(np.gradient(way)), 500.0).kinds
     ('coulomb_friction',)
     """
-    x, f = np.asarray(displacement, float), np.asarray(force, float)
-    if x.ndim != 1 or x.shape != f.shape:
-        raise DataError("displacement and force need the same number of samples")
+    x, f = checked_signals(sampling_hz, displacement=displacement, force=force)
     strokes = strokes_of(x, f, sampling_hz)
     if len(strokes) < 2 * FOLDS:
         raise DataError(

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.contrib.signals import checked_signals
+from operando.data.objects import Short, counted
 from operando.errors import DataError
-from operando.frf.periodic import periodic_frf, steady_periods
+from operando.frf.periodic import period_of, periodic_frf, steady_periods
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -21,8 +23,8 @@ SEEN = 4.0
 """Distortion counts as seen where its power is this many times the noise's, in the median over lines."""
 
 
-@dataclass(frozen=True)
-class PeriodicResponse:
+@dataclass(frozen=True, repr=False)
+class PeriodicResponse(Short):
     """Responses to a periodic force.
 
     Parameters
@@ -66,6 +68,16 @@ class PeriodicResponse:
         limit = 10 * np.log10(SEEN)
         found = [self.over_noise_db, self.odd_db, self.even_db, self.above_db]
         return any(f is not None and bool(np.any(f > limit)) for f in found)
+
+    def facts(self) -> dict[str, str]:
+        """What the short form says."""
+        hz = self.frequencies_hz
+        return {
+            "Responses": counted(len(self.frf), "response"),
+            "Lines": f"{hz.size} excited lines, {hz[0]:.4g} to {hz[-1]:.4g} Hz",
+            "Periods": f"{counted(self.periods, 'steady period')} of {self.period} samples",
+            "Linearity": self.words()[0],
+        }
 
     def words(self) -> tuple[str, ...]:
         """What can be said, and what cannot."""
@@ -115,7 +127,8 @@ def best_linear_approximation(force: ArrayLike, responses: ArrayLike, sampling_h
     Raises
     ------
     DataError
-        If the signals differ in length, the force is not periodic, or fewer than two steady periods are left.
+        If a sample is not finite, the signals differ in length, the force is not periodic or has another period than given, or there are
+        fewer than three whole periods.
 
     Examples
     --------
@@ -125,9 +138,9 @@ def best_linear_approximation(force: ArrayLike, responses: ArrayLike, sampling_h
     >>> best_linear_approximation(force, 3 * force + 0.01 * rng.standard_normal(force.size), 1024.0).period
     1024
     """
-    f, x = np.asarray(force, float), np.atleast_2d(np.asarray(responses, float))
-    if f.ndim != 1 or x.shape[1] != f.size:
-        raise DataError("force and responses need the same number of samples")
+    f, x = checked_signals(sampling_hz, several="responses", force=force, responses=responses)
+    if period is not None:
+        _check_period(f, period)
     steady = steady_periods(np.vstack([f[None], x]), [0], range(1, 1 + x.shape[0]), sampling_hz, period)
     found = periodic_frf([steady])
     hz, excited = steady.frequencies_hz, steady.excited
@@ -162,3 +175,20 @@ def best_linear_approximation(force: ArrayLike, responses: ArrayLike, sampling_h
         over_noise(between & ~odd),
         over_noise(above),
     )
+
+
+def _check_period(force: Real, period: int) -> None:
+    """Refuse a period after which the force does not repeat itself: what is left of it then counts as noise, and hides the distortion."""
+    try:
+        found = period_of(force)
+    except DataError:
+        raise DataError(
+            f"the force repeats itself neither after {period} samples nor after any other number up to half the record",
+            hint="give a force that repeats; the responses to a random one are for estimate_frf",
+        ) from None
+    times = round(period / found)
+    if period != int(period) or times < 1 or 2 * abs(period - times * found) > times:
+        raise DataError(
+            f"the force does not repeat after {period} samples: its period seems to be {found}",
+            hint=f"give period={found}, or leave it out: it is then found from the force",
+        )

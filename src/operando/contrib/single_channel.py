@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft as sfft
 
+from operando.contrib.signals import checked_signals, with_interval
+from operando.data.objects import Short
 from operando.errors import DataError
 from operando.structure.effects import kind_of
 from operando.structure.force_law import raw_force
@@ -27,11 +29,14 @@ IMPROVES = 0.10
 """A law lowers the squared error on blocks that were not fitted by more than this part."""
 
 BLOCKS = 24
+PARTS = 6
+"""Parts of the band that are left out in turn for the standard deviations. With 12 the deviations are half as large where the equation
+itself is not exact (measured circuit, tests/test_nonlinear_single.py), and the sizes of two bands no longer agree within them."""
 GRID = np.geomspace(0.03, 0.9, 16)
 
 
-@dataclass(frozen=True)
-class SingleFit:
+@dataclass(frozen=True, repr=False)
+class SingleFit(Short):
     """m·a + c·v + k·x + s(x, v) = f of one channel pair, in the units of its signals.
 
     Parameters
@@ -42,7 +47,8 @@ class SingleFit:
     values : tuple of dict
         Of each law.
     std : dict
-        Standard deviation of mass, damping, stiffness and of the first value of each law (``kind.name``), from leaving blocks out.
+        Standard deviation of mass, damping, stiffness and of the first value of each law (``kind.name``): the larger one of leaving out
+        blocks (noise) and leaving out parts of the band (an equation that is not exact: what it leaves is alike in all blocks).
     error, linear_error : float
         Share of the force's power that is not explained, on blocks that were not fitted; and without any law.
     tried : dict
@@ -64,9 +70,23 @@ class SingleFit:
         """Of the linear part."""
         return float(np.sqrt(max(self.stiffness / self.mass, 0.0)) / (2 * np.pi))
 
+    def facts(self) -> dict[str, str]:
+        """What the short form says; sizes are in the units of the signals."""
+        sizes = [(name, getattr(self, name), self.std[name]) for name in ("mass", "damping", "stiffness")]
+        for kind, values in zip(self.kinds, self.values, strict=True):
+            words = kind.replace("_", " ")
+            sizes += [(f"{words} {name.replace('_', ' ')}", value, self.std.get(f"{kind}.{name}", 0.0)) for name, value in values.items()]
+        return {
+            "Laws": " and ".join(k.replace("_", " ") for k in self.kinds) or "linear",
+            "Sizes": ", ".join(f"{name} {with_interval(value, std)}" for name, value, std in sizes),
+            "Units": "in the units of the signals, ± 95 %",
+            "Frequency": f"linear part at {self.frequency_hz:.4g} Hz",
+            "Error": f"{100 * self.error:.2g} % of the force's power left ({100 * self.linear_error:.2g} % linear)",
+        }
+
     def error_on(self, force: ArrayLike, displacement: ArrayLike, sampling_hz: float, band: tuple[float, float]) -> float:
         """Share of the force's power in a band that the equation as it stands leaves unexplained in another record."""
-        blocks = _Blocks.of(np.asarray(force, float), np.asarray(displacement, float), sampling_hz, band)
+        blocks = _Blocks.of(force, displacement, sampling_hz, band)
         columns = [
             blocks.cut(s) for s in (blocks.a, blocks.v, blocks.x, *(blocks.law(k, v) for k, v in zip(self.kinds, self.values, strict=True)))
         ]
@@ -88,10 +108,18 @@ class _Blocks:
     step: float
 
     @classmethod
-    def of(cls, force: Real, x: Real, rate: float, band: tuple[float, float]) -> _Blocks:
+    def of(cls, force: ArrayLike, displacement: ArrayLike, rate: float, band: tuple[float, float]) -> _Blocks:
+        force, x = checked_signals(rate, force=force, displacement=displacement)
         n = x.size
-        if force.shape != x.shape or n < 64 * BLOCKS // 4:
-            raise DataError("force and response need the same number of samples, some hundreds at least")
+        if n < 64 * BLOCKS // 4:
+            raise DataError(f"{n} samples are too few", hint=f"give {64 * BLOCKS // 4} at least")
+        if not 0 <= band[0] < band[1] <= rate / 2:
+            raise DataError(
+                f"the band {band[0]:g} to {band[1]:g} Hz does not lie between 0 and half the sampling rate ({rate / 2:g} Hz)",
+                hint="give (lowest, highest) in Hz; above half the rate there is nothing in the record",
+            )
+        if not (np.ptp(x) and np.ptp(force)):
+            raise DataError(f"the {'force' if np.ptp(x) else 'displacement'} is constant", hint="give a record of a test in motion")
         hz = sfft.rfftfreq(n, 1 / rate)
         spectrum = sfft.rfft(x - x.mean())
         # Far above the band a derivative is noise; what the law needs lies below.
@@ -102,7 +130,7 @@ class _Blocks:
         lines = np.flatnonzero((block_hz >= band[0]) & (block_hz <= band[1]))
         if lines.size < 4:
             raise DataError(f"a block of the record has {lines.size} lines in the band", hint="a longer record or a wider band")
-        empty = cls(np.asarray(x, float), v, a, np.zeros((0, 0), complex), size, lines, 1 / rate)
+        empty = cls(x, v, a, np.zeros((0, 0), complex), size, lines, 1 / rate)
         return cls(empty.x, v, a, empty.cut(force), size, lines, 1 / rate)
 
     def cut(self, signal: Real) -> Complex:
@@ -145,7 +173,13 @@ def fit_single(
     Raises
     ------
     DataError
-        If the record is too short, or the signals differ in length.
+        If a sample is not finite, the record is too short, the signals differ in length, or the band ends above half the sampling rate.
+
+    Notes
+    -----
+    Standard deviations cover noise and an equation that is not quite that of the device. They do not cover what noise of the displacement
+    does to its derivatives: at 1 % of the displacement's rms mass, stiffness and law are off by one to two standard deviations.
+    Take the displacement about its position of rest: a law such as x³ about another point is another law.
 
     Examples
     --------
@@ -157,7 +191,7 @@ def fit_single(
     >>> fit_single(force, x, 200.0, (1.0, 30.0), kinds=["cubic_stiffness"]).kinds
     ()
     """
-    blocks = _Blocks.of(np.asarray(force, float), np.asarray(displacement, float), sampling_hz, band)
+    blocks = _Blocks.of(force, displacement, sampling_hz, band)
     base = [blocks.cut(s) for s in (blocks.a, blocks.v, blocks.x)]
     accepted: list[tuple[str, dict[str, float]]] = []
     columns = list(base)
@@ -184,16 +218,24 @@ def fit_single(
         columns.append(chosen[3])
         error = chosen[0]
     sizes = _solve(columns, blocks.force)
-    count = columns[0].shape[0]
+    count, lines = blocks.force.shape
     # Neighbouring blocks overlap by half: pairs are left out together.
-    without = np.array([_solve(columns, blocks.force, np.arange(count) // 2 != g) for g in range((count + 1) // 2)])
-    spread = np.sqrt((len(without) - 1) / len(without) * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+    pairs = [_solve(columns, blocks.force, np.arange(count) // 2 != g) for g in range((count + 1) // 2)]
+    # What the equation cannot say is alike in all blocks and changes over the band.
+    part = np.arange(lines) * min(PARTS, lines) // lines
+    parts = [_solve([c[:, part != g] for c in columns], blocks.force[:, part != g]) for g in range(part[-1] + 1)]
+    spread = np.maximum(_spread_without(pairs), _spread_without(parts))
     names = ["mass", "damping", "stiffness", *(f"{k}.{kind_of(k).parameters[0].name}" for k, _ in accepted)]
     values = tuple({kind_of(k).parameters[0].name: float(s), **shape} for (k, shape), s in zip(accepted, sizes[3:], strict=True))
     return SingleFit(
         float(sizes[0]), float(sizes[1]), float(sizes[2]), tuple(k for k, _ in accepted), values,
         dict(zip(names, map(float, spread), strict=True)), error, linear, first,
     )  # fmt: skip
+
+
+def _spread_without(sizes: list[Real]) -> Real:
+    """Standard deviations from the sizes found with one group left out at a time (jackknife)."""
+    return np.asarray(np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0)))
 
 
 def _shapes(blocks: _Blocks, kind: str) -> list[tuple[dict[str, float], Complex]]:
