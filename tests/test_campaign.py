@@ -83,6 +83,7 @@ ROWS = 'template = "test.toml"\nrows = [{speed = 1}, {speed = 2}]\n'
         ('template = "test.toml"', "a template needs rows"),
         ('template = "plain.toml"\nrows = [{speed = 1}, {speed = 2}]', "every row would be the same test"),
         ("rows = [{speed = 1}]", "the rows name no test"),
+        ('template = "test.toml"\nrows = [{speed = 1}, {speed = 2}, {speed = 1}]', "tests 1 and 3 are the same"),
         ('tests = ["nothing/*.toml"]', "no test file matches"),
         ('name = "x"', "names no test"),
         ('template = "test.toml"\nrows = [{speed = [1]}]', "expected a number, a text or a date"),

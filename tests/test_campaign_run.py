@@ -104,6 +104,26 @@ def test_tests_that_fail_are_listed_and_tried_again(tmp_path):
     assert document["counts"]["run"] == 2
 
 
+def test_settings_that_no_test_can_be_read_with_write_nothing(tmp_path):
+    file = write_campaign(tmp_path, speeds=(600, 900), until="inspect")
+    (tmp_path / "runs/900/test.toml").write_text("[idle]\nrecords = 3\n")  # fails by itself, and does not hide the mistake
+    code, document, _ = called(file, "-o", tmp_path / "out", "-p", 1)
+    assert code == 0
+    before = {name: (tmp_path / "out" / name).read_bytes() for name in ("campaign.csv", "report.html", "campaign.json")}
+    code, document, _ = called(file, "-o", tmp_path / "out", "--set", "analysis.bnd=[1,2]", "-p", 1)
+    assert code == 1
+    assert document["schema"] == "operando/error/1"
+    assert "bnd" in document["error"]
+    assert {name: (tmp_path / "out" / name).read_bytes() for name in before} == before
+
+
+def test_without_modes_nothing_is_said_to_agree(tmp_path):
+    file = write_campaign(tmp_path, speeds=(600, 900), until="inspect")
+    done = CliRunner().invoke(main, ["campaign", str(file), "-o", str(tmp_path / "out"), "-p", "1"])
+    assert "No test has modes or a diagnosis" in done.stdout
+    assert "differs from the baseline by more" not in done.stdout
+
+
 def test_columns_that_no_test_fills_are_left_out(tmp_path):
     file = write_campaign(tmp_path, speeds=(600,), until="inspect")
     done = CliRunner().invoke(main, ["campaign", str(file), "-o", str(tmp_path / "out"), "-p", "1"])

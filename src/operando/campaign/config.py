@@ -218,7 +218,18 @@ def _members(table: Entries, folder: Path, where: Entry) -> tuple[tuple[Member, 
         found += [(path, None, row) for path, row in _matches(pattern, folder, where.at("tests"))]
     if not found:
         raise ConfigError("names no test", where=str(where), hint=_GIVES)
+    _check_different(found, where)
     return _named(found), units
+
+
+def _check_different(found: Sequence[tuple[Path | str, str | None, Row]], where: Entry) -> None:
+    """Refuse a test that is named twice: it would count as two states that agree."""
+    seen: dict[str, int] = {}
+    for number, (path, _, row) in enumerate(found, 1):
+        first = seen.setdefault(repr((str(path), sorted(row.texts.items()), sorted(row.changes))), number)
+        if first != number:
+            hint = "leave one of them out, or give the second its own file or a parameter that differs"
+            raise ConfigError(f"tests {first} and {number} are the same ({row.name or Path(path).as_posix()})", where=str(where), hint=hint)
 
 
 def _test_file(path: Path) -> Path:

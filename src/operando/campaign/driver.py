@@ -66,7 +66,7 @@ def run_campaign(
     Raises
     ------
     ConfigError
-        If the campaign file is wrong.
+        If the campaign file is wrong, or no test can be read with the changes; nothing is written then.
     BusyError
         If another campaign is at work in the folder.
     """
@@ -80,6 +80,7 @@ def run_campaign(
     out = Path(out).absolute()
     if out.exists() and not out.is_dir():
         raise ConfigError("is a file, expected a folder for the results", where=str(out), hint="choose another name with -o")
+    _check_changes(campaign, changes)
     with writing(out):
         (out / HIDDEN).mkdir(parents=True, exist_ok=True)
     with exclusive(out / HIDDEN / "lock", "campaign"):
@@ -89,6 +90,26 @@ def run_campaign(
         document = document_of(campaign, run.records, run.counts())
         write_outputs(out, document)
         return document
+
+
+def _check_changes(campaign: Campaign, changes: Sequence[str]) -> None:
+    """Refuse changes that no test can be read with, before they write over what earlier calls found."""
+    fault: OperandoError | None = None
+    for member in campaign.members if changes else ():
+        if isinstance(member.path, str):
+            return  # in an object store: its worker reads it
+        title = campaign.title(member)
+        try:
+            load_member(member.path, member.text, title, member.row.changes)
+        except (OperandoError, OSError):
+            continue  # this one fails by itself, which the table says
+        try:
+            load_member(member.path, member.text, title, (*member.row.changes, *changes))
+            return
+        except OperandoError as error:
+            fault = fault or error
+    if fault is not None:
+        raise fault
 
 
 @dataclass(slots=True)

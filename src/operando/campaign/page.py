@@ -68,7 +68,9 @@ def said_of(document: Mapping[str, Any]) -> list[str]:
         modes += [f"{KIND_WORDS[kind].lower()}, {c['words']}" for c in document[kind]["crossings"]]
         if (widest := _widest(document, kind)) is not None:
             modes.append(widest)
-    if not (said or modes) and document["counts"]["done"] + document["counts"]["incomplete"] > 1:
+    if not (said or modes or lasting) and document["counts"]["done"] + document["counts"]["incomplete"] > 1:
+        if not (any(document[kind]["tracks"] for kind in ("operating", "idle")) or any(row["diagnosis"] for row in document["tests"])):
+            return ["No test has modes or a diagnosis, so nothing was compared with the baseline"]
         said = ["no mode and no effect differs from the baseline by more than its 95 % interval"]
     return [text[:1].upper() + text[1:] for text in (*said, *lasting, *modes)]
 
