@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from operando.data import Channel, StoredFile, StoredRow, TimeRecord, mapped_rows
+from operando.data import Channel, StoredFile, StoredRow, TimeRecord, force_rms, mapped_rows
 from operando.dof import Dof
 from operando.errors import DataError
 from operando.frf import cross_spectra, effective_averages, estimate_frf, local_rational, merge_runs, reciprocity_error
@@ -194,6 +194,19 @@ def test_equal_runs_are_averaged_and_others_kept_apart_by_level():
     finding = next(x for x in apart.findings if x.kind == "nonlinear")
     assert finding.file == "40 N"
     np.testing.assert_allclose(apart.data, pooled.data)
+    f, x = simulate(stiff, FS, 16384, [1], rng, level=11.0)
+    alike = estimate_frf([make_record(f, x, FS, [1], name="11 N"), *runs], estimator="lrm", band=(10, 180), line_spacing_hz=0.25)
+    finding = next(x for x in alike.findings if x.kind == "nonlinear")
+    assert "N rms, nearly the same" in finding.message
+    assert "mounting changed between the runs, or the response depends on the level" in finding.message
+    assert "compare the levels" not in finding.action
+
+
+def test_the_level_of_a_run_is_one_number_whatever_the_offset_of_its_sensor():
+    f, x = simulate(Chain(3, zeta=0.03), FS, 4096, [1], np.random.default_rng(3), level=5.0)
+    plain, offset = make_record(f, x, FS, [1]), make_record(f + 3.0, x, FS, [1])
+    assert force_rms(offset) == pytest.approx(force_rms(plain))
+    assert force_rms(offset) == pytest.approx(run_input(offset).level)
 
 
 def test_bad_force_samples_are_left_out_block_by_block_and_a_bad_response_everywhere():

@@ -119,8 +119,17 @@ def test_size_of_the_distortion():
         ratios.append(np.sqrt(np.median(found.distortion / exact, axis=2) / 0.03**2))
         frf = estimate_frf(record)
         (told,) = [f for f in frf.findings if f.kind == "nonlinear_distortion"]
+        assert told.severity == "warning"
         assert "30 dB below" in told.message or "31 dB below" in told.message or "29 dB below" in told.message, told.message
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
+
+
+def test_distortion_below_what_sensors_can_tell_is_a_remark():
+    """0.5 % of the response, well above the noise."""
+    rng = np.random.default_rng(0)
+    record = shaken(Chain(4, zeta=0.02), [1], multisine(rng)[None], 10, rng, noise=0.0003, distortion=0.005)
+    (told,) = [f for f in estimate_frf(record).findings if f.kind == "nonlinear_distortion"]
+    assert told.severity == "info"
 
 
 def test_distortion_of_a_nonlinear_chain_is_what_other_phases_scatter_by():
@@ -333,7 +342,7 @@ def test_the_aircraft_by_default():
     frf = check_frf(estimate_frf(TimeRecord(data, 400.0, tuple(channels))))
     assert frf.frequencies_hz[[0, -1]] == pytest.approx([2.0, 15.0], abs=0.05)
     assert {f.kind for f in frf.findings} == {"periodic_excitation", "nonlinear_distortion"}
-    assert all(f.severity == "info" for f in frf.findings)
+    assert {f.kind: f.severity for f in frf.findings}["nonlinear_distortion"] == "warning"  # 31 dB below the response
     assert np.median(frf.coherence[0, 0]) > 0.99
 
 

@@ -539,6 +539,28 @@ def test_level_dependence_is_told_and_excuses_reciprocity(whole):
     assert "at b the operational FRFs are off by 5.40 dB and the idle model by 0.90 dB" in " ".join(headline(results).sentences)
 
 
+def test_periods_of_the_force_say_whether_the_structure_is_linear(whole):
+    results = only(whole, idle=whole.idle, idle_frf=whole.idle_frf)
+    linear = lambda found: next(a for a in assumptions(replace_results(results, findings=found)) if a.name == "Linear behaviour")  # noqa: E731
+    periodic = Finding("periodic_excitation", "the force at 1+Z repeats", "info")
+    assert linear([]).state == "untested"
+    assert linear([periodic]).state == "holds"
+    strong = Finding("nonlinear_distortion", "nonlinear distortion repeats in each period: 31 dB below the response", "warning")
+    assert linear([periodic, strong]).state == "doubtful"
+    assert "31 dB below" in linear([periodic, strong]).text
+    assert linear([periodic, replace(strong, severity="info")]).state == "holds"
+    assert "Linear behaviour" in render_report(replace_results(results, findings=[periodic, strong]))
+
+
+def test_what_was_not_tested_is_named_for_what_it_is(whole):
+    idle = replace(whole.idle, misfit=None, details=SimpleNamespace(fit_misfit=2.43))
+    states = {a.name: a.text for a in assumptions(replace_results(whole, idle=idle, hybrid=None, operating=None, comparison=None))}
+    assert "on the fitted lines it is 2.43" in states["The idle model has the dominant modes"]
+    mass = states["Same mass, idle and operating"]
+    assert "a validation measurement would" not in mass
+    assert "there are none with a scale to compare" in mass
+
+
 def test_title_block_says_what_was_measured_by_whom(whole):
     block = {"object": "Pump <7>", "date": "2026-05-04", "operator": "A. Smith"}
     text = render_report(replace_results(whole, settings=whole.settings | {"report": block}, hybrid=None, check=[], comparison=None))

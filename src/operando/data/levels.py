@@ -39,7 +39,7 @@ def one_level(first: float, second: float) -> bool:
 
 
 def force_rms(record: TimeRecord) -> float:
-    """Rms of the forces of a record, root mean square over its force channels.
+    """Rms of the forces of a record about their mean (an offset of the sensor is no force), root mean square over its force channels.
 
     Parameters
     ----------
@@ -55,10 +55,10 @@ def force_rms(record: TimeRecord) -> float:
     --------
     >>> import numpy as np, operando
     >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
-    >>> force_rms(operando.TimeRecord(np.array([[3.0, -3.0], [0.1, 0.2]]), 100.0, channels))
+    >>> force_rms(operando.TimeRecord(np.array([[5.0, -1.0], [0.1, 0.2]]), 100.0, channels))
     3.0
     """
-    return float(np.sqrt(np.mean([np.mean(np.square(record.data[i], dtype=float)) for i in record.force_indices])))
+    return float(np.sqrt(np.mean(np.square(record.statistics.std[list(record.force_indices)]))))
 
 
 def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
@@ -80,7 +80,7 @@ def level_groups(records: Sequence[TimeRecord]) -> list[list[TimeRecord]]:
     --------
     >>> import numpy as np, operando
     >>> channels = [operando.Channel("1+Z", "force", "N"), operando.Channel("2+Z", "acceleration", "m/s2")]
-    >>> runs = [operando.TimeRecord(size * np.ones((2, 4)), 100.0, channels) for size in (10.0, 1.0, 10.5)]
+    >>> runs = [operando.TimeRecord([[size, -size], [1, 2]], 100.0, channels) for size in (10.0, 1.0, 10.5)]
     >>> [len(group) for group in level_groups(runs)]
     [1, 2]
     """

@@ -34,6 +34,14 @@ CHANGED = 9.0
 """Scatter over the variance of single realisations from which runs differ by more than distortion (the ratio of the homogeneity test,
 3, squared: what a single realisation misses at peaks is a factor of two; tests/test_frf_periodic.py)."""
 
+MATTERS_DB = -40.0
+"""Distortion above 1 % of the response is a warning, where it stands ``CLEAR`` above the noise. Sensors are calibrated to 1 % at best, so
+below that the level matters less than they do; above, the FRF changes with the level by as much or more (a force law that distorts also
+stiffens), and frequencies and damping hold for one level of the force alone."""
+
+CLEAR = 10.0
+"""Power of distortion over that of noise from which the distortion makes the variance of the FRFs."""
+
 DISTORTED = 4.0
 """Distortion is named where its power is this many times the noise's, in the median over lines (6 dB; the ratio of two estimates of the
 same noise stays below 2 at nine degrees of freedom and more)."""
@@ -225,12 +233,13 @@ def _distortion_finding(run: RunInput, found: PeriodicFrf) -> list[Finding]:
     size = 10 * np.log10(np.maximum(np.median(found.distortion / np.maximum(np.abs(found.data) ** 2, 1e-300), axis=2), 1e-30))
     i, j = np.unravel_index(int(np.argmax(size)), size.shape)
     dofs = replace(run, responses=tuple(run.finite(run.responses))).response_dofs
+    matters = bool(np.any((size > MATTERS_DB) & (ratio > CLEAR)))
     return [
         Finding(
             "nonlinear_distortion",
             f"nonlinear distortion repeats in each period: {-size[i, j]:.0f} dB below the response at {dofs[i]} (largest), "
             f"{10 * np.log10(ratio[i, j]):.0f} dB above the noise (median over lines)",
-            "info",
+            "warning" if matters else "info",
             file=run.name,
             dof=str(dofs[i]),
             band_hz=(float(found.frequencies_hz[0]), float(found.frequencies_hz[-1])),

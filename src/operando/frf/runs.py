@@ -434,11 +434,11 @@ def _apart_finding(
     moved = f"; in {run.name or 'one of them'} the modes are {in_words(shift)}" if shift is not None else ""
     others = [f"{r.name} ({100 * share:.2g} %)" for r, _, share in apart if r is not run and r.name]
     also = f"; also {', '.join(others[:6])}{' …' if len(others) > 6 else ''}" if others else ""
-    levels = f"level {run.level:.3g} N rms against {lowest.level:.3g} N rms"
+    levels = f"level {run.level:.4g} N rms against {(highest if same else lowest.level):.4g} N rms"
     if moving:
         cause = "sensors moved" + ("" if same else f", and the level changed: {levels}")
     elif same:
-        cause = "at the same level: the structure or its mounting changed between the runs"
+        cause = f"{levels}, nearly the same: the structure or its mounting changed between the runs, or the response depends on the level"
     else:
         cause = f"{levels}: the response depends on the level"
     consequence = [f"{len(left)} of {n_runs} runs are left out; the linear model is that of the lowest level"] if left else []
@@ -453,5 +453,9 @@ def _apart_finding(
         file=run.name or None,
         dof=str(base.references[0]),
         consequence="; ".join(consequence),
-        action=ROVING_ACTION if moving else "compare the levels; keep the excitation low for a linear model",
+        action=ROVING_ACTION
+        if moving
+        else "check mounting, temperature and cables; runs at levels a factor of two apart show whether it is the level"
+        if same
+        else "compare the levels; keep the excitation low for a linear model",
     )

@@ -327,7 +327,9 @@ def _dominant_modes(results: Results) -> Assumption:
     if finite(misfit):
         text += f"reduced chi-square on hold-out lines {number(misfit, 3)} (1 = as good as the noise allows)."
     else:
-        text += "no reduced chi-square was computed."
+        text += "no reduced chi-square on hold-out lines was computed"
+        on_fitted = getattr(results.idle.details, "fit_misfit", None)
+        text += f"; on the fitted lines it is {number(on_fitted, 3)}." if finite(on_fitted) else "."
     state = "holds" if finite(misfit) and float(misfit or 0) < 2 else "doubtful" if finite(misfit) else "untested"
     if alone:
         text += f" {count(len(alone), 'operational mode')} without a partner among the idle modes in band."
@@ -362,7 +364,14 @@ def _same_mass(results: Results, nonlinear: bool) -> Assumption:
         text += "Against the validation measurement the scale of the modes (peak height times damping) has an error of "
         text += f"{decibel(typical)} in the median, where a change of mass would show."
         state = "doubtful" if typical >= SCALE_DOUBT_DB else state
-    return Assumption(name, state, text or "Shapes and frequencies alone say nothing here; a validation measurement would.")
+    return Assumption(name, state, text or _mass_untested(results))
+
+
+def _mass_untested(results: Results) -> str:
+    if not results.check:
+        return "Shapes and frequencies alone say nothing here; a validation measurement would."
+    text = "A validation measurement shows a change of mass in the scale of operational modes; there are none with a scale to compare."
+    return text + (" The diagnosis looks for added masses by itself (see Diagnosis)." if results.diagnosis else "")
 
 
 def _scale_errors_db(by_mode: list[dict[str, Any]]) -> NDArray[np.float64]:
@@ -426,12 +435,28 @@ def _reciprocal(results: Results, found: list[Finding], nonlinear: bool) -> Assu
     return Assumption(name, "holds", text + ".")
 
 
+def _periodic_linear(results: Results, found: list[Finding]) -> Assumption | None:
+    """What periodic forces say: distortion repeats with them, noise does not."""
+    distorted = [f for f in found if f.kind == "nonlinear_distortion"]
+    one_level = "The FRFs stand for the level they were measured at; a second level shows how they change with it."
+    if distorted:
+        worst = distorted[0]
+        text = f"{'Idle' if _at_rest(results, worst) else 'In operation'}: {worst.message.rstrip('.')}. {one_level}"
+        return Assumption("Linear behaviour", "holds" if worst.severity == "info" else "doubtful", text)
+    if any(f.kind == "periodic_excitation" for f in found):
+        return Assumption("Linear behaviour", "holds", f"Periods of the force show no distortion beyond their noise. {one_level}")
+    return None
+
+
 def _linear(results: Results, found: list[Finding]) -> Assumption:
     name = "Linear behaviour"
     named = _of_kind(found, "nonlinear")
     if named:
         where = "Idle" if _at_rest(results, named[0]) else "In operation"
         return Assumption(name, "fails", f"{where}: {named[0].message.rstrip('.')}. The FRFs stand for the level they were measured at.")
+    periodic = _periodic_linear(results, found)
+    if periodic is not None and periodic.state == "doubtful":
+        return periodic
     levels = level_difference(results.check, analysis_band(results))
     if levels is None:
         agree = [run for run in results.check if run.levels_agree]
@@ -439,7 +464,7 @@ def _linear(results: Results, found: list[Finding]) -> Assumption:
             return Assumption(
                 name, "holds", f"Validation measurements at several levels ({agree[0].level}) differ by no more than their noise."
             )
-        return Assumption(name, "untested", "It takes validation measurements at two levels of force.")
+        return periodic or Assumption(name, "untested", "It takes validation measurements at two levels of force.")
     percent = number(100 * (levels["relative"] or 0), 2)
     text = f"FRFs of levels {levels['levels'][0]} and {levels['levels'][1]} differ by {percent} % of their size"
     ratio = levels["ratio"]
