@@ -230,6 +230,31 @@ def test_compare_refusals(folder, tmp_path):
     assert "nothing that predicts FRFs" in done.stderr
 
 
+def test_compare_of_two_structures_is_refused_and_of_some_sensors_told_first(folder, tmp_path):
+    from operando.io import write_uff
+
+    frf = models.measured(running_chain(), "check")
+    other = [f"{n}+Z" for n in (101, 102, 103)]
+    write_uff(tmp_path / "other.uff", replace(frf, responses=(*frf.responses[:1], *other)))
+    done = call("compare", folder, tmp_path / "other.uff")
+    assert done.exit_code == 1
+    assert "1 sensor of 4 measured and 4 in the model are in both (1+Z): too few to compare" in " ".join(done.stderr.split())
+    write_uff(tmp_path / "half.uff", replace(frf, responses=(*frf.responses[:2], *other[:2])))
+    done = call("compare", folder, tmp_path / "half.uff")
+    assert done.exit_code == 0
+    assert done.stdout.startswith(
+        "Warning: 2 sensors of 4 measured and 4 in the model are in both (1+Z, 2+Z); the figures are of these alone"
+    )
+
+
+def test_inspect_of_a_file_without_measurement_says_what_is_read(tmp_path):
+    (tmp_path / "summary.json").write_text('{"a": [1, 2]}')
+    done = call("inspect", tmp_path / "summary.json")
+    assert done.exit_code == 1
+    assert "holds no measurement" in done.stderr
+    assert "UFF" in done.stderr
+
+
 def test_report_is_rebuilt(folder):
     document = answer("report", folder)
     assert document["bytes"] > 10_000

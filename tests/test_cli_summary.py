@@ -68,3 +68,16 @@ def test_shapes_are_counted_as_they_are_named():
 def test_shapes_are_the_same_from_a_stated_mac_on():
     assert class_words({"class": "unchanged", "mac": SAME_MAC})[0] == "same shape"
     assert class_words({"class": "unchanged", "mac": SAME_MAC - 0.01})[0].startswith("similar shape")
+
+
+def test_a_floor_beyond_what_decibels_hold_for_is_not_stated():
+    from operando.cli.summary import comparison_table
+
+    row = {"error_db": 9.08, "relative_error": 1.05, "misfit": 13.4, "noise_floor_db": 24.32}
+    text = comparison_table({"models": {"idle": row}})
+    assert "24.32" not in text
+    assert "> 3" in text.splitlines()[1]
+    assert "no meaning in dB; the reduced χ² says" in text
+    near = comparison_table({"models": {"idle": row | {"noise_floor_db": 1.234}}})
+    assert "1.23" in near
+    assert "no meaning" not in near

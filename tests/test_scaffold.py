@@ -251,7 +251,7 @@ def test_tables_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):
     assert "[channels]" not in made.text  # the heads of the columns say where they were measured
     write_test(made, tmp_path / "test.toml")
     text = (tmp_path / "test.toml").read_text()
-    (tmp_path / "test.toml").write_text(text.replace("# sampling_hz", "sampling_hz"))
+    (tmp_path / "test.toml").write_text(text.replace("# sampling_hz = ?", "sampling_hz = 512"))
     assert load_test(tmp_path).units["sampling_hz"] == 512
 
 
@@ -307,10 +307,10 @@ def test_arrays_without_a_rate_are_taken_and_the_rate_is_asked_for(tmp_path):
     made = scaffold(tmp_path)
     assert roles(made, tmp_path) == {"mast.npz": "operating records"}
     assert "3000 samples without a sampling rate" in made.taken[0].reason
-    assert "# sampling_hz = 512  # needed, mast.npz does not say" in made.text.splitlines()
+    assert "# sampling_hz = ?  # samples a second: needed, mast.npz does not say" in made.text.splitlines()
     assert any("give [units] sampling_hz, nothing runs without" in note for note in made.notes)
     write_test(made, tmp_path / "test.toml")
-    asked = {"# sampling_hz": "sampling_hz", '# "ch': '"ch'}
+    asked = {"# sampling_hz = ?": "sampling_hz = 512", '# "ch': '"ch'}
     text = (tmp_path / "test.toml").read_text()
     for commented, given in asked.items():
         text = text.replace(commented, given)

@@ -189,7 +189,7 @@ def _cell(value: object) -> str:
 def _looks_numeric(cells: list[str]) -> bool:
     def number(text: str) -> bool:
         try:
-            float(text)
+            float(text.removeprefix("> "))
         except ValueError:
             return text in ("", "-")
         return True

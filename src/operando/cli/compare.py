@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from operando.cli.answer import Answer, answers, apart_from_runs, own_option, table
-from operando.errors import ConfigError
+from operando.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from operando.results import CheckRun
 
 
 @click.command("compare", epilog="Example: operando compare pump-results check/run1.uff -o comparison.json")
@@ -38,6 +41,7 @@ def compare(model: str, measured: str, route: str | None, band: tuple[float, flo
         raise ConfigError(f"--band {band[0]:g} {band[1]:g} is no band", hint="give its lower end and then its upper end in Hz")
     source = load_model(model, route)
     runs = [replace(run, frf=run.frf.without_bands(source.exclude_bands)) for run in load_measured(measured)]
+    warning = _check_shared(source.model, runs, f"{model} and {measured}")
     band = band or source.band_hz
     found: dict[str, Any] = compare_all({"model": source.model}, runs, band_hz=band)
     errors = found["models"]["model"]
@@ -46,16 +50,41 @@ def compare(model: str, measured: str, route: str | None, band: tuple[float, flo
         from operando.atomic import write_json
 
         write_json(Path(output), document)
-    text = _text(source.what, errors, output)
+    text = warning + _text(source.what, errors, output)
     return Answer(document, f"{text}\n{source.advice}" if source.advice and route is None else text)
 
 
+def _check_shared(model: Any, runs: list[CheckRun], where: str) -> str:
+    """A warning where sensors of the measurement are not in the model.
+
+    Raises
+    ------
+    DataError
+        If fewer than half of the sensors of the measurement and fewer than half of those of the model are in both: numbers that two
+        structures share by chance. A model of few sensors that were all measured is compared.
+    """
+    from operando.compare.comparison import shared_dofs
+    from operando.data import counted, names_text
+
+    of_model, of_measured, shared = shared_dofs(model, [run.frf for run in runs])
+    if not shared or len(shared) == len(of_measured):
+        return ""
+    text = f"{counted(len(shared), 'sensor')} of {len(of_measured)} measured and {len(of_model)} in the model are in both"
+    text += f" ({names_text(map(str, shared))})"
+    if 2 * len(shared) < min(len(of_measured), len(of_model)):
+        hint = "are they of one structure, with the same numbers? else give the FRFs of the sensors that both have"
+        raise DataError(f"{text}: too few to compare", where=where, hint=hint)
+    return f"Warning: {text}; the figures are of these alone.\n\n"
+
+
 def _text(what: str, errors: dict[str, Any], output: str | None) -> str:
+    from operando.cli.summary import floor_text
+
     number = lambda v, digits=2: "-" if v is None else f"{v:.{digits}f}"  # noqa: E731
     low, high = errors["by_band"][0]["band_hz"][0], errors["by_band"][-1]["band_hz"][1]
     head = f"{what}, {low:.4g} to {high:.4g} Hz: error {number(errors['error_db'])} dB"
     head += (
-        f", noise floor {number(errors['noise_floor_db'])} dB"
+        f", noise floor {floor_text(errors['noise_floor_db'])} dB"
         if errors["noise_floor_db"] is not None
         else ", no noise floor stated by the data"
     )

@@ -63,6 +63,6 @@ def _text(name: str, found: list[LibraryComparison], out: Path) -> str:
             head, rows = head[:-1], [row[:-1] for row in rows]
         times = [f"{c.library} {c.seconds:.1f} s" if c.seconds is not None else ""]
         times += [f"operando {c.own_seconds:.1f} s, with uncertainties" if c.own_seconds is not None else ""]
-        parts.append(f"{c.library}, {c.state} state ({c.method}):\n{table(rows, head)}\ntime: {', '.join(t for t in times if t)}")
+        parts.append(f"{c.library}, {c.state} state ({c.method}):\n{table(rows, head)}\n{c.rule}\ntime: {', '.join(t for t in times if t)}")
     report = out / "report.html"
     return "\n\n".join([*parts, f"Report: {report}" if report.exists() else f"Results: {out}"])

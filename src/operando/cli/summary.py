@@ -143,15 +143,27 @@ def headline(results: Results) -> str:
 
 def comparison_table(comparison: dict[str, Any]) -> str:
     """Error measures of all models."""
+    from operando.compare.verdict import FLOOR_DB
+
+    beyond = any((m["noise_floor_db"] or 0) > FLOOR_DB for m in comparison["models"].values())
     rows = [
-        [MODEL_NAMES.get(name, name), _fixed(m["error_db"], 2), _percent(m["relative_error"]), m["misfit"], _fixed(m["noise_floor_db"], 2)]
+        [MODEL_NAMES.get(name, name), _fixed(m["error_db"], 2), _percent(m["relative_error"]), m["misfit"], floor_text(m["noise_floor_db"])]
         for name, m in sorted(
             comparison["models"].items(), key=lambda item: list(MODEL_NAMES).index(item[0]) if item[0] in MODEL_NAMES else 99
         )
     ]
     on = comparison.get("judged_on") or {}
     head = table(rows, ["model", "error dB", "relative %", "reduced χ²", "floor dB"])
+    if beyond:
+        head += f"\nfloor > {FLOOR_DB:g} dB: uncertainties so large have no meaning in dB; the reduced χ² says whether there is an error"
     return head + (f"\nagainst {', '.join(on['runs'])}, level {on['level_name']}, {_lines(comparison)}" if on else "")
+
+
+def floor_text(floor: float | None) -> str:
+    """A noise floor in dB, as far as dB hold for uncertainties of its size."""
+    from operando.compare.verdict import FLOOR_DB
+
+    return f"> {FLOOR_DB:g}" if floor is not None and floor > FLOOR_DB else _fixed(floor, 2)
 
 
 def _lines(comparison: dict[str, Any]) -> str:

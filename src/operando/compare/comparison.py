@@ -309,6 +309,18 @@ def _in_the_sense_of(made: Frf, ref: Frf, notes: list[str]) -> Frf:
     return in_one_sense(ref, opposed)
 
 
+def shared_dofs(model: FrfModel | Frf, measured: Sequence[Frf]) -> tuple[list[Dof], list[Dof], list[Dof]]:
+    """Response DOFs of a model, of a measurement, and of both; a model that names none has those of the measurement."""
+    holder = getattr(model, "modal", model)
+    of_measured: list[Dof] = []
+    for frf in measured:
+        of_measured += [d for d in frf.responses if d not in DofIndex(of_measured)]
+    given = model.responses if isinstance(model, Frf) else getattr(holder, "dofs", None)
+    of_model = of_measured if given is None else list(given)
+    found = DofIndex(of_model)
+    return of_model, of_measured, [d for d in of_measured if d in found]
+
+
 def _available(model: FrfModel | Frf) -> tuple[DofIndex | None, DofIndex | None]:
     if isinstance(model, Frf):
         return DofIndex(model.responses), DofIndex(model.references)

@@ -12,12 +12,18 @@ import numpy as np
 
 from operando.data import Frf, ModalModel, Short, TimeRecord
 from operando.ema import fit_ema, second_opinion
+from operando.ema.second_opinion import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE
 from operando.errors import DataError
 from operando.oma import beside_pyoma, fit_oma
 from operando.threads import one_blas_thread
 
 _EMA = ("sdypy-EMA", "LSCF, one reference at a time; of each mode the reference that drives it most and shows it")
 _OMA = ("pyOMA-2", "SSI-cov, no weights, the same references, block rows and orders")
+
+_RULES = {
+    "idle": f"agrees: frequency within {100 * FREQUENCY_TOLERANCE:g} %, damping within {100 * DAMPING_TOLERANCE:g} %, whatever the MAC",
+    "operating": "agrees: frequency within three standard deviations or 0.2 %, MAC 0.9 at least, whatever the damping",
+}
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,11 @@ class LibraryComparison(Short):
     seconds: float | None = None
     own_seconds: float | None = None
     note: str = ""
+
+    @property
+    def rule(self) -> str:
+        """When a mode counts as agreeing, in words."""
+        return _RULES[self.state]
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a mode, as the report draws it."""
@@ -255,4 +266,8 @@ def library_rows(documents: Sequence[Mapping[str, Any]], state: str) -> dict[str
     times = [f"{c.library} took {c.seconds:.1f} s" if c.seconds is not None else ""]
     times += [f"operando, with uncertainties, {c.own_seconds:.1f} s" if c.own_seconds is not None else ""]
     text = "; ".join(t for t in times if t)
-    return {"program": f"The same data through {c.library}: {c.method}.", "text": f"{text}." if text else "", "modes": c.rows()}
+    return {
+        "program": f"The same data through {c.library}: {c.method}. It {c.rule}.",
+        "text": f"{text}." if text else "",
+        "modes": c.rows(),
+    }

@@ -21,6 +21,10 @@ __all__ = ["second_opinion"]
 _Pole = tuple[float, float, Any]
 """Frequency, damping ratio, and where it stands in that program's lists."""
 
+FREQUENCY_TOLERANCE = 0.005
+DAMPING_TOLERANCE = 0.1
+"""Largest relative differences that count as agreement."""
+
 
 def second_opinion(
     frequencies_hz: ArrayLike,
@@ -33,8 +37,8 @@ def second_opinion(
     quantity: str = "accelerance",
     max_order: int | None = None,
     max_lines: int = 8000,
-    frequency_tolerance: float = 0.005,
-    damping_tolerance: float = 0.1,
+    frequency_tolerance: float = FREQUENCY_TOLERANCE,
+    damping_tolerance: float = DAMPING_TOLERANCE,
 ) -> list[dict[str, Any]]:
     """Poles that sdypy-EMA finds next to those of a model, reference by reference.
 

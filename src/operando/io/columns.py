@@ -63,7 +63,7 @@ class NoRate(FormatError):
         self,
         where: str,
         message: str = "no time column and no sampling rate",
-        hint: str = "give [units] sampling_hz = 512 in the test file",
+        hint: str = "give the rate of the recorder in the test file, [units] sampling_hz (for example 1024, in Hz)",
     ) -> None:
         super().__init__(message, where=where, hint=hint)
 

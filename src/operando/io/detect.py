@@ -82,11 +82,12 @@ def detect_format(path: str | Path) -> str:
         if head[30 : 30 + length].endswith(b".npy"):
             return "npz"
         raise FormatError("a zip archive (xlsx, …)", where=str(path), hint="export CSV, or unpack it")
+    known = "UFF, HDF5 of operando, MATLAB, CSV, LVM, TDMS, NumPy and WAV files can be read"
+    if path.suffix.lower() == ".json":
+        raise FormatError("a .json file, which holds no measurement", where=str(path), hint=known)
     if _looks_like_text(head):
         return "csv"
-    raise FormatError(
-        "the format is not known", where=str(path), hint="UFF, HDF5 of operando, MATLAB, CSV, LVM, TDMS, NumPy and WAV files can be read"
-    )
+    raise FormatError("the format is not known", where=str(path), hint=known)
 
 
 def _looks_like_text(head: bytes) -> bool:

@@ -137,7 +137,11 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
         seen = "; ".join(f"{s.title}: {s.note}" for s in infos[:6]) or "no arrays"
         message, hint = f"no data with a time or frequency axis found ({seen})", "or save fs or a time vector beside the data"
         if rateless:
-            raise NoRate(str(path), message, f"give [units] sampling_hz = 512 in the test file, {hint}")
+            raise NoRate(
+                str(path),
+                message,
+                f"give the rate of the recorder in the test file, [units] sampling_hz (for example 1024, in Hz), {hint}",
+            )
         raise FormatError(message, where=str(path), hint=f"give [units] sampling_hz, {hint}")
     return Content(str(path), kind, tuple(records), tuple(frfs), sets=infos, findings=tuple(findings))
 

@@ -11,7 +11,7 @@ from typing import Any
 from operando.config import Span, State, Test
 from operando.data import Finding, Frf, Geometry, MappedSamples, TimeRecord, file_hash, group_findings
 from operando.errors import DataError, MissingError, OperandoError
-from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, check_names, names_of
+from operando.pipeline.names import Names, UnfitTest, blamed, check_geometry, check_names, names_of, unused_units
 
 KEEP_BYTES = 1_500_000_000
 """Records held in memory between stages; beyond, files are read again."""
@@ -80,7 +80,12 @@ class Inputs:
         name = self.test.label(file, span)
         records = tuple(checked(_trimmed(replace(self._part(r, file, span), name=name))) for r in content.records)
         content = replace(content, records=records, frfs=tuple(replace(h, name=name) for h in content.frfs))
-        found = [*content.findings, *(f for r in records for f in r.findings), *(f for h in content.frfs for f in h.findings)]
+        found = [
+            *content.findings,
+            *unused_units(self.test, records),
+            *(f for r in records for f in r.findings),
+            *(f for h in content.frfs for f in h.findings),
+        ]
         named = [replace(f, file=name) if f.file in (None, "", str(file), file.name) else f for f in found]
         self.findings[file] = list(dict.fromkeys([*self.findings.get(file, ()), *named]))
         kept = [r for c in self._contents.values() if c is not None for r in c.records]

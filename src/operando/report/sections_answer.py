@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
+from operando.compare.verdict import FLOOR_DB
 from operando.data import Frf
 from operando.report import derive, figures_compare, figures_frf, live
 from operando.report.assessment import MODEL_NAMES, assumptions, headline, route_words, scope, shifted
@@ -67,7 +68,7 @@ def _tiles(results: Results) -> list[Tile]:
     level = lambda key, what="error_db": (models.get(key) or {}).get(what)  # noqa: E731
     tiles = [Tile(decibel(level("ofrf")), "operational FRFs against the validation measurement", True)] if finite(level("ofrf")) else []
     tiles += [Tile(decibel(level(k)), MODEL_NAMES[k]) for k in ("effect", "idle", "idle_shapes", "msf_all") if finite(level(k))]
-    if finite(level("ofrf", "noise_floor_db")):
+    if finite(level("ofrf", "noise_floor_db")) and level("ofrf", "noise_floor_db") <= FLOOR_DB:
         tiles.append(Tile(decibel(level("ofrf", "noise_floor_db")), "noise floor"))
     if tiles:
         return tiles

@@ -80,7 +80,7 @@ def file_text(folder: Path, base: Path, taken: Sequence[Taken], seen: Seen, note
     if seen.lineless:
         lines.append(f"# frequency_step_hz = 0.25  # Hz: needed, {printable(', '.join(seen.lineless))} does not say")
     if seen.rateless:
-        lines.append(f"# sampling_hz = 512  # needed, {printable(', '.join(seen.rateless[:4]))} does not say")
+        lines.append(f"# sampling_hz = ?  # samples a second: needed, {printable(', '.join(seen.rateless[:4]))} does not say")
     units = {"acceleration": "g", "force": "N"}
     lines += [f'# {quantity} = "{units.get(quantity, "?")}"' for quantity in sorted(seen.unitless)]
     if seen.labels or seen.unlabelled:
