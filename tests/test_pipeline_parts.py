@@ -176,3 +176,22 @@ def test_a_unit_that_the_file_takes_the_place_of_is_named():
     assert "states m/s2" in told.message
     silent = [replace(r, channels=tuple(replace(c, source_unit="g") for c in r.channels)) for r in kept]
     assert not unused_units(test, silent)
+
+
+def test_what_two_validation_runs_say_unlike_names_its_level():
+    from operando.pipeline.stages.check import of_check
+    from operando.results import CheckRun
+
+    frf = models.measured(running_chain())
+    said = lambda percent: Finding("not_reciprocal", f"H differ by {percent} %", "warning", dof="1+Z,2+Z")  # noqa: E731
+    own = Finding("overload", "1+Z is cut", "warning", file="a.uff")
+    runs = [
+        CheckRun("a", "5 N rms", replace(frf, findings=(said(19), own))),
+        CheckRun("b", "20 N rms", replace(frf, findings=(said(21), own))),
+    ]
+    told = [[f.message for f in run.frf.findings] for run in of_check(runs)]
+    assert told[0] == ["validation measurement at 5 N rms: H differ by 19 %", "validation measurement: 1+Z is cut"]
+    assert told[1][0] == "validation measurement at 20 N rms: H differ by 21 %"
+    assert of_check(runs[:1])[0].frf.findings[0].message == "validation measurement: H differ by 19 %"
+    given = [replace(run, level="as given") for run in runs]
+    assert of_check(given)[0].frf.findings[0].message.startswith("validation measurement a: ")

@@ -86,6 +86,35 @@ def test_overload(clean, row):
     assert max(f.time_s[1] for f in found) <= first[-1] / FS + 1e-9
 
 
+def test_bad_samples_say_what_is_done_about_them(clean):
+    """Of several responses one is left out; of a force and of the only response the blocks are, as the FRFs are made."""
+
+    def told(record, row):
+        x = np.array(record.data[row])
+        x[15000] = np.inf
+        (found,) = [f for f in check_record(with_row(record, row, x)).findings if f.kind == "nan"]
+        assert "1 sample not finite" in found.message
+        return found.severity, found.consequence
+
+    assert told(clean, 2) == ("error", "the channel is left out")
+    assert told(clean, 0) == ("warning", "blocks with them are left out")
+    alone = clean.select([0, 2])
+    assert told(alone, 1) == ("warning", "blocks with them are left out")
+    x = np.array(alone.data[1])
+    x[15000] = np.inf
+    frf = estimate_frf(with_row(alone, 1, x))
+    assert np.isfinite(frf.data).all()
+    assert any(f.kind == "blocks_left_out" for f in frf.findings)
+
+
+def test_a_line_at_0_hz_gives_no_warning(recwarn):
+    frf = estimate_frf(make_record(*simulate(Chain(3, zeta=0.03), FS, 8192, [1], np.random.default_rng(0)), FS, [1]), estimator="h1")
+    data = 1e12 * frf.data  # a circuit in volts
+    data[..., 0] = 0.0
+    check_frf(replace(frf, data=data, variance=None, coherence=None).to_quantity("accelerance"))
+    assert not [w for w in recwarn if "overflow" in str(w.message)]
+
+
 def test_overload_on_one_side_only(clean):
     x = clean.data[2]
     assert ("overload", "2+Z") in kinds(with_row(clean, 2, np.minimum(x, 2 * x.std())))

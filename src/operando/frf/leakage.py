@@ -62,7 +62,7 @@ def resonance_peaks(frequencies_hz: Array, data: Array, variance: Array | None =
             continue
         # Noise has many maxima: most are told by their prominence, without a walk to the half power.
         sides = [lowest_towards_higher(power, int(k), -1), lowest_towards_higher(power, int(k), 1)]
-        if min(top / max(v, 1e-300) for v in sides) < prominence:
+        if top <= 0 or top < prominence * max(sides):
             continue
         left, right = _half_power(f, power, int(k), -1), _half_power(f, power, int(k), 1)
         if left is None or right is None:

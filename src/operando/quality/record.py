@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from operando.data import Finding, TimeRecord
+from operando.data import Finding, TimeRecord, counted
 from operando.data.findings import Severity
 from operando.errors import DataError
 from operando.frf.hits import is_impact
@@ -86,9 +86,13 @@ def _check_samples(record: TimeRecord, i: int, impact: bool, period: int | None)
     bad = [] if record.statistics.finite[i] else not_finite(record.data[i])
     if bad:
         count, spans = sum(s.length for s in bad), "" if len(bad) == 1 else f" in {len(bad)} stretches"
-        text = f"{count} samples{spans} that are not finite"
+        text = f"{counted(count, 'sample')}{spans} not finite"
         whole = Span(bad[0].first, bad[-1].last)
-        out.append(_finding(record, i, "nan", text, whole, "error", "the channel is left out", "exclude the channel or repair the file"))
+        # As frf.usable_channels decides: a response gives way to others; without a force or its only response a run says nothing.
+        needed = record.force_indices and (record.channels[i].is_force or record.response_indices == [i])
+        severity: Severity
+        severity, consequence = ("warning", "blocks with them are left out") if needed else ("error", "the channel is left out")
+        out.append(_finding(record, i, "nan", text, whole, severity, consequence, "exclude the channel or repair the file"))
     x = _finite(record, i)
     runs = constant_runs(x)
     clipped = [] if impact else overload(x, runs)  # a pulse that is cut is judged with the hits

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from operando.config import Analysis, State
-from operando.data import Finding, Frf
+from operando.data import Finding
 from operando.pipeline.stages.estimate import estimate
 from operando.pipeline.stages.work import Work
 from operando.results import CheckRun
@@ -26,13 +26,23 @@ def check_runs(work: Work) -> dict[str, Any]:
         runs = check_frfs(records, lambda part: estimate(part, _judging(work.analysis), findings, rejected))
     for file in check.frfs:
         runs.append(CheckRun(work.inputs.label(file), "as given", work.inputs.frf(State(frfs=(file,)))))
-    checked = [replace(run, frf=_of_check(check_frf(run.frf, work.analysis.band))) for run in runs]
-    return {"check": checked, "findings": list(dict.fromkeys(findings))}
+    checked = [replace(run, frf=check_frf(run.frf, work.analysis.band)) for run in runs]
+    return {"check": of_check(checked), "findings": list(dict.fromkeys(findings))}
 
 
-def _of_check(frf: Frf) -> Frf:
-    """Findings that say that they are about the check measurement."""
-    return replace(frf, findings=tuple(replace(f, message=f"validation measurement: {f.message}") for f in frf.findings))
+def of_check(runs: list[CheckRun]) -> list[CheckRun]:
+    """The runs with findings that say that they are about the validation measurement, and which one where two say unlike things."""
+    told: dict[tuple[str, str | None], set[str]] = {}
+    for f in (f for run in runs for f in run.frf.findings if f.file is None):
+        told.setdefault((f.kind, f.dof), set()).add(f.message)
+    levels = len({run.level for run in runs}) == len(runs)
+
+    def named(run: CheckRun, f: Finding) -> Finding:
+        which = f" at {run.level}" if levels else f" {run.name}"
+        apart = f.file is None and len(told[f.kind, f.dof]) > 1
+        return replace(f, message=f"validation measurement{which if apart else ''}: {f.message}")
+
+    return [replace(run, frf=replace(run.frf, findings=tuple(named(run, f) for f in run.frf.findings))) for run in runs]
 
 
 def _judging(analysis: Analysis) -> Analysis:
