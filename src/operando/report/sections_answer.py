@@ -68,8 +68,9 @@ def _tiles(results: Results) -> list[Tile]:
     level = lambda key, what="error_db": (models.get(key) or {}).get(what)  # noqa: E731
     tiles = [Tile(decibel(level("ofrf")), "operational FRFs against the validation measurement", True)] if finite(level("ofrf")) else []
     tiles += [Tile(decibel(level(k)), MODEL_NAMES[k]) for k in ("effect", "idle", "idle_shapes", "msf_all") if finite(level(k))]
-    if finite(level("ofrf", "noise_floor_db")) and level("ofrf", "noise_floor_db") <= FLOOR_DB:
-        tiles.append(Tile(decibel(level("ofrf", "noise_floor_db")), "noise floor"))
+    floor: Any = level("ofrf", "noise_floor_db")
+    if finite(floor) and floor <= FLOOR_DB:
+        tiles.append(Tile(decibel(floor), "noise floor"))
     if tiles:
         return tiles
     if results.idle is not None:
