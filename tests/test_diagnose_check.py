@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from operando.cli.diagnose import steps_table
 from operando.data import Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose
 from operando.dof import Dof
-from operando.errors import MissingError
+from operando.errors import IdentificationError, MissingError
+from operando.pipeline.by_hand import model_now
 from operando.results import CheckRun
+from operando.structure.effects import EffectKind, Parameter, parse_effect, register, unregister
 from structures import Chain
 
 N = 7
@@ -149,6 +152,45 @@ def test_held_values_stay(chain, idle):
     check = [running(chain, [0, 3], mass=0.15 * at(4))]
     held = apply_effects(idle, ["point_mass@5+Z=mass:0.1"], check=check, refit=False)
     assert held.effects[0].values["mass"] == pytest.approx(0.1, rel=1e-12)
+
+
+def test_a_held_removed_effect_is_said_to_be_removed_and_has_no_interval(chain, idle):
+    taken = parse_effect("point_mass@5+Z=mass:-0.1", fixed=True)
+    held = apply_effects(idle, [taken], check=[running(chain, [0, 3], mass=-0.1 * at(4))]).to_dict()
+    assert held["effects"][0]["parameters"]["mass"] == {"value": pytest.approx(-0.1), "unit": "kg", "std": None}
+    assert held["effects"][0]["fixed"] == ["mass"]  # the next refit holds it, too
+    assert held["words"][0].startswith("removed point_mass at 5+Z: ")
+    assert model_now(held["effects"])[1] == "  1 removed point mass at 5+Z: 100 g (held)"
+    assert "+ removed point_mass 5+Z" in steps_table(held["ladder"])
+
+
+@pytest.fixture
+def inerter():
+    class Inerter(EffectKind):
+        kind, plain, places = "inerter_for_test", "an inerter between two points", 2
+        parameters = (Parameter("inertance", "kg", 1e-6, 1e4, "log", 1.0, "inertance"),)
+
+        def dynamic_stiffness(self, s, values):
+            return values["inertance"] * s**2
+
+    yield register(Inerter)
+    unregister("inerter_for_test")
+
+
+def test_one_more_effect_never_leaves_more_of_the_fitted_lines(chain, idle, inerter):
+    check = [running(chain, [0, 3], stiffness=2e4 * at(2, 4))]
+    spring, far_off = "coupling_spring@3+Z,5+Z=stiffness:2e4", "inerter_for_test@3+Z,5+Z=inertance:50"
+    both = apply_effects(idle, [spring, far_off], check=check)
+    assert both.ladder[2]["misfit"] < 1.2 * both.ladder[1]["misfit"] < 2
+    assert both.effects[0].values["stiffness"] == pytest.approx(2e4, rel=0.01)
+
+
+def test_a_refit_that_fails_is_refused(chain, idle, inerter, monkeypatch):
+    monkeypatch.setattr("operando.diagnosis.by_hand._PARTS", ())
+    check = [running(chain, [0, 3], stiffness=2e4 * at(2, 4))]
+    with pytest.raises(IdentificationError, match="the refit failed: with inerter_for_test") as refused:
+        apply_effects(idle, ["coupling_spring@3+Z,5+Z=stiffness:2e4", "inerter_for_test@3+Z,5+Z=inertance:50"], check=check)
+    assert "start values" in refused.value.hint
 
 
 def test_model_of_the_diagnosis_predicts_the_running_structure(chain, idle):

@@ -73,7 +73,11 @@ def steps_table(ladder: list[dict[str, Any]], judged_on: Mapping[str, Any] | Non
     rows = []
     for row in ladder:
         added = row["added"]
-        label = "idle model" if added is None else f"+ {added['kind']} {', '.join(added['location'])}".strip()
+        label = (
+            "idle model"
+            if added is None
+            else f"+ {'removed ' if added.get('removed') else ''}{added['kind']} {', '.join(added['location'])}".strip()
+        )
         rows.append([row["step"], label, row["error_db"], row["heldout_error_db"], row["misfit"], row["heldout_misfit"]])
     said = lines_words(judged_on or {})
     head = table(rows, ["step", "model", "error dB", "hold-out dB", "χ²", "hold-out χ²"])

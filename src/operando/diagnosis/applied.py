@@ -59,9 +59,8 @@ class Applied(Short):
 def words_of(effect: Effect, before: float, after: float) -> str:
     """What an effect did to the reduced chi-square on validation lines, and where the data do not support it."""
     fall = 1 - after / before
-    start = (
-        f"{effect.kind}{f' at {effect.place}' if effect.place else ''}: reduced chi-square on validation lines {before:.4g} → {after:.4g}"
-    )
+    what = f"{'removed ' if effect.removed else ''}{effect.kind}{f' at {effect.place}' if effect.place else ''}"
+    start = f"{what}: reduced chi-square on validation lines {before:.4g} → {after:.4g}"
     if fall < 0:
         return f"{start}: it makes the prediction worse; nothing in the data speaks for it"
     if fall < _LITTLE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,22 +14,28 @@ from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, validation_r
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of, model_of
-from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE
+from operando.diagnosis.criteria import EXPLAINED, LOOSE, MOST_CHI_SQUARE, tolerated
 from operando.diagnosis.days import strained
 from operando.diagnosis.document import judged_on, ladder, step_row
 from operando.diagnosis.from_frf import chosen_run, searched
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import Midway, at_position, located, with_midway
-from operando.diagnosis.posterior import State, approach, at_rest, fit
+from operando.diagnosis.posterior import State, approach, at_rest, fit, left_on
 from operando.diagnosis.rival import fitted_if_can_be, started
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
-from operando.errors import ConfigError, DataError, MissingError
+from operando.errors import ConfigError, DataError, IdentificationError, MissingError
 from operando.results import CheckRun
 from operando.structure.effects import Effect, parse_effect
 from operando.threads import one_blas_thread
+
+_PARTS = (1e-2, 1e-4, 1e-6)
+"""Of the start value of an effect, from which a refit begins again where it ended farther from the lines than without the effect."""
+
+_FAILED = 1.5
+"""Times the chi-square of the fitted lines without an effect, from which on a refit with it has failed: priors alone make less."""
 
 _HANDLED = ("dynamic_stiffness", "sensor_map", "modal_change", "added_mode")
 
@@ -80,6 +87,8 @@ def apply_effects(
         If there is no check.
     ConfigError
         If FRFs say nothing of an effect.
+    IdentificationError
+        If the refit with an effect ends farther from the lines it is fitted to than without it.
 
     Examples
     --------
@@ -138,6 +147,7 @@ def apply_effects(
             if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
                 steps = _steps(other_day, terms, say)
                 states = steps if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence else states
+        _refuse_failed(states)
         final = states[-1]
         if final.alpha < EXPLAINED:
             final = fit(final.case, final.x, final.alpha, own_spreads=True)
@@ -200,8 +210,52 @@ def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> lis
                     break
         if not found:
             raise DataError(f"no FRF has {term.kind} with these values", hint="give other start values")
-        states.append(max(found, key=lambda s: s.log_evidence))
+        best = max(found, key=lambda s: s.log_evidence)
+        for part in _PARTS:
+            if not _worse(last, best) or (faint := _faint(term, part)) is None:
+                break
+            say(f"the refit failed: again from {part:g} times the start value")
+            state = fitted_if_can_be(case, last.carried([*last.terms, faint]), last.alpha)
+            best = best if state is None or _left(state, last.alpha) > _left(best, last.alpha) else state
+        states.append(best)
     return states
+
+
+def _faint(term: Term, part: float) -> Term | None:
+    """The term with a small part of its size to start from; None where that says nothing, or its size is held."""
+    if 0 in term.fixed or not term.values or not (term.linear or term.structural):
+        return None
+    first = part * term.values[0] if term.linear else term.values[0] + float(np.log(part))
+    return replace(term, values=(first, *term.values[1:]))
+
+
+def _left(state: State, alpha: float) -> float:
+    """Reduced chi-square of the fitted lines under a discrepancy."""
+    return left_on(state.case, state.x, tolerated(alpha), state.case.lines.fit)[0]
+
+
+def _worse(before: State, after: State) -> bool:
+    """Whether a state leaves more of the lines it was fitted to than the one with an effect less: no optimum does."""
+    return _left(after, before.alpha) > _FAILED * max(_left(before, before.alpha), 1.0)
+
+
+def _refuse_failed(states: Sequence[State]) -> None:
+    """The refit of each step must come as near to the fitted lines as the step before it.
+
+    Raises
+    ------
+    IdentificationError
+        If one does not, and its values are not held.
+    """
+    for before, after in pairwise(states):
+        effect, term = effects_of(after)[-1], after.terms[-1]
+        if len(term.fixed) < len(term.values) and _worse(before, after):
+            raise IdentificationError(
+                f"the refit failed: with {effect.kind} it leaves a reduced chi-square of {_left(after, before.alpha):.4g} of the lines "
+                f"fitted, without it {_left(before, before.alpha):.4g}",
+                where=effect.place or None,
+                hint="give other start values, or hold them with --fix; nothing was changed",
+            )
 
 
 def _explains_better(case: Case, state: State) -> bool:

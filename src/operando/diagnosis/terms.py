@@ -182,15 +182,15 @@ class Term:
     ) -> Effect:
         """With units, place and standard deviations; ``midway`` are the positions of DOFs without a sensor."""
         definition = self.definition
-        spread = {p.name: abs(self.slope(i, band)) * float(s) for i, (p, s) in enumerate(zip(definition.parameters, std, strict=True))}
+        numbered = list(enumerate(zip(definition.parameters, std, strict=True)))
+        spread = {p.name: abs(self.slope(i, band)) * float(s) for i, (p, s) in numbered if i not in self.fixed}
+        held = tuple(p.name for i, (p, _) in numbered if i in self.fixed)
         place = self.places[:1] if definition.coordinates == "node" else self.places
         removed = definition.removable and self.sign < 0
         values, position = self.sizes(band), midway.get(place[0]) if place else None
         if position is not None:
-            return Effect(
-                self.kind, (), values, spread, position=position, direction=f"+{dofs[place[0]].axis}", removed=removed, band_hz=band
-            )
-        return Effect(self.kind, tuple(dofs[i] for i in place), values, spread, removed=removed, band_hz=band)
+            return Effect(self.kind, (), values, spread, position, f"+{dofs[place[0]].axis}", removed, fixed=held, band_hz=band)
+        return Effect(self.kind, tuple(dofs[i] for i in place), values, spread, removed=removed, fixed=held, band_hz=band)
 
 
 def touched(terms: Iterable[Term]) -> list[int]:

@@ -234,18 +234,18 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
         if output.name != "comparison.json" or results.comparison is not None:
             folder.stage(output.name, None, output.of(results))
     folder.commit()
-    words = [*applied.words, "", *_now(done["effects"])] if applied.words else ["the idle model alone"]
+    words = [*applied.words, "", *model_now(done["effects"])] if applied.words else ["the idle model alone"]
     return Refit(done, tuple(words))
 
 
-def _now(effects: list[dict[str, Any]]) -> list[str]:
+def model_now(effects: list[dict[str, Any]]) -> list[str]:
     """The effects in the model with the sizes of the refit, by the step that ``remove`` takes."""
     from operando.report.words_diagnosis import effect_words
 
     if not effects:
         return []
-    words = [effect_words(effect) for effect in effects]
-    return ["in the model now (± is the 95 % interval):", *(f"  {i} {w.label}: {w.size}" for i, w in enumerate(words, 1))]
+    rows = [(effect_words(effect), " (held)" if effect.get("fixed") else "") for effect in effects]
+    return ["in the model now (± is the 95 % interval):", *(f"  {i} {w.label}: {w.size}{held}" for i, (w, held) in enumerate(rows, 1))]
 
 
 def not_twice(effects: list[Effect], folder: str) -> None:

@@ -70,8 +70,9 @@ class EffectWords:
 
     @property
     def label(self) -> str:
-        """Kind and place."""
-        return f"{self.name} at {self.place}" if self.place else self.name
+        """Kind and place, and whether it was taken away."""
+        name = f"removed {self.name}" if self.removed else self.name
+        return f"{name} at {self.place}" if self.place else name
 
 
 @dataclass(frozen=True)
@@ -381,7 +382,7 @@ def _none_left(effects: Sequence[EffectWords]) -> str:
 def _diagnosed(document: Mapping[str, Any]) -> tuple[str, ...]:
     """What the refit said of the changes, and what the diagnosis had found by itself."""
     said = [
-        re.sub(r"^[a-z_]+(?= at )", lambda m: kind_words(m[0]), plain_powers(str(w).replace("`", "")))
+        re.sub(r"^(removed )?[a-z_]+(?= at )", lambda m: kind_words(m[0]), plain_powers(str(w).replace("`", "")))
         for w in document["by_hand"].get("words") or []
     ]
     own = [effect_words(e).sentence for e in found_by_itself(document)]
