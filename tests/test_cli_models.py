@@ -140,6 +140,26 @@ def test_ofrf_sets_values_of_the_effect_route_alone(with_effect):
     assert "--route effect" in done.stderr
 
 
+def test_ofrf_options_of_the_effect_route_follow_the_recommended_route(with_effect, tmp_path):
+    from operando.store import load_results
+
+    results = load_results(with_effect)
+    better = {"models": {"ofrf": {"error_db": 0.5}, "effect": {"error_db": 0.1}, "idle": {"error_db": 5.0}}}
+    save_results(replace(results, comparison=better), tmp_path / "model.h5")
+    pair = ("--responses", "3+Z", "--references", "1+Z", "--frequencies", "12:60:0.5")
+    for option in (("--set", "2.stiffness=1e4"), ("--level", "20")):
+        assert answer("ofrf", tmp_path, *pair, *option)["route"] == "effect"
+        done = call("ofrf", tmp_path, *pair, *option, "--route", "hybrid")
+        assert done.exit_code == 2
+        assert f"{option[0]} belongs to --route effect, and this is --route hybrid" in done.stderr
+
+
+def test_ofrf_of_the_idle_model(with_effect):
+    document = answer("ofrf", with_effect, "--route", "idle", "--responses", "3+Z", "--references", "1+Z", "--frequencies", "12:60:0.5")
+    direct = models.results().idle.frf(np.arange(12, 60.1, 0.5), "3+Z", "1+Z")
+    np.testing.assert_allclose(np.array(document["data"]) @ [1, 1j], direct.data, rtol=1e-9)
+
+
 def test_lines():
     np.testing.assert_allclose(parse_lines("5:5:1"), [5])
     lines = parse_lines("0:220:0.1")

@@ -217,6 +217,16 @@ def test_the_route_is_the_one_that_predicts_better():
     assert recommended(None, None, False) is None
 
 
+def test_the_idle_model_alone_is_recommended_where_it_predicts_better_than_both_routes():
+    models = {"ofrf": model(5.3), "idle": model(0.93), "effect": model(2.19)}
+    said = {"verdict": "partial", "effects": [{"kind": "clearance"}]}
+    route = recommended({"models": models}, said, hybrid=True)
+    assert (route.name, route.model, route.error_db) == ("idle", "idle", 0.93)
+    assert route.reason.startswith("the idle model alone is closer to the validation FRFs, 0.93 dB")
+    # as close as the effect: the effect is no harm, and predicts other states
+    assert recommended({"models": models | {"effect": model(0.93 + 0.99 * ALIKE_DB)}}, said, hybrid=True).name == "effect"
+
+
 def test_no_red_for_a_fifth_of_a_decibel_and_no_green_above_a_high_floor():
     assert is_good(model(0.20, 3.0, 0.10))
     assert not is_good(model(2.0, 0.4, 778.0))

@@ -10,7 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from operando.cli import main
+from operando.compare import compare_all
+from operando.data.levels import force_rms
 from operando.diagnosis import apply_to_records
+from operando.diagnosis.at_level import following
+from operando.diagnosis.stored import effect_model
 from operando.errors import ConfigError, MissingError
 from operando.frf import estimate_frf
 from operando.io import read, write_uff
@@ -127,3 +131,29 @@ def test_a_record_that_is_gone_is_named(folder):
     assert "run1.uff" in json.loads(done.stdout)["where"]
     with pytest.raises(MissingError, match="not there"):
         check_records(str(folder), load_results(folder))
+
+
+def test_a_level_dependent_effect_is_compared_at_the_level_of_the_measurement(folder):
+    forces = [min(force_rms(r) for r in read(folder / f"run{k}.uff").records) for k in range(4)]
+    for k, other in ((0, 2), (2, 0)):
+        own = asked("compare", folder, folder / f"run{k}.uff", "--route", "effect")["model"]
+        far = asked("compare", folder, folder / f"run{k}.uff", "--route", "effect", "--level", forces[other])["model"]
+        assert f"level-dependent effects are linearised under {forces[k]:.4g} N rms, for each reference by itself" in own["notes"]
+        assert own["error_db"] < 0.7 * far["error_db"]
+    pair = ("--responses", "3+Z", "--references", "2+Z", "--frequencies", "5:90:0.5", "--route", "effect")
+    lowest, softer = asked("ofrf", folder, *pair), asked("ofrf", folder, *pair, "--set", "1.coefficient=1")
+    assert lowest["level_n"] == pytest.approx(min(forces), rel=0.02)
+    assert softer["data"] != lowest["data"]
+    assert "coefficient:1" in softer["method"]
+
+
+def test_by_run_takes_the_effect_at_the_level_of_each_run(folder):
+    results = load_results(folder)
+    runs = [replace(run, force_n=force_rms(read(folder / run.name).records[0])) for run in results.check]
+    model = following(effect_model(results), results.diagnosis, BAND)
+    both = compare_all({"effect": model}, runs, BAND)["by_run"]
+    standing = compare_all({"effect": model.standing}, runs, BAND)["by_run"]
+    errors = [[row["models"]["effect"]["error_db"] for row in rows] for rows in (both, standing)]
+    assert max(errors[0]) < 0.7 * max(errors[1])
+    unknown = compare_all({"effect": model}, [replace(run, force_n=None) for run in runs], BAND)["models"]["effect"]
+    assert any("at the lowest level measured" in note and "states no force" in note for note in unknown["notes"])

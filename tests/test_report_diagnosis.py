@@ -450,13 +450,13 @@ def test_routes_differ_by_a_known_level(whole):
     ("errors", "verdict", "text"),
     [
         ((0.35, 0.13, 12.34), "explained",
-         "; idle model + effects: 0.13 dB against 0.35 dB of the hybrid route on the validation lines (idle model: 12.3 dB; level 5 N)."),
+         "; idle model + effects: 0.13 dB against 0.35 dB of the hybrid route on the validation FRFs (idle model: 12.3 dB; level 5 N)."),
         ((12.34, 21.5, 30.0), "unexplained",
-         "; idle model + effects: 21.50 dB against 12.34 dB of the hybrid route on the validation lines (idle model: 30.0 dB; level 5 N)."),
+         "; idle model + effects: 21.50 dB against 12.34 dB of the hybrid route on the validation FRFs (idle model: 30.0 dB; level 5 N)."),
         ((0.35, None, 5.01), "explained",
          ", off by 0.35 dB from the validation measurement in operation, level 5 N (idle model: 5.01 dB); no diagnosis was made."),
         ((0.35, None, 0.13), "no_misfit",
-         "; idle model: 0.13 dB against 0.35 dB of the hybrid route on the validation lines (level 5 N)."),
+         "; idle model: 0.13 dB against 0.35 dB of the hybrid route on the validation FRFs (level 5 N)."),
     ],
 )  # fmt: skip
 def test_each_error_of_the_recommended_route_is_stated_once(errors, verdict, text):

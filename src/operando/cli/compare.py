@@ -20,15 +20,23 @@ if TYPE_CHECKING:
 @click.argument("measured", type=click.Path())
 @click.option(
     "--route",
-    type=click.Choice(["hybrid", "effect"]),
+    type=click.Choice(["hybrid", "effect", "idle"]),
     default=None,
-    help="Of a results folder: scaled operational modes, or idle model + accepted effects (default: hybrid, without one the idle model).",
+    help="Of a results folder: scaled operational modes, idle model + accepted effects, or the idle model (default: hybrid, else idle).",
+)
+@click.option(
+    "--level",
+    type=float,
+    metavar="N",
+    help="Route effect: level-dependent effects under a random force of this rms [N] (default: that of the measurement).",
 )
 @click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Hz (default: the band of the model, else all measured lines).")
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="JSON file to write.")
 @own_option
 @answers
-def compare(model: str, measured: str, route: str | None, band: tuple[float, float] | None, output: str | None) -> Answer:
+def compare(
+    model: str, measured: str, route: str | None, level: float | None, band: tuple[float, float] | None, output: str | None
+) -> Answer:
     """Any model (results folder, model.h5, UFF FRFs or modes) against any measurement (FRFs, or records with force).
 
     The errors stand under the key "model" of the JSON document.
@@ -39,7 +47,9 @@ def compare(model: str, measured: str, route: str | None, band: tuple[float, flo
     apart_from_runs(output, "compare")
     if band is not None and not 0 <= band[0] < band[1] < float("inf"):
         raise ConfigError(f"--band {band[0]:g} {band[1]:g} is no band", hint="give its lower end and then its upper end in Hz")
-    source = load_model(model, route)
+    if level is not None and (route != "effect" or not 0 < level < float("inf")):
+        raise click.UsageError("--level is a force in N, more than 0, and belongs to --route effect")
+    source = load_model(model, route, level)
     runs = [replace(run, frf=run.frf.without_bands(source.exclude_bands)) for run in load_measured(measured)]
     warning = _check_shared(source.model, runs, f"{model} and {measured}")
     band = band or source.band_hz

@@ -28,9 +28,9 @@ MOST_VALUES = 2_000_000
 @click.option("--quantity", type=click.Choice(["accelerance", "mobility", "receptance"]), default="accelerance", show_default=True)
 @click.option(
     "--route",
-    type=click.Choice(["hybrid", "effect"]),
+    type=click.Choice(["hybrid", "effect", "idle"]),
     default=None,
-    help="hybrid: scaled operational modes; effect: idle model + accepted effects (default: the one that the results recommend).",
+    help="hybrid: scaled operational modes; effect: idle model + accepted effects; idle: idle model (default: as the results recommend).",
 )
 @click.option(
     "--level",
@@ -73,10 +73,8 @@ def ofrf(
     from operando.errors import DataError, MissingError
     from operando.store import load_results
 
-    if level is not None and (route != "effect" or not 0 < level < float("inf")):
-        raise click.UsageError("--level is a force in N, more than 0, and belongs to --route effect")
-    if changes and (route != "effect" or level is not None):
-        raise click.UsageError("--set belongs to --route effect, without --level")
+    if level is not None and not 0 < level < float("inf"):
+        raise click.UsageError("--level is a force in N, more than 0")
     values = [parse_change(text) for text in changes]
     apart_from_runs(output, "ofrf")
     wanted, driven = _dofs(responses, "--responses"), _dofs(references, "--references")
@@ -90,7 +88,10 @@ def ofrf(
     elif advised is not None and advised.name != route and not changes and level is None:
         warning = f"the results recommend --route {advised.name}: {advised.reason}"
         say(f"warning: {warning}")
-    if route == "effect":
+    if route != "effect" and (changes or level is not None):
+        option = "--set" if changes else "--level"
+        raise click.UsageError(f"{option} belongs to --route effect, and this is --route {route}: {why or 'as asked'}")
+    if route != "hybrid":
         more = load_results(folder, only=("idle", "effect_idle", "effect_covariance"))
         results = replace(results, idle=more.idle, effect_idle=more.effect_idle, effect_covariance=more.effect_covariance)
     elif results.hybrid is None:
@@ -107,11 +108,20 @@ def ofrf(
         if known is not None and dofs is not None:
             check_dofs(dofs, known.dofs, f"{folder}, {option}")
     model: Any
+    if route == "effect" and level is None:
+        from operando.diagnosis.at_level import lowest_force
+
+        level = lowest_force(results.diagnosis or {})
     if level is not None:
         from operando.diagnosis.at_level import LevelModel
 
-        model = LevelModel.of(results, level)
+        model = LevelModel.of(results, level, values)
         method, own = f"idle model + {', '.join(str(e) for e in model.effects) or 'no effect'} at {level:g} N", ()
+        why = "\n".join((*(() if why is None else (why,)), f"note: {model.words}"))
+    elif route == "idle":
+        if results.idle is None:
+            raise MissingError("there is no idle model", where=folder, hint="run `operando run test.toml` to the stage ema")
+        model, method, own = results.idle, "idle model", ()
     elif route == "effect":
         from operando.diagnosis.stored import effect_model
 

@@ -23,10 +23,11 @@ class Source:
     advice: str = ""
 
 
-def load_model(path: str, route: str | None = None) -> Source:
-    """The model of a results folder or ``model.h5`` by a route (``hybrid`` or ``effect``); else the FRFs or scaled modes of a file.
+def load_model(path: str, route: str | None = None, level: float | None = None) -> Source:
+    """The model of a results folder or ``model.h5`` by a route (``hybrid``, ``effect`` or ``idle``); else the FRFs or modes of a file.
 
-    Without a route it is the hybrid one, or the idle model where there is no hybrid one.
+    Without a route it is the hybrid one, or the idle model where there is no hybrid one. By the route ``effect``, level-dependent effects
+    follow the force of the measurement, unless a level [N rms] is given.
 
     Raises
     ------
@@ -41,12 +42,18 @@ def load_model(path: str, route: str | None = None) -> Source:
         band = None if band is None else (float(band[0]), float(band[1]))
         without = tuple((float(low), float(high)) for low, high in results.settings.get("exclude_bands") or ())
         if route == "effect":
+            from operando.diagnosis.at_level import LevelModel, following
             from operando.diagnosis.stored import effect_model
+            from operando.structure.effects import Effect
 
-            model = effect_model(results).structure()
-            what = " + ".join(("idle model", *(str(e) for e in model.effects)))
-            return Source(model, what, band, without)
-        if results.hybrid is not None:
+            model: Any = effect_model(results).structure()
+            effects = [Effect.from_dict(e) for e in (results.diagnosis or {}).get("effects") or []]
+            shown = [e for e in effects if e.definition.group in ("structure", "idle")]
+            what = " + ".join(("idle model", *(str(e) for e in shown)))
+            if level is not None:
+                return Source(LevelModel.of(results, level), f"{what}, at {level:g} N rms", band, without)
+            return Source(following(model, results.diagnosis or {}, band), what, band, without)
+        if results.hybrid is not None and route != "idle":
             return Source(results.hybrid, "operational FRFs by the hybrid route", band, without, _advice(results))
         if route == "hybrid":
             reason = results.left_out.get("ofrf", "the run ended before it")
@@ -77,9 +84,9 @@ def _advice(results: Results) -> str:
     from operando.compare import recommended
 
     advised = recommended(results.comparison, results.diagnosis, results.hybrid is not None)
-    if advised is None or advised.name != "effect":
+    if advised is None or advised.name == "hybrid":
         return ""
-    return f"The results recommend --route effect: {advised.reason}."
+    return f"The results recommend --route {advised.name}: {advised.reason}."
 
 
 def load_measured(path: str) -> list[CheckRun]:
@@ -106,8 +113,9 @@ def load_measured(path: str) -> list[CheckRun]:
     records = [r for r in content.records if r.force_indices and r.response_indices]
     if records:
         from operando.frf import estimate_frf
+        from operando.pipeline.levels import check_frfs
 
-        return [CheckRun(name, "as measured", estimate_frf(records))]
+        return check_frfs(records, estimate_frf)
     raise MissingError("holds no FRFs and no record with force and responses", where=path, hint="`operando inspect` shows what it holds")
 
 

@@ -444,15 +444,23 @@ def compare_all(
     chosen = [r for r in runs if r.level == lowest]
     peaks = _fit_once()
 
-    def errors_on(frfs: list[Frf]) -> dict[str, Any]:
-        with one_blas_thread():
-            return {name: _compare(m, frfs, band_hz, peaks).to_dict() for name, m in models.items()}
+    def errors_on(some: Sequence[CheckRun]) -> dict[str, Any]:
+        def one(model: Any) -> Comparison:
+            return _compare(model, [r.frf for r in some], band_hz, peaks)
 
-    overall = errors_on([r.frf for r in chosen])
+        forces = [r.force_n for r in some if r.force_n is not None]
+        with one_blas_thread():
+            return {
+                # a model with level-dependent effects is another one under each force
+                name: (m.compared(one, min(forces, default=None)) if hasattr(m, "compared") else one(m)).to_dict()
+                for name, m in models.items()
+            }
+
+    overall = errors_on(chosen)
     by_run = []
     for r in runs:
         alone = len(chosen) == 1 and r.level == lowest  # this run is all that judged: its errors are known
-        errors = overall if alone else errors_on([r.frf])
+        errors = overall if alone else errors_on([r])
         by_run.append({"name": r.name, **r.stated_level(), "models": errors})
     on = {"runs": [r.name for r in chosen], **chosen[0].stated_level(), "band_hz": None if band_hz is None else [float(v) for v in band_hz]}
     return {"schema": "operando/comparison/1", "judged_on": on, "models": overall, "by_run": by_run}

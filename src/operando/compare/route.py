@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,11 +27,11 @@ class Route:
 
     Parameters
     ----------
-    name : {"hybrid", "effect"}
+    name : {"hybrid", "effect", "idle"}
         As ``operando ofrf --route`` takes it.
     reason : str
     model : str
-        Its key in ``comparison.json``: ``idle`` where the effect route has no effect.
+        Its key in ``comparison.json``: ``idle`` where the effect route has no effect, or makes the idle model worse.
     error_db, idle_error_db : float or None
         Its error and that of the idle model on the same lines.
     good : bool or None
@@ -126,7 +127,7 @@ def recommended(comparison: Mapping[str, Any] | None, diagnosis: Mapping[str, An
     errors = {key: models[key]["error_db"] for key in ("ofrf", second, "idle") if (models.get(key) or {}).get("error_db") is not None}
 
     def route(name: str, reason: str) -> Route:
-        key = "ofrf" if name == "hybrid" else second
+        key = {"hybrid": "ofrf", "effect": second, "idle": "idle"}[name]
         return Route(name, reason, key, errors.get(key), errors.get("idle"), is_good(models.get(key) or {}))
 
     if not hybrid:
@@ -135,7 +136,10 @@ def recommended(comparison: Mapping[str, Any] | None, diagnosis: Mapping[str, An
     if diagnosis is None:
         return route("hybrid", "no diagnosis was made")
     if "ofrf" in errors and second in errors:
-        said = f"{errors[second]:.2f} dB against {errors['ofrf']:.2f} dB of the hybrid route on the validation lines"
+        said = f"{errors[second]:.2f} dB against {errors['ofrf']:.2f} dB of the hybrid route on the validation FRFs"
+        if effects and errors.get("idle", math.inf) < min(errors[second], errors["ofrf"]) - ALIKE_DB:
+            closer = f"the idle model alone is closer to the validation FRFs, {errors['idle']:.2f} dB"
+            return route("idle", f"{closer}: with effects {said}")
         if abs(errors["ofrf"] - errors[second]) > ALIKE_DB:
             return route("effect" if errors[second] < errors["ofrf"] else "hybrid", f"idle model{' + effects' if effects else ''}: {said}")
         causal = verdict in (*FOUND, "no_misfit")

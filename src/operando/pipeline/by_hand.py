@@ -199,6 +199,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
     """Refit with these effects, rewrite the folder's errors by step and model, and tell what it did."""
     from operando.compare import with_effect
     from operando.diagnosis import RecordsApplied, apply_effects, apply_to_records
+    from operando.diagnosis.at_level import following
     from operando.diagnosis.from_records import need_records, with_levels
     from operando.pipeline.outputs import STEP_OUTPUTS
 
@@ -228,7 +229,7 @@ def change(folder: ResultsFolder, results: Results, effects: list[Effect], progr
     )
     results.effect_idle, results.effect_covariance = replace(applied.model.idle, details=None), applied.model.covariance
     if results.comparison is not None:
-        shown = applied.model if applied.effects else None
+        shown = following(applied.model, done, band or idle.band_hz) if applied.effects else None
         results.comparison = with_effect(results.comparison, shown, runs, band or idle.band_hz)
     for output in STEP_OUTPUTS:
         if output.name != "comparison.json" or results.comparison is not None:

@@ -276,7 +276,8 @@ def diagnosis_words(document: Mapping[str, Any]) -> DiagnosisWords:
     where = f"Hold-out set: {lines_words(judged_on)}." if judged_on and not output_only else ""
     hidden = "" if by_hand else _hidden(document)
     differ = "" if by_hand else between_words(document)
-    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only, misfit), where, hidden, differ, *others)
+    of_records = judged_on.get("measured") == "spectra of records"
+    sentences = (_none_left(effects) if by_hand else "", _errors(ladder, output_only, misfit, of_records), where, hidden, differ, *others)
     found = tuple(_found(e) for e in effects)
     decide = _deciding(document, verdict, effects)
     said = tuple(s for s in sentences if s)
@@ -391,12 +392,13 @@ def _diagnosed(document: Mapping[str, Any]) -> tuple[str, ...]:
     return (*(f"{w[:1].upper()}{w[1:]}." for w in said), found)
 
 
-def _errors(ladder: ErrorByStep, output_only: bool, misfit: Any) -> str:
+def _errors(ladder: ErrorByStep, output_only: bool, misfit: Any, of_records: bool = False) -> str:
     if not ladder.rows:
         return ""
     first, last = ladder.rows[0].heldout, ladder.rows[-1].heldout
     added = len(ladder.rows) - 1
-    modes, lines = "operating frequencies, damping ratios and shapes", "lines of the validation measurement"
+    modes = "operating frequencies, damping ratios and shapes"
+    lines = "spectra of the validation records (responses, not FRFs)" if of_records else "lines of the validation measurement"
     where = (
         f"{'the hold-out set' if ladder.on_hold_out else 'all'} of {modes}"
         if output_only

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import fft as sfft
 
 from operando.data import ModalModel, one_level
-from operando.dof import match_dofs, parse_dofs
+from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import DataError
 from operando.structure.effects import Effect
 from operando.structure.force_law import law_of
@@ -57,6 +57,8 @@ class LinearEquivalent:
         [N/m, N·s/m].
     explains : float
         Share of the restoring force that they explain.
+    references : tuple of str
+        DOFs where the force acted; empty where that is not known.
     """
 
     level: float
@@ -65,15 +67,22 @@ class LinearEquivalent:
     stiffness: float
     damping: float
     explains: float
+    references: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON object, with the unit of the level."""
-        return {"level": self.level, "unit": "N"} | {n: v for n, v in asdict(self).items() if n != "level"}
+        values = {n: v for n, v in asdict(self).items() if n not in ("level", "references")}
+        return {"level": self.level, "unit": "N", "references": list(self.references)} | values
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> LinearEquivalent:
         """Of what :meth:`to_dict` made."""
-        return cls(**{f.name: float(data[f.name]) for f in fields(cls)})
+        values = {f.name: float(data[f.name]) for f in fields(cls) if f.name != "references"}
+        return cls(**values, references=tuple(data.get("references") or ()))
+
+    def at(self, level: float, reference: Dof) -> bool:
+        """Whether it is that of a record with a force of this level at this DOF alone."""
+        return one_level(self.level, level) and len(self.references) == 1 and Dof.parse(self.references[0]).same_axis(reference)
 
 
 def linear_effects(effect: Effect, equivalents: Sequence[LinearEquivalent]) -> list[Effect]:

@@ -98,7 +98,7 @@ def apply_to_records(
         notes: list[str] = []
         picture = pictures_of(first, stated, steps, notes)
         simulation = simulated(first, steps, notes)
-        same = equivalents_of(stated, steps)
+        same = equivalents_of(first, stated, steps)
         model = linear_model(idle, stated, same, geometry)
         words = (*_words(stated, rows, better), *notes)
         return RecordsApplied(model, tuple(stated), tuple(rows), words, judged_on(first), better, picture, simulation, same)

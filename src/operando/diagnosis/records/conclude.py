@@ -116,7 +116,7 @@ def conclude(
     notes += too_fast(effects, accepted, len(first.fitted), rows[-1]["heldout_misfit"])
     if not first.validation:
         notes.append("one level alone: a third of the blocks of lines is the hold-out set; a second level would show what scales")
-    same = equivalents_of(effects, accepted)
+    same = equivalents_of(first, effects, accepted)
     candidates = [candidate_row(first, t, steps[0].base_select) for t in steps[0].tried]
     return RecordsDiagnosis(
         verdict,
@@ -189,10 +189,10 @@ def pictures_of(case: RecordsCase, effects: Sequence[Effect], accepted: Sequence
     return {"restoring_force": pictures} if pictures else {}
 
 
-def equivalents_of(effects: Sequence[Effect], accepted: Sequence[Tried]) -> Equivalents:
+def equivalents_of(case: RecordsCase, effects: Sequence[Effect], accepted: Sequence[Tried]) -> Equivalents:
     """Spring and damper at each level of each level-dependent effect."""
     pairs = zip(effects, accepted, strict=True)
-    return tuple(equivalents(t.law, t.spot.whole) if e.definition.level_dependent else () for e, t in pairs)
+    return tuple(equivalents(t.law, t.spot.whole, case.idle.dofs) if e.definition.level_dependent else () for e, t in pairs)
 
 
 def simulated(case: RecordsCase, accepted: Sequence[Tried], notes: list[str]) -> dict[str, Any]:

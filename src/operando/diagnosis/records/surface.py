@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from operando.diagnosis.records.motion import Motion
+from operando.dof import Dof
 from operando.structure.force_law import ForceLaw
 from operando.structure.linearization import LinearEquivalent, slopes
 from operando.structure.modal_space import Complex, Real
@@ -123,7 +124,7 @@ def goodness(motions: Sequence[Motion], law: ForceLaw) -> float:
     return 1 - rest / total if total > 0 else 0.0
 
 
-def equivalents(law: ForceLaw, motions: Sequence[Motion]) -> tuple[LinearEquivalent, ...]:
+def equivalents(law: ForceLaw, motions: Sequence[Motion], dofs: Sequence[Dof]) -> tuple[LinearEquivalent, ...]:
     """Spring and damper that an accepted law is equivalent to in each run, lowest level first."""
     rows = []
     for m in motions:
@@ -132,5 +133,7 @@ def equivalents(law: ForceLaw, motions: Sequence[Motion]) -> tuple[LinearEquival
         k, c = slopes(s, x, v)
         rest = (s - s.mean()) - k * (x - x.mean()) - c * (v - v.mean())
         explains = float(1 - np.mean(rest**2) / max(np.var(s), 1e-300))
-        rows.append(LinearEquivalent(float(m.along.run.force_level), float(x.std()), float(v.std()), k, c, explains))
+        run = m.along.run
+        at = tuple(str(dofs[i]) for i in run.forces_at)
+        rows.append(LinearEquivalent(float(run.force_level), float(x.std()), float(v.std()), k, c, explains, at))
     return tuple(sorted(rows, key=lambda r: r.level))

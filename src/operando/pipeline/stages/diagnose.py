@@ -15,6 +15,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
     """Where the idle model fails in operation and which effect is missing; the comparison gains the idle model with it."""
     from operando.compare import with_effect
     from operando.diagnosis import diagnose
+    from operando.diagnosis.at_level import following
     from operando.structure import Model
 
     results = work.results
@@ -43,7 +44,7 @@ def missing_physics(work: Work) -> dict[str, Any]:
     comparison = results.comparison
     model = found.model or Model(idle, tuple(found.effects), results.geometry)
     if runs and comparison is not None and found.effects:
-        comparison = with_effect(comparison, model, runs, analysis_band(work))
+        comparison = with_effect(comparison, following(model, document, analysis_band(work)), runs, analysis_band(work))
     made: dict[str, Any] = {
         "diagnosis": document,
         "comparison": comparison,
