@@ -185,6 +185,15 @@ def test_one_more_effect_never_leaves_more_of_the_fitted_lines(chain, idle, iner
     assert both.effects[0].values["stiffness"] == pytest.approx(2e4, rel=0.01)
 
 
+def test_kinds_of_ones_own_that_nobody_asked_for_are_named(chain, idle, inerter):
+    check = [running(chain, [0, 3], mass=0.15 * at(4))]
+    said = "kinds of your own were not looked for in the FRFs: inerter_for_test; name them in [analysis] kinds to look for them"
+    assert said in diagnose(idle, check=check).notes
+    asked = diagnose(idle, check=check, kinds=("point_mass", "inerter_for_test")).notes
+    assert said not in asked
+    assert "only these kinds of effects were looked for, as the test asks: point_mass, inerter_for_test" in asked
+
+
 def test_a_refit_that_fails_is_refused(chain, idle, inerter, monkeypatch):
     monkeypatch.setattr("operando.diagnosis.by_hand._PARTS", ())
     check = [running(chain, [0, 3], stiffness=2e4 * at(2, 4))]

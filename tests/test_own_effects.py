@@ -13,6 +13,7 @@ from operando.cli import main
 from operando.errors import ConfigError
 from operando.own_effects import load_effects
 from operando.pipeline import run
+from operando.structure.effects import unregister
 
 pytestmark = pytest.mark.usefixtures("own_kinds_gone")
 
@@ -121,12 +122,39 @@ def test_an_own_kind_is_added_to_results_where_its_file_is_named(tmp_path):
     done = call("add", out, added)
     assert done.exit_code == 1
     assert "unknown kind of effect 'strut_for_test'" in done.stderr
+    assert "named by --own FILE" in done.stderr
     done = call("add", out, added, "--own", file, "--json")
     assert done.exit_code == 0, done.stderr
     effect = json.loads(done.stdout)["effects"][0]
     assert effect["kind"] == "strut_for_test"
     assert effect["parameters"]["stiffness"]["value"] == pytest.approx(3e4, rel=0.05)  # the spring of the running chain
+    unregister("strut_for_test")
+    shown = call("report", out)
+    assert shown.exit_code == 0
+    assert "unknown kind strut_for_test; name its file by --own FILE" in shown.stderr
+    assert "unknown kind" not in call("report", out, "--own", file).stderr
     assert call("remove", out, "1", "--own", file).exit_code == 0
+
+
+def test_an_error_in_a_law_of_ones_own_is_told_with_its_file_and_method(tmp_path):
+    path = measurements.write_test(tmp_path, operating=False)
+    file, out = law(tmp_path, time=0), tmp_path / "out"
+    file.write_text(file.read_text().replace('values["stiffness"]', 'values["zzz"]'))
+    run(path, out, until="compare")
+    done = call("add", out, "strut_for_test@3+Z=stiffness:2e4", "--own", file)
+    assert done.exit_code == 1
+    assert "dynamic_stiffness of strut_for_test, a kind of your own, failed: KeyError: 'zzz'" in done.stderr
+    assert f"{file}, line " in done.stderr
+    assert "fault of the program" not in done.stderr
+    assert "values has stiffness" in done.stderr
+
+
+def test_a_missing_diagnosis_names_the_test_file_that_makes_it(tmp_path):
+    path, out = measurements.write_test(tmp_path, operating=False), tmp_path / "out"
+    run(path, out, until="compare")
+    done = call("diagnose", out)
+    assert done.exit_code == 1
+    assert f"`operando run {path} -o {out}` makes it" in done.stderr
 
 
 def test_the_list_has_all_kinds_with_parameters_units_and_locations():

@@ -17,10 +17,11 @@ from operando.diagnosis.posterior import State, left_on
 from operando.diagnosis.problem import Problem
 from operando.diagnosis.rival import score
 from operando.diagnosis.search import Found
-from operando.diagnosis.terms import Term, added
+from operando.diagnosis.terms import IN_FRFS, Term, added
 from operando.diagnosis.unseen import UNSEEN
 from operando.diagnosis.verdict import Verdict, unlike_neighbours
 from operando.results import CheckRun
+from operando.structure.effects.registry import catalogue, is_own
 
 Array = NDArray[Any]
 
@@ -170,6 +171,9 @@ def restricted(case: Case, *usual: Sequence[str]) -> list[str]:
     notes = []
     if set(case.kinds) not in [set(kinds) for kinds in usual]:
         notes.append(f"only these kinds of effects were looked for, as the test asks: {', '.join(case.kinds)}")
+    own = [k for k, kind in catalogue().items() if is_own(kind) and kind.acts in IN_FRFS and k not in case.kinds]
+    if own:
+        notes.append(f"kinds of your own were not looked for in the FRFs: {', '.join(own)}; name them in [analysis] kinds to look for them")
     sensors = [i for i in range(len(case.dofs)) if i not in case.idle.midway]
     if not set(sensors) <= set(case.allowed):
         asked = ", ".join(str(case.dofs[i]) for i in sensors if i in case.allowed)

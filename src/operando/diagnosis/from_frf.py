@@ -42,7 +42,7 @@ from operando.diagnosis.search import WAYS, Found, search
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.suggested import suggested_by_modes
-from operando.diagnosis.terms import AT_ONE_LOCATION, SEARCHED, Term, touched
+from operando.diagnosis.terms import AT_ONE_LOCATION, IN_FRFS, SEARCHED, Term, touched
 from operando.diagnosis.verdict import (
     explains_lines,
     misses_idle_frfs,
@@ -322,7 +322,7 @@ def searched(kinds: Sequence[str] | None, poor: bool = False) -> tuple[str, ...]
 
     if kinds is None:
         return AT_ONE_LOCATION if poor else SEARCHED
-    known = [k for k in kinds if kind_of(k).acts in ("dynamic_stiffness", "sensor_map", "modal_change")]
+    known = [k for k in kinds if kind_of(k).acts in IN_FRFS]
     if not known:
         raise ConfigError(f"none of the kinds {', '.join(kinds)} can be found from FRFs", hint="name linear kinds, or give records")
     return tuple(known)

@@ -23,6 +23,9 @@ SEARCHED = (
 )  # fmt: skip
 """Kinds looked for where the test file names none."""
 
+IN_FRFS = ("dynamic_stiffness", "sensor_map", "modal_change")
+"""Ways of acting that FRFs show."""
+
 AT_ONE_LOCATION = tuple(kind for kind in SEARCHED if kind_of(kind).acts != "dynamic_stiffness" or kind_of(kind).places < 2)
 """Those looked for where the idle model misses the idle FRFs themselves, so that nothing can be explained: of 81 sensors there are 3240
 pairs, and to look at all of them took ten minutes."""

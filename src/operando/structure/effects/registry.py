@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import traceback
+from collections.abc import Callable
 from difflib import get_close_matches
+from typing import Any
 
-from operando.errors import ConfigError
+import numpy as np
+
+from operando.errors import ConfigError, OperandoError
 from operando.structure.effects import channels, hysteresis, level_dependent, linear, whole
 from operando.structure.effects.base import EffectKind
 
@@ -17,6 +23,7 @@ _ACTS = {
     "excitation": (),
     "pseudo_force": ("pseudo_force",),
 }
+_LAWS = (*dict.fromkeys(name for names in _ACTS.values() for name in names), "quadratic", "over_steps", "explain", "confirm")
 
 
 def register(kind: type[EffectKind]) -> type[EffectKind]:
@@ -69,8 +76,41 @@ def register(kind: type[EffectKind]) -> type[EffectKind]:
     names = [p.name for p in (*kind.parameters, *kind.constants)]
     if len(set(names)) != len(names):
         raise ConfigError(f"{kind.kind} has two parameters of one name")
-    _KINDS[kind.kind] = kind()
+    definition = kind()
+    if is_own(definition):
+        for name in _LAWS:
+            if getattr(kind, name) is not getattr(EffectKind, name):
+                setattr(definition, name, _guarded(definition, name))
+    _KINDS[kind.kind] = definition
     return kind
+
+
+def is_own(definition: EffectKind) -> bool:
+    """Whether a kind is one of the user's."""
+    return not type(definition).__module__.startswith("operando.")
+
+
+def _guarded(definition: EffectKind, name: str) -> Callable[..., Any]:
+    """A method of the user's whose errors are told as such; numbers that cannot be are left to the fit."""
+    method = getattr(definition, name)
+
+    @functools.wraps(method)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(*args, **kwargs)
+        except (OperandoError, np.linalg.LinAlgError, OverflowError, MemoryError):
+            raise
+        except Exception as error:
+            frames = traceback.extract_tb(error.__traceback__)[1:]
+            where = f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else None
+            known = ", ".join(p.name for p in (*definition.parameters, *definition.constants)) or "none"
+            raise ConfigError(
+                f"{name} of {definition.kind}, a kind of your own, failed: {type(error).__name__}: {error}",
+                where=where,
+                hint=f"correct it there; values has {known}",
+            ) from error
+
+    return called
 
 
 def unregister(name: str) -> None:
@@ -107,6 +147,7 @@ def kind_of(name: str) -> EffectKind:
         return _KINDS[name]
     near = get_close_matches(name, _KINDS, 1, 0.5)
     hint = (f"did you mean {near[0]!r}? " if near else "") + "kinds: " + ", ".join(sorted(_KINDS))
+    hint += "; a kind of your own is known once its file is named by --own FILE"
     raise ConfigError(f"unknown kind of effect {name!r}", hint=hint)
 
 
