@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answer:
     """Where the error of the idle model lies in operation, and what is missing.
 
-    A results folder shows (or makes) its diagnosis; a test file is run up to this stage first.
+    A results folder shows its diagnosis; a test file is run up to this stage first.
     """
     from operando.errors import MissingError
     from operando.store import load_results
@@ -43,8 +43,12 @@ def diagnose(source: str, output: str | None, changes: tuple[str, ...]) -> Answe
     else:
         results = load_results(source, only=("name", "diagnosis", "left_out"))
     if results.diagnosis is None:
+        from operando.pipeline.folder import source_of
+
         reason = results.left_out.get("diagnose", "the run ended before it")
-        raise MissingError(f"there is no diagnosis: {reason}", where=source, hint="run `operando run test.toml` on the test")
+        test_file = source_of(path) or "test.toml"
+        hint = f"`operando run {test_file} -o {source}` makes it" if path.is_dir() else "run the test to the stage diagnose"
+        raise MissingError(f"there is no diagnosis: {reason}", where=source, hint=hint)
     return Answer(results.diagnosis, text_of(results.name, results.diagnosis))
 
 
