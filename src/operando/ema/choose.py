@@ -12,6 +12,7 @@ from operando.ema.discrepancy import line_correlation
 from operando.ema.linear import MAX_DAMPING, LinearFit, fit_linear, keep_modes
 from operando.ema.pairs import Pairs, Real, informative_lines
 from operando.ema.projection import CURVED_SHARE, Poles, basis, shift_curvature
+from operando.ema.residue_matrix import residue_mac, two_shapes
 from operando.errors import IdentificationError
 from operando.frf.leakage import lowest_towards_higher
 from operando.stabilization import RejectedPole
@@ -239,15 +240,6 @@ def poor_poles(fit: LinearFit) -> list[tuple[int, str, str]]:
     return out
 
 
-def residue_mac(fit: LinearFit, i: int, j: int) -> float:
-    """MAC of the residues of two modes over all pairs, weighted by their certainty (capped at ten times the median weight)."""
-    weight = 1 / np.maximum(np.maximum(fit.projection.a_std[:, i], fit.projection.a_std[:, j]), 1e-300) ** 2
-    weight = np.minimum(weight, 10 * np.median(weight))
-    x, y = fit.residues()[:, i], fit.residues()[:, j]
-    norm = float(np.sum(weight * np.abs(x) ** 2) * np.sum(weight * np.abs(y) ** 2))
-    return float(np.abs(np.sum(weight * x * y.conj())) ** 2 / norm) if norm > 0 else 0.0
-
-
 def two_peaks(fit: LinearFit, k: int) -> bool:
     """Whether the power of modes k and k+1, summed over the pairs, has a maximum at each and a dip between."""
     hz, zeta = fit.poles.hz[k : k + 2], fit.poles.zeta[k : k + 2]
@@ -270,17 +262,18 @@ def is_twin(fit: LinearFit, k: int) -> bool:
     """Whether modes k and k+1 have alike residues close together, with no dip between them, or nearly one frequency.
 
     Two poles well within the bandwidth of each may as well be one mode that stands elsewhere in other pairs, whatever their residues; so
-    may two that their drift between the pairs brings together, where residues are alike as far as a trade of places leaves them so.
+    may two that their drift between the pairs brings together, where residues are alike as far as a trade of places leaves them so. Not
+    where several references show a shape of its own for each: no movement of one mode makes that.
     """
     width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
     apart = float(_apart(fit)[k])
     if apart < SAME_WIDTHS * min(width):  # no drift takes a narrow mode over the width of a broad one
-        return True
+        return not two_shapes(fit, k, k + 1)
     gap = apart / float(max(width))
     mac = residue_mac(fit, k, k + 1)
     bridged = fit.poles.hz[k + 1] / fit.poles.hz[k] - 1 < fit.poles.drift[k : k + 2].sum()
     alike = (mac > TWIN_MAC and gap < TWIN_WIDTHS) or (mac > CLOSE_TWIN_MAC and (gap < NEAR_WIDTHS or bridged))
-    return alike and not two_peaks(fit, k)
+    return alike and not two_peaks(fit, k) and not two_shapes(fit, k, k + 1)
 
 
 def _one_for_two(fit: LinearFit, asked: list[tuple[float, float]], log: ChoiceLog) -> LinearFit | None:

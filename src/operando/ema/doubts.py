@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from operando.data.modal import phase_collinearity
-from operando.ema.choose import is_twin, residue_mac, two_peaks
+from operando.ema.choose import CLOSE_TWIN_MAC, is_twin, two_peaks
 from operando.ema.linear import FEW_PLACES, LinearFit
-from operando.ema.pairs import Complex, Real
+from operando.ema.pairs import Real
 from operando.ema.projection import basis
-
-MIN_RANK_SHARE = 0.95
-"""Part of the residue matrix that one shape explains: 0.95–1.00 for modes, 0.52–0.93 for others in a roving test of 13 known modes."""
+from operando.ema.residue_matrix import MIN_RANK_SHARE, rank_share, residue_mac, two_shapes
 
 MIN_COLLINEARITY = 0.6
 HALF, HALF_COLLINEARITY = 0.5, 0.8
@@ -103,7 +101,7 @@ def evidence_of_modes(fit: LinearFit) -> list[Evidence]:
         if total[k] < cost and not fit.noise_limited:
             doubts.append(("few_pairs", "only a few pairs speak for it; by all of them it is a part of the model error"))
         if k in weaker:
-            doubts.append(("twin", f"its shape is that of {weaker[k]:.5g} Hz: one mode at two frequencies between the rows"))
+            doubts.append(("twin", weaker[k]))
         all_doubts.append(doubts)
     for k, strong in _split_modes(fit, [k for k in range(n) if not all_doubts[k]], total, ruled).items():
         all_doubts[k].append(("twin", f"its shape is that of {fit.poles.hz[strong]:.5g} Hz: one mode at several frequencies"))
@@ -133,16 +131,20 @@ def _power_shares(fit: LinearFit) -> Real:
     return out
 
 
-def _weaker_twins(fit: LinearFit) -> dict[int, float]:
-    """The weaker of two neighbours of one shape without a dip between, and the frequency of the stronger."""
+def _weaker_twins(fit: LinearFit) -> dict[int, str]:
+    """The weaker of two neighbours of one shape without a dip between, or nearly of one frequency, and what is said of it."""
     out = {}
     strength = fit.projection.evidence.sum(axis=0)
     for k in range(fit.n_modes - 1):
         width = fit.poles.zeta[k : k + 2] * fit.poles.hz[k : k + 2]
         near = fit.poles.hz[k + 1] - fit.poles.hz[k] < FLAG_WIDTHS * max(width) and not fit.noise_limited
-        if is_twin(fit, k) or (near and residue_mac(fit, k, k + 1) > FLAG_MAC and not two_peaks(fit, k)):
+        if is_twin(fit, k) or (near and residue_mac(fit, k, k + 1) > FLAG_MAC and not two_peaks(fit, k) and not two_shapes(fit, k, k + 1)):
             weak, strong = (k, k + 1) if strength[k] < strength[k + 1] else (k + 1, k)
-            out[weak] = float(fit.poles.hz[strong])
+            hz = f"{fit.poles.hz[strong]:.5g} Hz"
+            if residue_mac(fit, k, k + 1) > CLOSE_TWIN_MAC:
+                out[weak] = f"its shape is that of {hz}: one mode at two frequencies between the rows"
+            else:
+                out[weak] = f"it is so close to {hz} that these FRFs do not tell two modes from one that moves between the rows"
     return out
 
 
@@ -166,22 +168,3 @@ def _split_modes(fit: LinearFit, among: list[int], strength: Real, ruled: Real) 
         strong = max(row, key=lambda k: strength[k])
         out |= {k: strong for k in row if k != strong and ruled[k] < HALF}
     return out
-
-
-def rank_share(fit: LinearFit, k: int, rounds: int = 60) -> float:
-    """Weighted part of the residue matrix of mode ``k`` that a rank-one matrix explains, by alternating least squares."""
-    grid = fit.pairs.grid
-    rows, i = np.unique(grid[:, 0], return_inverse=True)
-    columns, j = np.unique(grid[:, 1], return_inverse=True)
-    if min(rows.size, columns.size) == 1:
-        return 1.0
-    residues = np.zeros((rows.size, columns.size), complex)
-    weights = np.zeros(residues.shape)
-    residues[i, j] = fit.residues()[:, k]
-    weights[i, j] = 1 / np.maximum(fit.projection.a_std[:, k], 1e-300) ** 2
-    right: Complex = np.linalg.svd(residues * np.sqrt(weights.mean(axis=1))[:, None], full_matrices=False)[2][0]
-    for _ in range(rounds):
-        left = (residues * weights) @ right.conj() / np.maximum(weights @ np.abs(right) ** 2, 1e-300)
-        right = (residues * weights).T @ left.conj() / np.maximum(weights.T @ np.abs(left) ** 2, 1e-300)
-    lost = float(np.sum(weights * np.abs(residues - np.outer(left, right)) ** 2))
-    return 1 - lost / max(float(np.sum(weights * np.abs(residues) ** 2)), 1e-300)
