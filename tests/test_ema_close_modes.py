@@ -9,11 +9,12 @@ from operando.data import Frf
 from operando.dof import Dof
 from operando.ema import fit_ema
 from operando.ema.choose import is_twin
+from operando.ema.close_pairs import APART_STD, RULES, _pencil, separated
 from operando.ema.doubts import evidence_of_modes
 from operando.ema.fit import model_dofs
 from operando.ema.linear import fit_linear
 from operando.ema.pairs import frf_pairs
-from operando.ema.projection import Poles
+from operando.ema.projection import Poles, basis
 from operando.ema.residue_matrix import MIN_RANK_SHARE, OTHER_MAC, best_shape, residue_matrix, two_shapes
 
 DOFS = ("1+X", "2+X", "3+X", "4+X")
@@ -125,3 +126,69 @@ def test_a_close_pole_that_one_reference_cannot_tell_is_not_said_to_be_of_one_sh
     said = [reason for evidence in found for code, reason in evidence.doubts if code == "twin"]
     assert len(said) == 1
     assert ("its shape is that of" in said[0]) == alike
+
+
+def frf_error(model, coupling, zeta, drive=(0, 3)):
+    """Of the driven FRFs in band, over their norm."""
+    truth = accelerance(*pairs_of_modes(coupling, zeta), list(drive))
+    low, high = BAND
+    inside = (low < F) & (high > F)
+    found = model.frf(F[inside], DOFS, [DOFS[d] for d in drive]).data
+    return np.linalg.norm(found - truth[..., inside]) / np.linalg.norm(truth[..., inside])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("coupling", [200.0, 500.0])
+def test_pairs_within_a_hundredth_of_their_width_have_frequencies_of_their_own(coupling, seed):
+    """0.03 and 0.005 half-power widths (0.07 and 0.01) apart; it was said that there is no mode."""
+    hz, frf = measured(coupling, 0.03, seed)
+    model = fit_ema(frf, band=BAND)
+    assert model.n_modes == 4
+    assert np.max(np.abs(model.frequencies_hz - hz) / model.frequency_std_hz) < 3
+    assert np.max(np.abs(model.damping_ratios - 0.03) / model.damping_ratio_std) < 4
+    assert frf_error(model, coupling, 0.03) < 0.005
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("zeta", [0.03, 0.01])
+def test_a_pair_that_nothing_separates_is_one_mode_and_a_residual_term(zeta, seed):
+    """The upper pair, 7 mHz apart, under 0.5 % noise: the mode covers both, the FRFs are those of both, and a finding says so."""
+    hz, frf = measured(20.0, zeta, seed)
+    model = fit_ema(frf, band=BAND)
+    assert model.n_modes == 3
+    assert np.all(np.abs(model.frequencies_hz[2] - hz[2:]) < 3 * model.frequency_std_hz[2])
+    assert [finding.band_hz for finding in model.findings if finding.kind == "close_pair"]
+    assert "close_pair" in {pole.code for pole in model.details.rejected}
+    assert frf_error(model, 20.0, zeta) < 0.005
+
+
+@pytest.mark.parametrize("times", [0.9, 1.1])
+def test_two_poles_are_apart_by_three_standard_deviations_of_their_distance(two, times):
+    """APART_STD, with residues that are as uncertain as makes them so far apart."""
+    u, _, v = np.linalg.svd(np.random.default_rng(2).standard_normal((8, 3)), full_matrices=False)
+    turn = np.array([[1.0, 0.3], [-0.2, 0.9]])
+    parts = [u[:, :2] @ np.diag(d) @ turn @ v[:2] for d in ([0.7, 0.3], [0.3, 0.7])]
+    fit = with_residues(two, *parts)
+    fit = replace(fit, projection=replace(fit.projection, shifted=np.zeros_like(fit.projection.shifted)))
+    pair = _pencil(fit, (0, 1))
+    distance, std = np.abs(pair.poles[1] - pair.poles[0]), np.hypot(*pair.std)
+    assert distance == pytest.approx(0.4 * np.diff(two.poles.hz)[0], rel=1e-3)
+    scaled = fit.projection.a_std * distance / std / APART_STD / times
+    found = separated(replace(fit, projection=replace(fit.projection, a_std=scaled)))
+    assert found.n_modes == 2
+    assert found.second_shapes == (() if times > 1 else (1,))
+    assert np.diff(found.poles.hz)[0] == pytest.approx(distance if times > 1 else 0.0, rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("times", [0.9, 1.1])
+def test_a_pole_of_two_shapes_is_a_pair_only_where_it_rules(times):
+    """RULES: share of the power of all modes at its own resonance; a background has residues of many shapes, too."""
+    far = moved(0, 0.03, drive=3)
+    u, _, v = np.linalg.svd(np.random.default_rng(2).standard_normal((8, 3)), full_matrices=False)
+    parts = u[:, :2] @ v[:2], np.outer(u[:, 2], v[2])
+    size = np.abs(basis(far.poles.hz[:1], far.poles, 0.0)[0][:, 0])
+    share = times * RULES
+    other = np.sqrt((1 - share) / share * 2) * size[0] / size[1]
+    found = separated(with_residues(far, parts[0], other * parts[1]))
+    assert found.second_shapes == ((1,) if times > 1 else ())
+    assert found.n_modes == 2 + len(found.second_shapes)

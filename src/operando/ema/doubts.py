@@ -102,6 +102,9 @@ def evidence_of_modes(fit: LinearFit) -> list[Evidence]:
             doubts.append(("few_pairs", "only a few pairs speak for it; by all of them it is a part of the model error"))
         if k in weaker:
             doubts.append(("twin", weaker[k]))
+        if k in fit.second_shapes:
+            text = f"a second shape at {fit.poles.hz[k]:.5g} Hz, of a mode too close to the first to have a frequency of its own"
+            doubts.append(("close_pair", text))
         all_doubts.append(doubts)
     for k, strong in _split_modes(fit, [k for k in range(n) if not all_doubts[k]], total, ruled).items():
         all_doubts[k].append(("twin", f"its shape is that of {fit.poles.hz[strong]:.5g} Hz: one mode at several frequencies"))

@@ -173,6 +173,19 @@ def linear_findings(modes: LinearModes, band: tuple[float, float], undriven: int
                 action="local dampers, close modes and modes that move between rows look like this",
             )
         )
+    pairs = [float(h) for h, e in inside if any(code == "close_pair" for code, _ in e.doubts)]
+    if pairs:
+        out.append(
+            Finding(
+                "close_pair",
+                f"the residues of {_at(pairs)} make two shapes: two modes too close to tell their frequencies",
+                "info",
+                band_hz=(0.98 * min(pairs), 1.02 * max(pairs)),
+                consequence="one mode is reported for both, and the second shape is a residual term: FRFs are those of both, and shapes "
+                "are any two of the plane that the two modes span",
+                action="FRFs with less noise, with their coherence, or more lines and references tell more",
+            )
+        )
     out += doubtful_findings(inside)
     if modes.model_error > NOTABLE_ERROR:
         out.append(

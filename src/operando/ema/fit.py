@@ -16,6 +16,7 @@ from operando.ema.band import analysis_band
 from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.choose import ChoiceLog, choose_modes
+from operando.ema.close_pairs import separated
 from operando.ema.doubts import evidence_of_modes, unknown_to
 from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
@@ -294,6 +295,7 @@ def _answer(
     if turned.size:
         pairs = pairs.turned(turned)
         fit = fit.turned(turned)
+    whole, fit = fit, separated(fit)
     evidence = evidence_of_modes(fit)
     mass = unit_mass_shapes(fit, len(job.dofs))
     kept = linear_modes(fit, pairs, job.band, evidence, mass.scaled)
@@ -304,7 +306,7 @@ def _answer(
         found, reason = _polished(job, pairs, fit, log, candidates, runs, fit_band, reason, signs)
     answer = "linear" if found is None else "polished"
     if found is None:
-        found = _linear(job, pairs, fit, log, kept, mass, turned, signs)
+        found = _linear(job, pairs, (fit, whole), log, kept, mass, turned, signs)
     stabilization = _diagram(job, found.fit_band, max_order, found.findings, *found.poles)
     details = EmaDetails(
         stabilization,
@@ -377,17 +379,18 @@ def _polished(
 def _linear(
     job: _Job,
     pairs: Pairs,
-    fit: LinearFit,
+    fits: tuple[LinearFit, LinearFit],
     log: ChoiceLog,
     kept: LinearModes,
     mass: UnitMassShapes,
     turned: NDArray[np.int_],
     signs: DriveResidues,
 ) -> _Outcome:
-    """The linear stage's answer: modes without doubts."""
+    """The linear stage's answer: modes without doubts. The second fit, before close modes were parted, is compared with unused lines."""
+    fit, whole = fits
     misfit, by_row = float("nan"), np.full(len(job.dofs), np.nan)
     if pairs.noise_known:
-        misfit, by_row = heldout_misfit(pairs, fit, job.band, len(job.dofs))
+        misfit, by_row = heldout_misfit(pairs, whole, job.band, len(job.dofs))
     model = linear_model(job.frf, job.dofs, fit, list(kept.evidence), mass, job.band, misfit, bool(job.frf.si and mass.scaled.any()))
     sure = np.array([not e.doubts for e in kept.evidence])
     doubtful = [

@@ -57,6 +57,8 @@ class LinearFit:
     correlation : float
         ν, lines that count as one.
     ends_hz : (float, float)
+    second_shapes : tuple of int
+        Poles that stand for the second shape of the one before them, at its frequency (:mod:`operando.ema.close_pairs`).
     """
 
     pairs: Pairs
@@ -66,6 +68,7 @@ class LinearFit:
     covariance: Real
     correlation: float
     ends_hz: tuple[float, float]
+    second_shapes: tuple[int, ...] = ()
 
     @property
     def n_modes(self) -> int:
