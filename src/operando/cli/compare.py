@@ -73,7 +73,7 @@ def _check_shared(model: Any, runs: list[CheckRun], where: str) -> str:
         If fewer than half of the sensors of the measurement and fewer than half of those of the model are in both: numbers that two
         structures share by chance. A model of few sensors that were all measured is compared.
     """
-    from operando.compare.comparison import shared_dofs
+    from operando.compare.common import shared_dofs
     from operando.data import counted, names_text
 
     of_model, of_measured, shared = shared_dofs(model, [run.frf for run in runs])

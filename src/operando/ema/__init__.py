@@ -2,7 +2,8 @@
 
 from operando.ema.by_hand import poles_by_hand, without_doubts
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
-from operando.ema.fit import EmaDetails, fit_ema
+from operando.ema.details import EmaDetails
+from operando.ema.fit import fit_ema
 from operando.ema.indicator_functions import cmif, mmif
 from operando.ema.lsfd import lsfd
 from operando.ema.plscf import OrderPoles, plscf
