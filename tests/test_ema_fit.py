@@ -166,11 +166,11 @@ def test_roving_hammer(fitted):
 
 def test_input_errors(fitted):
     _, records, frf, _ = fitted
-    with pytest.raises(DataError, match="empty"):
+    with pytest.raises(DataError, match="reversed"):
         fit_ema(frf, band=(50, 20))
     with pytest.raises(IdentificationError):
         fit_ema(frf.band(200, 200.5), band=(200, 200.5))
-    silent = replace(records[0], channels=tuple(replace(c, quantity="acceleration") for c in records[0].channels))
+    silent = replace(records[0], channels=tuple(replace(c, quantity="acceleration", unit="m/s2") for c in records[0].channels))
     with pytest.raises(DataError, match="no force channel"):
         fit_ema(frf, band=(10, 140), records=[silent])
 

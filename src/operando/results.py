@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(repr=False)
+@dataclass(repr=False, eq=False)
 class CheckRun(Short):
     """One set of FRFs measured in operation that the model is compared with.
 

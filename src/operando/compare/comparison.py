@@ -59,8 +59,9 @@ class Comparison(Saved):
     >>> import numpy as np, operando
     >>> idle = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
     >>> other = operando.ModalModel([20.2, 45.0], [0.01, 0.02], idle.shapes, "1+Z, 2+Z", "unit_modal_mass")
-    >>> operando.compare(other, idle.frf(np.arange(5, 80, 0.1), variance=False))
-    <Comparison: level error 0.55 dB; relative error 0.428; 3000 lines, 2 response DOFs>
+    >>> found = operando.compare(other, idle.frf(np.arange(5, 80, 0.1), variance=False))
+    >>> round(found.error_db, 2), round(found.relative_error, 3), found.n_lines
+    (0.55, 0.428, 3000)
     """
 
     error_db: float | None

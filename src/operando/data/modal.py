@@ -105,12 +105,6 @@ class ModalModel(ModalFigures, Noun):
             put(name, value)
         residuals = self.residuals if self.residuals is not None and len(self.residuals) else None
         put("residuals", residuals)
-        if np.any(np.abs(self.damping_ratios) >= 1):
-            worst = int(np.argmax(np.abs(self.damping_ratios)))
-            raise DataError(
-                f"a damping ratio of {self.damping_ratios[worst]:.4g} at {self.frequencies_hz[worst]:.4g} Hz is of no vibration",
-                hint="damping ratios are parts of the critical damping, between -1 and 1: 0.02 for 2 %",
-            )
         if residuals is not None and residuals.shapes.shape[0] != len(self.dofs):
             raise DataError(f"residual terms of {residuals.shapes.shape[0]} DOFs do not belong to modes of {len(self.dofs)} DOFs")
         n = self.n_modes

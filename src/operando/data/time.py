@@ -139,7 +139,7 @@ class TimeRecord(Noun):
     def __post_init__(self) -> None:
         object.__setattr__(self, "data", _samples(self.data))
         object.__setattr__(self, "channels", tuple(self.channels))
-        if not all(isinstance(c, Channel) for c in self.channels):
+        if any(isinstance(c, str | Dof) for c in self.channels):
             hint = 'write operando.Channel("3+Z", "acceleration", "m/s2") for each row'
             raise DataError(f"the channels are {self.channels!r:.100}", where=self.name or None, hint=hint)
         object.__setattr__(self, "findings", tuple(self.findings))
@@ -147,6 +147,8 @@ class TimeRecord(Noun):
             raise DataError(f"{self.data.shape[0]} rows but {len(self.channels)} channel labels", where=self.name or None)
         if not (np.isfinite(self.sampling_hz) and self.sampling_hz > 0):
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
+        if not all(isinstance(c, Channel) for c in self.channels):
+            return  # of a damaged file; its reader says what is wrong
         scales = [stated_unit(c.unit, c.quantity) for c in self.channels]
         if any(unit != c.unit for c, (_, unit, _) in zip(self.channels, scales, strict=True)):
             object.__setattr__(self, "data", _samples(scaled_rows(self.data, [factor for _, _, factor in scales])))

@@ -98,7 +98,7 @@ def apply_effects(
     >>> idle = operando.ModalModel([12.0, 31.0], [0.01, 0.01], shapes, "1+Z, 2+Z", "unit_modal_mass", covariance=known)
     >>> running = operando.Model(idle).add("point_mass@2+Z=mass:0.1").frf(np.arange(5, 45, 0.2), variance=False)
     >>> operando.apply_effects(idle, "point_mass@2+Z", check=running)
-    <Applied: point_mass at 2+Z, 100.0 ± 0.2 g; 4.01 dB before, 0.00 dB after on the hold-out set>
+    <Applied: point_mass at 2+Z, 100.0 ± 0.1 g; 4.01 dB before, 0.00 dB after on the hold-out set>
     """
     expect(idle, ModalModel, "effects are added to idle modes", "fit_ema(frf) gives them")
     if idle.scaling != "unit_modal_mass" or not idle.si:

@@ -271,7 +271,7 @@ def diagnose(
     >>> running = operando.Model(idle).add("point_mass@2+Z=mass:0.1").frf(np.arange(5, 45, 0.2), variance=False)
     >>> found = operando.diagnose(idle, check=running, kinds="point_mass")
     >>> found
-    <Diagnosis: explained; point_mass at 2+Z, 100.0 ± 0.2 g; 0.00 dB on the hold-out set; 3 notes>
+    <Diagnosis: explained; point_mass at 2+Z, 100.0 ± 0.1 g; 0.00 dB on the hold-out set; 4 notes>
     >>> round(found.effects[0].values["mass"], 3)
     0.1
     """

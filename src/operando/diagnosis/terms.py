@@ -62,6 +62,7 @@ class FreeLaw(EffectKind):
 
 FREE_LAW = FreeLaw()
 
+_HELD = 1e-5  # standard deviation on the search scale of a value that is held by hand; a likely size found beside it has its own
 _STEP = 1e-5  # of a value on its search scale, for derivatives of a law: error of second order, 1e-10
 
 
@@ -186,8 +187,9 @@ class Term:
         """With units, place and standard deviations; ``midway`` are the positions of DOFs without a sensor."""
         definition = self.definition
         numbered = list(enumerate(zip(definition.parameters, std, strict=True)))
-        spread = {p.name: abs(self.slope(i, band)) * float(s) for i, (p, s) in numbered if i not in self.fixed}
-        held = tuple(p.name for i, (p, _) in numbered if i in self.fixed)
+        kept = [i for i, (_, s) in numbered if i in self.fixed and s < _HELD]
+        spread = {p.name: abs(self.slope(i, band)) * float(s) for i, (p, s) in numbered if i not in kept}
+        held = tuple(p.name for i, (p, _) in numbered if i in kept)
         place = self.places[:1] if definition.coordinates == "node" else self.places
         removed = definition.removable and self.sign < 0
         values, position = self.sizes(band), midway.get(place[0]) if place else None
