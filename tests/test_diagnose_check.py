@@ -8,6 +8,7 @@ import pytest
 from operando.cli.diagnose import steps_table
 from operando.data import Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose
+from operando.diagnosis.terms import _HELD, Term
 from operando.dof import Dof
 from operando.errors import IdentificationError, MissingError
 from operando.pipeline.by_hand import model_now
@@ -164,6 +165,13 @@ def test_a_held_removed_effect_is_said_to_be_removed_and_has_no_interval(chain, 
     assert "+ removed point_mass 5+Z" in steps_table(held["ladder"])
 
 
+@pytest.mark.parametrize(("std", "held"), [(0.9 * _HELD, True), (1.1 * _HELD, False)])
+def test_a_value_held_by_hand_has_no_interval_and_one_that_is_likely_keeps_it(std, held):
+    effect = Term("point_mass", (0,), (0.0,), fixed=(0,)).effect(DOFS, [std], (5.0, 60.0), {})
+    assert ("mass" not in effect.std) is held
+    assert (effect.fixed == ("mass",)) is held
+
+
 @pytest.fixture
 def inerter():
     class Inerter(EffectKind):
@@ -197,9 +205,15 @@ def test_kinds_of_ones_own_that_nobody_asked_for_are_named(chain, idle, inerter)
 def test_a_refit_that_fails_is_refused(chain, idle, inerter, monkeypatch):
     monkeypatch.setattr("operando.diagnosis.by_hand._PARTS", ())
     check = [running(chain, [0, 3], stiffness=2e4 * at(2, 4))]
+    effects = ["coupling_spring@3+Z,5+Z=stiffness:2e4", "inerter_for_test@3+Z,5+Z=inertance:50"]
     with pytest.raises(IdentificationError, match="the refit failed: with inerter_for_test") as refused:
-        apply_effects(idle, ["coupling_spring@3+Z,5+Z=stiffness:2e4", "inerter_for_test@3+Z,5+Z=inertance:50"], check=check)
+        apply_effects(idle, effects, check=check)
     assert "start values" in refused.value.hint
+    left, without = (
+        float(part.split()[0]) for part in str(refused.value).replace(",", " ").split("chi-square of ")[1].split("without it ")
+    )
+    monkeypatch.setattr("operando.diagnosis.by_hand._FAILED", 1.1 * left / max(without, 1.0))
+    assert len(apply_effects(idle, effects, check=check).effects) == 2  # no farther off than the limit allows
 
 
 def test_model_of_the_diagnosis_predicts_the_running_structure(chain, idle):

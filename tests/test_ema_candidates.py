@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from operando.ema.candidates import candidate_poles, stabilization_diagram
-from operando.ema.second_opinion import second_opinion
+from operando.ema.second_opinion import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE, second_opinion
 from operando.errors import DataError, IdentificationError
 from structures import Chain
 
@@ -121,6 +121,16 @@ def test_bookcase_has_its_three_modes():
     H = np.load(DATA / "bookcase" / "frf.npz")["data"].T[:, None, :]
     found = [c.frequency_hz for c in candidate_poles(np.arange(1601) / 16, H, band=(15, 80)) if c.prominent]
     np.testing.assert_allclose(found, [21.4, 50.0, 68.3], rtol=0.005)
+
+
+@pytest.mark.parametrize(("of_limit", "agrees"), [(0.9, True), (1.1, False)])
+def test_a_second_opinion_agrees_within_its_tolerances(of_limit, agrees):
+    chain = Chain(6, zeta=0.01)
+    f = np.arange(10, 160, 0.25)
+    H = chain.accelerance(f, ref=[0])
+    [off_hz] = second_opinion(f, H, chain.hz[1:2] * (1 + of_limit * FREQUENCY_TOLERANCE), chain.zeta[1:2], references=["1+Z"])
+    [off_damping] = second_opinion(f, H, chain.hz[1:2], chain.zeta[1:2] / (1 + of_limit * DAMPING_TOLERANCE), references=["1+Z"])
+    assert (off_hz["agrees"], off_damping["agrees"]) == (agrees, agrees)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.07])

@@ -13,7 +13,7 @@ from operando import estimate_frf
 from operando.data import Channel, TimeRecord
 from operando.dof import Dof
 from operando.errors import DataError
-from operando.frf import check_frf, is_periodic
+from operando.frf import check_frf, excitation, is_periodic
 from operando.frf.periodic import clock_drift, excited_lines, period_of, periodic_frf, steady_periods
 from operando.quality import check_record
 from structures import Chain
@@ -130,6 +130,20 @@ def test_distortion_below_what_sensors_can_tell_is_a_remark():
     record = shaken(Chain(4, zeta=0.02), [1], multisine(rng)[None], 10, rng, noise=0.0003, distortion=0.005)
     (told,) = [f for f in estimate_frf(record).findings if f.kind == "nonlinear_distortion"]
     assert told.severity == "info"
+
+
+@pytest.mark.parametrize(("name", "of_limit", "severity"), [
+    ("MATTERS_DB", 3.0, "info"), ("MATTERS_DB", -3.0, "warning"), ("CLEAR", 1.3, "info"), ("CLEAR", 0.7, "warning"),
+])  # fmt: skip
+def test_distortion_is_a_warning_where_it_is_large_and_clear_of_the_noise(monkeypatch, name, of_limit, severity):
+    """3 % of the response, 30 dB below it: either side of each limit."""
+    assert (excitation.MATTERS_DB, excitation.CLEAR) == (-40.0, 10.0)
+    rng = np.random.default_rng(0)
+    record = shaken(Chain(4, zeta=0.02), [1], multisine(rng)[None], 10, rng, noise=0.002, distortion=0.03)
+    size = lambda: next(f for f in estimate_frf(record).findings if f.kind == "nonlinear_distortion")  # noqa: E731
+    below, above = (float(x.split(" dB")[0].split()[-1]) for x in (size().message, size().message.split("(largest), ")[1]))
+    monkeypatch.setattr(excitation, name, -below + of_limit if name == "MATTERS_DB" else of_limit * 10 ** (above / 10))
+    assert size().severity == severity
 
 
 def test_distortion_of_a_nonlinear_chain_is_what_other_phases_scatter_by():

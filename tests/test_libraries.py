@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import measurements
 import operando
 from operando.cli import main
 from operando.contrib import LibraryComparison, compare_libraries, library_rows
+from operando.ema.second_opinion import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE
 from operando.errors import DataError
+from operando.oma.pyoma import AGREE_HZ, AGREE_MAC, AGREE_STD
 from operando.pipeline import run
 
 
@@ -63,6 +66,9 @@ def test_objects_are_fitted_and_timed_here(results):
     assert compared.own_seconds > 0
     assert [m.frequency_hz for m in compared.modes] == pytest.approx(results.idle.frequencies_hz, rel=1e-3)
     assert "agrees on" in repr(compared)
+    assert f"frequency within {100 * FREQUENCY_TOLERANCE:g} %, damping within {100 * DAMPING_TOLERANCE:g} %" in compared.rule
+    in_operation = replace(compared, state="operating").rule
+    assert f"{AGREE_STD:g} standard deviations or {100 * AGREE_HZ:g} %, MAC {AGREE_MAC:g} at least" in in_operation
     assert compared._repr_html_().startswith("<table>")
     with pytest.raises(DataError, match="nothing to compare"):
         compare_libraries()

@@ -13,7 +13,9 @@ import pytest
 
 import operando
 from operando.data import Frf, ModalModel, TimeRecord
+from operando.data.frf import ROUNDING
 from operando.errors import DataError, IdentificationError
+from operando.frf import averaged
 
 LINES = np.arange(5, 80, 0.1)
 IDLE = ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
@@ -52,6 +54,10 @@ def test_values_that_cannot_be_are_refused(given: dict[str, Any], words: str) ->
 def test_rounding_of_coherence_and_variance_is_allowed() -> None:
     frf = Frf(np.ones((1, 1, 2)), [1, 2], "1+X", "1+X", variance=np.array([[[1.0, -1e-9]]]), coherence=np.array([[[1.00001, np.nan]]]))
     assert frf.variance is not None
+    one = np.ones((1, 1, 2))
+    assert Frf(one, [1, 2], "1+X", "1+X", coherence=one + 0.9 * ROUNDING).coherence is not None
+    with pytest.raises(DataError, match="coherence"):
+        Frf(one, [1, 2], "1+X", "1+X", coherence=one + 1.1 * ROUNDING)
 
 
 def test_a_coherence_that_cannot_be_is_left_out_of_a_file(tmp_path: Path) -> None:
@@ -138,6 +144,16 @@ def test_the_bias_by_noise_on_the_responses_is_said(estimator: str, said: bool) 
     for finding in found:
         assert "of the FRFs, on average" in finding.message
         assert estimator.capitalize() in (finding.consequence or "")
+
+
+@pytest.mark.parametrize(("of_limit", "said"), [(0.8, True), (1.25, False)])
+def test_a_bias_is_said_from_three_standard_deviations_on(monkeypatch: pytest.MonkeyPatch, of_limit: float, said: bool) -> None:
+    assert averaged.BIASED == 9.0
+    noisy = lambda: operando.estimate_frf(noisy_record(motion_noise=0.3), estimator="h2", block_seconds=10.0)  # noqa: E731
+    [finding] = [f for f in noisy().findings if f.kind == "biased_estimator"]
+    times = float(finding.message.split("on average ")[1].split(" times")[0])
+    monkeypatch.setattr(averaged, "BIASED", of_limit * times**2)
+    assert ("biased_estimator" in {f.kind for f in noisy().findings}) is said
 
 
 def test_h2_without_noise_is_not_said_to_be_biased() -> None:

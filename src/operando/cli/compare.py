@@ -88,7 +88,7 @@ def _check_shared(model: Any, runs: list[CheckRun], where: str) -> str:
 
 
 def _text(what: str, errors: dict[str, Any], output: str | None) -> str:
-    from operando.cli.summary import floor_text
+    from operando.compare.verdict import floor_text
 
     number = lambda v, digits=2: "-" if v is None else f"{v:.{digits}f}"  # noqa: E731
     low, high = errors["by_band"][0]["band_hz"][0], errors["by_band"][-1]["band_hz"][1]

@@ -143,7 +143,7 @@ def headline(results: Results) -> str:
 
 def comparison_table(comparison: dict[str, Any]) -> str:
     """Error measures of all models."""
-    from operando.compare.verdict import FLOOR_DB
+    from operando.compare.verdict import FLOOR_DB, floor_text
 
     beyond = any((m["noise_floor_db"] or 0) > FLOOR_DB for m in comparison["models"].values())
     rows = [
@@ -157,13 +157,6 @@ def comparison_table(comparison: dict[str, Any]) -> str:
     if beyond:
         head += f"\nfloor > {FLOOR_DB:g} dB: uncertainties so large have no meaning in dB; the reduced χ² says whether there is an error"
     return head + (f"\nagainst {', '.join(on['runs'])}, level {on['level_name']}, {_lines(comparison)}" if on else "")
-
-
-def floor_text(floor: float | None) -> str:
-    """A noise floor in dB, as far as dB hold for uncertainties of its size."""
-    from operando.compare.verdict import FLOOR_DB
-
-    return f"> {FLOOR_DB:g}" if floor is not None and floor > FLOOR_DB else _fixed(floor, 2)
 
 
 def _lines(comparison: dict[str, Any]) -> str:

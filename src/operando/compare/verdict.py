@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 GOOD = 1.5
@@ -11,7 +12,8 @@ PARTLY = 0.8
 """Part of the idle model's chi-square that the effects of ``partial`` explain (contract)."""
 
 FLOOR_DB = 3.0
-"""Noise floor above which nothing can be said to be missing or not: FRFs that are known to a factor of √2 only."""
+"""Noise floor above which dB have no meaning: FRFs that are known to a factor of √2 only. Of records by level, whose diagnosis states no
+sizes that would have been found, nothing can be said to be missing or not above it."""
 
 
 def verdict_of(
@@ -50,3 +52,10 @@ def floor_reason(noise_floor_db: float | None) -> str | None:
         return None
     floor = f"the noise floor (measurement and idle model together) is {noise_floor_db:.3g} dB"
     return f"{floor}, and above {FLOOR_DB:g} dB an agreement says nothing"
+
+
+def floor_text(floor: float | None, none: str = "-") -> str:
+    """A noise floor in dB, as far as dB hold for uncertainties of its size; ``none`` where there is none."""
+    if floor is None or not math.isfinite(floor):
+        return none
+    return f"> {FLOOR_DB:g}" if floor > FLOOR_DB else f"{floor:.2f}"

@@ -15,6 +15,7 @@ from operando.ema import fit_ema, second_opinion
 from operando.ema.second_opinion import DAMPING_TOLERANCE, FREQUENCY_TOLERANCE
 from operando.errors import DataError
 from operando.oma import beside_pyoma, fit_oma
+from operando.oma.pyoma import AGREE_HZ, AGREE_MAC, AGREE_STD
 from operando.threads import one_blas_thread
 
 _EMA = ("sdypy-EMA", "LSCF, one reference at a time; of each mode the reference that drives it most and shows it")
@@ -22,7 +23,8 @@ _OMA = ("pyOMA-2", "SSI-cov, no weights, the same references, block rows and ord
 
 _RULES = {
     "idle": f"agrees: frequency within {100 * FREQUENCY_TOLERANCE:g} %, damping within {100 * DAMPING_TOLERANCE:g} %, whatever the MAC",
-    "operating": "agrees: frequency within three standard deviations or 0.2 %, MAC 0.9 at least, whatever the damping",
+    "operating": f"agrees: frequency within {AGREE_STD:g} standard deviations or {100 * AGREE_HZ:g} %, MAC {AGREE_MAC:g} at least, "
+    "whatever the damping",
 }
 
 

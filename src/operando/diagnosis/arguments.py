@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Frf, ModalModel, band_limits, several
+from operando.data import Frf, ModalModel, positive_band, several
 from operando.dof import match_dofs, parse_dofs
 from operando.errors import DataError
 from operando.limits import LEAST_LINES
@@ -79,11 +79,11 @@ def band_asked(band: Any, frf: Frf) -> tuple[float, float] | None:
     Raises
     ------
     DataError
-        If it is no pair of frequencies, or the FRFs have too few lines there.
+        If it is no band, or the FRFs have too few lines there.
     """
     if band is None:
         return None
-    low, high = band_limits(band)
+    low, high = positive_band(band)
     f = frf.frequencies_hz
     count = int(np.sum((f > 0) & (f >= low) & (f <= high)))
     if count < LEAST_LINES:

@@ -101,8 +101,11 @@ def _read_table(path: Path, units: Units | None, channels: ChannelSpecs | None, 
         text = _decoded(stream.read(), where)
     head = _head(text, where)
     comments = head.comments
-    if described_structure([_split_name(name)[0] for name in head.names if name]) == NODES:
+    what = described_structure(head.heads)
+    if what == NODES:
         return _nodes(text, head, path, units)
+    if what:
+        raise NoMeasurement(what, head.heads, where)
     names, texts, table = _table(text, head, where, units)
     del text
     if is_frf_table(names):
@@ -223,6 +226,11 @@ class _Head(NamedTuple):
     position: int
     length: int
 
+    @property
+    def heads(self) -> list[str]:
+        """Names of the columns without their units."""
+        return [_split_name(name)[0] for name in self.names if name]
+
 
 def _head(text: str, where: str) -> _Head:
     """The header line, and what it and the first rows say of the table."""
@@ -268,12 +276,9 @@ def _table(text: str, head: _Head, where: str, units: Units | None) -> tuple[lis
     rest = text[head.position :]
     if all(_is_number(part.replace(",", ".")) for part in names if part):
         return _without_header(_numbers(text[head.position - head.length :], delimiter, decimal, where).T, where, units)
-    heads = [_split_name(name)[0] for name in names if name]
-    if what := described_structure(heads):
-        raise NoMeasurement(what, heads, where)
     numbers = _numbers(rest, delimiter, decimal, where)
-    if what := described_structure(heads, numbers):
-        raise NoMeasurement(what, heads, where)
+    if what := described_structure(head.heads, numbers):
+        raise NoMeasurement(what, head.heads, where)
     if numbers.shape[1] < len(names) and not any(names[numbers.shape[1] :]):
         names = names[: numbers.shape[1]]
     if numbers.shape[1] > len(names):

@@ -15,6 +15,9 @@ from operando.errors import MissingError
 from operando.indicators import mac
 from operando.stabilization import Tolerances, classify, select_modes
 
+AGREE_STD, AGREE_HZ, AGREE_MAC = 3.0, 0.002, 0.9
+"""Of one mode by two programs: frequencies within so many standard deviations or so large a part of them, and the MAC at least."""
+
 MEMORY_BYTES = 1e9
 """pyOMA-2 holds 2·block rows·channels·samples numbers; the record is cut to what fits here."""
 
@@ -125,8 +128,8 @@ def second_opinion(
         j = int(np.argmax(np.where(near, likeness[i], -1)))
         free[j] = False
         apart = other.selected_hz[j] - hz[i]
-        allowed = max(3 * float(std_hz[i]) if std_hz is not None else 0.0, 0.002 * hz[i])
-        agrees = bool(abs(apart) <= allowed and likeness[i, j] >= 0.9)
+        allowed = max(AGREE_STD * float(std_hz[i]) if std_hz is not None else 0.0, AGREE_HZ * hz[i])
+        agrees = bool(abs(apart) <= allowed and likeness[i, j] >= AGREE_MAC)
         damping = 100 * (other.selected_damping[j] / zeta[i] - 1)
         text = f"pyOMA-2 (SSI-cov, {used} samples): {apart:+.3g} Hz, damping ratio {damping:+.3g} %, MAC {likeness[i, j]:.3f}"
         out.append(_row(hz[i], other.selected_hz[j], zeta[i], other.selected_damping[j], likeness[i, j], agrees, text))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from operando.compare.verdict import FLOOR_DB
+from operando.compare.verdict import floor_text
 from operando.printable import printable
 from operando.report import text
 
@@ -131,13 +131,9 @@ def environment() -> Environment:
     )  # fmt: skip
     names = ("band_text", "count", "decibel", "finite", "fixed", "listing", "number", "percent", "plain", "plus_minus", "short_names")
     made.globals |= {name: getattr(text, name) for name in names}
-    made.globals |= {f.__name__: f for f in (at, left_out, some, capital, words, tail, hz_list, csv_link, floor_text)} | {"DASH": text.DASH}
+    made.globals |= {f.__name__: f for f in (at, left_out, some, capital, words, tail, hz_list, csv_link)}
+    made.globals |= {"DASH": text.DASH, "floor_text": functools.partial(floor_text, none=text.DASH)}
     return made
-
-
-def floor_text(floor: float | None) -> str:
-    """A noise floor [dB] as far as dB hold for uncertainties of its size."""
-    return f"> {FLOOR_DB:g}" if text.finite(floor) and float(floor or 0) > FLOOR_DB else text.fixed(floor, 2)
 
 
 def shown(value: Any) -> Any:
