@@ -149,7 +149,8 @@ def test_the_bias_by_noise_on_the_responses_is_said(estimator: str, said: bool) 
 @pytest.mark.parametrize(("of_limit", "said"), [(0.8, True), (1.25, False)])
 def test_a_bias_is_said_from_three_standard_deviations_on(monkeypatch: pytest.MonkeyPatch, of_limit: float, said: bool) -> None:
     assert averaged.BIASED == 9.0
-    noisy = lambda: operando.estimate_frf(noisy_record(motion_noise=0.3), estimator="h2", block_seconds=10.0)  # noqa: E731
+    record = noisy_record(motion_noise=0.3)
+    noisy = lambda: operando.estimate_frf(record, estimator="h2", block_seconds=10.0)  # noqa: E731
     [finding] = [f for f in noisy().findings if f.kind == "biased_estimator"]
     times = float(finding.message.split("on average ")[1].split(" times")[0])
     monkeypatch.setattr(averaged, "BIASED", of_limit * times**2)
