@@ -20,7 +20,7 @@ from operando.frf import (
     opposed_dofs,
     reciprocity_error,
 )
-from operando.frf.cut_off import LEAST, with_whole_decays
+from operando.frf.cut_off import LEAST, cut_off_modes
 from operando.frf.impact import REMAINING, impact_blocks
 from structures import Chain
 from test_frf_estimate import FS, make_record, relative, sampled_accelerance, simulate
@@ -141,9 +141,9 @@ def test_what_blocks_cut_off_and_what_rings_into_them_is_put_right(zeta, left, m
         return np.abs(frf.data - sampled_accelerance(chain, frf.frequencies_hz, FS, range(4), [0])) ** 2, frf.variance
 
     error, variance = squares(noisy)
-    assert np.mean(error) < 1.5 * np.mean(variance)
+    assert 0.7 * np.mean(variance) < np.mean(error) < 1.5 * np.mean(variance)
     after = np.sum(squares(exact)[0])
-    monkeypatch.setattr("operando.frf.averaged.with_whole_decays", lambda f, h, *rest: (h, []))
+    monkeypatch.setattr("operando.frf.averaged.cut_off_modes", lambda *given: [])
     assert after < 1e-3 * np.sum(squares(exact)[0])
     assert np.mean(squares(noisy)[0]) > 1.3 * np.mean(error)
 
@@ -169,9 +169,26 @@ def test_a_peak_that_keeps_next_to_nothing_is_left_as_it_is(left, touched):
     h = 1 / (2j * np.pi * (hz - 100.3) - np.log(left))[None]
     force = np.zeros(1000)
     force[0] = 1.0
-    out, said = with_whole_decays(hz, h, np.full(h.shape, 1e-12), force, np.array([0]), 1000, 1000.0)
-    assert bool(said) == touched
-    assert (out is h) != touched
+    assert bool(cut_off_modes(hz, h, np.full(h.shape, 1e-12), force, np.array([0]), 1000, 1000.0)) == touched
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_only_poles_inside_the_lines_they_are_fitted_to_are_put_right(seed):
+    """A mode two hertz below a peak bends the lines around it: a second pole describes the bend, and lies where nothing was fitted."""
+    rng, fs, block = np.random.default_rng(seed), 512.0, 3262
+    hz = np.arange(20 * block // 512, 60 * block // 512) * fs / block
+    truth = np.array([-np.pi * width + 2j * np.pi * f for f, width in ((31.91, 0.58), (33.82, 0.31), (36.2, 0.375))])
+    residues = rng.standard_normal((12, 3)) * [0.3, 0.5, 0.3]
+    h = residues @ (1 / (2j * np.pi * hz - truth[:, None]))
+    noise = 1e-3 * np.sqrt(np.mean(np.abs(h) ** 2))
+    h = h + noise / np.sqrt(2) * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    starts = 200 + block * np.arange(5)
+    force = np.zeros(starts[-1] + block + 200)
+    force[starts + 20] = rng.uniform(80, 120, 5)
+    found = cut_off_modes(hz, h, np.full(h.shape, noise**2), force, starts, block, fs)
+    assert found
+    for mode in found:
+        assert np.min(np.abs(mode.pole - truth) / np.abs(truth.real)) < 0.05
 
 
 def test_a_peak_is_one_line_wide_where_a_block_ends_at_the_largest_share():

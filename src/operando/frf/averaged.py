@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from operando.data import Finding
 from operando.dof import Node
 from operando.errors import DataError
-from operando.frf.cut_off import with_whole_decays
+from operando.frf.cut_off import cut_off_modes, with_whole_decays
 from operando.frf.estimators import estimate
 from operando.frf.impact import ImpactBlocks, impact_spectra
 from operando.frf.inputs import RunInput
@@ -75,14 +76,18 @@ def averaged_run(
             finite=bool(record.statistics.finite[[*run.forces, *run.responses]].all()),
         )
         how = f"block_seconds={block / record.sampling_hz:g}, overlap={share:g}, window={window!r}"
-    h, variance, coherence, condition, inverse = estimate(spectra, estimator)
-    if spectra.averages <= len(run.forces):
-        variance = roughness_variance(h, force_power=np.real(np.einsum("jjl->jl", spectra.force)))
-        coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
+    h, variance, coherence, condition, inverse = _estimated(spectra, estimator, len(run.forces))
     if blocks is not None and not rate:
         force = np.asarray(record.data[run.forces[0]], float) - blocks.hits.offset
-        h[:, 0], put_right = with_whole_decays(spectra.frequencies_hz, h[:, 0], variance[:, 0], force, used, block, record.sampling_hz)
-        how += "".join(f", cut off at {hz:.4g} Hz and put back: {100 * part:.1g} %" for hz, part in put_right if part > _SAID)
+        modes = cut_off_modes(spectra.frequencies_hz, h[:, 0], variance[:, 0], force, used, block, record.sampling_hz)
+        if modes:
+            # Averaged again: what hits cut off and leave differs from hit to hit, and is no noise.
+            data = np.array(record.data, float)
+            data[list(run.responses)] = with_whole_decays(data[list(run.responses)], modes, used, block, record.sampling_hz)
+            whole = replace(record, data=data)
+            spectra, _ = impact_spectra(whole, run.forces[0], run.responses, blocks, window=window or "", end=end, lines=lines, bad=run.bad)
+            h, variance, coherence, condition, inverse = _estimated(spectra, estimator, len(run.forces))
+        how += "".join(f", cut off at {m.peak_hz:.4g} Hz and put back: {100 * m.part:.1g} %" for m in modes if m.part > _SAID)
     with np.errstate(divide="ignore"):
         gain = spectra.averages / inverse
     findings = (*run.findings, *_average_findings(run, spectra, condition), *_bias_findings(run, spectra, estimator, h, variance))
@@ -105,6 +110,15 @@ def averaged_run(
         findings=findings,
         provenance=record.provenance.then(f"estimate_frf(estimator={estimator!r}, {how}, averages={spectra.averages:.3g})"),
     )
+
+
+def _estimated(spectra: CrossSpectra, estimator: str, n_forces: int) -> tuple[Any, ...]:
+    """FRFs, their variance, coherence, condition and inverse of the force matrix; with one average the variance from neighbouring lines."""
+    h, variance, coherence, condition, inverse = estimate(spectra, estimator)
+    if spectra.averages <= n_forces:
+        variance = roughness_variance(h, force_power=np.real(np.einsum("jjl->jl", spectra.force)))
+        coherence = coherence_of(h, variance, spectra.averages).min(axis=1)
+    return h, variance, coherence, condition, inverse
 
 
 def _with_bad_samples_if_need_be(run: RunInput, starts: np.ndarray, block: int) -> RunInput:

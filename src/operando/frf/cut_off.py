@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,18 @@ _EXPLAINED = 30.0  # the same, above which nothing is put right
 _PASSES = 3  # each takes the error down by the part that is cut off
 
 
-def with_whole_decays(
+@dataclass(frozen=True)
+class CutOff:
+    """One mode of which blocks hold too little, and too much from the hits before."""
+
+    peak_hz: float
+    pole: complex  # [rad/s]
+    residues: Array  # of the FRFs (n_responses,)
+    part: float  # of the amplitude at its peak that is wrong in the average
+    states: Array  # motion before each block less that at its end (n_blocks,)
+
+
+def cut_off_modes(
     frequencies_hz: ArrayLike,
     h: Array,
     variance: Array,
@@ -27,8 +40,8 @@ def with_whole_decays(
     starts: NDArray[np.intp],
     block: int,
     sampling_hz: float,
-) -> tuple[Array, list[tuple[float, float]]]:
-    """FRFs of hits without the error of what their blocks cut off, and of what rings into them from the hits before.
+) -> list[CutOff]:
+    """The modes whose decays blocks at hits cut off, and which ring into them from the hits before.
 
     Of a mode with the pole p = exp(λΔt), whose motion is y[n] = p·y[n−1] + f[n], a block of N samples from s holds
 
@@ -53,9 +66,8 @@ def with_whole_decays(
 
     Returns
     -------
-    h : (n_responses, n_lines) array
-    said : list of (float, float)
-        Of each peak put right its frequency [Hz], and the part of its amplitude that was wrong.
+    list of CutOff
+        By frequency; empty where every peak has decayed.
     """
     from scipy.signal import lfilter
 
@@ -63,24 +75,40 @@ def with_whole_decays(
     seconds = block / sampling_hz
     peaks = [p for p in resonance_peaks(f, h[:, None], variance[:, None]) if np.exp(-np.pi * p.bandwidth_hz * seconds) > LEAST]
     if not peaks:
-        return h, []
+        return []
     lines = np.rint(f * seconds).astype(int)
     spectra = np.array([np.fft.rfft(force[s : s + block])[lines] for s in starts])
     power = np.maximum(np.sum(np.abs(spectra) ** 2, axis=0), 1e-300)
-    out, said = h, {}
+    out, found = h, list[CutOff]()
     for _ in range(_PASSES):
-        wrong = np.zeros_like(h)
+        wrong, found = np.zeros_like(h), []
         for peak in peaks:
-            for pole, residue in _poles_and_residues(f, out, variance, peak, peaks, max(_WIDTHS * peak.bandwidth_hz, _LINES / seconds)):
+            for pole, residues in _poles_and_residues(f, out, variance, peak, peaks, max(_WIDTHS * peak.bandwidth_hz, _LINES / seconds)):
                 if not pole.real < 0 or np.exp(pole.real * seconds) < LEAST or not f[0] <= pole.imag / (2 * np.pi) <= f[-1]:
                     continue
                 p = np.exp(pole / sampling_hz)
                 y = np.append(lfilter([1.0], [1.0, -p], force.astype(complex)), 0.0)  # the motion before the first sample is none
-                part = (p * (y[starts - 1] - y[starts + block - 1])) @ spectra.conj() / power
-                wrong += residue[:, None] * part / (2j * np.pi * f - pole)
-                said[peak.frequency_hz] = float(np.abs(np.interp(peak.frequency_hz, f, np.abs(part))))
+                states = y[starts - 1] - y[starts + block - 1]
+                part = (p * states) @ spectra.conj() / power
+                wrong += residues[:, None] * part / (2j * np.pi * f - pole)
+                at_peak = float(np.abs(np.interp(peak.frequency_hz, f, np.abs(part))))
+                found.append(CutOff(peak.frequency_hz, pole, residues, at_peak, states))
         out = h - wrong
-    return out, sorted(said.items())
+    return sorted(found, key=lambda c: c.peak_hz)
+
+
+def with_whole_decays(responses: Array, modes: Sequence[CutOff], starts: NDArray[np.intp], block: int, sampling_hz: float) -> Array:
+    """Responses (n, n_samples) whose blocks hold the whole decays of their own hits, and nothing of the hits before: in place.
+
+    The error of a block, p·(y[s−1] − y[s+N−1])/(1 − p/z) at its lines, is in time the decay pⁿ⁺¹/(1 − p^N) of the same state.
+    """
+    n = np.arange(block)
+    for mode in modes:
+        p = np.exp(mode.pole / sampling_hz)
+        decay = p ** (n + 1) / (1 - p**block) / sampling_hz
+        for start, state in zip(starts, mode.states, strict=True):
+            responses[:, start : start + block] -= 2 * np.real(np.outer(mode.residues, state * decay))
+    return responses
 
 
 def _poles_and_residues(f: Array, h: Array, variance: Array, peak: Peak, peaks: list[Peak], far: float) -> list[tuple[complex, Array]]:
@@ -126,8 +154,10 @@ def _poles_and_residues(f: Array, h: Array, variance: Array, peak: Peak, peaks: 
         squares, poles, residues = two if hidden else (squares, poles, residues)
     if squares > _EXPLAINED * free:
         return []
-    its = [k for k in range(1 + hidden) if peak is min(peaks, key=lambda q: abs(poles[k].imag - 2 * np.pi * q.frequency_hz))]
-    return [(complex(poles[k]), residues[k]) for k in its]
+    # A pole outside the stretch is an extrapolation: it describes what the parabola does not, and says nothing where it lies.
+    at = poles[: 1 + hidden].imag / (2 * np.pi)
+    own = [peak is min(peaks, key=lambda q: abs(hz - q.frequency_hz)) and abs(hz - peak.frequency_hz) < far for hz in at]
+    return [(complex(poles[k]), residues[k]) for k in np.flatnonzero(own)]
 
 
 def _start(peak: Peak, aside: float) -> complex:
