@@ -10,9 +10,22 @@ import pytest
 
 from nonlinear_truth import Strip, measure_many, place
 from operando.compare.verdict import GOOD
-from operando.data import ModalModel
+from operando.data import ModalModel, TimeRecord
 from operando.diagnosis import diagnose_records
-from operando.diagnosis.records import DISCREPANCY, SearchStep, Sets, Tried, conclude, examine, make_case, rank_places, too_fast, weighed
+from operando.diagnosis.records import (
+    DISCREPANCY,
+    SearchStep,
+    Sets,
+    Tried,
+    conclude,
+    contradicted,
+    examine,
+    linear_law,
+    make_case,
+    rank_places,
+    too_fast,
+    weighed,
+)
 from operando.structure import ForceLaw
 from operando.structure.effects import Effect
 
@@ -89,11 +102,55 @@ def test_residual_modes_far_below_the_band_say_nothing_there():
     assert found.simulation["gain_db"] > 15
 
 
+def moved_as(idle: ModalModel, record: TimeRecord) -> TimeRecord:
+    """The record with the responses that the model makes of its force."""
+    hz = np.fft.rfftfreq(record.n_samples, 1 / record.sampling_hz)
+    force = record.data[record.force_indices[0]]
+    frf = idle.frf(hz, idle.dofs, [record.channels[record.force_indices[0]].dof], "accelerance").data[:, 0]
+    noise = 0.02 * np.random.default_rng(2).standard_normal((frf.shape[0], record.n_samples))
+    moved = np.fft.irfft(np.nan_to_num(frf) * np.fft.rfft(force), record.n_samples)
+    return replace(record, data=np.vstack([force, moved + noise]))
+
+
 def test_residual_modes_that_carry_the_structure_count():
-    idle = with_low_residuals(STRIP.idle(), 2.0)
-    modes = make_case(idle, records()[:2]).modes
-    assert not np.any(modes.spurious(place(STRIP, 4), 5.0))
-    assert np.any(make_case(with_low_residuals(STRIP.idle(), 0.02), records()[:2]).modes.spurious(place(STRIP, 4), 5.0))
+    b = place(STRIP, 4)
+    for size in (2.0, 0.02):
+        idle = with_low_residuals(STRIP.idle(), size)
+        stands = make_case(idle, records()[:2]).modes
+        assert np.any(stands.spurious(b, 5.0))
+        assert np.any(replace(stands, grounded=False).spurious(b, 5.0)) == (size < 1)
+    floats = with_low_residuals(STRIP.idle(), 2.0)
+    assert not np.any(make_case(floats, [moved_as(floats, r) for r in records()[:2]]).modes.spurious(b, 5.0))
+
+
+def test_lines_below_the_band_say_whether_the_structure_stands():
+    """:data:`SURE_Z` standard errors decide; where the two predictions are alike there is nothing to decide."""
+    false = with_low_residuals(STRIP.idle(), 2.0)
+    case = make_case(false, records()[:2])
+    assert case.modes.grounded
+    assert contradicted(case.runs, case.modes)
+    true = make_case(STRIP.idle(), records()[:2])
+    assert not true.modes.grounded
+    floats = make_case(false, [moved_as(false, r) for r in records()[:2]])
+    assert not contradicted(floats.runs, floats.modes)
+
+
+def test_the_best_linear_law_is_bounded_where_bands_have_no_fitted_lines():
+    """The linear force of a spring is found in bands without fitted lines, too."""
+    whole = spot()
+    spring = ForceLaw("ground_spring", {"stiffness": 500.0})
+
+    def sprung(motions):
+        out = []
+        for m in motions:
+            error = m.along.weighted.with_error(-m.along.h * m.under(spring))
+            along = replace(m.along, weighted=error)
+            out.append(replace(m, along=along.on(error, slice(None))))
+        return out
+
+    fit, select = sprung(whole.fit), sprung(whole.select)
+    none = sum(m.along.weighted.total for m in select)
+    assert linear_law(fit, select) < 0.01 * none
 
 
 def test_places_are_compared_with_what_lies_outside_the_band():

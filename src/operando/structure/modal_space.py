@@ -28,6 +28,7 @@ class Modes:
     """The idle model as arrays: n modes of unit modal mass, the residual terms behind the identified ones.
 
     ``known_hz`` is how far up its modes were identified, ``low_hz`` how far down; beyond, residual modes stand for what is there.
+    ``grounded``: records contradict the residual modes below the lines, so the structure is flat there.
     """
 
     hz: Real
@@ -36,6 +37,7 @@ class Modes:
     known_hz: float = 0.0
     low_hz: float = 0.0
     signs: Real = field(default_factory=lambda: np.ones(1))  # −1 for residual terms that are taken away
+    grounded: bool = False
 
     @classmethod
     def of(cls, idle: ModalModel) -> Modes:
@@ -69,7 +71,7 @@ class Modes:
         """
         low = (self.hz < self.low_hz) & (self.hz < first_hz)
         own = (self.phi.T @ b) ** 2 * self.receptance_kernel(np.array([first_hz]))[:, 0]
-        if not np.any(low) or abs(np.sum(own[low])) > LITTLE * abs(np.sum(own)):
+        if not np.any(low) or (not self.grounded and abs(np.sum(own[low])) > LITTLE * abs(np.sum(own))):
             return np.zeros(self.hz.size, bool)
         return np.asarray(low)
 

@@ -4,11 +4,11 @@ Beside what :mod:`operando.diagnosis` names, the parts that the search is made o
 """
 
 from operando.diagnosis.records.apply import apply_to_records
-from operando.diagnosis.records.case import RecordsCase, Sets, make_case
+from operando.diagnosis.records.case import RecordsCase, Sets, contradicted, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force, followed, groups, loop_for, recorded
 from operando.diagnosis.records.conclude import DISCREPANCY, conclude, too_fast
 from operando.diagnosis.records.diagnose import diagnose_records, measured_distortion
-from operando.diagnosis.records.fit_laws import fit_law
+from operando.diagnosis.records.fit_laws import fit_law, linear_law
 from operando.diagnosis.records.refine import refined, std_of, stepped
 from operando.diagnosis.records.result import RecordsApplied, RecordsDiagnosis
 from operando.diagnosis.records.spot import Spot, examine, rank_places, weighed
@@ -27,11 +27,13 @@ __all__ = [
     "apply_to_records",
     "closed_loop_force",
     "conclude",
+    "contradicted",
     "diagnose_records",
     "examine",
     "fit_law",
     "followed",
     "groups",
+    "linear_law",
     "loop_for",
     "make_case",
     "measured_distortion",

@@ -18,6 +18,9 @@ from operando.structure.modal_space import Modes, Real
 SET_LINES = 3000
 """Lines of a run in the fit and select sets together."""
 
+LOWEST, SURE_Z = 0.1, 2.0
+"""Lines below the band down to this part of its first line show whether the structure stands; standard errors that decide it (95 %)."""
+
 BLOCKS = 18
 """Blocks of neighbouring lines that go to the sets in turn."""
 
@@ -86,6 +89,7 @@ def make_case(
     proper = idle.frequencies_hz[np.asarray(idle.in_band)]
     band = band or idle.band_hz or (0.6 * float(proper.min()), 1.08 * float(proper.max()))
     runs = [make_run(r, idle, modes, band).without(exclude_bands) for r in records]
+    modes = replace(modes, grounded=contradicted(runs, modes))
     fitted: list[Run] = []
     validation: list[Run] = []
     for reference in dict.fromkeys(r.forces_at for r in runs):
@@ -99,6 +103,28 @@ def make_case(
     everywhere = [(i,) for i in measured] + list(combinations(measured, 2))
     wanted = everywhere if places is None else [tuple(int(i) for i in p) for p in places]
     return RecordsCase(idle, modes, tuple(fitted), tuple(validation), band, Doubt.of(idle, modes, band), tuple(wanted))
+
+
+def contradicted(runs: Sequence[Run], modes: Modes) -> bool:
+    """Whether the lines below the band speak for a structure that is flat there, against what its residual modes predict.
+
+    Residual modes that stand for a mass grow without bound below the band: of a structure that stands they are but errors of the fit.
+    Each line of each response says which of the two predicts it better, in shares of what was measured and predicted there.
+    """
+    votes: list[Real] = []
+    low = modes.hz < modes.low_hz
+    for run in runs:
+        first = float(run.hz[0])
+        below = np.flatnonzero((run.all_hz >= LOWEST * first) & (run.all_hz < first))
+        hz, drive, measured = run.all_hz[below], run.drive(modes)[:, below], run.responses[:, below]
+        free, flat = (
+            -((2 * np.pi * hz) ** 2) * (modes.phi[run.rows] @ (kernel * drive))
+            for kernel in (modes.receptance_kernel(hz), modes.bounded_kernel(hz, low, first))
+        )
+        worse = np.abs(measured - free) ** 2 - np.abs(measured - flat) ** 2
+        votes.append((worse / (np.abs(measured) ** 2 + np.abs(free) ** 2 + 1e-300)).ravel())
+    vote = np.concatenate(votes)
+    return vote.size > 1 and bool(np.mean(vote) > SURE_Z * np.std(vote, ddof=1) / np.sqrt(vote.size))
 
 
 def strided(run: Run, lines: int) -> slice:

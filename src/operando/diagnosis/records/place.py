@@ -35,7 +35,8 @@ def left_by(normal: Normal, values: Real) -> float:
 def solved(normal: Normal, rcond: float | None = None, ridge: float = 0.0) -> Real:
     """Factors of the columns, each scaled to unit size first; combinations below ``rcond`` stay zero, ``ridge`` draws all towards it."""
     gram, right, _ = normal
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    size = np.diag(gram)
+    scale = np.sqrt(np.where(size > 0, size, np.inf))  # what no line shows stays zero
     system = gram / np.outer(scale, scale) + ridge * np.eye(scale.size)
     return np.asarray(np.linalg.lstsq(system, right / scale, rcond=rcond)[0] / scale)
 
