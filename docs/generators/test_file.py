@@ -77,7 +77,7 @@ WORDS: dict[str, dict[str, str]] = {
         "units": "Section: units where the files do not say.",
         "channels": "Section: DOF, quantity, unit and sensitivity of channels.",
         "analysis": "Section: settings.",
-        "between": "Section: what may differ between rest and operation.",
+        "between": "Section: what may differ between the idle measurement and that in operation.",
         "effects": "Section: kinds of effects of your own.",
         "directions": "Section: sensor directions that are no axes.",
         "report": "Section: title block of the report.",

@@ -323,7 +323,7 @@ def proposal(found: Found, verdict: Verdict, others: Sequence[State]) -> str | N
         noise = float(np.mean(case.lines.variance[at][:, there] / case.lines.level[at][:, there] ** 2))
         if noise > best.alpha**2:
             return "the noise of the validation measurement hides it: measure this state again with a larger force or more averages"
-        return "what no parameter explains hides it: measure rest and operation in one set-up, without touching sensors or shaker"
+        return "what no parameter explains hides it: measure idle and in operation in one set-up, without touching sensors or shaker"
     return None
 
 
