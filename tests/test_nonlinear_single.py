@@ -113,7 +113,7 @@ def test_intervals_cover_the_true_sizes_under_coloured_noise(share, colour):
 
 def test_it_prints_short_and_with_intervals():
     text = repr(fit_single(*oscillator(4e6, 20.0), RATE, (2.0, 28.0), kinds=["cubic_stiffness"]))
-    assert "cubic stiffness coefficient 3999999.1 ± 2.4" in text
+    assert "cubic stiffness coefficient 3999999 ± 2" in text
     assert "±" in text
     assert "units of the signals" in text
     assert "\n" not in text

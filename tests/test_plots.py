@@ -95,9 +95,11 @@ def test_the_title_of_an_overlay_names_the_pair_of_each_curve(frf):
         assert plots.plot_frf(b, top, labels=labels).get_title(loc="left") == both
     top = plots.plot_ofrf(a)
     assert plots.plot_ofrf(b, axes=top).get_title(loc="left") == both
-    top = plots.plot_frf(a)
-    top.set_title("Pump, 900 rpm", loc="left")
-    assert plots.plot_frf(b, top, labels=["second"]).get_title(loc="left") == "Pump, 900 rpm"
+    for title in ("Pump, 900 rpm", "Pump from above"):
+        top = plots.plot_frf(a)
+        top.set_title(title, loc="left")
+        assert plots.plot_frf(b, top, labels=["second"]).get_title(loc="left") == title
+        assert plots.plot_ofrf(b, axes=top).get_title(loc="left") == title
 
 
 def test_own_axes_get_the_magnitude_alone(frf):

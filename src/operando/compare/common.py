@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +15,23 @@ from operando.dof import Dof, DofIndex
 from operando.errors import DataError
 from operando.frf import in_one_sense, opposed_dofs
 
+if TYPE_CHECKING:
+    from operando.compare.comparison import Comparison
+
 
 class FrfModel(Protocol):
     """Anything that makes FRFs."""
 
     def frf(self, frequencies: ArrayLike, responses: object = None, references: object = None, quantity: str = "accelerance") -> Frf:
         """FRFs at the lines asked for."""
+
+
+@runtime_checkable
+class LevelDependent(FrfModel, Protocol):
+    """A model with level-dependent effects: under each force it is another one, which it gives to the comparison itself."""
+
+    def compared(self, compare: Callable[[Any], Comparison], force_n: float | None) -> Comparison:
+        """What ``compare`` says of the model under a force [N rms]."""
 
 
 def common_frfs(model: FrfModel | Frf, measured: Frf, band_hz: tuple[float, float] | None, notes: list[str]) -> tuple[Frf, Frf]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.compare.common import FrfModel, collect, common_frfs, in_the_sense_of, pool
+from operando.compare.common import FrfModel, LevelDependent, collect, common_frfs, in_the_sense_of, pool
 from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
 from operando.compare.models import ModelComparison, compare_models
 from operando.compare.peaks import Peak, by_mode, fit_peaks
@@ -344,8 +344,7 @@ def compare_all(
         forces = [r.force_n for r in some if r.force_n is not None]
         with one_blas_thread():
             return {
-                # a model with level-dependent effects is another one under each force
-                name: (m.compared(one, min(forces, default=None)) if hasattr(m, "compared") else one(m)).to_dict()
+                name: (m.compared(one, min(forces, default=None)) if isinstance(m, LevelDependent) else one(m)).to_dict()
                 for name, m in models.items()
             }
 

@@ -14,9 +14,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.contrib.signals import checked_signals, with_interval
+from operando.contrib.signals import checked_signals
 from operando.data.objects import Short, counted
 from operando.errors import DataError
+from operando.indicators import INTERVAL
+from operando.structure.effects.effect import with_spread
 
 Real = NDArray[np.float64]
 
@@ -63,9 +65,10 @@ class LoopFit(Short):
 
     def facts(self) -> dict[str, str]:
         """What the short form says; sizes are in the units of the signals."""
+        sizes = [f"{name.replace('_', ' ')} {with_spread(v, INTERVAL * self.std[name])}" for name, v in self.values.items()]
         return {
             "Laws": " and ".join(k.replace("_", " ") for k in self.kinds) or "spring and damper",
-            "Values": ", ".join(f"{name.replace('_', ' ')} {with_interval(v, self.std[name])}" for name, v in self.values.items()),
+            "Values": ", ".join(sizes),
             "Units": "in the units of the signals, ± 95 %",
             "Error": f"error {100 * min(self.errors.values()):.2g} % of the force on strokes that were not fitted",
             "Strokes": counted(self.strokes, "stroke"),

@@ -1,4 +1,4 @@
-"""What every function on bare signals asks of them: one rate, one length, finite samples; and how sizes are shown."""
+"""What every function on bare signals asks of them: one rate, one length, finite samples."""
 
 from __future__ import annotations
 
@@ -61,18 +61,3 @@ def checked_signals(sampling_hz: float, several: str = "", **signals: ArrayLike)
             hint="they need the same number of samples",
         )
     return out
-
-
-def with_interval(value: float, std: float) -> str:
-    """A value with its 95 % interval, both to the second digit of the interval.
-
-    Examples
-    --------
-    >>> with_interval(3.9504, 0.0046), with_interval(809.2, 0.0)
-    ('3.9504 ± 0.0090', '809.2')
-    """
-    half = 1.96 * std
-    if not (np.isfinite(half) and half > 0 and value):
-        return f"{value:.4g}"
-    digits = max(1, int(np.floor(np.log10(abs(value)))) - int(np.floor(np.log10(half))) + 2)
-    return f"{value:#.{digits}g} ± {half:#.2g}".replace(". ", " ").removesuffix(".")

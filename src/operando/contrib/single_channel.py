@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft as sfft
 
-from operando.contrib.signals import checked_signals, with_interval
+from operando.contrib.signals import checked_signals
 from operando.data.objects import Short
 from operando.errors import DataError
+from operando.indicators import INTERVAL
 from operando.structure.effects import kind_of
+from operando.structure.effects.effect import with_spread
 from operando.structure.force_law import raw_force
 from operando.structure.modal_space import Complex, Real
 
@@ -79,7 +81,7 @@ class SingleFit(Short):
             sizes += [(f"{words} {name.replace('_', ' ')}", value, self.std.get(f"{kind}.{name}", 0.0)) for name, value in values.items()]
         return {
             "Laws": " and ".join(k.replace("_", " ") for k in self.kinds) or "linear",
-            "Sizes": ", ".join(f"{name} {with_interval(value, std)}" for name, value, std in sizes),
+            "Sizes": ", ".join(f"{name} {with_spread(value, INTERVAL * std)}" for name, value, std in sizes),
             "Units": "in the units of the signals, ± 95 %",
             "Frequency": f"linear part at {self.frequency_hz:.4g} Hz",
             "Error": f"{100 * self.error:.2g} % of the force's power left ({100 * self.linear_error:.2g} % linear)",

@@ -34,17 +34,18 @@ CHANGED = 9.0
 """Scatter over the variance of single realisations from which runs differ by more than distortion (the ratio of the homogeneity test,
 3, squared: what a single realisation misses at peaks is a factor of two; tests/test_frf_periodic.py)."""
 
-MATTERS_DB = -40.0
-"""Distortion above 1 % of the response is a warning, where it stands ``CLEAR`` above the noise. Sensors are calibrated to 1 % at best, so
-below that the level matters less than they do; above, the FRF changes with the level by as much or more (a force law that distorts also
-stiffens), and frequencies and damping hold for one level of the force alone."""
-
-CLEAR = 10.0
-"""Power of distortion over that of noise from which the distortion makes the variance of the FRFs."""
-
 DISTORTED = 4.0
 """Distortion is named where its power is this many times the noise's, in the median over lines (6 dB; the ratio of two estimates of the
 same noise stays below 2 at nine degrees of freedom and more)."""
+
+MATTERS_DB = -40.0
+"""Named distortion above 1 % of the response is a warning, where it stands ``CLEAR`` above the noise. Sensors are calibrated to 1 % at
+best, so below that the level matters less than they do; above, the FRF changes with the level by as much or more (a force law that
+distorts also stiffens), and frequencies and damping hold for one level of the force alone."""
+
+CLEAR = 10.0
+"""Power of distortion over that of noise from which its level is known well enough for a warning: noise off by its own size, as its
+estimate may be (``DISTORTED``), changes it by 0.4 dB."""
 
 
 def is_periodic(record: TimeRecord) -> bool:

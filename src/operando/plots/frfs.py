@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Frf, quantity_named, unit_of
+from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.style import (
     CYCLE,
@@ -37,8 +38,11 @@ HEIGHTS = {"magnitude": 3.0, "phase": 1.0, "coherence": 0.8}
 MOST_CURVES = 8
 """Curves drawn at most of one FRF matrix; the title says how many pairs there are."""
 
-PAIR = re.compile(r"[^\s;]+ from [^\s;]+")
-"""A pair as a title of these figures names it."""
+Pair = tuple[Dof, Dof]
+"""Response and reference."""
+
+_titled: WeakKeyDictionary[Axes, tuple[Pair, ...]] = WeakKeyDictionary()
+"""Pairs that :func:`title_pairs` has named in the title of axes."""
 
 MARGIN = 0.15
 """Part of the analysis band that is shown beyond it on either side."""
@@ -165,7 +169,7 @@ def plot_frf(
                 places["coherence"].plot(f[keep], frf.coherence[i, j, part][keep], color=color, lw=0.8)
         _dress(places, chosen[0][0], wanted, sizes, [f.frequencies_hz[shown_lines(f, band)] for f, _ in chosen], band)
         top = next(iter(places.values()))
-        _title(top, chosen, single, own or labels is None, done)
+        _title(top, chosen, single, own or labels is None)
         if legend:
             top.legend(loc="best", ncols=1 if len(curves) < 5 else 2)
     return top
@@ -284,25 +288,30 @@ def _tall(axes: Axes) -> bool:
     return figure is None or axes.get_position().height * figure.get_figheight() > 0.62
 
 
-def pairs_title(axes: Axes, pairs: Sequence[str], done: int) -> str:
-    """The pairs of the curves in axes, each once: those in the title where ``done`` curves are there already, and new ones."""
-    old = axes.get_title(loc="left").split("; ") if done else []
-    return "; ".join(dict.fromkeys([*(p for p in old if PAIR.fullmatch(p)), *pairs]))
+def _pairs_text(pairs: Sequence[Pair]) -> str:
+    return "; ".join(f"{response} from {reference}" for response, reference in pairs)
 
 
-def _title(axes: Axes, chosen: list[tuple[Frf, int]], single: bool, anew: bool, done: int) -> None:
+def titled_pairs(axes: Axes) -> tuple[Pair, ...]:
+    """The pairs that the title of axes names; none where the caller has given them another title since."""
+    pairs = _titled.get(axes, ())
+    return pairs if axes.get_title(loc="left") == _pairs_text(pairs) else ()
+
+
+def title_pairs(axes: Axes, pairs: Sequence[Pair]) -> None:
+    """Name the pairs of the curves in axes, each once, after those that the title names already."""
+    _titled[axes] = tuple(dict.fromkeys([*titled_pairs(axes), *pairs]))
+    axes.set_title(_pairs_text(_titled[axes]), loc="left")
+
+
+def _title(axes: Axes, chosen: list[tuple[Frf, int]], single: bool, anew: bool) -> None:
     """Name the pairs; with ``anew`` False only where the title of curves drawn before would leave out a new one."""
     frf, total = chosen[0]
     count = frf.data.shape[0] * frf.data.shape[1]
-    pairs = [f"{f.responses[0]} from {f.references[0]}" for f, _ in chosen]
-    if not anew:
-        old = axes.get_title(loc="left")
-        if single and done and old and all(PAIR.fullmatch(p) for p in old.split("; ")):
-            axes.set_title(pairs_title(axes, pairs, done), loc="left")
-    elif count < total:
+    if anew and count < total:
         axes.set_title(f"{count} of {total} pairs; choose others by frf[responses, references]", fontsize=9, fontweight="normal")
-    elif single:
-        axes.set_title(pairs_title(axes, pairs, done))
+    elif single and (anew or titled_pairs(axes)):
+        title_pairs(axes, [(f.responses[0], f.references[0]) for f, _ in chosen])
 
 
 def plot_frf_rms(

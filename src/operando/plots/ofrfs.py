@@ -12,7 +12,7 @@ from operando.data import Frf, ModalModel
 from operando.dof import DofIndex
 from operando.errors import DataError
 from operando.indicators import INTERVAL
-from operando.plots.frfs import PAIR, PARTS, curve, degrees, magnitude_label, magnitude_limits, pairs_title, places_of, shown_lines
+from operando.plots.frfs import PARTS, curve, degrees, magnitude_label, magnitude_limits, places_of, shown_lines, title_pairs, titled_pairs
 from operando.plots.style import DASHES, IDLE, MEASURED, MODEL, frequency_axis, style, thin
 
 if TYPE_CHECKING:
@@ -108,10 +108,9 @@ def plot_ofrf(
             places["phase"].set_yticks([-180, 0, 180])
             places["phase"].set_ylabel("Phase [°]")
         top = next(iter(places.values()))
-        shown = top.get_title(loc="left")
-        if own or (shown and all(PAIR.fullmatch(p) for p in shown.split("; "))):
+        if own or titled_pairs(top):
             named = one(first)
-            top.set_title(pairs_title(top, [f"{named.responses[0]} from {named.references[0]}"], 0 if own else 1), loc="left")
+            title_pairs(top, [(named.responses[0], named.references[0])])
         if legend:
             top.legend(loc="best")
     return top
