@@ -9,7 +9,7 @@ import pytest
 import operando
 from operando.compare import compare, compare_all
 from operando.compare.comparison import lowest_level
-from operando.compare.peaks import find_peaks, fit_peaks
+from operando.compare.peaks import fit_peaks
 from operando.data import Frf, ModalModel
 from operando.errors import DataError
 from operando.results import CheckRun
@@ -138,12 +138,6 @@ def test_noise_makes_no_peaks_and_moves_them_little():
     rows = compare(model(chain.hz, chain.zeta, chain.phi), truth(chain, 0.02)).by_mode
     assert [r["frequency_hz"] for r in rows] == pytest.approx(chain.hz, rel=1e-3)
     assert np.max(np.abs([r["damping_error_percent"] for r in rows])) < 10
-
-
-def test_prominence():
-    level = np.array([0.0, 10, 8, 9, 0, 4, 0])
-    assert find_peaks(level, 3) == [1, 5]
-    assert find_peaks(level, 0.5) == [1, 3, 5]
 
 
 def test_only_lines_above_the_noise_count_in_db():

@@ -12,7 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.compare.common import FrfModel, LevelDependent, collect, common_frfs, in_the_sense_of, pool
-from operando.compare.measures import Lines, band_edges, error_db, misfit, misfit_meas, model_share, noise_floor_db, relative_error
+from operando.compare.measures import (
+    Lines,
+    band_edges,
+    band_masks,
+    error_db,
+    misfit,
+    misfit_meas,
+    model_share,
+    noise_floor_db,
+    relative_error,
+)
 from operando.compare.models import ModelComparison, compare_models
 from operando.compare.peaks import Peak, by_mode, fit_peaks
 from operando.data import Frf, ModalModel, Saved, expect, plots
@@ -248,9 +258,9 @@ def rows_by_dof(lines: Lines, dofs: Sequence[Dof]) -> list[dict[str, Any]]:
 
 def rows_by_band(lines: Lines, low: float, high: float) -> list[dict[str, Any]]:
     """``by_band``: errors in eight bands, equal in logarithmic frequency, of low to high Hz."""
-    edges, f, out = band_edges(low, high), lines.frequency_hz, []
-    for i, (a, b) in enumerate(pairwise(edges)):
-        part = lines.where((f >= a) & ((f <= b) if i == len(edges) - 2 else (f < b)))
+    edges, out = band_edges(low, high), []
+    for (a, b), inside in zip(pairwise(edges), band_masks(lines.frequency_hz, edges), strict=True):
+        part = lines.where(inside)
         out.append({"band_hz": [float(a), float(b)], "error_db": error_db(part), "misfit": misfit(part)})
     return out
 

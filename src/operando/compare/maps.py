@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.compare.measures import SNR_LIMIT
+from operando.compare.measures import SNR_LIMIT, band_masks
 from operando.data import Frf
 from operando.errors import DataError
 
@@ -134,10 +133,6 @@ def error_map(model: Frf, measured: Frf, edges_hz: ArrayLike) -> NDArray[np.floa
     """
     if model.data.shape != measured.data.shape or not model.same_lines(measured):
         raise DataError(f"FRFs {model.data.shape} and {measured.data.shape} are not on the same pairs and lines")
-    edges = np.asarray(edges_hz, float)
-    error, mask, f = level_error_db(model, measured), clear_lines(measured), measured.frequencies_hz
-    columns = []
-    for low, high in pairwise(edges):
-        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
-        columns.append(rms_over(error, mask & inside, axis=(1, 2)))
-    return np.column_stack(columns)
+    error, mask = level_error_db(model, measured), clear_lines(measured)
+    bands = band_masks(measured.frequencies_hz, np.asarray(edges_hz, float))
+    return np.column_stack([rms_over(error, mask & inside, axis=(1, 2)) for inside in bands])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +101,11 @@ def model_share(lines: Lines) -> float | None:
     return float(np.mean(lines.var_model[k] / total[k])) if np.any(k) else None
 
 
-def band_edges(low: float, high: float, count: int = 8) -> NDArray[np.float64]:
-    """Edges of ``count`` bands equal in log frequency [Hz]."""
-    return np.geomspace(low, high, count + 1)
+def band_edges(low: float, high: float) -> NDArray[np.float64]:
+    """Edges [Hz] of eight bands, equal in logarithmic frequency."""
+    return np.geomspace(low, high, 9)
+
+
+def band_masks(f: NDArray[np.float64], edges: Sequence[float] | NDArray[np.float64]) -> list[NDArray[np.bool_]]:
+    """Lines of each band; a line on an edge belongs to the band above, on the last edge to the last band."""
+    return [(f >= low) & (f < high if high < edges[-1] else f <= high) for low, high in pairwise(edges)]

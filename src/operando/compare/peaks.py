@@ -58,21 +58,6 @@ class Peak:
     frequency_std_hz: float = float("nan")
 
 
-def find_peaks(level_db: NDArray[np.float64], prominence_db: float = PROMINENCE_DB) -> list[int]:
-    """Lines of local maxima that stand out by at least ``prominence_db`` on both sides."""
-    y = level_db
-    tops = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:])) + 1
-    out = []
-    for k in tops:
-        higher_left = np.flatnonzero(y[:k] > y[k])
-        higher_right = np.flatnonzero(y[k + 1 :] > y[k])
-        left = y[(higher_left[-1] if higher_left.size else 0) : k + 1].min()
-        right = y[k : (k + 2 + higher_right[0] if higher_right.size else y.size)].min()
-        if y[k] - max(left, right) >= prominence_db:
-            out.append(int(k))
-    return out
-
-
 def _half_width(level_db: NDArray[np.float64], f: NDArray[np.float64], k: int) -> float:
     """Half of the −3 dB width [Hz], from the narrower side, at least half a line."""
     below = level_db < level_db[k] - 3.0103
@@ -109,6 +94,8 @@ def fit_peaks(
     list of Peak
         In order of frequency.
     """
+    from scipy.signal import find_peaks
+
     if f.size < 8 or data.size == 0:
         return []
     size = np.sqrt(np.mean(np.abs(data) ** 2, axis=1))
@@ -116,7 +103,7 @@ def fit_peaks(
     y = data * w[:, None]
     known = None if variance is None else np.nan_to_num(variance * w[:, None] ** 2, nan=0.0, posinf=0.0)
     level = 10 * np.log10(np.maximum(np.mean(np.abs(y) ** 2, axis=0), 1e-300))
-    tops = find_peaks(level)
+    tops = find_peaks(level, prominence=PROMINENCE_DB)[0].tolist()
     widths = [_half_width(level, f, k) for k in tops]
     groups: list[list[int]] = []
     for i in range(len(tops)):

@@ -30,7 +30,7 @@ KINDS = (
 IMPROVES = 0.10
 """A law lowers the squared error on blocks that were not fitted by more than this part."""
 
-BLOCKS = 24
+BLOCKS, FOLDS = 24, 4
 PARTS = 6
 """Parts of the band that are left out in turn for the standard deviations. Of two records and three bands of a measured circuit, sizes lie
 at most 0.9 standard deviations apart with 6 parts, 1.1 with 12, 1.6 with 24 and 2.2 with 48, which is too many: what the equation leaves is
@@ -262,11 +262,11 @@ def _solve(columns: Sequence[Complex], force: Complex, use: np.ndarray | slice =
     return np.asarray(np.linalg.lstsq(table / scale, right, rcond=None)[0] / scale)
 
 
-def _hold_out_error(columns: Sequence[Complex], force: Complex, folds: int = 4) -> float:
+def _hold_out_error(columns: Sequence[Complex], force: Complex) -> float:
     """Share of the force's power that is left on blocks in turn not fitted; contiguous folds."""
-    fold = np.arange(len(force)) * folds // len(force)
+    fold = np.arange(len(force)) * FOLDS // len(force)
     rest = 0.0
-    for f in range(folds):
+    for f in range(FOLDS):
         sizes = _solve(columns, force, fold != f)
         rest += float(np.sum(np.abs(force[fold == f] - sum(s * c[fold == f] for s, c in zip(sizes, columns, strict=True))) ** 2))
     return rest / float(np.sum(np.abs(force) ** 2))

@@ -20,13 +20,13 @@ NOT_RECIPROCAL = 0.05
 LOW_COHERENCE = 0.8
 
 
-def _significant(frf: Frf, i: int, j: int, ratio: float = 10.0) -> NDArray[np.bool_]:
-    """Lines of a pair that are finite and whose power exceeds ``ratio`` times the variance."""
+def _significant(frf: Frf, i: int, j: int) -> NDArray[np.bool_]:
+    """Lines of a pair that are finite and whose power exceeds ten times the variance."""
     h = frf.data[i, j]
     good = np.isfinite(h) & (np.abs(h) > 0)
     if frf.variance is not None:
         variance = frf.variance[i, j]
-        good &= ~(np.abs(h) ** 2 < ratio * np.where(np.isfinite(variance), variance, 0))
+        good &= ~(np.abs(h) ** 2 < 10 * np.where(np.isfinite(variance), variance, 0))
     return np.asarray(good)
 
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from operando.data import Finding, FrequencyAxis, Frf, TimeRecord, group_findings, positive_band, several
+from operando.data import Finding, Frf, TimeRecord, group_findings, positive_band, several
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.averaged import averaged_run, few_averages
@@ -228,9 +228,7 @@ def _finished(frf: Frf, findings: Sequence[Finding]) -> Frf:
     keep = np.all(there | ~there.any(axis=2, keepdims=True), axis=(0, 1))
     if keep.all() or not keep.any():
         return frf
-    part = lambda a: None if a is None else a[:, :, keep]  # noqa: E731
-    axis = FrequencyAxis(frf.frequencies_hz[keep])
-    return replace(frf, data=frf.data[:, :, keep], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
+    return frf.lines(keep)
 
 
 def _survivors(make: Callable[[T], S], items: Sequence[T], name: Callable[[T], str], lost: list[Finding]) -> list[tuple[T, S]]:

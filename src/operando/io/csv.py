@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.atomic import replacing
-from operando.data import Finding, Provenance, TimeRecord
+from operando.data import Finding, TimeRecord
 from operando.errors import FormatError, UnitError
 from operando.io.columns import NODES, TIME, NoHeader, NoMeasurement, NoRate, check_columns, described_structure, propose_columns
 from operando.io.content import Content, SetInfo
@@ -94,7 +94,7 @@ def read_csv(
 
 
 def _read_table(path: Path, units: Units | None, channels: ChannelSpecs | None, sampling_hz: float | None) -> Content:
-    from operando.io.uff.reader import open_file, quick_hash
+    from operando.io.uff.reader import open_file, provenance_of
 
     where = str(path)
     with open_file(path) as stream:
@@ -136,7 +136,7 @@ def _read_table(path: Path, units: Units | None, channels: ChannelSpecs | None, 
         raise NoRate(where)
     if not keep:
         raise FormatError("no column with data beside the time", where=where)
-    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    provenance = provenance_of(path)
     record = make_record(
         table[keep], float(rate), [names[i] or f"ch{i + 1}" for i in keep], [texts[i] for i in keep], start_s=start, units=units,
         channels=channels, source=where, provenance=provenance,

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.atomic import replacing
-from operando.data import Finding, Frf, Provenance
+from operando.data import Finding, Frf
 from operando.dof import Dof
 from operando.errors import DofError, FormatError, UnitError
 from operando.io.columns import complex_lines
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, split_ratio
-from operando.io.uff.reader import quick_hash
+from operando.io.uff.reader import provenance_of
 from operando.io.variables import RESPONSES, Source, make_frf
 from operando.units import parse_unit
 
@@ -167,4 +167,4 @@ def _scaled_frf(data: NDArray[np.complex128], frequencies: NDArray[np.float64], 
 
 
 def _source(path: Path, units: Units | None, channels: ChannelSpecs | None) -> Source:
-    return Source(str(path), [], units, channels, Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",)))
+    return Source(str(path), [], units, channels, provenance_of(path))

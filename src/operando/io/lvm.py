@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Provenance, TimeRecord
+from operando.data import Finding, TimeRecord
 from operando.errors import FormatError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import tidy_rate
-from operando.io.uff.reader import open_file, quick_hash
+from operando.io.uff.reader import open_file, provenance_of
 
 _END = "***End_of_Header***"
 
@@ -49,7 +49,7 @@ def read_lvm(path: str | Path, *, units: Units | None = None, channels: ChannelS
         Finding("damaged", text, "error", where, consequence="samples may be missing from every result", action="export the file again")
         for text in lost
     ]
-    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    provenance = provenance_of(path)
     infos: list[SetInfo] = []
     found: list[tuple[float, float, list[str], list[str], NDArray[np.float64]]] = []
     for i, block in enumerate(blocks):

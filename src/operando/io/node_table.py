@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from operando.data import Finding, Geometry, Provenance
+from operando.data import Finding, Geometry
 from operando.dof import Node, node_label, split_node
 from operando.errors import DofError, FormatError
 from operando.io.columns import is_node_column
@@ -41,7 +41,7 @@ def read_node_table(
     FormatError
         If a node or a coordinate is none, or a node stands there twice; the line is named.
     """
-    from operando.io.uff.reader import quick_hash
+    from operando.io.uff.reader import provenance_of
 
     where = str(path)
     lower = [name.lower() for name in names]
@@ -59,7 +59,7 @@ def read_node_table(
         if label in found:
             raise FormatError(f"line {line}: node {label} stands there a second time", where=where, hint="each node has one row")
         found[label] = [_coordinate(cells[i], decimal, f"line {line}: {axis}", where) for i, axis in zip(columns, AXES, strict=True)]
-    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    provenance = provenance_of(path)
     geometry = Geometry(tuple(found), np.array(list(found.values())) * factors, name=path.stem, unit_known=known, provenance=provenance)
     used = {node, *columns}
     sets = tuple(

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from operando.data import Finding, Frf, MappedSamples, Provenance, TimeRecord, mapped, pieces
+from operando.data import Finding, Frf, MappedSamples, TimeRecord, mapped, pieces
 from operando.errors import FormatError, MissingError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, stated_rate
 from operando.io.safe import check_growth, try_apart
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import tidy_rate
-from operando.io.uff.reader import quick_hash
+from operando.io.uff.reader import provenance_of
 from operando.io.variables import Source, make_frf
 
 _UNIT_KEYS = ("unit_string", "NI_UnitDescription", "Unit")
@@ -41,7 +41,7 @@ def read_tdms(path: str | Path, *, units: Units | None = None, channels: Channel
     where = str(path)
     load_library(where)
     try_apart(path, "tdms")
-    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    provenance = provenance_of(path)
     source = Source(where, [], units, channels, provenance)
     series: dict[tuple[float, float, int], list[tuple[str, str, Any, int]]] = {}
     frfs: list[Frf] = []

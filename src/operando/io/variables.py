@@ -19,7 +19,7 @@ from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units, find_spec, possible_coherence, resolve, spec_dof, stated_hz, stated_rate
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
-from operando.io.uff.reader import quick_hash
+from operando.io.uff.reader import provenance_of
 
 _RATE = re.compile(r"^(fs|f_s|freq|sampling_?(hz|freq\w*|rate)|sample_?rate|srate|sf|rate|fsamp)$", re.IGNORECASE)
 _STEP = re.compile(r"^(dt|delta_?t|ts|time_?step|inc|increment)$", re.IGNORECASE)
@@ -89,7 +89,7 @@ def content_of(variables: list[Variable], path: Path, kind: str, units: Units | 
     FormatError
         If no data with a time or frequency axis are found; ``NoRate`` where a matrix lacks nothing but a sampling rate.
     """
-    source = Source(str(path), variables, units, channels, Provenance(((str(path), quick_hash(path)),), (f"read {path.name}",)))
+    source = Source(str(path), variables, units, channels, provenance_of(path))
     records: list[TimeRecord] = []
     frfs: list[Frf] = []
     findings: list[Finding] = []

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, MappedSamples, Provenance, StoredFile, mapped
+from operando.data import Finding, MappedSamples, StoredFile, mapped
 from operando.data.mapped import PIECE
 from operando.errors import FormatError
 from operando.io.content import Content, SetInfo
 from operando.io.quantities import ChannelSpecs, Units
 from operando.io.sep005 import make_record
-from operando.io.uff.reader import map_file, open_file, quick_hash
+from operando.io.uff.reader import map_file, open_file, provenance_of
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 
@@ -55,7 +55,7 @@ def read_wav(path: str | Path, *, units: Units | None = None, channels: ChannelS
     data: Any = _mapped(path, chunks[b"data"], coding, bits, count) if long else _samples(body, coding, bits, count)
     del raw, body
     names = [f"ch{i + 1}" for i in range(count)]
-    provenance = Provenance(((where, quick_hash(path)),), (f"read {path.name}",))
+    provenance = provenance_of(path)
     record = make_record(data, float(rate), names, [""] * count, units=units, channels=channels, source=where, provenance=provenance)
     scale = "as stored" if coding == _FLOAT else "a fraction of full scale"
     note = Finding(

@@ -117,11 +117,11 @@ def mean_spectrum(records: Sequence[TimeRecord], rate: float) -> tuple[NDArray[n
     return f, total / len(records)
 
 
-def median_about(f: NDArray[np.float64], power: NDArray[Any], octaves: float = 0.5, least: int = 8) -> NDArray[np.float64]:
-    """Median of a spectrum over half an octave (and ``least`` lines) to either side of each line, taken every twelfth of an octave."""
+def median_about(f: NDArray[np.float64], power: NDArray[Any]) -> NDArray[np.float64]:
+    """Median of a spectrum over half an octave (and eight lines) to either side of each line, taken every twelfth of an octave."""
     centres = f[0] * 2 ** np.arange(0, np.log2(f[-1] / f[0]) + 1 / 12, 1 / 12)
     at = np.unique(np.clip(np.searchsorted(f, centres), 0, f.size - 1))
-    reach = 2**octaves
+    reach, least = 2**0.5, 8
     values = []
     for k in at:
         low = min(int(np.searchsorted(f, f[k] / reach)), max(k - least, 0))

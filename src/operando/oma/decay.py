@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from operando.data import Finding
 from operando.errors import IdentificationError
 from operando.oma.diagram import Prepared
-from operando.oma.estimate import Estimate, normalise_shapes, to_displacement
+from operando.oma.estimate import Estimate, normalise_shapes, taken_poles, to_displacement
 from operando.oma.subspace import Factors, Poles, Realisation, poles_of_orders, realise
 from operando.oma.uncertainty import student_widening
 from operando.stabilization import PoleTable, Tolerances, classify
@@ -85,20 +85,17 @@ class DecayDiagram:
         at each line, the same for all channels, so that its spectra and cross spectra stay; the identification is repeated on each
         surrogate. Where early and late columns give another frequency or damping than the surrogates allow, half the difference is added.
         """
-        taken = np.array([g[0] for g in groups], int)
         n, r = len(groups), self.scale.size
         lam, raw = np.zeros(n, complex), np.zeros((r, n), complex)
-        where: dict[int, NDArray[np.int_]] = {int(o): np.flatnonzero(taken == o) for o in np.unique(taken)}
-        wanted = self.table.frequency_hz[[g[1] for g in groups]] if n else np.zeros(0)
-        for order, modes in where.items():
-            of = self.poles[self.orders.index(order)]
-            columns = [int(np.argmin(np.abs(of.hz - wanted[i]))) for i in modes]
+        where: dict[int, NDArray[np.int_]] = {}
+        for modes, of, columns in taken_poles(groups, self.poles, self.orders, self.table):
+            where[of.order] = modes
             lam[modes] = np.log(of.mu[columns]) * self.prepared.rate
             raw[:, modes] = of.shapes[:, columns]
         shapes = self._normalised(raw, lam)
         covariance = self._covariance(lam, shapes, where) if n else None
         size = np.abs(lam)
-        return Estimate(size / 2 / np.pi, -lam.real / size, shapes, covariance, taken)
+        return Estimate(size / 2 / np.pi, -lam.real / size, shapes, covariance, np.array([order for order, _ in groups], int))
 
     def _normalised(self, raw: NDArray[np.complex128], lam: NDArray[np.complex128]) -> NDArray[np.complex128]:
         return normalise_shapes(to_displacement(raw * self.scale[:, None], lam, self.prepared.derivative))

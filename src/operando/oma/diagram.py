@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from operando.errors import IdentificationError
 from operando.oma.correlation import BlockCorrelations, correlate, pool
-from operando.oma.estimate import Estimate, estimate_modes, normalise_shapes, to_displacement
+from operando.oma.estimate import Estimate, normalise_shapes, taken_poles, to_displacement
 from operando.oma.pyoma import pyoma_poles
 from operando.oma.subspace import Factors, Poles, Realisation, factorise_weighted, poles_of_orders, realise
+from operando.oma.uncertainty import Perturbations, block_products, covariance_of_mean, normalised_changes, perturb
 from operando.stabilization import PoleTable, Tolerances, classify
 
 MAX_ORDER = 120
@@ -66,10 +67,24 @@ class CovDiagram:
 
     def estimate(self, groups: list[tuple[int, int]]) -> Estimate:
         """Modes at the (order, row of the table) given, with covariance."""
-        p = self.prepared
-        return estimate_modes(
-            groups, self.poles, self.orders, self.correlations, self.factors, self.realisation, p.derivative, p.rows, p.rate, self.table
-        )
+        n, r, p, correlations = len(groups), self.realisation.n_channels, self.prepared, self.correlations
+        lam, shapes = np.zeros(n, complex), np.zeros((r, n), complex)
+        blocks = self.blocks if correlations.blocks is not None else 0
+        d_lam, d_shapes = np.zeros((blocks, n), complex), np.zeros((blocks, r, n), complex)
+        products = block_products(correlations, self.factors, p.rows) if blocks else None
+        for modes, of, columns in taken_poles(groups, self.poles, self.orders, self.table):
+            lam[modes] = np.log(of.mu[columns]) * p.rate
+            shapes[:, modes] = of.shapes[:, columns]
+            if blocks:
+                change = perturb(correlations, self.factors, self.realisation, of, columns, p.rows, p.rate, products)
+                d_lam[:, modes], d_shapes[:, :, modes] = change.lam, change.shapes
+        covariance = None
+        if blocks and n:
+            changes = normalised_changes(lam, shapes, Perturbations(d_lam, d_shapes), p.derivative)
+            covariance = covariance_of_mean(changes, correlations.weights)
+        size = np.abs(lam)
+        shapes = normalise_shapes(to_displacement(shapes, lam, p.derivative))
+        return Estimate(size / 2 / np.pi, -lam.real / size, shapes, covariance, np.array([order for order, _ in groups], int))
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,15 @@
-"""From the selected poles to modes: one model order, normalised shapes, covariance."""
+"""From the selected poles to modes: one model order, normalised shapes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.oma.correlation import BlockCorrelations
-from operando.oma.subspace import Factors, Poles, Realisation
-from operando.oma.uncertainty import Perturbations, block_products, covariance_of_mean, normalised_changes, perturb
+from operando.oma.subspace import Poles
 from operando.stabilization import PoleTable, Stabilization
 
 
@@ -57,42 +55,16 @@ def best_orders(stabilization: Stabilization, orders: Sequence[int]) -> list[tup
     return out
 
 
-def estimate_modes(
-    groups: list[tuple[int, int]],
-    poles: list[Poles],
-    orders: list[int],
-    correlations: BlockCorrelations,
-    factors: Factors,
-    realisation: Realisation,
-    derivative: NDArray[np.int_],
-    rows: int,
-    rate: float,
-    table: PoleTable,
-) -> Estimate:
-    """Poles, shapes and covariance of the selected modes, each at its order."""
-    n, r = len(groups), realisation.n_channels
-    taken = np.array([g[0] for g in groups], int)
-    lam = np.zeros(n, complex)
-    shapes = np.zeros((r, n), complex)
-    blocks = correlations.weights.size if correlations.blocks is not None else 0
-    d_lam = np.zeros((blocks, n), complex)
-    d_shapes = np.zeros((blocks, r, n), complex)
-    products = block_products(correlations, factors, rows) if blocks else None
+def taken_poles(
+    groups: Sequence[tuple[int, int]], poles: Sequence[Poles], orders: Sequence[int], table: PoleTable
+) -> Iterator[tuple[NDArray[np.int_], Poles, list[int]]]:
+    """For each model order that modes are taken from: these modes, its poles, and the column of each."""
+    taken, rows = np.array(groups, int).reshape(-1, 2).T
+    wanted = table.frequency_hz[rows]
     for order in np.unique(taken):
         of = poles[orders.index(int(order))]
         modes = np.flatnonzero(taken == order)
-        columns = np.array([int(np.argmin(np.abs(of.hz - table.frequency_hz[groups[i][1]]))) for i in modes])
-        lam[modes] = np.log(of.mu[columns]) * rate
-        shapes[:, modes] = of.shapes[:, columns]
-        if blocks:
-            change = perturb(correlations, factors, realisation, of, columns, rows, rate, products)
-            d_lam[:, modes], d_shapes[:, :, modes] = change.lam, change.shapes
-    covariance = None
-    if blocks and n:
-        covariance = covariance_of_mean(normalised_changes(lam, shapes, Perturbations(d_lam, d_shapes), derivative), correlations.weights)
-    size = np.abs(lam)
-    shapes = normalise_shapes(to_displacement(shapes, lam, derivative))
-    return Estimate(size / 2 / np.pi, -lam.real / size, shapes, covariance, taken)
+        yield modes, of, [int(np.argmin(np.abs(of.hz - hz))) for hz in wanted[modes]]
 
 
 def to_displacement(shapes: NDArray[Any], lam: NDArray[np.complex128], derivative: NDArray[np.int_]) -> NDArray[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from operando.data import Finding, ModalModel, Provenance, TimeRecord
 from operando.dof import Dof, Node, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError, DofError, IdentificationError, OperandoError
+from operando.indicators import mac
 from operando.oma.decay import DecayDiagram
 from operando.oma.details import JointCheck, OmaDetails, SetUp
 from operando.oma.joint import Joint, SetUpData, fit_joint
@@ -265,23 +265,20 @@ def _beside(merged: Merged, joint: Joint | None, why_not: str) -> tuple[NDArray[
         return partner, JointCheck(f"no joint estimate: {why_not}", *nothing)
     rows, signs = match_dofs(merged.dofs, joint.dofs)
     shapes = joint.shapes[rows] * np.asarray(signs)[:, None]
-    hz, hz_std, zeta, zeta_std, mac = nothing
+    hz, hz_std, zeta, zeta_std, macs = nothing
     free = set(range(joint.hz.size))
     for r in range(n):
         near = [j for j in free if abs(joint.hz[j] - merged.hz[r]) < 0.02 * merged.hz[r]]
-        like = {j: _mac(merged.shapes[merged.seen[:, r], r], shapes[merged.seen[:, r], j]) for j in near}
+        seen = merged.seen[:, r]
+        like = {j: float(mac(merged.shapes[seen, r], shapes[seen, j])[0, 0]) for j in near}
         if not like or max(like.values()) < 0.5:
             continue
         j = max(like, key=lambda q: like[q] - abs(joint.hz[q] - merged.hz[r]) / (0.02 * merged.hz[r]))
         free.discard(j)
         partner[r] = j
-        hz[r], hz_std[r], zeta[r], zeta_std[r], mac[r] = joint.hz[j], joint.hz_std[j], joint.zeta[j], joint.zeta_std[j], like[j]
+        hz[r], hz_std[r], zeta[r], zeta_std[r], macs[r] = joint.hz[j], joint.hz_std[j], joint.zeta[j], joint.zeta_std[j], like[j]
     text = "one subspace identification of all set-ups, correlations normalised by the shared sensors (Döhler et al. 2010)"
-    return partner, JointCheck(text, hz, hz_std, zeta, zeta_std, mac)
-
-
-def _mac(u: NDArray[Any], v: NDArray[Any]) -> float:
-    return float(abs(np.vdot(u, v)) ** 2 / max(float(np.vdot(u, u).real * np.vdot(v, v).real), 1e-300))
+    return partner, JointCheck(text, hz, hz_std, zeta, zeta_std, macs)
 
 
 def _filled(merged: Merged, joint: Joint | None, partner: NDArray[np.int_]) -> Merged:

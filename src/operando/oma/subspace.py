@@ -13,6 +13,10 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from operando.errors import IdentificationError
 from operando.oma.correlation import block_hankel
 
+REGULARISATION = 1e-3
+"""White noise added to covariances that are whitened with, in parts of each channel's mean square: bands without energy would make their
+factor singular."""
+
 
 @dataclass(frozen=True)
 class Factors:
@@ -41,9 +45,7 @@ class Factors:
         return self.left if self.left_factor is None else self.left_factor @ self.left
 
 
-def whitening_factor(
-    correlations: NDArray[Any], rows: int, n_samples: int, past: bool, regularisation: float = 1e-3
-) -> NDArray[np.float64]:
+def whitening_factor(correlations: NDArray[Any], rows: int, n_samples: int, past: bool) -> NDArray[np.float64]:
     """Cholesky factor of the block-Toeplitz covariance of stacked outputs, for canonical-variate weights.
 
     Parameters
@@ -54,8 +56,6 @@ def whitening_factor(
         Block rows.
     past : bool
         Outputs stacked backwards in time instead of forwards.
-    regularisation : float
-        White noise added, in parts of each channel's mean square: bands without energy would make the factor singular.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def whitening_factor(
     power = np.tile(np.diag(ahead[0]), rows)
     for factor in (1, 10, 100):
         try:
-            return cholesky(toeplitz + np.diag(regularisation * factor * power), lower=True, check_finite=False)
+            return cholesky(toeplitz + np.diag(REGULARISATION * factor * power), lower=True, check_finite=False)
         except LinAlgError:
             continue
     raise IdentificationError(
@@ -116,18 +116,12 @@ def factorise_weighted(
     return Factors(plain.left, plain.s, plain.right, future, past)
 
 
-def factorise(hankel: NDArray[Any], rank: int, seed: int = 0) -> Factors:
+def factorise(hankel: NDArray[Any], rank: int) -> Factors:
     """Leading singular triplets of a matrix.
 
     Small matrices: exact SVD. Large ones: randomised range finder with power iterations (Halko, Martinsson & Tropp 2011), whose
-    error in the leading triplets is far below the statistical one, because singular values of correlations fall fast.
-
-    Parameters
-    ----------
-    hankel : (a, b) array
-    rank : int
-    seed : int
-        Of the random start; fixed so that results repeat.
+    error in the leading triplets is far below the statistical one, because singular values of correlations fall fast. The random start
+    is always the same, so that results repeat.
     """
     small = min(hankel.shape)
     rank = min(rank, small)
@@ -135,7 +129,7 @@ def factorise(hankel: NDArray[Any], rank: int, seed: int = 0) -> Factors:
     if over * 3 > small:
         u, s, vt = np.linalg.svd(hankel, full_matrices=False)
         return Factors(u[:, :rank], s[:rank], vt[:rank].T)
-    start = np.random.default_rng(seed).standard_normal((hankel.shape[1], over))
+    start = np.random.default_rng(0).standard_normal((hankel.shape[1], over))
     basis = np.linalg.qr(hankel @ start)[0]
     for _ in range(4):
         basis = np.linalg.qr(hankel @ np.linalg.qr(hankel.T @ basis)[0])[0]

@@ -191,8 +191,6 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     >>> operando.plots.plot_comparison(operando.compare(other, one)).get_ylabel()
     'Level error, rms [dB]'
     """
-    if by not in ("dof", "band", "mode"):
-        raise DataError(f"errors by {by!r} are not known", hint="use dof, band or mode")
     told = comparison if isinstance(comparison, Mapping) else comparison.to_dict()
     rows = [dict(r) for r in told.get(f"by_{by}") or ()]
     axes = draw_errors(rows, axes, by=by, floor=told.get("noise_floor_db"), hint="; ".join(told.get("notes") or ()) or None)

@@ -176,12 +176,12 @@ def plot_hybrid(
     return plot_ofrf(ofrf, measured, idle, axes, response=out, reference=into, band=band if frequencies is None else None)
 
 
-def resolving_lines(model: ModalModel, low: float, high: float, per_width: int = 6, most: int = 20000) -> NDArray[np.float64]:
-    """Even lines from low to high [Hz], so many in the half-power width of the narrowest mode there (``most`` at most)."""
+def resolving_lines(model: ModalModel, low: float, high: float) -> NDArray[np.float64]:
+    """Even lines from low to high [Hz], six in the half-power width of the narrowest mode there (20 000 at most)."""
     inside = (model.frequencies_hz >= low) & (model.frequencies_hz <= high) & (model.damping_ratios > 0)
     widths = 2 * model.damping_ratios[inside] * model.frequencies_hz[inside]
-    step = float(widths.min()) / per_width if widths.size else (high - low) / 1000
-    return np.linspace(low, high, int(np.clip((high - low) / step, 400, most)))
+    step = float(widths.min()) / 6 if widths.size else (high - low) / 1000
+    return np.linspace(low, high, int(np.clip((high - low) / step, 400, 20_000)))
 
 
 def _one_curve(

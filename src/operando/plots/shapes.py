@@ -308,11 +308,12 @@ def draw_shape(axes: Axes, mesh: Mesh, shape: NDArray[Any], *, scale: float = 1.
     return drawn
 
 
-def draw_small(figure: Figure, box: Sequence[float], mesh: Mesh, shape: NDArray[Any], thin: float = 0.65) -> None:
+def draw_small(figure: Figure, box: Sequence[float], mesh: Mesh, shape: NDArray[Any]) -> None:
     """What :func:`draw_shape` shows, flat on the figure and without axes, as large as a box (left, bottom, width, height) [inch] allows."""
     from matplotlib.collections import CircleCollection, PathCollection, PolyCollection
     from matplotlib.path import Path
 
+    thin = 0.65  # strokes and nodes against those of a figure
     drawn = Drawn(mesh, shape)
     moved, signed = drawn.placed(shape)
     shown = np.flatnonzero(mesh.measured)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare.measures import band_masks
 from operando.data import Frf
 from operando.errors import DataError, OperandoError
 from operando.report import derive
@@ -57,27 +57,18 @@ def hold_out_ranges(results: Results, run: CheckRun) -> tuple[list[tuple[float, 
 def every(frf: Frf, most: int = MAP_LINES) -> Frf:
     """One line in so many that at most ``most`` are left."""
     step = max(1, -(-len(frf.axis) // most))
-    if step == 1:
-        return frf
-    from operando.data import FrequencyAxis
-
-    part = lambda array: None if array is None else array[:, :, ::step]  # noqa: E731
-    axis = FrequencyAxis(frf.frequencies_hz[::step])
-    return replace(frf, data=frf.data[:, :, ::step], axis=axis, variance=part(frf.variance), coherence=part(frf.coherence))
+    return frf if step == 1 else frf.decimate(step)
 
 
 def noise_by_dof_band(measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """rms dB error that the noise of the measurement alone makes, by response DOF and band; None without a variance."""
     if measured.variance is None:
         return None
-    mask, f = derive.clear_lines(measured), measured.frequencies_hz
+    mask = derive.clear_lines(measured)
     with np.errstate(divide="ignore", invalid="ignore"):
         noise = DECIBEL * np.sqrt(measured.variance / 2) / np.abs(measured.data)
-    columns = []
-    for low, high in pairwise(edges):
-        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
-        columns.append(derive.rms_over(noise, mask & inside, axis=(1, 2)))
-    return np.column_stack(columns)
+    bands = band_masks(measured.frequencies_hz, edges)
+    return np.column_stack([derive.rms_over(noise, mask & inside, axis=(1, 2)) for inside in bands])
 
 
 def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -90,12 +81,11 @@ def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArr
     measured : Frf
     edges : (n_bands + 1,) array [Hz]
     """
-    mask, f = derive.clear_lines(measured) & np.isfinite(size2), measured.frequencies_hz
+    mask = derive.clear_lines(measured) & np.isfinite(size2)
     whole = np.where(mask, np.abs(measured.data) ** 2, 0.0)
     part = np.where(mask, size2, 0.0)
     columns = []
-    for low, high in pairwise(edges):
-        inside = (f >= low) & (f < high if high < edges[-1] else f <= high)
+    for inside in band_masks(measured.frequencies_hz, edges):
         top, under = (np.sum(v[:, :, inside], axis=(1, 2)) for v in (part, whole))
         columns.append(100 * np.sqrt(np.divide(top, under, out=np.full(top.shape, np.nan), where=under > 0)))
     return np.column_stack(columns)

@@ -257,9 +257,9 @@ def stiffness_span(values: Any, law: Any) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def running_median(values: NDArray[np.float64], lines: int = 15) -> NDArray[np.float64]:
-    """Median over neighbouring lines; fewer at the ends."""
-    half = min(lines // 2, max((values.size - 1) // 2, 0))
+def running_median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Median over 15 neighbouring lines; fewer at the ends."""
+    half = min(7, max((values.size - 1) // 2, 0))
     if half == 0:
         return values
     padded = np.r_[np.full(half, np.nan), values, np.full(half, np.nan)]

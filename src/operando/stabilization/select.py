@@ -78,15 +78,15 @@ def track_poles(table: PoleTable, tolerances: Tolerances, max_gap: int = 3) -> l
     return [np.array(c) for c in chains]
 
 
-def size_threshold(sizes: NDArray[np.int_], n_orders: int, low: float = 0.25, high: float = 0.5) -> int:
-    """Smallest chain that counts as a mode: the two-means split of the sizes, held between shares ``low`` and ``high`` of the orders."""
+def size_threshold(sizes: NDArray[np.int_], n_orders: int) -> int:
+    """Smallest chain that counts as a mode: the two-means split of the sizes, held between a quarter and half of the orders."""
     values = np.sort(np.append(sizes, 0)).astype(float)
     best, cut = np.inf, 0.0
     for k in range(1, values.size):
         spread = values[:k].var() * k + values[k:].var() * (values.size - k)
         if spread < best:
             best, cut = spread, (values[k - 1] + values[k]) / 2
-    return int(np.ceil(np.clip(cut, low * n_orders, high * n_orders)))
+    return int(np.ceil(np.clip(cut, 0.25 * n_orders, 0.5 * n_orders)))
 
 
 def centre(table: PoleTable, members: Members) -> tuple[float, float, NDArray[Any]]:

@@ -66,8 +66,7 @@ def read_uff(path: str | Path, *, units: Units | None = None, channels: ChannelS
     with open_file(path) as stream, map_file(stream, str(path)) as mapped:
         buffer, changed = _one_form(mapped, str(path))
         sets = split_sets(buffer, str(path))
-        provenance = Provenance(((str(path), quick_hash(path, mapped)),), (f"read {path.name}",), _measured(sets))
-        inventory = Inventory(str(path), buffer, sets, units or {}, channels or {}, provenance)
+        inventory = Inventory(str(path), buffer, sets, units or {}, channels or {}, provenance_of(path, mapped, _measured(sets)))
         if changed:
             inventory.note("format", f"{changed}: read all the same", severity="info")
         _note_outside(inventory)
@@ -155,6 +154,11 @@ def map_file(stream: IO[bytes], where: str) -> mmap.mmap:
         return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     except ValueError as error:
         raise FormatError("the file is empty", where=where) from error
+
+
+def provenance_of(path: Path, mapped: mmap.mmap | None = None, measured: str = "") -> Provenance:
+    """Where what was read of a file comes from."""
+    return Provenance(((str(path), quick_hash(path, mapped)),), (f"read {path.name}",), measured)
 
 
 def quick_hash(path: Path, mapped: mmap.mmap | None = None) -> str:
