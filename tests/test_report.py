@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from operando.compare import compare_all
+from operando.compare import compare_all, error_map
 from operando.data import Channel, Finding, Frf, Geometry, ModalModel, Provenance, TimeRecord, group_findings
 from operando.dof import Dof
 from operando.errors import WriteError
@@ -354,7 +354,7 @@ def test_level_difference_is_one_where_only_noise_differs(whole):
 def test_error_map_agrees_with_a_known_gain(whole):
     run = derive.validation_run(whole)
     louder = replace(run.frf, data=run.frf.data * 2)
-    error = derive.error_by_dof_band(louder, run.frf, derive.band_edges(BAND))
+    error = error_map(louder, run.frf, derive.band_edges(BAND))
     assert error.shape == (N, 8)
     np.testing.assert_allclose(error[np.isfinite(error)], 20 * np.log10(2), rtol=1e-9)
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from operando.compare import compare_all
+from operando.compare import compare_all, error_map
 from operando.compare.verdict import FLOOR_DB, GOOD
 from operando.data import FrequencyAxis, Frf, Geometry, ModalModel
 from operando.dof import Dof
@@ -394,8 +394,8 @@ def test_effects_lower_the_map_to_the_noise(whole):
     model = derive_diagnosis.effect_model(whole)
     run = derive.validation_run(whole)
     edges = derive.band_edges(BAND)
-    before = derive.error_by_dof_band(derive.model_frf(whole.idle, run.frf), run.frf, edges)
-    after = derive.error_by_dof_band(derive_diagnosis.predicted(model, run.frf), run.frf, edges)
+    before = error_map(derive.model_frf(whole.idle, run.frf), run.frf, edges)
+    after = error_map(derive_diagnosis.predicted(model, run.frf), run.frf, edges)
     noise = derive_diagnosis.noise_by_dof_band(run.frf, edges)
     assert np.nanmax(before) > 3.0
     # the check was made with just this mass: what is left is the noise the map states

@@ -20,7 +20,6 @@ class Entry:
 
     Parameters
     ----------
-    file : str
     section, key : str
         Empty for the file as a whole, or the section as a whole. A key outside all sections has no section.
     given : mapping

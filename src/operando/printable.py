@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 LONGEST_WORD = 400
 """Most characters without a blank that are shown: whole paths fit, a damaged label does not fill the screen."""
@@ -60,3 +61,9 @@ def _json_escape(character: str) -> str:
 def _cut(match: re.Match[str]) -> str:
     word = match[0]
     return f"{word[: LONGEST_WORD // 2]}…{word[-LONGEST_WORD // 4 :]} ({len(word)} characters)"
+
+
+def first_few(names: Iterable[object], most: int = 6) -> str:
+    """The first of several names, and that there are more."""
+    texts = [str(name) for name in names]
+    return ", ".join(texts[:most]) + (" …" if len(texts) > most else "")

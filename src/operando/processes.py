@@ -35,7 +35,6 @@ def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> l
     ----------
     function : callable
         It must change nothing that it is given: each process has a copy of its own.
-    items : iterable
 
     Raises
     ------

@@ -70,7 +70,6 @@ def save_results(results: Results, path: str | Path) -> None:
 
     Parameters
     ----------
-    results : Results
     path : path
         Usually ``model.h5`` in the results folder.
 

@@ -126,7 +126,6 @@ def outliers(values: Sequence[float], stds: Sequence[float | None]) -> list[int]
 
     Parameters
     ----------
-    values : sequence of float
     stds : sequence of float or None
         Their standard deviations; the scatter counts as no smaller.
     """
@@ -149,7 +148,6 @@ def steps(
 
     Parameters
     ----------
-    values, stds : sequences
     places : sequence of float
         On the axis: the usual change is one a length, where all are apart.
     without : sequence of int

@@ -21,13 +21,7 @@ def perform_alone(values: dict[str, Any]) -> dict[str, Any]:
 
 
 class DaskPool:
-    """Workers behind a Dask scheduler, used as local ones are.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    say : callable
-    """
+    """Workers behind a Dask scheduler, used as local ones are."""
 
     def __init__(self, client: Any, say: Callable[[str], None]) -> None:
         from distributed import as_completed

@@ -13,6 +13,7 @@ from operando.campaign.parameters import Axis, axis_of, shown
 from operando.campaign.tracks import Track, crossings, follow
 from operando.indicators import INTERVAL
 from operando.jsonable import jsonable
+from operando.printable import first_few
 from operando.report.words_diagnosis import effect_words
 
 SCHEMA = "operando/campaign/1"
@@ -27,7 +28,6 @@ def document_of(campaign: Campaign, read: Reader, counts: Mapping[str, Any]) -> 
 
     Parameters
     ----------
-    campaign : Campaign
     read : callable
         Gives the records of members one by one; it is called several times, so that the shapes of few states are held at once.
     counts : mapping
@@ -163,7 +163,7 @@ class _Teller:
             diagnosed = sum(told(self.row(i)["diagnosis"]) for i in range(len(self.states)))
             text = f"in {len(s.states)} of {diagnosed} diagnosed tests, the baseline among them: {what}, is missing in the idle model"
         else:
-            named = ", ".join(str(self.row(i)["number"]) for i in s.states[:12]) + (" …" if len(s.states) > 12 else "")
+            named = first_few((self.row(i)["number"] for i in s.states), 12)
             text = f"in {len(s.states)} tests, not in one stretch (tests {named}): {what}"
         return {
             "what": s.what,

@@ -131,7 +131,6 @@ def error_figure(series: Mapping[str, Sequence[tuple[float, float]]], over: str)
     ----------
     series : mapping
         Name of the model → (place, error in dB).
-    over : str
     """
     figure = new_figure(10.2, 3.0)
     axes = figure.add_axes((0.075, 0.17, 0.9, 0.68))
@@ -156,7 +155,6 @@ def effect_figure(rows: Sequence[tuple[str, Sequence[float], Sequence[float]]], 
     ----------
     rows : sequence of (name, places, places)
         Where an effect is missing, and where the diagnosis does not show it.
-    over : str
     known : sequence of float
         Places of all states, also those without a diagnosis.
     """

@@ -31,7 +31,6 @@ class LocalPool:
 
     Parameters
     ----------
-    processes : int
     logs : Path
         Folder for what libraries print in the workers.
     say : callable

@@ -24,7 +24,6 @@ def write_outputs(out: Path, document: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    out : Path
     document : mapping
         ``operando/campaign/1``.
     """

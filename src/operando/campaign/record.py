@@ -16,10 +16,6 @@ MOST_FINDINGS = 20
 def record_of(results: Results) -> dict[str, Any]:
     """The document of a test that was run.
 
-    Parameters
-    ----------
-    results : Results
-
     Returns
     -------
     dict

@@ -34,7 +34,6 @@ class Task:
 
     Parameters
     ----------
-    name : str
     path : str
         Test file, its URL in an object store, or template.
     text : str or None
@@ -47,7 +46,6 @@ class Task:
         Results folder of the test.
     record : str
         Path of its record.
-    until : str or None
     fingerprint : str
         Of the test and its files; see :func:`fingerprint`.
     idle_from : str or None

@@ -32,7 +32,6 @@ class Point:
         Place of the state in the order of the axis.
     mode : int
         Its number in the test's own results.
-    frequency_hz, frequency_std_hz, damping_ratio, damping_ratio_std : float or None
     mac_before : float or None
         MAC with the shape last seen.
     mac_baseline : float or None
@@ -196,7 +195,6 @@ def crossings(tracks: Sequence[Track], places: Sequence[float]) -> list[Crossing
 
     Parameters
     ----------
-    tracks : sequence of Track
     places : sequence of float
         Of the states on the axis.
     """

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from operando.errors import DataError
+from operando.printable import first_few
 
 Severity = Literal["info", "warning", "error"]
 
@@ -179,7 +180,7 @@ def _grouped(group: list[Finding]) -> Finding:
     parts = []
     for names, what in ((_names(f.file for f in group), "files"), (_names(f.dof for f in group), "DOFs")):
         if len(names) > 1:
-            shown = ", ".join(names[:SHOWN]) + (" …" if len(names) > SHOWN else "")
+            shown = first_few(names, SHOWN)
             parts.append(f"{len(names)} {what} ({shown})")
     where = " in " + " and ".join(parts) if parts else ""
     word = "the same" if len({f.message for f in group}) == 1 else "alike"

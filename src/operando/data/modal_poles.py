@@ -25,7 +25,6 @@ class PoleForm:
     Parameters
     ----------
     frequencies_hz, damping_ratios : (n,) arrays
-    coupling : ModalCoupling
     by_terms : (2n, 2n) array
         Derivative of [f; ζ] of the poles by [f (Hz); ζ] of the terms.
     by_damping : (2n, n, n) array

@@ -22,7 +22,6 @@ def undriven_variance(terms: ModalTerms, rows: ArrayLike, columns: ArrayLike, kn
 
     Parameters
     ----------
-    terms : ModalTerms
     rows, columns : int arrays
         DOFs.
     known : int array, optional

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from operando.data import QUANTITIES, Finding, Frf
 from operando.dof import Dof
 from operando.frf.leakage import resonance_peaks
+from operando.printable import first_few
 
 Array = NDArray[Any]
 
@@ -30,6 +31,15 @@ def _significant(frf: Frf, i: int, j: int) -> NDArray[np.bool_]:
     return np.asarray(good)
 
 
+def _dissipated(frf: Frf, response: int, reference: int) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Lines of a pair that count; there the factor to accelerance, and the imaginary accelerance in the positive senses."""
+    f = frf.frequencies_hz
+    good = _significant(frf, response, reference) & (f > 0)
+    factor = (2j * np.pi * f[good]) ** (QUANTITIES.index("accelerance") - QUANTITIES.index(frf.quantity))
+    sign = frf.responses[response].sign * frf.references[reference].sign
+    return good, factor, np.imag(sign * frf.data[response, reference, good] * factor)
+
+
 def power_share(frf: Frf, response: int, reference: int) -> float:
     """Share of a drive point's dissipated power that has the right sign, from 0 (all wrong) to 1 (all right); NaN without lines.
 
@@ -37,14 +47,9 @@ def power_share(frf: Frf, response: int, reference: int) -> float:
     (accelerance: Im > 0, receptance: Im < 0). It is counted times the frequency, as the imaginary accelerance, so that resonances rule
     and what remains of an offset of the sensors near 0 Hz does not, which a division by the frequency would blow up.
     """
-    f = frf.frequencies_hz
-    good = _significant(frf, response, reference) & (f > 0)
-    if not good.any():
+    _, _, dissipated = _dissipated(frf, response, reference)
+    if not dissipated.size:
         return float("nan")
-    sign = frf.responses[response].sign * frf.references[reference].sign
-    power = QUANTITIES.index("accelerance") - QUANTITIES.index(frf.quantity)
-    accelerance = sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power
-    dissipated = np.imag(accelerance)
     total = float(np.abs(dissipated).sum())
     return float(np.maximum(dissipated, 0).sum() / total) if total > 0 else float("nan")
 
@@ -75,15 +80,11 @@ def power_signs(frf: Frf, response: int, reference: int) -> tuple[float, float]:
     >>> power_signs(frf, 0, 0)
     (1.0, 0.0)
     """
-    f = frf.frequencies_hz
-    good = _significant(frf, response, reference) & (f > 0)
-    if not good.any():
+    good, factor, dissipated = _dissipated(frf, response, reference)
+    if not dissipated.size:
         return 0.0, 0.0
-    sign = frf.responses[response].sign * frf.references[reference].sign
-    power = QUANTITIES.index("accelerance") - QUANTITIES.index(frf.quantity)
-    dissipated = np.imag(sign * frf.data[response, reference, good] * (2j * np.pi * f[good]) ** power)
     variance = np.zeros_like(dissipated) if frf.variance is None else frf.variance[response, reference, good]
-    limit = 3 * np.sqrt(np.where(np.isfinite(variance), variance, 0) / 2) * (2 * np.pi * f[good]) ** power
+    limit = 3 * np.sqrt(np.where(np.isfinite(variance), variance, 0) / 2) * np.abs(factor)
     return float(np.mean(dissipated > limit)), float(np.mean(dissipated < -limit))
 
 
@@ -288,7 +289,7 @@ def _opposite_in_translation(h: Array) -> list[int]:
 
 def missing_drive_points(lacking: Sequence[str], file: str | None, others: int) -> Finding:
     """The finding for the references of a state that no response sits on; ``others`` have one and scale the modes."""
-    shown = ", ".join(lacking[:6]) + (" …" if len(lacking) > 6 else "")
+    shown = first_few(lacking)
     one = len(lacking) == 1
     text = f"no response on the reference DOF {shown}" if one else f"no response on {len(lacking)} reference DOFs ({shown})"
     return Finding(
@@ -405,7 +406,7 @@ def _low_coherence(frf: Frf, band: tuple[float, float] | None) -> list[Finding]:
                 low[str(response)] = float(np.median(values))
         if low:
             worst = min(low, key=lambda k: low[k])
-            names = ", ".join(list(low)[:6]) + (" …" if len(low) > 6 else "")
+            names = first_few(low)
             out.append(
                 Finding(
                     "low_coherence",

@@ -62,7 +62,6 @@ def cut_off_modes(
         First sample of each block.
     block : int
         Samples a block.
-    sampling_hz : float
 
     Returns
     -------

@@ -54,7 +54,6 @@ def estimate(spectra: CrossSpectra, estimator: str = "h1") -> tuple[Array, Array
 
     Parameters
     ----------
-    spectra : CrossSpectra
     estimator : {"h1", "h2", "hv"}
 
     Returns

@@ -13,6 +13,7 @@ from operando.dof import Dof, Node
 from operando.errors import DataError
 from operando.frf.runs import HOMOGENEITY_RATIO, HOMOGENEITY_RELATIVE, absent_pairs, coherence_of, measured_by
 from operando.frf.shift import frequency_shifts, in_words
+from operando.printable import first_few
 
 Array = NDArray[Any]
 _Pair = tuple[int, int]
@@ -203,4 +204,4 @@ def _said(first: Frf, averaged: Sequence[str], apart: dict[str, list[tuple[str, 
 
 
 def _some(labels: Sequence[str]) -> str:
-    return ", ".join(labels[:6]) + (" …" if len(labels) > 6 else "")
+    return first_few(labels)

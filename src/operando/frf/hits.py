@@ -289,7 +289,6 @@ def hit_blocks(hits: Hits, n_samples: int, block_seconds: float | None = None) -
 
     Parameters
     ----------
-    hits : Hits
     n_samples : int
         Length of the record.
     block_seconds : float, optional
@@ -345,7 +344,6 @@ def rejected_numbers(names: Sequence[str], counts: Sequence[int], hits_reject: I
         Name of each record.
     counts : sequence of int
         Hits of each.
-    hits_reject : iterable of str
 
     Returns
     -------

@@ -24,7 +24,6 @@ class RunInput:
 
     Parameters
     ----------
-    record : TimeRecord
     forces, responses : tuple of int
         Rows.
     quantity : str

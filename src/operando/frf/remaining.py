@@ -45,7 +45,6 @@ def remaining_share(
         First sample of each block.
     block : int
         Samples a block.
-    sampling_hz : float
     band : (low, high), optional
         Hz; default: what the quarters resolve, up to the anti-alias limit.
     quiet : int

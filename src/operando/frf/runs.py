@@ -13,6 +13,7 @@ from operando.data import Finding, FrequencyAxis, Frf, Provenance, common_name, 
 from operando.dof import Dof, DofIndex, Node
 from operando.errors import DataError
 from operando.frf.shift import Shift, frequency_shifts, in_words
+from operando.printable import first_few
 
 Array = NDArray[Any]
 
@@ -152,7 +153,6 @@ def pool(runs: Sequence[RunEstimate], responses: Sequence[Dof] | None = None) ->
 
     Parameters
     ----------
-    runs : sequence of RunEstimate
     responses : sequence of Dof, optional
         Rows wanted. Default: all.
     """
@@ -327,7 +327,7 @@ def absent_pairs(data: Array, responses: Sequence[Dof], columns: Sequence[Dof]) 
     absent = [f"{d}/{c}" for i, d in enumerate(responses) for j, c in enumerate(columns) if empty[i, j]]
     if not absent:
         return []
-    shown = ", ".join(absent[:6]) + (" …" if len(absent) > 6 else "")
+    shown = first_few(absent)
     return [
         Finding(
             "missing_pair",
@@ -344,7 +344,6 @@ def merge_group(group: Sequence[RunEstimate], findings: list[Finding]) -> RunEst
 
     Parameters
     ----------
-    group : sequence of RunEstimate
     findings : list of Finding
         Gains one for the runs that differ, and one for sensors that nothing ties to the others.
     """
@@ -433,7 +432,7 @@ def _apart_finding(
     shift = shift_between(base, run)
     moved = f"; in {run.name or 'one of them'} the modes are {in_words(shift)}" if shift is not None else ""
     others = [f"{r.name} ({100 * share:.2g} %)" for r, _, share in apart if r is not run and r.name]
-    also = f"; also {', '.join(others[:6])}{' …' if len(others) > 6 else ''}" if others else ""
+    also = f"; also {first_few(others)}" if others else ""
     levels = f"level {run.level:.4g} N rms against {(highest if same else lowest.level):.4g} N rms"
     if moving:
         cause = "sensors moved" + ("" if same else f", and the level changed: {levels}")

@@ -71,7 +71,6 @@ def local_pole(frequencies_hz: Array, data: Array, variance: Array, peak: Peak) 
     data : (n_rows, n_lines) complex array
         FRFs of any quantity; rows that are not finite are left out.
     variance : (n_rows, n_lines) array
-    peak : Peak
 
     Returns
     -------

@@ -24,7 +24,6 @@ class ChannelFault:
 
     Parameters
     ----------
-    row : int
     kind : {"nan", "flat"}
     message : str
         What is wrong, with numbers.

@@ -41,9 +41,6 @@ def rational_run(run: RunInput, frequencies_hz: Array, window_lines: int = 17, r
 
     Parameters
     ----------
-    run : RunInput
-    frequencies_hz : array
-    window_lines : int
     rejected : sequence of int
         Hits not to be used. The record stays whole, because the structure rings on; the force of each such hit becomes an input of its
         own, whose FRF takes up whatever it did to the structure and is thrown away.

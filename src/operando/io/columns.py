@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding, complex_of
 from operando.errors import ConfigError, FormatError, UnitError
+from operando.printable import first_few
 from operando.units import parse_unit
 
 FREQUENCY, TIME = ("Hz", "rad/s"), ("s", "ms")
@@ -85,7 +86,7 @@ class NoMeasurement(FormatError):
         hint = "directions belong in [directions] of the test file"
         if "directions" not in what:
             hint = 'operando.Geometry(nodes, coordinates, lines).save("geometry.uff") makes a file with lines, which [geometry] takes'
-        names = ", ".join(heads[:5]) + (" …" if len(heads) > 5 else "")
+        names = first_few(heads, 5)
         super().__init__(f"a table of {what} ({names}), no measurement", where=where, hint=hint)
 
 
@@ -144,7 +145,6 @@ def check_columns(columns: Any, where: str) -> tuple[str, ...]:
     columns : list of str
         ``["Hz", "dB", "deg"]``: a frequency (Hz or rad/s), a level (dB, magnitude, or real) and the phase (deg or rad) or imag; or
         ``["s", "g", "N"]``: a time (s or ms) and the unit of each channel, empty where it is not known.
-    where : str
 
     Raises
     ------

@@ -196,7 +196,6 @@ def losses(obj: TimeRecord | Frf | ModalModel | Geometry, kind: str, binary: boo
 
     Parameters
     ----------
-    obj : TimeRecord, Frf, ModalModel or Geometry
     kind : {"uff", "hdf5", "matlab", "csv"}
     binary : bool
         UFF: 58b keeps all digits of functions, ASCII 13.

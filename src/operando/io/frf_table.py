@@ -29,13 +29,7 @@ _PARTS = (("real", "imag"), ("magnitude", "phase"))
 
 
 def write_frf_csv(path: str | Path, frf: Frf) -> None:
-    """Write FRFs as CSV with a frequency column; all digits are kept, pairs that were not measured are left out.
-
-    Parameters
-    ----------
-    path : path
-    frf : Frf
-    """
+    """Write FRFs as CSV with a frequency column; all digits are kept, pairs that were not measured are left out."""
     unit = f" [{_UNITS[frf.quantity]}]" if frf.si else f" [{frf.quantity}]"
     heads, columns = ["frequency [Hz]"], [frf.frequencies_hz]
     for i, response in enumerate(frf.responses):
@@ -86,7 +80,6 @@ def read_frf_table(names: Sequence[str], texts: Sequence[str], table: NDArray[np
     table : (n_columns, n_rows) array
     comments : sequence of str
         Comment lines: ``# averages = 4``.
-    path : Path
     units, channels : mappings, optional
         As for :func:`operando.io.read`.
 

@@ -46,12 +46,10 @@ class Target:
 
     Parameters
     ----------
-    group : h5py Group
     standing : dict
         Hash of each large array → what a tree says of it.
     matrices : list
         Each large symmetric matrix, and what a tree says of it.
-    packed : bool
     """
 
     group: h5py.Group

@@ -38,7 +38,6 @@ def try_mat5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
 
     Parameters
     ----------
-    path : Path
     alive : callable
         Called after every variable: the trial goes on.
 

@@ -18,6 +18,7 @@ from operando.io.quantities import ChannelSpecs, Units
 from operando.io.safe import opened_hdf5
 from operando.io.uff.reader import open_file
 from operando.io.variables import Variable, content_of
+from operando.printable import first_few
 
 
 def read_matlab(path: str | Path, *, units: Units | None = None, channels: ChannelSpecs | None = None) -> Content:
@@ -59,7 +60,7 @@ def read_matlab(path: str | Path, *, units: Units | None = None, channels: Chann
     content = content_of(variables, path, "matlab", units, channels)
     if not unread:
         return content
-    names = ", ".join(unread[:6]) + (" …" if len(unread) > 6 else "")
+    names = first_few(unread)
     note = Finding(
         "unused_variable", f"{len(unread)} variables hold neither numbers nor texts: {names:.200}", "info", str(path),
         consequence="they are not used", action="look whether they are data",

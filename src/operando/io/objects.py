@@ -24,7 +24,6 @@ def save(obj: Any, path: str | Path) -> None:
 
     Parameters
     ----------
-    obj : any object of operando
     path : path
         ``.h5`` keeps everything; other formats take what they can hold, and a warning says what they cannot.
 

@@ -57,7 +57,6 @@ class Scale:
         Physical quantity, ``unknown`` where neither code nor unit says.
     unit : str
         SI unit after multiplication by ``factor``; empty where the unit is not known (then the factor is 1).
-    factor : float
     source_unit : str
         Unit as stated.
     origin : str

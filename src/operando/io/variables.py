@@ -20,6 +20,7 @@ from operando.io.quantities import ChannelSpecs, Units, find_spec, possible_cohe
 from operando.io.sep005 import make_record
 from operando.io.uff.increments import restore_step_of_values, tidy_rate
 from operando.io.uff.reader import provenance_of
+from operando.printable import first_few
 
 _RATE = re.compile(r"^(fs|f_s|freq|sampling_?(hz|freq\w*|rate)|sample_?rate|srate|sf|rate|fsamp)$", re.IGNORECASE)
 _STEP = re.compile(r"^(dt|delta_?t|ts|time_?step|inc|increment)$", re.IGNORECASE)
@@ -38,13 +39,7 @@ RESPONSES = {"accelerance": "acceleration", "mobility": "velocity", "receptance"
 
 @dataclass(frozen=True)
 class Variable:
-    """One array or list of texts with its path (``structure.field``).
-
-    Parameters
-    ----------
-    path : str
-    value : array or list of str
-    """
+    """One array or list of texts with its path (``structure.field``)."""
 
     path: str
     value: Any
@@ -188,7 +183,7 @@ class Groups:
             stated = self.source.unit_texts.get(home, self.source.unit_texts.get("", []))
             labels = self.source.names.get(home, self.source.names.get("", []))
             units = stated if len(stated) == len(rows) else [""] * len(rows)
-            title = ", ".join(names[:4]) + (" …" if len(names) > 4 else "")
+            title = first_few(names, 4)
             labels = labels if len(labels) == len(rows) else names
             out.append(_record(np.stack([row for _, row in rows]), labels, units, (rate, start), title, self.source))
         return out
@@ -315,10 +310,8 @@ def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source:
 
     Parameters
     ----------
-    table, frequencies : arrays
     title : str
         Name in findings.
-    source : Source
     names : sequence of str
         Name of each response in the file, empty where it has none.
     responses, references : tuples of Dof, optional
@@ -327,7 +320,6 @@ def make_frf(table: NDArray[Any], frequencies: NDArray[Any], title: str, source:
         Quantity, where the file names it.
     si : bool
         Whether the numbers are in SI already.
-    coherence : array, optional
     """
     findings: list[Finding] = []
     channels = source.channels

@@ -30,8 +30,6 @@ class Responses:
     ----------
     runs : tuple of (r, n_samples) arrays
         Zero-mean not yet taken.
-    sampling_hz : float
-    dofs : tuple of Dof
     derivative : (r,) int array
         0 displacement, 1 velocity, 2 acceleration.
     names : tuple of str
@@ -176,7 +174,6 @@ def resample(data: NDArray[Any], sampling_hz: float, pass_hz: float, new_hz: flo
     Parameters
     ----------
     data : (r, n_samples) array
-    sampling_hz, pass_hz, new_hz : float
 
     Returns
     -------

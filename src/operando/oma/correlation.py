@@ -55,7 +55,6 @@ def correlate(
     data : (r, n_samples) array
     references : (q,) int array
         Rows used as references.
-    n_lags : int
     n_blocks : int
         Equal consecutive blocks.
     keep_blocks : bool

@@ -47,13 +47,9 @@ class DecayDiagram:
 
     Parameters
     ----------
-    table : PoleTable
-    orders : list of int
-    poles : list of Poles
     pieces : list of (r, n) arrays
         The decays, channels scaled to ``scale``.
     scale : (r,) array
-    prepared : Prepared
     rows : int
         Block rows.
     """

@@ -31,7 +31,6 @@ class SetUp:
         Index of the merged mode each belongs to, −1 where it was left out.
     reasons : tuple of str
         Why a mode was left out (empty where it was not); one a mode.
-    stabilization : Stabilization or None
     failed : str
         Why the whole set-up is not used; empty where it is.
     """

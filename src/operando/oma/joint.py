@@ -28,13 +28,7 @@ LEAST_GROUPS, ALL_GROUPS = 5, 96
 
 @dataclass(frozen=True)
 class SetUpData:
-    """One set-up for the joint estimate.
-
-    Parameters
-    ----------
-    responses : Responses
-    prepared : Prepared
-    """
+    """One set-up for the joint estimate."""
 
     responses: Responses
     prepared: Prepared

@@ -53,13 +53,8 @@ class Identification:
 
     Parameters
     ----------
-    responses : Responses
     prepared : Prepared
         Runs at the rate used, without sinusoids.
-    diagram : CovDiagram, DatDiagram or DecayDiagram
-    harmonics : list of Harmonic
-    spectra : Spectra
-    options : Options
     """
 
     responses: Responses

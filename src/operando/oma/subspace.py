@@ -147,7 +147,6 @@ class Realisation:
         Observability matrix (left singular vectors).
     triangle, product : (n, n) arrays
         R and Qᵀ·(shifted part) of the QR factorisation of all but the last block row.
-    n_channels : int
     basis : ((block_rows − 1)·r, n) array
         Q.
     """

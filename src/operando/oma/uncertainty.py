@@ -166,7 +166,6 @@ def normalised_changes(
         Poles [rad/s].
     shapes : (r, p) array
         Raw shapes.
-    change : Perturbations
 
     Returns
     -------

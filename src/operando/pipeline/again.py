@@ -53,8 +53,6 @@ def run_and_tell(
 
     Parameters
     ----------
-    test : Test
-    out : path
     tell : callable
         Results → plain JSON values. It depends on nothing but them and ``out``.
     until, progress, report

@@ -32,7 +32,6 @@ def add_effects(folder: str, texts: Sequence[str], *, fix: bool = False, progres
 
     Parameters
     ----------
-    folder : str
     texts : sequence of str
         As ``operando add`` takes them.
     fix : bool

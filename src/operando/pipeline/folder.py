@@ -172,7 +172,6 @@ class ResultsFolder:
 
         Parameters
         ----------
-        drop : iterable of str
         standing : mapping, optional
             File of a stage → entry (``key``, ``model``: hash of the ``model.h5`` in which its result stands from here on, and more). Its
             own file goes.
@@ -240,7 +239,6 @@ def results_folder(path: str | Path, doing: str, *, make: bool = False) -> Itera
 
     Parameters
     ----------
-    path : path
     doing : str
         What is done there, for the message to a process that comes meanwhile.
     make : bool
@@ -296,7 +294,6 @@ def adopt(source: str | Path, target: str | Path, stages: Iterable[str]) -> None
     ----------
     source, target : path
         Results folders; where ``source`` has no such stage, or it is damaged, it is made in ``target``.
-    stages : iterable of str
     """
     other = ResultsFolder(Path(source))
     with results_folder(target, "campaign", make=True) as folder:

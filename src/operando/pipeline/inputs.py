@@ -386,10 +386,8 @@ def _trimmed(record: TimeRecord) -> TimeRecord:
 
 def checked(record: TimeRecord) -> TimeRecord:
     """The record with what the raw-data checks find."""
-    try:
-        from operando.quality import check_record
-    except ImportError:
-        return record
+    from operando.quality import check_record
+
     return check_record(record)
 
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from operando.config import Test
 from operando.data import Finding, Geometry, TimeRecord, names_text
-from operando.dof import Dof, Node, split_node
+from operando.dof import Dof, split_node
 from operando.errors import ConfigError, OperandoError
 from operando.limits import LEAST_LINES, LOWER, UPPER
+from operando.printable import first_few
 from operando.units import parse_unit
 from operando.values import nearest
 
@@ -145,7 +146,6 @@ def check_names(test: Test, names: Mapping[Path, Names], found: Collection[str])
 
     Parameters
     ----------
-    test : Test
     names : mapping
         Of the files that could be read. Where one could not, names may be in it: frequencies alone are checked then.
     found : collection of str
@@ -262,24 +262,22 @@ def check_geometry(test: Test, geometry: Geometry | None, names: Mapping[Path, N
     if not lacking:
         return []
     if len(lacking) == len(nodes) and test.geometry_file is not None:
-        has = ", ".join(str(n) for n in sorted(there, key=split_node)[:12]) + (" …" if len(there) > 12 else "")
-        text = f"{test.label(test.geometry_file)} holds none of the measured nodes ({_shown(nodes)})"
+        in_order = sorted(there, key=split_node)
+        text = f"{test.label(test.geometry_file)} holds none of the measured nodes ({first_few(nodes, 12)})"
         raise UnfitTest(
-            text, where=test.where("geometry", "file"), hint=f"its nodes are {has}; node numbers of sensors and geometry must agree"
+            text,
+            where=test.where("geometry", "file"),
+            hint=f"its nodes are {first_few(in_order, 12)}; node numbers of sensors and geometry must agree",
         )
     return [
         Finding(
             "no_position",
-            f"the geometry lacks {len(lacking)} of {len(nodes)} measured nodes: {_shown(lacking)}",
+            f"the geometry lacks {len(lacking)} of {len(nodes)} measured nodes: {first_few(lacking, 12)}",
             "warning",
             consequence="they are not drawn, and effects between sensors are not looked for near them",
             action="give their coordinates in the geometry file",
         )
     ]
-
-
-def _shown(nodes: Sequence[Node]) -> str:
-    return ", ".join(str(n) for n in nodes[:12]) + (" …" if len(nodes) > 12 else "")
 
 
 def _unknown(message: str, name: str, known: Iterable[str], where: str) -> UnfitTest:

@@ -28,15 +28,16 @@ MAX_BYTES = 1_000_000_000
 """Beyond this size ``ofrf.uff`` holds the columns of the measured references only."""
 
 
+Writer = Callable[[Path, Results], list[Finding]]
+"""Writes a file of results; returns what there is to say about it."""
+
+
 @dataclass(frozen=True)
 class Output:
     """A file of the results folder.
 
     Parameters
     ----------
-    name : str
-    write : callable
-        (path, results) → findings: what there is to say about the file.
     stage : str or None
         Stage without which there is no such file; None: there always is.
     whole : bool
@@ -44,7 +45,7 @@ class Output:
     """
 
     name: str
-    write: Callable[[Path, Results], list[Finding]]
+    write: Writer
     stage: str | None = None
     whole: bool = False
 
@@ -56,14 +57,6 @@ class Output:
 def _idle_frf(path: Path, results: Results) -> list[Finding]:
     frf = results.idle_frf
     return _uff(path, results, frf, single=None if frf is None else np.array_equal(frf.data, frf.data.astype(np.complex64), equal_nan=True))
-
-
-def _idle_modes(path: Path, results: Results) -> list[Finding]:
-    return _modes(path, results, results.idle)
-
-
-def _operating_modes(path: Path, results: Results) -> list[Finding]:
-    return _modes(path, results, results.operating)
 
 
 def _ofrf(path: Path, results: Results) -> list[Finding]:
@@ -79,19 +72,14 @@ def _ofrf_effect(path: Path, results: Results) -> list[Finding]:
     return _uff(path, results, frf, single=True)
 
 
-def _comparison(path: Path, results: Results) -> list[Finding]:
-    write_json(path, (results.comparison or {}) | {"settings": results.settings})
-    return []
+def _json(document: Callable[[Results], Any]) -> Writer:
+    """What writes a document of the results."""
 
+    def write(path: Path, results: Results) -> list[Finding]:
+        write_json(path, document(results))
+        return []
 
-def _diagnosis(path: Path, results: Results) -> list[Finding]:
-    write_json(path, results.diagnosis or {})
-    return []
-
-
-def _errors_by_step(path: Path, results: Results) -> list[Finding]:
-    write_json(path, (results.diagnosis or {}).get("ladder", []))
-    return []
+    return write
 
 
 def _report(path: Path, results: Results) -> list[Finding]:
@@ -101,11 +89,10 @@ def _report(path: Path, results: Results) -> list[Finding]:
     return []
 
 
-def _summary(path: Path, results: Results) -> list[Finding]:
+def _summary(results: Results) -> dict[str, Any]:
     from operando.pipeline.summary import summary
 
-    write_json(path, summary(results))
-    return []
+    return summary(results)
 
 
 def _model(path: Path, results: Results) -> list[Finding]:
@@ -115,24 +102,19 @@ def _model(path: Path, results: Results) -> list[Finding]:
     return []
 
 
-def _timings(path: Path, results: Results) -> list[Finding]:
-    write_json(path, {"schema": "operando/timings/1", "seconds": results.timings_s})
-    return []
-
-
 OUTPUTS = (
     Output("idle_frf.uff", _idle_frf, "frf"),
-    Output("idle_modes.uff", _idle_modes, "ema"),
-    Output("operating_modes.uff", _operating_modes, "oma"),
+    Output("idle_modes.uff", lambda path, results: _modes(path, results, results.idle), "ema"),
+    Output("operating_modes.uff", lambda path, results: _modes(path, results, results.operating), "oma"),
     Output("ofrf.uff", _ofrf, "ofrf"),
-    Output("comparison.json", _comparison, "compare", whole=True),
-    Output("diagnosis.json", _diagnosis, "diagnose"),
-    Output("ladder.json", _errors_by_step, "diagnose"),
+    Output("comparison.json", _json(lambda results: (results.comparison or {}) | {"settings": results.settings}), "compare", whole=True),
+    Output("diagnosis.json", _json(lambda results: results.diagnosis or {}), "diagnose"),
+    Output("ladder.json", _json(lambda results: (results.diagnosis or {}).get("ladder", [])), "diagnose"),
     Output("ofrf_effect.uff", _ofrf_effect, "diagnose"),
     Output("report.html", _report, whole=True),
-    Output("summary.json", _summary, whole=True),
+    Output("summary.json", _json(_summary), whole=True),
     Output("model.h5", _model, whole=True),
-    Output("timings.json", _timings, whole=True),
+    Output("timings.json", _json(lambda results: {"schema": "operando/timings/1", "seconds": results.timings_s}), whole=True),
 )
 """In the order they are written: what cannot be written is a finding, which those behind tell of."""
 

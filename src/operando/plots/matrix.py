@@ -40,7 +40,6 @@ def draw_matrix(
 
     Parameters
     ----------
-    axes : matplotlib Axes
     values : (n_rows, n_columns) array
         NaN makes a white cell with a dash.
     rows, columns : sequences of str

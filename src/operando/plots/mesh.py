@@ -20,7 +20,6 @@ class Mesh:
 
     Parameters
     ----------
-    geometry : Geometry
     dofs : sequence of Dof
         Those of the shapes.
     """

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, ModalModel, TimeRecord
 from operando.dof import DofIndex
+from operando.printable import first_few
 from operando.quality.record import check_runs
 
 GAIN_DB = 5.0
@@ -100,7 +101,7 @@ def _check_units(records: Sequence[tuple[str, TimeRecord]]) -> list[Finding]:
         out.append(
             Finding(
                 "unit_differs",
-                f"no unit is known of {', '.join(labels[:6])}{' …' if len(labels) > 6 else ''}, which other files state",
+                f"no unit is known of {first_few(labels)}, which other files state",
                 "warning",
                 file=name or None,
                 dof=labels[0] if len(labels) == 1 else None,

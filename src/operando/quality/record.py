@@ -16,6 +16,7 @@ from operando.frf.impact import impact_blocks, overlap_finding
 from operando.frf.periodic import period_of
 from operando.frf.spectra import cross_spectra
 from operando.frf.usable import channel_faults
+from operando.printable import first_few
 from operando.quality.samples import PileUp, Span, constant_runs, dropouts, not_finite, overload, pile_up, soft_clipping
 
 SHORTEST_PERIOD = 256
@@ -367,7 +368,7 @@ def check_runs(records: Sequence[TimeRecord]) -> list[Finding]:
     common = set.intersection(*everywhere)
     partial = sorted(set.union(*everywhere) - common)
     if common and partial:
-        shown = ", ".join(partial[:8]) + (" …" if len(partial) > 8 else "")
+        shown = first_few(partial, 8)
         out.append(
             Finding(
                 "missing_response",

@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare import measures
 from operando.compare.comparison import lowest_level
-from operando.compare.maps import clear_lines as clear_lines
-from operando.compare.maps import error_map
-from operando.compare.maps import level_error_db as level_error_db
-from operando.compare.maps import rms_over as rms_over
 from operando.data import Finding, Frf, ModalModel, once_of_a_sense, with_further
 from operando.dof import Dof
 from operando.errors import DataError, OperandoError
@@ -23,8 +20,6 @@ from operando.report.svg import thin
 from operando.report.text import number
 from operando.report.words_diagnosis import changed_by_hand
 from operando.results import CheckRun, Results
-
-error_by_dof_band = error_map
 
 BAND_LINES = 500
 """Intervals of frequency in which the variance of a curve is worked out at its least and its greatest line."""
@@ -57,7 +52,6 @@ class ModePair:
     ----------
     idle, operating : int or None
         Its number in each state; None where it has none.
-    idle_hz, operating_hz : float or None
     row : dict
         Its row of the pairing; empty where it was not paired.
     """
@@ -187,10 +181,9 @@ def analysis_band(results: Results) -> tuple[float, float] | None:
     return None
 
 
-def band_edges(band: Sequence[float], n: int = 8) -> NDArray[np.float64]:
-    """n bands, equal in log frequency (``by_band``)."""
-    low = max(float(band[0]), 1e-3 * float(band[1]))
-    return np.geomspace(low, float(band[1]), n + 1)
+def band_edges(band: Sequence[float]) -> NDArray[np.float64]:
+    """Edges [Hz] of the bands of ``by_band``."""
+    return measures.band_edges(max(float(band[0]), 1e-3 * float(band[1])), float(band[1]))
 
 
 def choose_pairs(frf: Frf, error: NDArray[np.float64] | None, most_drive: int = 2, most_worst: int = 2) -> list[tuple[int, int, str]]:
@@ -198,7 +191,6 @@ def choose_pairs(frf: Frf, error: NDArray[np.float64] | None, most_drive: int = 
 
     Parameters
     ----------
-    frf : Frf
     error : (n_responses, n_references) array, optional
         Error of each pair, NaN where there is none.
 
@@ -245,13 +237,15 @@ def reciprocity(frf: Frf, band: Sequence[float] | None = None) -> list[dict[str,
             continue
         gap = np.abs(one - two)[ok] ** 2
         size = 0.5 * (np.abs(one[ok]) ** 2 + np.abs(two[ok]) ** 2)
-        ratio = None
-        if variance is not None:
-            noise = variance[ok]
-            good = np.isfinite(noise) & (noise > 0)
-            ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
+        ratio = None if variance is None else _over_noise(gap, variance[ok])
         rows.append({"pair": (first, second), "relative": float(np.sqrt(gap.sum() / max(size.sum(), 1e-300))), "ratio": ratio})
     return rows
+
+
+def _over_noise(gap: NDArray[np.float64], variance: NDArray[np.float64]) -> float | None:
+    """Mean |difference|² over its variance, where both are known."""
+    good = np.isfinite(gap) & np.isfinite(variance) & (variance > 0)
+    return float(np.mean(gap[good] / variance[good])) if good.any() else None
 
 
 def level_difference(check: Sequence[CheckRun], band: Sequence[float] | None = None) -> dict[str, Any] | None:
@@ -269,11 +263,7 @@ def level_difference(check: Sequence[CheckRun], band: Sequence[float] | None = N
     gap = np.abs(one.data - two.data) ** 2
     ok = np.isfinite(gap)
     size = float(np.sum(np.abs(two.data[ok]) ** 2))
-    ratio = None
-    if one.variance is not None and two.variance is not None:
-        noise = one.variance + two.variance
-        good = ok & np.isfinite(noise) & (noise > 0)
-        ratio = float(np.mean(gap[good] / noise[good])) if good.any() else None
+    ratio = None if one.variance is None or two.variance is None else _over_noise(gap, one.variance + two.variance)
     return {"levels": (high, low), "relative": float(np.sqrt(gap[ok].sum() / size)) if size > 0 else None, "ratio": ratio}
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operando.compare import clear_lines, level_error_db, rms_over
 from operando.compare.measures import band_masks
 from operando.data import Frf
 from operando.errors import DataError, OperandoError
@@ -64,11 +65,11 @@ def noise_by_dof_band(measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.f
     """rms dB error that the noise of the measurement alone makes, by response DOF and band; None without a variance."""
     if measured.variance is None:
         return None
-    mask = derive.clear_lines(measured)
+    mask = clear_lines(measured)
     with np.errstate(divide="ignore", invalid="ignore"):
         noise = DECIBEL * np.sqrt(measured.variance / 2) / np.abs(measured.data)
     bands = band_masks(measured.frequencies_hz, edges)
-    return np.column_stack([derive.rms_over(noise, mask & inside, axis=(1, 2)) for inside in bands])
+    return np.column_stack([rms_over(noise, mask & inside, axis=(1, 2)) for inside in bands])
 
 
 def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -78,10 +79,9 @@ def relative_by_dof_band(size2: NDArray[np.float64], measured: Frf, edges: NDArr
     ----------
     size2 : (n_responses, n_references, n_lines) array
         |ΔH|² or variance.
-    measured : Frf
     edges : (n_bands + 1,) array [Hz]
     """
-    mask = derive.clear_lines(measured) & np.isfinite(size2)
+    mask = clear_lines(measured) & np.isfinite(size2)
     whole = np.where(mask, np.abs(measured.data) ** 2, 0.0)
     part = np.where(mask, size2, 0.0)
     columns = []
@@ -98,7 +98,6 @@ class Routes:
     Parameters
     ----------
     frequencies_hz : (n_lines,) array
-    references : tuple of str
     difference_db : (n_references, n_lines) array
         rms over the responses at each line.
     rms_db : (n_references,) array
@@ -134,19 +133,19 @@ def routes(results: Results, model: Any) -> Routes | None:
     measured = effect if running.effects == model.effects else predicted(model, grid)  # faults of channels are measured, too
     if hybrid is None or effect is None or measured is None or not len(grid.axis):
         return None
-    mask = derive.clear_lines(grid) if run is not None else np.isfinite(hybrid.data)
-    gap = derive.level_error_db(effect, hybrid)
+    mask = clear_lines(grid) if run is not None else np.isfinite(hybrid.data)
+    gap = level_error_db(effect, hybrid)
     against: list[NDArray[np.float64] | None] = [None, None]
     if run is not None:
-        against = [derive.rms_over(derive.level_error_db(one, grid), mask, axis=(0, 2)) for one in (hybrid, measured)]
+        against = [rms_over(level_error_db(one, grid), mask, axis=(0, 2)) for one in (hybrid, measured)]
     return Routes(
         grid.frequencies_hz,
         tuple(str(d) for d in grid.references),
-        np.asarray(derive.rms_over(gap, mask, axis=0)),
-        np.asarray(derive.rms_over(gap, mask, axis=(0, 2))),
+        np.asarray(rms_over(gap, mask, axis=0)),
+        np.asarray(rms_over(gap, mask, axis=(0, 2))),
         against[0],
         against[1],
-        float(derive.rms_over(gap, mask)),
+        float(rms_over(gap, mask)),
     )
 
 

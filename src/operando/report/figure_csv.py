@@ -19,10 +19,6 @@ Column = tuple[str, list[str]]
 def figure_csv(figure: Figure) -> str:
     """All curves, points, bars and maps of a figure.
 
-    Parameters
-    ----------
-    figure : matplotlib Figure
-
     Returns
     -------
     str

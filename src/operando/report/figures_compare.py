@@ -47,7 +47,6 @@ def error_maps(
     Parameters
     ----------
     maps : sequence of (title, (n_rows, n_bands) array); NaN where no line stands clear of the noise
-    rows : sequence of str
     edges : (n_bands + 1,) array [Hz]
     measure : str
         What the numbers are.
@@ -77,7 +76,6 @@ def frequency_changes(
 
     Parameters
     ----------
-    labels : sequence of str
     frequency_percent, damping_percent : arrays [%]
     frequency_std, damping_std : arrays [%]
         Standard deviations; NaN where not known.

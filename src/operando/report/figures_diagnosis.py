@@ -147,13 +147,7 @@ def _fall(axes: Axes, i: int, before: float, after: float, ladder: ErrorByStep) 
 
 @drawn
 def location_figure(found: Mapping[str, Any], geometry: Geometry) -> tuple[Figure, str]:
-    """SVG: the machine with the effects of ``diagnosis.json`` marked.
-
-    Parameters
-    ----------
-    found : dict
-    geometry : Geometry
-    """
+    """SVG: the machine with the effects of ``diagnosis.json`` marked."""
     figure = new_figure(7.0, 4.0)
     axes = figure.add_axes((0.0, -0.1, 1.0, 1.14), projection="3d")
     plot_location(found, geometry, axes).legend(loc="upper left", bbox_to_anchor=(0.01, 0.955), fontsize=9)  # inside the page
@@ -206,7 +200,6 @@ def stiffness_figure(pictures: Sequence[Mapping[str, Any]], titles: Sequence[str
     ----------
     pictures : sequence of dict
         ``frequency_hz``, ``real``, ``imag``, ``law_real``, ``law_imag`` (may be missing), ``unit``.
-    titles : sequence of str
     """
     row, top = 2.75, 0.28
     height = row * len(pictures) + top

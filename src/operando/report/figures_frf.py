@@ -24,7 +24,6 @@ def frf_pairs(measured: Frf, model: Frf | None, pairs: Sequence[Pair], band: Seq
 
     Parameters
     ----------
-    measured : Frf
     model : Frf or None
         On the same lines and pairs.
     pairs : list of (response index, reference index, why shown)

@@ -40,10 +40,8 @@ def mode_shapes(geometry: Geometry | None, dofs: Sequence[Dof], pairs: Sequence[
 
     Parameters
     ----------
-    geometry : Geometry or None
     dofs : sequence of Dof
         One a row of each shape.
-    pairs : list of ShapePair
     """
     columns = min(_PER_ROW, max(len(pairs), 1))
     rows = -(-max(len(pairs), 1) // columns)

@@ -25,7 +25,6 @@ def force_figure(picture: Mapping[str, Any], title: str) -> tuple[Figure, str]:
     ----------
     picture : dict
         One entry of ``picture.restoring_force`` in ``diagnosis.json``.
-    title : str
     """
     figure = new_figure(10.2, 3.3)
     force = np.asarray(picture["force"], float)
@@ -57,7 +56,6 @@ def level_figure(rows: Sequence[Mapping[str, Any]], title: str) -> tuple[Figure,
     ----------
     rows : sequence of dict
         ``equivalents`` of an effect in ``diagnosis.json``.
-    title : str
     """
     figure = new_figure(10.2, 2.5)
     order = sorted(rows, key=lambda r: r["displacement"])

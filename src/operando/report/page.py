@@ -149,7 +149,6 @@ def render_page(
     ----------
     window, title, kicker, meta : str
         Plain texts: of the window, the heading, the lines above and below it.
-    sections : sequence of Section
     block : mapping, optional
         Lines of the title block.
     """

@@ -83,11 +83,8 @@ def table(
 
     Parameters
     ----------
-    head : sequence of str
-    rows : iterable of sequences of str
     numeric : iterable of int
         Columns aligned to the right.
-    caption : str
     wide : bool
         Fill the width.
     mine : iterable of int

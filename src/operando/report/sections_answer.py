@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
+from operando.compare import clear_lines, error_map, level_error_db, rms_over
 from operando.compare.verdict import FLOOR_DB
 from operando.data import Frf
 from operando.report import derive, figures_compare, figures_frf, live
@@ -59,8 +60,8 @@ def _drawn(results: Results, measured: Frf, model: Frf, rest: Frf | None, pairs:
 
 
 def _pair_error(model: Frf, measured_frf: Frf, results: Results) -> Any:
-    mask = derive.clear_lines(measured_frf, derive.analysis_band(results))
-    return derive.rms_over(derive.level_error_db(model, measured_frf), mask, axis=2)
+    mask = clear_lines(measured_frf, derive.analysis_band(results))
+    return rms_over(level_error_db(model, measured_frf), mask, axis=2)
 
 
 def _tiles(results: Results) -> list[Tile]:
@@ -110,9 +111,9 @@ def ofrf(results: Results, page: Numbering) -> dict[str, Any]:
     out["drawn"] = _drawn(results, run.frf, model, rest, pairs)
     if band is not None:
         edges = derive.band_edges(band)
-        maps = [("Operational FRFs" if made else "Idle model", derive.error_by_dof_band(model, run.frf, edges))]
+        maps = [("Operational FRFs" if made else "Idle model", error_map(model, run.frf, edges))]
         if rest is not None:
-            maps.append(("Idle model", derive.error_by_dof_band(rest, run.frf, edges)))
+            maps.append(("Idle model", error_map(rest, run.frf, edges)))
         out["maps"] = figures_compare.error_maps(maps, [str(d) for d in run.frf.responses], edges)
     return out
 
@@ -150,6 +151,6 @@ def _unchecked(results: Results) -> tuple[Markup | None, str]:
     if model is None or rest is None:
         return None, "The operational FRFs cannot be made for the pairs of the idle FRFs."
     blank = Frf(np.full(frf.data.shape, np.nan), frf.axis, frf.responses, frf.references, frf.quantity, si=frf.si)
-    change = derive.rms_over(derive.level_error_db(model, rest), derive.clear_lines(rest, derive.analysis_band(results)), axis=2)
+    change = rms_over(level_error_db(model, rest), clear_lines(rest, derive.analysis_band(results)), axis=2)
     pairs = [(i, j, why.replace("worst pair", "most changed")) for i, j, why in derive.choose_pairs(frf, change)]
     return _drawn(results, blank, model, rest, pairs), ""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from operando.compare import clear_lines, error_map, level_error_db, rms_over
 from operando.plots.location import marks
 from operando.report import derive, derive_diagnosis, figures_compare, figures_diagnosis, figures_frf, figures_records
 from operando.report.assessment import joint_grade, route_words
@@ -96,7 +97,7 @@ def _where(results: Results, page: Numbering, words: DiagnosisWords, model: Any)
         noise = None if run.frf.variance is None else derive_diagnosis.relative_by_dof_band(run.frf.variance, run.frf, edges)
         measure, value = "Relative error of the complex FRF [%]", lambda v: f"{number(v, 3)} %"
     else:
-        maps = [(t, derive.error_by_dof_band(m, run.frf, edges)) for t, m in models]
+        maps = [(t, error_map(m, run.frf, edges)) for t, m in models]
         noise = derive_diagnosis.noise_by_dof_band(run.frf, edges)
         measure, value = "Level error, rms [dB]", decibel
     maps += [] if noise is None else [("Noise floor", noise)]
@@ -214,8 +215,8 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
             "why": "The model with the effects has no FRFs: an effect depends on the level, or what it is made of is not in the results."
         }
     band = derive.analysis_band(results)
-    clear = derive.clear_lines(run.frf, band)
-    error = derive.rms_over(derive.level_error_db(idle, run.frf), clear, axis=2)
+    clear = clear_lines(run.frf, band)
+    error = rms_over(level_error_db(idle, run.frf), clear, axis=2)
     places = [str(d) for e in (results.diagnosis or {}).get("effects") or [] for d in e.get("location") or ()]
     pairs = derive_diagnosis.telling_pairs(run.frf, error, places)
     ranges, everything = derive_diagnosis.hold_out_ranges(results, run)
@@ -223,7 +224,7 @@ def _before_after(results: Results, page: Numbering, words: DiagnosisWords, mode
     return {
         "why": "", "drawn": figures_frf.ofrf_pairs(run.frf, banded, idle, pairs, band, "idle model + effects", ranges), "ranges": ranges,
         "everything": everything, "banded": banded.variance is not None,
-        "errors": [derive.rms_over(derive.level_error_db(m, run.frf), clear) for m in (idle, after)],
+        "errors": [rms_over(level_error_db(m, run.frf), clear) for m in (idle, after)],
     }  # fmt: skip
 
 

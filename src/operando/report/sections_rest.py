@@ -114,17 +114,13 @@ def cell(key: str, value: Any) -> str:
 def provenance(results: Results, page: Numbering) -> dict[str, Any]:
     """Settings, stages left out, versions, inputs with their hashes, processing calls."""
     import platform
-    from importlib.metadata import PackageNotFoundError, version
+    from importlib.metadata import version
 
     from operando import __version__
     from operando.data import Provenance
 
     names = [("operando", __version__), ("Python", platform.python_version())]
-    for package in ("numpy", "scipy", "matplotlib"):
-        try:
-            names.append((package, version(package)))
-        except PackageNotFoundError:  # pragma: no cover
-            continue
+    names += [(package, version(package)) for package in ("numpy", "scipy", "matplotlib")]
     parts = [results.idle_frf, results.idle, results.operating, *(run.frf for run in results.check), results.geometry]
     merged = Provenance.merge(*(p.provenance for p in parts if p is not None))
     inputs = {str(row["sha256"]): tail(row.get("file")) for row in results.inventory if row.get("sha256")}

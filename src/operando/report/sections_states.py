@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from operando.compare import clear_lines, rms_over
 from operando.contrib import library_rows
 from operando.data import Frf, ModalModel, phase_collinearity
 from operando.report import derive, figures_frf, figures_stabilization, live
@@ -107,11 +108,11 @@ def _harmonics(results: Results) -> list[float]:
 
 def _misfit_by_pair(model: Frf, frf: Frf, results: Results) -> Any:
     """Mean |ΔH|² over the noise variance by pair, or relative error where there is none."""
-    inside = derive.clear_lines(frf, derive.analysis_band(results))
+    inside = clear_lines(frf, derive.analysis_band(results))
     gap = np.abs(model.data - frf.data) ** 2
     weight = frf.variance if frf.variance is not None else np.nanmean(np.abs(frf.data) ** 2, axis=2, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return derive.rms_over(np.sqrt(gap / weight), inside & np.isfinite(gap / weight), axis=2)
+        return rms_over(np.sqrt(gap / weight), inside & np.isfinite(gap / weight), axis=2)
 
 
 def _second_opinion(details: Any, results: Results, which: str) -> dict[str, Any] | None:

@@ -91,7 +91,6 @@ class ErrorByStep:
 
     Parameters
     ----------
-    rows : tuple of StepError
     decibel : bool
         Level errors, else chi-squares (1 is the noise).
     on_hold_out : bool
@@ -132,8 +131,6 @@ class DiagnosisWords:
         How far the idle model is off without and with them, and what they cannot be distinguished from.
     decide : tuple of str
         The measurement that would decide or confirm.
-    ladder : ErrorByStep
-    effects : tuple of EffectWords
     output_only : bool
         Whether operational modes alone were used.
     on_records : bool

@@ -56,7 +56,6 @@ def scale_doubt(idle: NDArray[np.float64], operating: NDArray[Any], task: Task, 
     ----------
     idle : (m, n_idle) array, residual modes included
     operating : (m, n) complex array
-    task : Task
     kept : {"mass", "stiffness"}
         What the scale assumes to be as at rest.
     """

@@ -61,8 +61,6 @@ def choose_method(
     ----------
     idle : (m, n_idle) array, residual modes included
     operating : (m, n) complex array
-    task : Task
-    basis : CondensedBasis or None
     mac_values : (n,) array
         MAC of each pair.
     available : set of str

@@ -293,7 +293,6 @@ def expand(idle: Array, unit_shapes: Array, prior: Prior) -> tuple[Array, Array,
     ----------
     idle : (..., m, n_idle) real array
     unit_shapes : (..., m, n_operating) real array
-    prior : Prior
 
     Returns
     -------
@@ -403,7 +402,6 @@ def prior_spread(
     unit_shapes : (m, n_operating) array
     size_factor : (n_idle, n_operating) array
         Weight of q² in the squared size (1 for mass, (ω_k/ω_o)² for stiffness).
-    prior : Prior
 
     Returns
     -------

@@ -73,10 +73,8 @@ def class_flips(
 
     Parameters
     ----------
-    method : str
     idle, operating : arrays
         As for :func:`operando.scaling.methods.scaled_shapes`.
-    task : Task
     likely : (n,) array
         Probability of each flip.
     size : int

@@ -14,6 +14,7 @@ from operando.data.provenance import Provenance
 from operando.dof import Dof, DofIndex
 from operando.errors import ConfigError, DataError, IdentificationError
 from operando.limits import METHODS
+from operando.printable import first_few
 from operando.scaling.carried import LEAST_LEFT, NOT_HELD, CommonShift, common_shift, lessened, part_left, shape_change
 from operando.scaling.common_factor import sampling_rate_finding
 from operando.scaling.condensed import CondensedBasis, best_addition, condensed_basis
@@ -332,7 +333,7 @@ def common_dofs(
             findings.append(
                 Finding(
                     "dof_not_common",
-                    f"{len(missing)} DOFs measured {name} only: {', '.join(missing[:12])}{' …' if len(missing) > 12 else ''}",
+                    f"{len(missing)} DOFs measured {name} only: {first_few(missing, 12)}",
                     "info",
                     consequence="they are left out of the operational FRFs",
                     action="measure the same DOFs, idle and in operation",

@@ -235,7 +235,6 @@ def scaled_shapes(method: str, idle: Array, operating: Array, task: Task) -> Arr
         One of ``METHODS``.
     idle : (..., m, n_idle) real array of unit modal mass
     operating : (..., m, n_operating) complex array of arbitrary scale
-    task : Task
 
     Returns
     -------

@@ -113,8 +113,6 @@ def with_missing(model: ModalModel, missing: Missing, idle_shapes: NDArray[np.fl
 
     Parameters
     ----------
-    model : ModalModel
-    missing : Missing
     idle_shapes : (m, n_idle) array
         At the DOFs of the model.
     """

@@ -19,7 +19,6 @@ def no_scale(idle: ModalModel, findings: Sequence[Finding]) -> tuple[str, str, b
 
     Parameters
     ----------
-    idle : ModalModel
     findings : sequence of Finding
         About the idle state.
     """

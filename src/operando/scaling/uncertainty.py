@@ -87,7 +87,6 @@ def scaled_covariance(
 
     Parameters
     ----------
-    method : str
     idle : ModalModel
         Residual terms included.
     operating : ModalModel

@@ -66,7 +66,6 @@ def try_hdf5(path: Path, alive: Callable[[], None] = lambda: None) -> None:
 
     Parameters
     ----------
-    path : Path
     alive : callable
         Called at every object: the trial goes on, however many there are.
 

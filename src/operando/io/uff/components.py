@@ -85,7 +85,6 @@ class NodeNumbers:
 
     Parameters
     ----------
-    components : tuple of str
     base : int
         A power of ten above all numbers; 0 where there is no component.
     """

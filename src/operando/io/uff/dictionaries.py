@@ -23,10 +23,6 @@ def dictionaries(obj: TimeRecord | Frf | ModalModel | Geometry) -> list[dict[str
     precision, ASCII; ``binary`` may be set to 1), 55 for modes and residual terms, 2411, 82 and 2412 for geometries. Numbers are SI where
     the units are known; a dictionary holds all digits, a set 55 that is written from it six.
 
-    Parameters
-    ----------
-    obj : TimeRecord, Frf, ModalModel or Geometry
-
     Raises
     ------
     DataError

@@ -48,19 +48,12 @@ class Header58:
 
     Parameters
     ----------
-    binary, big_endian : bool
     stated_bytes : int
         Byte count of the 58b header.
     ids : tuple of str
         The five ID lines.
-    function_type : int
-    response, reference : Dof or None
-    response_name, reference_name : str
-    is_complex, is_double, even : bool
-    points : int
     start, step : float
         First abscissa and increment of an even axis, restored from the printed digits.
-    abscissa, ordinate, denominator : Axis
     """
 
     binary: bool

@@ -34,7 +34,6 @@ class Check:
     ----------
     dof : Dof
         Driving point.
-    frequency_hz : float
     value : complex
         Accelerance [(m/s²)/N].
     """

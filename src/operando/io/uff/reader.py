@@ -24,6 +24,7 @@ from operando.io.uff.records import assemble_records, is_time_function
 from operando.io.uff.split import RawSet, outside_sets, split_sets
 from operando.io.uff.textform import Buffer, in_one_form
 from operando.paths import near_path
+from operando.printable import first_few
 
 _FULL_HASH = 1 << 25
 _LINES = {164: 3, 151: 7, 1858: 7}
@@ -267,7 +268,7 @@ def _read_components(header: FileHeader | None, inventory: Inventory) -> None:
     if names:
         first = min(d for d in dofs if d.component)
         inventory.note(
-            "components", f"the names {', '.join(names[:8])}{' …' if len(names) > 8 else ''} are components of the structure: {reason}",
+            "components", f"the names {first_few(names, 8)} are components of the structure: {reason}",
             severity="info", consequence=f"DOFs are written with them, as {first}",
             action="if they are names of sensors, give the DOFs in [channels] of the test file",
         )  # fmt: skip
