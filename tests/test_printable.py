@@ -18,7 +18,7 @@ from operando.data import Channel, TimeRecord
 from operando.dof import Dof
 from operando.io import read, write_csv
 from operando.jsonable import json_text
-from operando.printable import LONGEST_WORD, json_escaped, printable, without_active
+from operando.printable import LONGEST_WORD, first_few, json_escaped, printable, without_active
 from operando.report.text import esc
 
 NASTY = "=cmd|' /C calc'!A0\x1b[31m\x1b]0;owned\x07\u202egnp.exe\u2066<script>alert(1)</script>\x9b2J\x00\u200f"
@@ -136,3 +136,9 @@ def test_a_whole_run_on_nasty_names(tmp_path):
     for path in texts:
         assert not acts(path.read_text(encoding="utf-8")), path.name
     assert (tmp_path / "out/report.html").read_text(encoding="utf-8").count("<script") == 1
+
+
+def test_the_first_few_names_say_that_there_are_more():
+    assert first_few([1, 2, 3], 3) == "1, 2, 3"
+    assert first_few((f"{n}+Z" for n in range(4)), 3) == "0+Z, 1+Z, 2+Z …"
+    assert first_few([]) == ""
