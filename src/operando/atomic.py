@@ -12,6 +12,7 @@ from typing import IO, Any
 
 from operando.errors import WriteError
 from operando.jsonable import json_text
+from operando.paths import path_of
 
 _FULL = "make room and give the same command again; what was finished is kept"
 _CLOSED = "choose another folder, or ask for the right to write there"
@@ -57,9 +58,13 @@ def replacing(path: str | Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[
     Raises
     ------
     WriteError
-        If the folder does not exist, is full or cannot be written.
+        If the folder does not exist, is full or cannot be written, or no file is named.
+    ObjectError
+        If ``path`` is no path.
     """
-    path = Path(path)
+    path = path_of(path, "a file is written to its path")
+    if not path.name:
+        raise WriteError(f"{str(path)!r} names no file", hint="give a path that ends in the name of the file")
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
         unfinished.add(beside)

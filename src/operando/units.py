@@ -153,10 +153,12 @@ def stated_unit(text: str, quantity: str = "unknown") -> tuple[str, str, float]:
     >>> stated_unit("kN", "force")
     ('force', 'N', 1000.0)
     """
-    if quantity not in SI_UNIT:
+    if not isinstance(quantity, str) or quantity not in SI_UNIT:
         near = get_close_matches(str(quantity).strip().lower(), SI_UNIT, 1, 0.4)
         hint = (f"did you mean {near[0]!r}? " if near else "") + "one of " + ", ".join(SI_UNIT)
         raise UnitError(f"unknown quantity {quantity!r}", hint=hint)
+    if not isinstance(text, str):
+        raise UnitError(f"the unit is {text!r:.60}, no text", hint='write for example "m/s2", and "" where it is not known')
     if not text or text == SI_UNIT[quantity]:
         return quantity, text, 1.0
     found, factor = parse_unit(text, {"stress": "pressure", "reaction_force": "force"}.get(quantity, quantity))

@@ -25,7 +25,7 @@ from operando.compare.measures import (
 )
 from operando.compare.models import ModelComparison, compare_models
 from operando.compare.peaks import Peak, by_mode, fit_peaks
-from operando.data import Frf, ModalModel, Saved, expect, plots
+from operando.data import Frf, ModalModel, Saved, expect, plots, positive_band
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.results import CheckRun
@@ -189,6 +189,7 @@ def compare(model: Any, measured: Any, band_hz: tuple[float, float] | None = Non
     >>> operando.compare(one, other).modes[0]["frequency_percent"]
     5.0
     """
+    band_hz = None if band_hz is None else positive_band(band_hz)
     if isinstance(measured, ModalModel | HybridModel):
         return compare_models(model, measured, band_hz)
     if not isinstance(model, Frf) and not callable(getattr(model, "frf", None)):

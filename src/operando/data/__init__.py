@@ -1,6 +1,16 @@
 """The nouns: records, FRFs, modal models, geometry, findings; frozen, labelled, SI inside."""
 
-from operando.data.arrays import band_limits, complex_of, frequencies_of, numbers_of, ordered_band, positive_band
+from operando.data.arrays import (
+    band_limits,
+    bands_of,
+    complex_of,
+    frequencies_of,
+    number_of,
+    numbers_of,
+    order_of,
+    ordered_band,
+    positive_band,
+)
 from operando.data.coupling import ModalCoupling
 from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
 from operando.data.frf import FrequencyAxis, Frf
@@ -41,6 +51,7 @@ __all__ = [
     "StoredRow",
     "TimeRecord",
     "band_limits",
+    "bands_of",
     "common_name",
     "complex_of",
     "counted",
@@ -55,9 +66,11 @@ __all__ = [
     "mapped_rows",
     "names_text",
     "node_motion",
+    "number_of",
     "numbers_of",
     "once_of_a_sense",
     "one_level",
+    "order_of",
     "ordered_band",
     "phase_collinearity",
     "pieces",

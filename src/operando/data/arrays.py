@@ -20,7 +20,7 @@ def frozen(value: ArrayLike, dtype: DTypeLike | None = None, ndim: int | None = 
     """
     try:
         array = np.asarray(value, dtype=dtype)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{name} is {value!r:.60}: no numbers", hint="give an array of numbers") from error
     if ndim is not None and array.ndim != ndim:
         raise DataError(f"{name} has {array.ndim} dimensions, expected {ndim}")
@@ -82,8 +82,67 @@ def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
     """
     try:
         return np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{what} {values!r}: no numbers", hint=hint) from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DataError(f"{what} {values!r:.200}: no numbers", hint=hint) from error
+
+
+def number_of(value: Any, what: str, hint: str) -> float:
+    """One finite number, or an error that says what it is for.
+
+    Parameters
+    ----------
+    value : number
+        What was given.
+    what : str
+        What it is, in words.
+    hint : str
+        What to give instead.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    DataError
+        If it is none, not finite, or several.
+
+    Examples
+    --------
+    >>> number_of(512, "sampling rate", "give the samples in a second [Hz]")
+    512.0
+    """
+    number = numbers_of(value, what, hint)
+    if number.ndim or not np.isfinite(number):
+        raise DataError(f"{what} {value!r:.200} is not one finite number", hint=hint)
+    return float(number)
+
+
+def order_of(value: Any) -> int | None:
+    """The largest order of a stabilisation diagram; None where it is chosen from the data.
+
+    Parameters
+    ----------
+    value : int or None
+        What was given.
+
+    Returns
+    -------
+    int or None
+
+    Raises
+    ------
+    DataError
+        If it is no whole number from 1 on.
+
+    Examples
+    --------
+    >>> order_of(60), order_of(None)
+    (60, None)
+    """
+    if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+        raise DataError(f"max_order = {value!r:.60} is no order", hint="give a whole number from 1 on, for example 60")
+    return value
 
 
 def frequencies_of(values: Any, what: str) -> tuple[float, ...]:
@@ -201,3 +260,34 @@ def positive_band(band: Any) -> tuple[float, float]:
     if not low < high:
         raise DataError(f"the band of {low:g} to {high:g} Hz is empty", hint="give [low, high] in Hz")
     return low, high
+
+
+def bands_of(bands: Any, what: str) -> tuple[tuple[float, float], ...]:
+    """Bands in a list [Hz], each with its lower limit first.
+
+    Parameters
+    ----------
+    bands : sequence of (float, float)
+        What was given.
+    what : str
+        What it is, in words.
+
+    Returns
+    -------
+    tuple of (float, float)
+
+    Raises
+    ------
+    DataError
+        If it is no list of bands.
+
+    Examples
+    --------
+    >>> bands_of([(24, 25), (49, 50)], "exclude_bands")
+    ((24.0, 25.0), (49.0, 50.0))
+    """
+    hint = "give a list of bands in Hz, as [(24, 25), (49, 50)]"
+    pairs = numbers_of(bands, what, hint)
+    if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
+        raise DataError(f"{what} {bands!r:.200} is no list of bands", hint=hint)
+    return tuple(map(positive_band, pairs.reshape(-1, 2)))

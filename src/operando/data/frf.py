@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen, ordered_band
+from operando.data.arrays import bands_of, frozen, ordered_band
 from operando.data.findings import Finding
 from operando.data.objects import ByContent, Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
@@ -340,7 +340,7 @@ class Frf(Noun):
     def without_bands(self, bands: Sequence[tuple[float, float]]) -> Frf:
         """The lines outside these bands [Hz], ends of a band included in it."""
         keep = np.ones(len(self.axis), bool)
-        for low, high in bands:
+        for low, high in bands_of(bands, "bands left out"):
             keep[self.axis.band(low, high)] = False
         return self if keep.all() else self.lines(keep)
 

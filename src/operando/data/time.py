@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import mapped
-from operando.data.arrays import frozen
+from operando.data.arrays import frozen, number_of
 from operando.data.findings import Finding
 from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics, scaled_rows
 from operando.data.objects import Noun, counted, names_text, plots
@@ -69,7 +69,7 @@ class Channel:
     set: int | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.dof, str):
+        if self.dof is not None:
             object.__setattr__(self, "dof", Dof.parse(self.dof))
         try:
             object.__setattr__(self, "quantity", stated_unit(self.unit, self.quantity)[0])
@@ -138,17 +138,19 @@ class TimeRecord(Noun):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "data", _samples(self.data))
-        object.__setattr__(self, "channels", tuple(self.channels))
-        if any(isinstance(c, str | Dof) for c in self.channels):
-            hint = 'write operando.Channel("3+Z", "acceleration", "m/s2") for each row'
-            raise DataError(f"the channels are {self.channels!r:.100}", where=self.name or None, hint=hint)
+        hint = 'write operando.Channel("3+Z", "acceleration", "m/s2") for each row'
+        channels = tuple(self.channels) if isinstance(self.channels, Iterable) else (self.channels,)
+        if not all(isinstance(c, Channel) for c in channels):
+            found = f"{channels!r:.100}: 'channels' of TimeRecord is tuple of other things, expected tuple[Channel, ...]"
+            raise DataError(found, where=self.name or None, hint=hint)
+        object.__setattr__(self, "channels", channels)
         object.__setattr__(self, "findings", tuple(self.findings))
         if self.data.shape[0] != len(self.channels):
             raise DataError(f"{self.data.shape[0]} rows but {len(self.channels)} channel labels", where=self.name or None)
-        if not (np.isfinite(self.sampling_hz) and self.sampling_hz > 0):
+        object.__setattr__(self, "sampling_hz", number_of(self.sampling_hz, "sampling rate", "give the samples in a second [Hz]"))
+        object.__setattr__(self, "start_s", number_of(self.start_s, "start_s", "give the time of the first sample [s]"))
+        if not self.sampling_hz > 0:
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
-        if not all(isinstance(c, Channel) for c in self.channels):
-            return  # of a damaged file; its reader says what is wrong
         scales = [stated_unit(c.unit, c.quantity) for c in self.channels]
         if any(unit != c.unit for c, (_, unit, _) in zip(self.channels, scales, strict=True)):
             object.__setattr__(self, "data", _samples(scaled_rows(self.data, [factor for _, _, factor in scales])))
@@ -399,9 +401,11 @@ def _samples(data: Any) -> Any:
     """Samples as a record holds them: a read-only array of floats, or what stays in its file."""
     if isinstance(data, MappedSamples):
         return data
-    array = np.asarray(data)
+    array = frozen(data, name="record data")
+    if np.iscomplexobj(array):
+        raise DataError("record data are complex, samples are real", hint="FRFs and spectra are no record: operando.Frf holds FRFs")
     if not np.issubdtype(array.dtype, np.floating):
-        array = array.astype(float)
+        array = frozen(data, float, name="record data")
     elif isinstance(data, np.memmap) and data.ndim == 2 and data.mode == "r" and data.nbytes >= mapped.MAPPED_FROM:
         return mapped_memmap(data)
     return frozen(array, ndim=2, name="record data")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, Frf, ModalModel, TimeRecord, expect, frequencies_of
+from operando.data import Finding, Frf, ModalModel, TimeRecord, bands_of, expect, frequencies_of, order_of, several
 from operando.dof import Dof, DofIndex
 from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
 from operando.ema.band import analysis_band
@@ -139,17 +139,17 @@ def fit_ema(
         expect(automatic, ModalModel, "automatic is the model that other modes are chosen in", "give what fit_ema(frf) returned")
     exact, more = frequencies_of(modes_hz, "modes_hz"), frequencies_of(select_hz, "select_hz")
     less = frequencies_of(reject_hz, "reject_hz")
-    if max_order is not None and not (isinstance(max_order, int | np.integer) and max_order >= 1):
-        raise DataError(f"max_order = {max_order!r} is no order", hint="give a whole number from 1 on, for example 60")
-    if ema not in ANSWERS:
-        raise DataError(f"ema = {ema!r} is not known", hint="one of " + ", ".join(ANSWERS))
+    max_order, excluded = order_of(max_order), bands_of(exclude_bands, "exclude_bands")
+    if records is not None:
+        records = several(records, TimeRecord, "the whole records are fitted", "give those the FRFs were estimated from")
+    if not isinstance(ema, str) or ema not in ANSWERS:
+        raise DataError(f"ema = {ema!r:.60} is not known", hint="one of " + ", ".join(ANSWERS))
     with one_blas_thread():
         given = frf
-        frf, lost = with_values(given.without_bands(exclude_bands))
+        frf, lost = with_values(given.without_bands(excluded))
         frf = frf.to_quantity("accelerance")
         band, beyond = analysis_band(given, frf.frequencies_hz, band)
         records = whole_records(records)
-        excluded = tuple(exclude_bands)
         job = _Job(frf, model_dofs(frf), band, excluded, tuple(records or ()), ema, progress, _weights(frf))
         model = automatic
         if model is None or not isinstance(model.details, EmaDetails) or ema not in ("auto", model.details.answer):

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from operando.data import Finding, Frf, TimeRecord, group_findings, positive_band, several
+from operando.data import Finding, Frf, TimeRecord, group_findings, number_of, positive_band, several
 from operando.dof import parse_dofs
 from operando.errors import DataError
 from operando.frf.averaged import averaged_run, few_averages
@@ -118,14 +118,19 @@ def estimate_frf(
     usable_records, lost = usable_channels(given)
     runs = [run for _, run in _survivors(run_input, usable_records, lambda record: record.name, lost)]
     wanted = None if references is None else parse_dofs(references)
+    if wanted == ():
+        raise DataError(f"references {references!r:.60} names no DOF", hint="leave it out to take all that were excited")
     estimator = estimator.lower() if isinstance(estimator, str) else estimator
-    if estimator not in (None, "auto", "lrm", "periodic", *ESTIMATORS):
-        raise DataError(f"estimator {estimator!r} is none of auto, periodic, lrm, {', '.join(ESTIMATORS)}")
-    if hits not in ("auto", "all", "off"):
-        raise DataError(f"hits {hits!r} is none of auto, all, off")
+    if not isinstance(estimator, str | None) or estimator not in (None, "auto", "lrm", "periodic", *ESTIMATORS):
+        raise DataError(f"estimator {estimator!r:.60} is none of auto, periodic, lrm, {', '.join(ESTIMATORS)}")
+    if not isinstance(hits, str) or hits not in ("auto", "all", "off"):
+        raise DataError(f"hits {hits!r:.60} is none of auto, all, off", hint="auto takes consistent single hits, all every hit, off none")
     band = None if band is None else positive_band(band)
-    if block_seconds is not None and not (np.isfinite(block_seconds) and block_seconds > 0):
-        raise DataError(f"block_seconds = {block_seconds:g} is no length", hint="give a positive number of seconds")
+    hits_reject = several(hits_reject, str, "hits are named by texts", 'write ["run1.uff#3"]')
+    seconds = "give a positive number of seconds"
+    if block_seconds is not None and not (block_seconds := number_of(block_seconds, "block_seconds", seconds)) > 0:
+        raise DataError(f"block_seconds = {block_seconds:g} is no length", hint=seconds)
+    overlap = None if overlap is None else number_of(overlap, "overlap", "give a share from 0 to below 1")
     quantities = {r.quantity for r in runs}
     if len(quantities) > 1:
         raise DataError(f"the runs measure different quantities: {', '.join(sorted(quantities))}", hint="estimate them apart")

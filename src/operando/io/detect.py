@@ -11,7 +11,7 @@ from operando.data import Finding
 from operando.errors import FormatError, MissingError
 from operando.files import natural_order
 from operando.io.content import Content, SetInfo
-from operando.io.quantities import ChannelSpecs, Units
+from operando.io.quantities import ChannelSpecs, Units, check_stated
 from operando.paths import path_of
 
 READERS = {
@@ -144,6 +144,7 @@ def read(
     path = path_of(
         path, "a file is read from its path", "a pattern as 'idle/*.uff' reads several files; for arrays there are TimeRecord and Frf"
     )
+    check_stated(units, channels)
     if is_pattern(path):
         return _read_all(str(path), units, channels)
     kind = detect_format(path)

@@ -377,7 +377,8 @@ def _decode_class(tree: dict[str, Any], stored: _Stored) -> Any:
     try:
         made = kind(**values) if make is None else make(values)
     except OperandoError as error:
-        raise FormatError(f"cannot make {kind.__name__} from what the file holds: {error}", where=stored.where) from error
+        reason = f"cannot make {kind.__name__} from what the file holds: {error.message}"
+        raise FormatError(reason, where=stored.where, hint="the file is damaged") from error  # not what a call of the class should give
     except Exception as error:  # values of a wrong type fail anywhere in a constructor
         reason = f"{type(error).__name__}: {error}"
         raise FormatError(f"cannot make {kind.__name__} from what the file holds: {reason}", where=stored.where) from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from math import isfinite
 from typing import Any
@@ -23,6 +24,8 @@ Units = Mapping[str, Any]
 ChannelSpecs = Mapping[str, Mapping[str, Any]]
 """Channel name or DOF label → dof, quantity, unit, sensitivity, exclude, reason (the test file's ``[channels]``)."""
 
+_BESIDE = ("length", "sampling_hz", "frequency_step_hz", "columns")
+"""What may be said of a file besides the units of quantities."""
 SPEC_KEYS = ("dof", "quantity", "unit", "sensitivity", "exclude", "reason")
 _ROTATIONAL = {"acceleration": "angular_acceleration", "velocity": "angular_velocity", "displacement": "angle", "force": "moment"}
 _POWERS = {
@@ -36,6 +39,25 @@ _WORDS = {
     "voltage": ("voltage", "volt", "spannung"), "strain": ("strain", "dehnung"), "pressure": ("pressure", "mic"),
     "temperature": ("temperature", "temp"),
 }  # fmt: skip
+
+
+def check_stated(units: Any, channels: Any) -> None:
+    """Refuse what is no mapping of units, or of channels, and a quantity that is not known.
+
+    Raises
+    ------
+    ConfigError
+        It names the nearest known one.
+    """
+    given = (("units", units, 'units={"acceleration": "g"}'), ("channels", channels, 'channels={"ch1": {"dof": "12+Z", "unit": "g"}}'))
+    for what, value, example in given:
+        if value is not None and not isinstance(value, Mapping):
+            raise ConfigError(f"{what} is {value!r:.60}", hint=f"give a dict, as {example}")
+    known = (*SI_UNIT, *_BESIDE)
+    for key in set(units or ()).difference(known):
+        near = get_close_matches(str(key), known, 1, 0.5)
+        hint = f"did you mean {near[0]!r}?" if near else "known: " + ", ".join(known)
+        raise ConfigError(f"unknown key {key!r:.60}", where="units", hint=hint)
 
 
 @dataclass(frozen=True)

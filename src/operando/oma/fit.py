@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from operando.data import ModalModel, TimeRecord, band_limits, frequencies_of, several
+from operando.data import ModalModel, TimeRecord, band_limits, frequencies_of, order_of, several
 from operando.errors import ConfigError
 from operando.oma.band import BandChoice, default_band
 from operando.oma.setups import fit_setups, group_setups
@@ -113,9 +113,9 @@ def fit_oma(
         options = Options(
             choice.band,
             choice.text,
-            max_order,
+            order_of(max_order),
             references,
-            tuple(float(f) for f in known_harmonics_hz),
+            frequencies_of(known_harmonics_hz, "known_harmonics_hz"),
             frequencies_of(select_hz, "select_hz"),
             frequencies_of(reject_hz, "reject_hz"),
             method,

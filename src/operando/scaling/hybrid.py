@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, ModalModel, ResidualTerms, expect
+from operando.data import Finding, ModalModel, ResidualTerms, expect, number_of
 from operando.data.provenance import Provenance
 from operando.dof import Dof, DofIndex
 from operando.errors import ConfigError, DataError, IdentificationError
@@ -86,8 +86,9 @@ def scale_operational(idle: ModalModel, operating: ModalModel, threshold: float 
     """
     expect(idle, ModalModel, "idle modes are needed first", "fit_ema(frf) gives them")
     expect(operating, ModalModel, "operational modes are needed second", "fit_oma(record) gives them")
-    if method not in ("auto", *METHODS):
-        raise ConfigError(f"scaling method {method!r} is none of {', '.join(('auto', *METHODS))}")
+    threshold = number_of(threshold, "threshold", "give a MAC value above 0 and up to 1")
+    if not isinstance(method, str) or method not in ("auto", *METHODS):
+        raise ConfigError(f"scaling method {method!r:.60} is none of {', '.join(('auto', *METHODS))}", hint="auto chooses one")
     if idle.scaling != "unit_modal_mass":
         raise DataError(
             "the idle modes are not scaled to unit modal mass, so there is no scale to carry over",

@@ -85,6 +85,8 @@ class Effect:
             )
         elif definition.places == 2 and self.location[0].same_axis(self.location[1]):
             raise ConfigError(f"{self.kind} needs two different DOFs, got {self.location[0]} twice")
+        if not isinstance(self.values, Mapping):
+            raise ConfigError(f"the values of {self.kind} are {self.values!r:.60}", hint='give a dict, as {"mass": 0.2}')
         values = dict(self.values)
         for name in values:
             definition.parameter(name)

@@ -45,6 +45,8 @@ def parse_effect(text: str, band_hz: tuple[float, float] | None = None, fixed: b
     '1 MN/m'
     """
     try:
+        if not isinstance(text, str):
+            raise ConfigError(f"an effect is read from a text, not {type(text).__name__}", hint=_HOW)
         return _parsed(text, band_hz, fixed)
     except (ConfigError, DofError) as error:
         raise type(error)(error.message, where=f"effect {text!r:.200}", hint=error.hint) from None

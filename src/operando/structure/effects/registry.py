@@ -143,12 +143,12 @@ def kind_of(name: str) -> EffectKind:
     ConfigError
         If there is none; names the nearest.
     """
-    if name in _KINDS:
+    if isinstance(name, str) and name in _KINDS:
         return _KINDS[name]
-    near = get_close_matches(name, _KINDS, 1, 0.5)
+    near = get_close_matches(str(name), _KINDS, 1, 0.5)
     hint = (f"did you mean {near[0]!r}? " if near else "") + "kinds: " + ", ".join(sorted(_KINDS))
     hint += "; a kind of your own is known once its file is named by --own FILE"
-    raise ConfigError(f"unknown kind of effect {name!r}", hint=hint)
+    raise ConfigError(f"unknown kind of effect {name!r:.60}", hint=hint)
 
 
 for _room in (linear, whole, channels, level_dependent, hysteresis):
