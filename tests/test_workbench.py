@@ -286,6 +286,15 @@ def test_a_candidate_and_the_suggestion_are_added(site):
         ("take", {"state": "idle"}, "hz is no number"),
         ("take", {"hz": 1.0}, "no state"),
         ("nothing", {}, "no action"),
+        ("take", {"state": ["idle"], "hz": 1.0}, "no state"),
+        ("add", {"kind": "point_mass", "dofs": 5}, "no list of texts"),
+        ("add", {"kind": "point_mass", "dofs": ["2+Z"], "values": "heavy"}, "no list of texts"),
+        ("remove", {"step": 1.7}, "step is no whole number"),
+        ("bands", {"low": 5.0, "high": None}, "both its limits"),
+        ("bands", {"low": None, "high": None, "excluded": [[None, 24.0]]}, "both its limits"),
+        ("bands", {"low": None, "high": None, "excluded": {"from": 24.0}}, "both its limits"),
+        ("exclude", {"channel": "22+Z", "reason": "cable"}, "no channel '22+Z'"),
+        ("exclude", {"channel": "2+Z", "reason": "\ud800"}, "reason is no text"),
     ],
 )
 def test_wrong_requests_are_explained(site, what, given, said):
@@ -293,6 +302,24 @@ def test_wrong_requests_are_explained(site, what, given, said):
     assert answer.status_code == 400
     assert said in str(answer.json)
     assert site.bench.job is None
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status"),
+    [("/do/undo", "[1]", 400), ("/do/undo", "[" * 9000 + "]" * 9000, 400), ("/do/undo", "x" * 70_000, 413), ("/nowhere", "{}", 404)],
+)
+def test_whatever_is_posted_is_answered_in_json(site, path, body, status):
+    answer = site.client.post(path, data=body, base_url="http://127.0.0.1:8000", headers=HEAD)
+    assert answer.status_code == status
+    assert answer.json["schema"] == "operando/error/1"
+
+
+def test_a_fault_of_the_program_is_said_to_be_one(site, monkeypatch):
+    monkeypatch.setattr(site.bench, "exclude", lambda channel, reason: 1 / 0)
+    site.app.config.update(TESTING=False)
+    answer = site.do("exclude", channel="2+Z", reason="cable")
+    assert (answer.status_code, answer.json["where"]) == (500, "operando itself")
+    assert "ZeroDivisionError" in answer.json["error"]
 
 
 def test_results_that_do_not_name_their_test_file_are_shown(chain_test):

@@ -42,6 +42,7 @@ def make_app(bench: Bench, token: str) -> Flask:
         What the address at the start holds; every request brings it as a cookie, those that change something in a header.
     """
     from flask import Flask, Response, abort, request
+    from werkzeug.exceptions import HTTPException
 
     app = Flask("operando.workbench", static_folder=None)
     app.json.sort_keys = False  # type: ignore[attr-defined]
@@ -73,6 +74,17 @@ def make_app(bench: Bench, token: str) -> Flask:
         if request.method == "GET":
             return page("failed.html.j2", "", error=error), 500
         return error.to_dict(), 400
+
+    @app.errorhandler(HTTPException)
+    def refused(error: HTTPException) -> Any:
+        """What is asked for by a program is answered in JSON, a fault of this one included."""
+        if request.method == "GET":
+            return error
+        cause = getattr(error, "original_exception", None)
+        if cause is None:
+            return OperandoError(error.description or error.name, where=request.path).to_dict(), error.code
+        text = f"unexpected {type(cause).__name__}: {cause}"
+        return OperandoError(text, where="operando itself", hint="a fault of the program, not of your data").to_dict(), 500
 
     def page(template: str, tab: str, **values: Any) -> str:
         results = bench.results
@@ -155,9 +167,12 @@ def make_app(bench: Bench, token: str) -> Flask:
 
     @app.post("/do/<what>")
     def do(what: str) -> dict[str, Any]:
-        given = request.get_json(force=True, silent=True)
+        try:
+            given = request.get_json(force=True, silent=True)
+        except RecursionError:  # lists in lists without end
+            given = None
         if not isinstance(given, dict):
-            abort(400)
+            abort(400, "The request holds no JSON object.")
         with bench.lock:
             return {"said": perform(bench, what, given)}
 
@@ -184,9 +199,11 @@ def perform(bench: Bench, what: str, given: dict[str, Any]) -> str:
     elif what == "include":
         bench.include(_text(given, "channel"))
     elif what == "bands":
-        band = [given.get("low"), given.get("high")]
-        excluded = given.get("excluded")
-        bench.bands(None if band == [None, None] else band, excluded if isinstance(excluded, list) else [])
+        band, excluded = [given.get("low"), given.get("high")], given.get("excluded") or []
+        for pair in (band, *excluded) if isinstance(excluded, list) else (None,):
+            if not isinstance(pair, list) or (None in pair and pair != [None, None]):
+                raise ConfigError("a band needs both its limits", where=f"{pair!r:.60}", hint="fill in both fields, or leave both empty")
+        bench.bands(None if band == [None, None] else band, excluded)
     elif what == "undo":
         bench.writable().undo()
     elif what == "discard":
@@ -208,11 +225,11 @@ def perform(bench: Bench, what: str, given: dict[str, Any]) -> str:
             check_dofs(parse_effect(text, results.idle.band_hz).location, results.idle.dofs, f"effect {text!r:.200}")
         bench.start(do="add", effects=[text], fix=given.get("fix") is True)
     elif what == "candidate":
-        bench.start(do="candidate", number=int(_number(given, "number")))
+        bench.start(do="candidate", number=_whole(given, "number"))
     elif what == "suggested":
         bench.start(do="suggested")
     elif what == "remove":
-        bench.start(do="remove", step=int(_number(given, "step")))
+        bench.start(do="remove", step=_whole(given, "step"))
     else:
         raise ConfigError(f"there is no action {what!r:.50}")
     return ""
@@ -220,17 +237,19 @@ def perform(bench: Bench, what: str, given: dict[str, Any]) -> str:
 
 def _effect(given: dict[str, Any]) -> str:
     """The effect of the form as ``operando add`` takes it."""
-    dofs = [d.strip() for d in given.get("dofs") or () if isinstance(d, str) and d.strip()]
-    values = given.get("values") or {}
-    items = [f"{name}:{value.strip()}" for name, value in values.items() if isinstance(value, str) and value.strip()]
+    asked, values = given.get("dofs") or [], given.get("values") or {}
+    if not isinstance(asked, list) or not isinstance(values, dict) or not all(isinstance(text, str) for text in (*asked, *values.values())):
+        raise ConfigError("dofs is no list of texts, or values no table of texts")
+    dofs = [d.strip() for d in asked if d.strip()]
+    items = [f"{name}:{value.strip()}" for name, value in values.items() if value.strip()]
     return _text(given, "kind") + ("@" + ",".join(dofs) if dofs else "") + ("=" + ",".join(items) if items else "")
 
 
 def _state(given: dict[str, Any]) -> str:
     state = given.get("state")
-    if state not in modes.STATES:
+    if not isinstance(state, str) or state not in modes.STATES:
         raise ConfigError("no state is given", hint="idle or operating")
-    return str(state)
+    return state
 
 
 def _number(given: dict[str, Any], key: str) -> float:
@@ -240,8 +259,15 @@ def _number(given: dict[str, Any], key: str) -> float:
     return float(value)
 
 
+def _whole(given: dict[str, Any], key: str) -> int:
+    value = _number(given, key)
+    if value != int(value):
+        raise ConfigError(f"{key} is no whole number")
+    return int(value)
+
+
 def _text(given: dict[str, Any], key: str) -> str:
     value = given.get(key)
-    if not isinstance(value, str) or not value or len(value) > 500:
+    if not isinstance(value, str) or not value or len(value) > 500 or any("\ud800" <= c <= "\udfff" for c in value):  # no file holds these
         raise ConfigError(f"{key} is no text")
     return value

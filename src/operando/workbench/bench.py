@@ -15,8 +15,10 @@ from operando.paths import example_folder
 from operando.pipeline.folder import default_folder, source_of
 from operando.results import Results
 from operando.store import load_results
+from operando.values import nearest
 from operando.workbench.edits import Draft, Exclude, SetValue
 from operando.workbench.job import Job
+from operando.workbench.view import channels
 
 
 class Bench:
@@ -172,11 +174,15 @@ class Bench:
         Raises
         ------
         ConfigError
-            If no reason is given.
+            If no reason is given, or the results have no such channel.
         """
         if not reason.strip():
             raise ConfigError("no reason is given", where=f"channel {channel}", hint="write in a few words why it is left out")
-        self.writable().add(Exclude(channel, reason.strip()))
+        draft, results = self.writable(), self.results
+        known = [] if results is None else [row["key"] for row in channels(results, draft.table)["rows"]]
+        if known and channel not in known:
+            raise ConfigError(f"the test has no channel {channel!r:.60}", hint=nearest(channel, known))
+        draft.add(Exclude(channel, reason.strip()))
 
     def include(self, channel: str) -> None:
         """Take a channel back."""
