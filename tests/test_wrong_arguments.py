@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import operando
+from operando import plots
 from operando.errors import DataError, OperandoError
 
 IDLE = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
@@ -63,6 +64,16 @@ MOVED = operando.TimeRecord(NOISE, 256.0, BOTH)
         (lambda: operando.write_uff(None, FRF), "a file is written to its path, not NoneType"),
         (lambda: operando.write_uff("", FRF), "'.' names no file"),
         (lambda: FRF.without_bands([24, 25]), "is no list of bands"),
+        (lambda: FRF.plot(band="low"), "band 'low': no numbers"),
+        (lambda: FRF.plot(band=(60, 10)), "is reversed"),
+        (lambda: MOVED.plot_psd(band=(10,)), "is no pair of frequencies"),
+        (lambda: MOVED.plot_psd(block_seconds=np.nan), "is not one finite number"),
+        (lambda: plots.plot_nyquist(FRF, band=5), "is no pair of frequencies"),
+        (lambda: operando.Model(IDLE, geometry="frame.uff"), "effects stand on a geometry, not str"),
+        (lambda: operando.diagnose(IDLE, check=FRF, geometry="frame.uff"), "effects stand on a geometry, not str"),
+        (lambda: operando.diagnose(IDLE, check=FRF, operating="run1.uff"), "operating takes operational modes, not str"),
+        (lambda: operando.diagnose(IDLE, check=FRF, kinds=3), "kinds of effects have names, not int"),
+        (lambda: operando.apply_effects(IDLE, "point_mass@1+Z=mass:0.2", check=FRF, band=np.array([10, 20, 30])), "is no pair of frequencies"),
     ],
 )
 def test_a_wrong_argument_is_refused_with_advice(call: Callable[[], Any], said: str) -> None:

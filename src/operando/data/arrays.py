@@ -142,7 +142,7 @@ def order_of(value: Any) -> int | None:
     """
     if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
         raise DataError(f"max_order = {value!r:.60} is no order", hint="give a whole number from 1 on, for example 60")
-    return value
+    return None if value is None else int(value)
 
 
 def frequencies_of(values: Any, what: str) -> tuple[float, ...]:

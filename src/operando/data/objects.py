@@ -10,6 +10,7 @@ import importlib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from types import UnionType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -242,7 +243,7 @@ def several(value: Any, kind: type | tuple[type, ...], what: str, hint: str) -> 
     return items
 
 
-def expect(value: Any, kinds: type | tuple[type, ...], what: str, hint: str) -> None:
+def expect(value: Any, kinds: type | UnionType | tuple[type, ...], what: str, hint: str) -> None:
     """Refuse an object of another kind than a function works on.
 
     Parameters

@@ -56,7 +56,7 @@ def kinds_asked(kinds: str | Sequence[str] | None) -> tuple[str, ...] | None:
     """
     if kinds is None:
         return None
-    names = (kinds,) if isinstance(kinds, str) else tuple(kinds)
+    names = tuple(several(kinds, str, "kinds of effects have names", "operando.catalogue() lists them"))
     for name in names:
         kind_of(name)
     return names

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from operando.data import Frf, Geometry, ModalModel, expect, several
+from operando.data import Frf, Geometry, ModalModel, expect, positive_band, several
 from operando.diagnosis.applied import Applied, words_of
 from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, validation_runs
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
@@ -101,6 +101,8 @@ def apply_effects(
     <Applied: point_mass at 2+Z, 100.0 ± 0.1 g; 4.01 dB before, 0.00 dB after on the hold-out set>
     """
     expect(idle, ModalModel, "effects are added to idle modes", "fit_ema(frf) gives them")
+    expect(geometry, Geometry | None, "effects stand on a geometry", "read(file).geometry is one")
+    band = None if band is None else positive_band(band)
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
     runs = validation_runs(check)

@@ -276,6 +276,8 @@ def diagnose(
     0.1
     """
     expect(idle, ModalModel, "a diagnosis needs idle modes first", "fit_ema(frf) gives them")
+    expect(operating, ModalModel | None, "operating takes operational modes", "fit_oma(record) gives them")
+    expect(geometry, Geometry | None, "effects stand on a geometry", "read(file).geometry is one")
     runs = validation_runs(check)
     asked: dict[str, Any] = {"geometry": geometry, "kinds": kinds_asked(kinds), "places": places, "band": band}
     asked |= {"progress": progress, "compared": compared}

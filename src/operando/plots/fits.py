@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Frf, ModalModel
+from operando.data import Frf, ModalModel, ordered_band
 from operando.errors import DataError, ObjectError
 from operando.indicators import frf_correlation
 from operando.plots.frfs import magnitude_label
@@ -136,7 +136,7 @@ def plot_nyquist(
         title += f", mode {mode}: {hz:.2f} Hz, ζ {100 * zeta:.2f} %"
     elif band is None and model is not None:
         band = model.band_hz
-    inside = part if band is None else part.lines(part.axis.band(*band))
+    inside = part if band is None else part.band(*ordered_band(band))
     h = inside.data[0, 0]
     with style():
         axes = new_axes(6.0, 5.6) if axes is None else axes
@@ -219,7 +219,7 @@ def plot_synthesis_correlation(
     """
     given = None if isinstance(model, Frf) else model.band_hz
     band = given if band is None else band
-    measured = frf if band is None else frf.band(*band)
+    measured = frf if band is None else frf.band(*ordered_band(band))
     made = (model if band is None else model.band(*band)) if isinstance(model, Frf) else None
     if made is None:
         made = model.frf(measured.frequencies_hz, measured.responses, measured.references, measured.quantity, variance=False)  # type: ignore[union-attr]

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Frf, quantity_named, unit_of
+from operando.data import Frf, ordered_band, quantity_named, unit_of
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.style import (
@@ -59,8 +59,9 @@ def shown_lines(frf: Frf, band: Sequence[float] | None) -> slice:
     """Lines that are drawn: the band with a margin of 15 %, all without a band."""
     if band is None:
         return slice(0, len(frf.axis))
-    margin = MARGIN * (band[1] - band[0])
-    return frf.axis.band(max(band[0] - margin, 0), band[1] + margin)
+    low, high = ordered_band(band)
+    margin = MARGIN * (high - low)
+    return frf.axis.band(max(low - margin, 0), high + margin)
 
 
 def plot_frf(

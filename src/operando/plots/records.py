@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Channel, TimeRecord
+from operando.data import Channel, TimeRecord, ordered_band
 from operando.errors import DataError, ObjectError
 from operando.plots.style import CYCLE, IDLE, INK, MEASURED, PURPLE, frequency_axis, log_axis, new_axes, new_stack, short_name, style, thin
 from operando.printable import printable
@@ -259,7 +259,7 @@ def draw_force_spectra(
     """The spectrum of each hit."""
     length = max(int(sampling_hz / 2), 64)  # a line every 2 Hz; the pulse itself is much shorter
     f = np.fft.rfftfreq(length, 1 / sampling_hz)
-    low, high = band or (0.0, sampling_hz / 2)
+    low, high = (0.0, sampling_hz / 2) if band is None else ordered_band(band)
     for hit in hits:
         size = np.abs(np.fft.rfft(hit.force, length)) / sampling_hz
         keep = thin(f, size)
@@ -354,7 +354,7 @@ def mark_findings(place: Axes, record: TimeRecord, channel: Channel) -> None:
 def _spectra(
     place: Axes, f: NDArray[Any], psd: NDArray[Any], labels: Sequence[str], band: tuple[float, float] | None, last: bool, count: int
 ) -> None:
-    low, high = band or (float(f[1]), float(f[-1]))
+    low, high = (float(f[1]), float(f[-1])) if band is None else ordered_band(band)
     shown = (f >= low) & (f <= high) & (f > 0)
     place.set_yscale("log")
     tops = []

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Frf, ModalModel, unit_of
+from operando.data import Frf, ModalModel, expect, ordered_band, unit_of
 from operando.errors import DataError, ObjectError
 from operando.plots.style import (
     GREEN,
@@ -121,6 +121,7 @@ def plot_stabilization(
         axes = new_axes(9.5, 5.0) if axes is None else axes
         behind = _behind(axes)
         if frf is not None:
+            expect(frf, Frf, "mode indicators are drawn of FRFs", "read(file).frfs and estimate_frf(records) give FRFs")
             from operando.ema import cmif, mmif
 
             hz = frf.frequencies_hz
@@ -255,8 +256,8 @@ def glyph(letter: str) -> Any:
 
 def _limits(frequencies: NDArray[Any], band: Sequence[float] | None) -> tuple[float, float]:
     if band is not None:
-        margin = 0.08 * (band[1] - band[0])
-        return max(float(band[0]) - margin, 0.0), float(band[1]) + margin
+        low, high = ordered_band(band)
+        return max(low - 0.08 * (high - low), 0.0), high + 0.08 * (high - low)
     good = frequencies[np.isfinite(frequencies)]
     return (float(good.min()), float(good.max()) * 1.02) if good.size and good.max() > good.min() else _around(good)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import TimeRecord
+from operando.data import TimeRecord, number_of
 from operando.frf import Hits, cross_spectra, hits_of
 
 SHOWN_CHANNELS = 8
@@ -146,7 +146,7 @@ def densities(record: TimeRecord, block_seconds: float | None = None) -> tuple[N
     if block_seconds is None:
         block = min(max(64, min(2 * LINES_A_BAND, 2 * n // (LEAST_AVERAGES + 1))), n)
     else:
-        block = int(block_seconds * record.sampling_hz)
+        block = int(number_of(block_seconds, "block_seconds", "give a positive number of seconds") * record.sampling_hz)
     spectra = cross_spectra(record.data, [], list(range(record.data.shape[0])), record.sampling_hz, block)
     return spectra.frequencies_hz, spectra.response
 

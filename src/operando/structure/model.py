@@ -66,6 +66,7 @@ class Model(Short):
 
     def __post_init__(self) -> None:
         expect(self.idle, ModalModel, "effects are added to idle modes", "fit_ema(frf) gives them")
+        expect(self.geometry, Geometry | None, "effects stand on a geometry", "read(file).geometry is one")
         hint = 'parse_effect("point_mass@12+Z=mass:0.2") reads one, and Model.add takes the text'
         effects = several(self.effects, Effect, "a model is made of effects", hint)
         object.__setattr__(self, "effects", tuple(effects))
