@@ -73,7 +73,10 @@ MOVED = operando.TimeRecord(NOISE, 256.0, BOTH)
         (lambda: operando.diagnose(IDLE, check=FRF, geometry="frame.uff"), "effects stand on a geometry, not str"),
         (lambda: operando.diagnose(IDLE, check=FRF, operating="run1.uff"), "operating takes operational modes, not str"),
         (lambda: operando.diagnose(IDLE, check=FRF, kinds=3), "kinds of effects have names, not int"),
-        (lambda: operando.apply_effects(IDLE, "point_mass@1+Z=mass:0.2", check=FRF, band=np.array([10, 20, 30])), "is no pair of frequencies"),
+        (
+            lambda: operando.apply_effects(IDLE, "point_mass@1+Z=mass:0.2", check=FRF, band=np.array([10, 20, 30])),
+            "is no pair of frequencies",
+        ),
     ],
 )
 def test_a_wrong_argument_is_refused_with_advice(call: Callable[[], Any], said: str) -> None:
