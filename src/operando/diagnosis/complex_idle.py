@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, ModalModel
-from operando.diagnosis.criteria import EARNED, EXPLAINED, REST_LINES
+from operando.diagnosis.criteria import EARNED, EXPLAINED, MOST_CHI_SQUARE, REST_LINES
 from operando.diagnosis.force_noise import moved_by_force_noise
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.poles import poles
@@ -35,9 +35,9 @@ def with_complex_modes(
 
     A local damper ties modes to each other; then no set of real modes has the FRFs. Damping between modes and the lag of their shapes
     (:class:`operando.ModalCoupling`) are fitted to the FRFs together with frequencies, damping ratios, and shapes, which start from
-    the model. Taken where less than 3 % of the FRFs is left unexplained, the evidence is above that of real modes fitted in the same
-    way (MacKay, Neural Computation 4, 1992, 415–447) by as much as an effect has to be, and the error on lines that the fit did not
-    use is less than that of the model, which did use them.
+    the model, where its reduced chi-square is above 1.5 or 1 % of the FRFs and more is left unexplained. Taken where that becomes less
+    than 3 %, the evidence is above that of real modes fitted in the same way (MacKay, Neural Computation 4, 1992, 415–447) by as much
+    as an effect has to be, and the error on lines that the fit did not use is less than that of the model, which did use them.
 
     Parameters
     ----------
@@ -70,7 +70,8 @@ def _fitted(model: ModalModel, frf: Frf, band: tuple[float, float], progress: Ca
     """The model with complex modes where they are better, else as it was."""
     tied = without_doubts(model, _OF_REAL_SHAPES)
     known = Idle.of(tied, band, frf.references)
-    rest = at_rest(known, frf, band)
+    beyond_noise = model.misfit is not None and model.misfit > MOST_CHI_SQUARE
+    rest = at_rest(known, frf, band, again=beyond_noise)
     if not rest.again or rest.state.alpha > EXPLAINED:
         return model
     if progress is not None:

@@ -336,12 +336,12 @@ class AtRest:
     again: bool
 
 
-def at_rest(idle: Idle, frf: Frf, band: tuple[float, float]) -> AtRest:
+def at_rest(idle: Idle, frf: Frf, band: tuple[float, float], again: bool = False) -> AtRest:
     """The idle model on the FRFs at rest; where they differ, fitted to them again with what makes modes complex.
 
-    A model whose modes are tied is fitted again in any case: it does not say how well its ties are known.
+    A model whose modes are tied is fitted ``again`` in any case: it does not say how well its ties are known.
     """
-    if not idle.tied:
+    if not (idle.tied or again):
         # noise taken for alike where it is not would count as a misfit, so the lines count as independent first
         state = on_idle_frfs(idle, frf, band, FIT_LINES, CORRELATED_LINES, False, REST_DISCREPANCY)
         if state.alpha < REST_DISCREPANCY:

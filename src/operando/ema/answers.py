@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from operando.data import Frf, ModalModel, Provenance
 from operando.dof import Dof
-from operando.ema.discrepancy import fit_variance
 from operando.ema.doubts import Evidence
-from operando.ema.linear import LinearFit, fit_linear, stated_covariance
+from operando.ema.linear import LinearFit, stated_covariance
 from operando.ema.outside import OutsideModes, outside_modes
 from operando.ema.pairs import Pairs, Real
 from operando.ema.polish import Polished
 from operando.ema.polish_model import OUTSIDE_DAMPING, Parameters
 from operando.ema.polished import PolishedAnswer
-from operando.ema.projection import modal_power, tail_columns
+from operando.ema.projection import tail_columns
 from operando.ema.spectra import RunSpectra
 from operando.ema.start import LOWER_FACTORS, OUTSIDE_FACTORS
 from operando.ema.unit_mass import ModalCovariance, UnitMassShapes
@@ -28,9 +27,6 @@ FREQUENCY_FLOOR = 1e-6
 DAMPING_FLOOR = 1.3e-4
 SHAPE_FLOOR = 1.3e-4
 """Relative standard deviations that no likelihood sees: clock and filters of a measurement chain, the integrator of a simulated one."""
-
-N_BLOCKS = 18
-"""Contiguous blocks of lines of which every third is kept from the fit that judges the model."""
 
 CORE_DOFS = 16
 """DOFs whose residual terms are fitted together; the others follow from these row by row."""
@@ -174,11 +170,11 @@ def _assemble(
 def polished_model(
     frf: Frf, dofs: tuple[Dof, ...], answer: PolishedAnswer, band: tuple[float, float], fit_band: tuple[float, float], scaled: bool
 ) -> ModalModel:
-    """Model of the maximum-likelihood fit; its covariance is inflated by the reduced chi-square on unused lines."""
+    """Model of the maximum-likelihood fit; its covariance is inflated by the reduced chi-square of the fit on unused lines."""
     theta = answer.fit.parameters
     m, n = theta.shapes.shape
     units = np.concatenate([theta.hz, theta.zeta, np.ones(n * m)])
-    inflation = max(1.0, answer.misfit if np.isfinite(answer.misfit) else 1.0)
+    inflation = max(1.0, answer.free_misfit if np.isfinite(answer.free_misfit) else 1.0)
     covariance = answer.fit.covariance * np.outer(units, units) * inflation
     residual = (theta.hz > fit_band[1]) | (theta.hz < 0.8 * fit_band[0])
     poles = theta.hz, theta.zeta
@@ -202,7 +198,7 @@ def linear_model(
     return _assemble(frf, dofs, band, poles, mass.shapes, mass.covariance, outside, residual, misfit, scaled, "linear stage")
 
 
-def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, float]) -> OutsideModes:
+def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, float], local_terms: bool = True) -> OutsideModes:
     """Residual terms for all DOFs from the tails of the measured pairs; 1/s, an offset of a sensor, is no part of a structure."""
     runs, parameters = column_runs(fit, mass.shapes)
     columns = tail_columns(fit.pairs.frequencies_hz, max(fit.ends_hz[1], float(fit.poles.hz.max())), fit.ends_hz[0], fit.pairs.window_rate)
@@ -214,7 +210,7 @@ def linear_outside(fit: LinearFit, mass: UnitMassShapes, band: tuple[float, floa
     lines = fit.pairs.accelerance.size
     polished = Polished(parameters, np.zeros((0, 0)), tuple(estimates), float(fit.projection.cost.sum()), lines, 0, True)
     m, n = mass.shapes.shape
-    local_terms = (n + 14 + m) * (2 + m) <= MOST_PARAMETERS
+    local_terms = local_terms and (n + 14 + m) * (2 + m) <= MOST_PARAMETERS
     return outside_modes(runs, polished, band, True, max_dofs=CORE_DOFS, local_terms=local_terms)
 
 
@@ -264,32 +260,3 @@ def column_runs(fit: LinearFit, shapes: Real) -> tuple[list[RunSpectra], Paramet
     empty = tuple(np.zeros((0, 0)) for _ in runs)
     damping = np.full(outside.size, OUTSIDE_DAMPING)
     return runs, Parameters(fit.poles.hz, fit.poles.zeta, shapes, outside, damping, empty, tuple(local))
-
-
-def heldout_misfit(pairs: Pairs, fit: LinearFit, band: tuple[float, float], n_dofs: int) -> tuple[float, Real]:
-    """Reduced chi-square on lines the fit did not use, by the measurement variance alone: all pairs, and by response DOF.
-
-    Every third of 18 contiguous blocks of lines (narrower ones where there are few lines) is left out of a refit from the final poles.
-    Only for FRFs whose measurement variance is known.
-    """
-    thin = fit.pairs.frequencies_hz
-    f = pairs.frequencies_hz
-    lines = f.size
-    blocks = max(N_BLOCKS, lines // 5)  # narrow: each resonance keeps lines on both sides
-    number = (np.arange(lines) * blocks) // lines
-    held = number % 3 == 1
-    used = pairs.lines((np.isin(f, thin) | (number % 3 == 0)) & ~held)
-    if used.frequencies_hz.size < 8 or not held.any():
-        return float("nan"), np.full(n_dofs, np.nan)
-    again = fit_linear(used, fit.poles, fit.ends_hz, start=fit.carried_to(used), rounds=1)
-    power = modal_power(used, again.poles, again.projection, fit.ends_hz)
-    kappa = fit_variance(again.projection.error, power, used.noise, used.noise_known).kappa
-    seen = pairs.lines(held & (f >= band[0]) & (f <= band[1]))
-    if not seen.frequencies_hz.size:
-        return float("nan"), np.full(n_dofs, np.nan)
-    error = np.abs(seen.accelerance - again.on_lines(seen)) ** 2 / (kappa[:, None] * seen.noise)
-    by_pair = error.mean(axis=1)
-    by_row = np.full(n_dofs, np.nan)
-    for row in np.unique(pairs.rows):
-        by_row[row] = by_pair[pairs.rows == row].mean()
-    return float(by_pair.mean()), by_row

@@ -45,6 +45,9 @@ class EmaDetails(Short):
         The linear stage's own answer, with the evidence of each pole.
     candidates : tuple of Candidate
         Poles that the linear fits of the band and its parts agree on: what modes named by hand are taken from.
+    free_misfit : float
+        As ``ModalModel.misfit``, of the fit behind the model: complex residues and tails free in each pair (linear), or what lies outside
+        free in each run (polished). NaN where it was not computed.
     """
 
     stabilization: Stabilization | None
@@ -60,6 +63,7 @@ class EmaDetails(Short):
     answer_reason: str = ""
     linear: LinearModes | None = None
     candidates: tuple[Candidate, ...] = ()
+    free_misfit: float = float("nan")
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""

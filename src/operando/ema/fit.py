@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operando.data import Finding, Frf, ModalModel, TimeRecord, bands_of, expect, frequencies_of, order_of, several
 from operando.dof import Dof, DofIndex
-from operando.ema.answers import LinearModes, heldout_misfit, linear_model, linear_modes, polished_model
+from operando.ema.answers import LinearModes, linear_model, linear_modes, polished_model
 from operando.ema.band import analysis_band
 from operando.ema.by_hand import AddModes, modes_by_hand
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
@@ -18,7 +18,16 @@ from operando.ema.choose import ChoiceLog, choose_modes
 from operando.ema.close_pairs import separated
 from operando.ema.details import EmaDetails
 from operando.ema.doubts import evidence_of_modes, unknown_to
-from operando.ema.findings import DriveResidues, drive_residues, fit_findings, linear_findings, quantity_finding, turned_finding
+from operando.ema.findings import (
+    DriveResidues,
+    drive_residues,
+    fit_findings,
+    linear_findings,
+    misfit_findings,
+    quantity_finding,
+    turned_finding,
+)
+from operando.ema.handed_out import left_of
 from operando.ema.linear import MAX_DAMPING, NOISE_LIMITED, LinearFit, fit_linear
 from operando.ema.order import UnseenModesError
 from operando.ema.pairs import Pairs, Real, frf_pairs, informative_lines, with_values
@@ -118,7 +127,7 @@ def fit_ema(
     -------
     ModalModel
         Real shapes; ``scaling`` is ``unit_modal_mass`` where units are known and a drive point gives the scale, else ``unscaled``.
-        ``misfit`` is that of lines the fit did not use; ``details`` is an :class:`EmaDetails`.
+        ``misfit`` is that of this model on lines the fit did not use; ``details`` is an :class:`EmaDetails`.
 
     Raises
     ------
@@ -214,6 +223,7 @@ class _Outcome:
     model: ModalModel
     poles: tuple[Real, Real, Real]  # frequencies, damping ratios, shapes of the modes
     misfit_by_row: Real
+    free_misfit: float
     fit_misfit: float
     converged: bool
     lower: bool
@@ -265,6 +275,7 @@ def _answer(
         answer_reason=reason,
         linear=kept,
         candidates=candidates,
+        free_misfit=found.free_misfit,
     )
     return replace(found.model, findings=(*found.model.findings, *findings, *found.findings), details=details)
 
@@ -297,18 +308,21 @@ def _polished(
     except UnseenModesError as more:
         listed = ", ".join(f"{h:.4g}" for h in more.hz)
         return None, f"polished, real modes of one scale need others beside those that the linear stage sees (near {listed} Hz)"
-    if job.answer == "auto" and pairs.noise_known and not answer.misfit < ACCEPTED_MISFIT:
-        linear = heldout_misfit(pairs, fit, job.band, len(job.dofs))[0]
-        if not answer.misfit < linear:
-            return None, f"polished, the reduced chi-square on unused lines is {answer.misfit:.3g}; by the linear stage it is {linear:.3g}"
+    if job.answer == "auto" and pairs.noise_known and not answer.free_misfit < ACCEPTED_MISFIT:
+        left = left_of(pairs, fit, job.band, len(job.dofs))
+        if left is None or not answer.free_misfit < left.free:
+            linear = float("nan") if left is None else left.free
+            chi = f"the reduced chi-square on unused lines is {answer.free_misfit:.3g}"
+            return None, f"polished, {chi}; by the linear stage it is {linear:.3g}"
     theta = answer.fit.parameters
     drive = any(r.same_axis(d) for r in job.frf.references for d in job.frf.responses)
     scaled = job.frf.si and drive and len(answer.log.unseen_hz) < theta.hz.size
-    said = fit_findings(job.frf, job.band, signs, answer.misfit)
+    said = [*fit_findings(job.frf, job.band, signs), *misfit_findings(answer.misfit, answer.free_misfit, {"outside": answer.misfit})]
     outcome = _Outcome(
         polished_model(job.frf, job.dofs, answer, job.band, fit_band, scaled),
         (theta.hz, theta.zeta, theta.shapes),
         answer.misfit_by_row,
+        answer.free_misfit,
         answer.fit.cost / answer.fit.n_data,
         answer.fit.converged,
         answer.lower,
@@ -332,9 +346,9 @@ def _linear(
 ) -> _Outcome:
     """The linear stage's answer: modes without doubts. The second fit, before close modes were parted, is compared with unused lines."""
     fit, whole = fits
-    misfit, by_row = float("nan"), np.full(len(job.dofs), np.nan)
-    if pairs.noise_known:
-        misfit, by_row = heldout_misfit(pairs, whole, job.band, len(job.dofs))
+    nothing = float("nan")
+    left = left_of(pairs, whole, job.band, len(job.dofs)) if pairs.noise_known else None
+    misfit = nothing if left is None else left.misfit
     model = linear_model(job.frf, job.dofs, fit, list(kept.evidence), mass, job.band, misfit, bool(job.frf.si and mass.scaled.any()))
     sure = np.array([not e.doubts for e in kept.evidence])
     doubtful = [
@@ -343,11 +357,11 @@ def _linear(
         if e.doubts
     ]
     undriven = len(job.dofs) - np.unique(fit.pairs.columns).size
-    said = fit_findings(job.frf, job.band, signs, float("nan"))
     return _Outcome(
         model,
         (fit.mean_hz[sure], fit.poles.zeta[sure], mass.shapes[:, sure]),
-        by_row,
+        np.full(len(job.dofs), np.nan) if left is None else left.by_row,
+        nothing if left is None else left.free,
         float(np.mean(np.abs(fit.projection.error) ** 2 / fit.variance.plain)),
         True,
         True,
@@ -355,7 +369,8 @@ def _linear(
         (*doubtful, *log.rejected),
         tuple(log.rounds),
         [
-            *said,
+            *fit_findings(job.frf, job.band, signs),
+            *([] if left is None else misfit_findings(left.misfit, left.free, left.parts)),
             *linear_findings(kept, job.band, undriven if model.n_residuals < undriven else 0),
             *(turned_finding(str(job.dofs[row])) for row in turned),
         ],

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from operando.ema.normal import Information
 from operando.ema.order import refine
-from operando.ema.polish import Polished, run_misfit
+from operando.ema.polish import Outside, Polished, run_misfit
 from operando.ema.polish_model import Real
 from operando.ema.spectra import RunSpectra
 
@@ -32,21 +32,24 @@ def hold_out_masks(runs: Sequence[RunSpectra]) -> list[NDArray[np.bool_]]:
 
 
 def heldout_misfit(
-    runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band: tuple[float, float], known: Information | None = None
-) -> tuple[float, Real]:
+    runs: Sequence[RunSpectra], n_dofs: int, fit: Polished, band: tuple[float, float], terms: Outside, known: Information | None = None
+) -> tuple[float, Real, float]:
     """Refit without the hold-out lines, from the final values, and evaluate it there by the measurement variance alone.
 
-    ``known`` is the normal matrix of the fit without the hold-out lines, where it is that of these runs.
+    ``terms`` are the residual terms of the model; ``known`` is the normal matrix of the fit without the hold-out lines, where it is that of
+    these runs.
 
     Returns
     -------
     misfit : float
-        Mean |e|²/var over hold-out lines within the band, responses and runs.
+        Mean |e|²/var over hold-out lines within the band, responses and runs: of the modes with the residual terms.
     by_row : (M,) array
+    free : float
+        The same with what lies outside free in each run, as it is fitted.
     """
     masks = hold_out_masks(runs)
     kept = [run.lines(~mask) for run, mask in zip(runs, masks, strict=True)]
     theta = fit.parameters
     partial = refine(kept, n_dofs, theta.hz, theta.zeta, lower=False, start=theta, max_iterations=6, tolerance=0.5, known=known)
     seen = [mask & (run.frequencies_hz >= band[0]) & (run.frequencies_hz <= band[1]) for run, mask in zip(runs, masks, strict=True)]
-    return run_misfit(runs, partial.parameters, seen)
+    return *run_misfit(runs, partial.parameters, seen, terms), run_misfit(runs, partial.parameters, seen)[0]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.normal import LEAST_RESIDUE, Equations, Information, Residual, gradients, linearised, residual, scales
-from operando.ema.polish_model import Parameters, Real, n_local
+from operando.ema.polish_model import Complex, Parameters, Real, n_local
 from operando.ema.spectra import RunSpectra
-from operando.synthesis import power_of
+from operando.synthesis import combined, modal_kernel, power_of
 
 MAX_STEP_WIDTHS = 2.0
 """Largest move of a pole in one step, in units of its half bandwidth ζ·f."""
@@ -32,6 +32,10 @@ NEAR = 1e-4
 SAME = 6e-4
 """Change of poles and shapes, relative to half bandwidth, damping and rms of the shape, up to which the covariance stays as it was.
 Deviations change by 1.4 to 1.9 times as much (three cases): a thousandth at most."""
+
+
+Outside = tuple[Real, Real, Real, NDArray[np.int_]]
+"""Frequencies, damping ratios and shapes of residual terms, and numbers of the modes of the fit that they stand for as well."""
 
 
 @dataclass(frozen=True)
@@ -257,10 +261,13 @@ def _covariance(normal: Real, precision: Real) -> Real:
     return out
 
 
-def run_misfit(runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDArray[np.bool_]]) -> tuple[float, Real]:
+def run_misfit(
+    runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDArray[np.bool_]], terms: Outside | None = None
+) -> tuple[float, Real]:
     """Mean of |e_j|²/(D_j + |H_j|²σ_f²) over the kept lines of each run, and per row of the model's DOFs.
 
-    The kept lines are those the fit did not use; the transients come from the fit.
+    The kept lines are those the fit did not use; the transients come from the fit. Residual ``terms`` stand for what lies outside where
+    given, in place of the free terms of each run.
     """
     total, count = 0.0, 0
     by_row = np.zeros((theta.shapes.shape[0], 2))
@@ -269,9 +276,25 @@ def run_misfit(runs: Sequence[RunSpectra], theta: Parameters, keep: Sequence[NDA
             continue
         part = run.lines(mask)
         state = residual(part, theta, i)
-        ratio = power_of(state.error) / state.variance
+        error = state.error if terms is None else state.error - _other_terms(part, theta, i, terms)
+        ratio = power_of(error) / state.variance
         total += float(ratio.sum())
         count += ratio.size
         np.add.at(by_row, part.response_rows, np.stack([ratio.sum(axis=1), np.full(ratio.shape[0], ratio.shape[1])], axis=1))
     with np.errstate(invalid="ignore"):
         return (float(total / count) if count else float("nan")), by_row[:, 0] / by_row[:, 1]
+
+
+def _other_terms(run: RunSpectra, theta: Parameters, index: int, terms: Outside) -> Complex:
+    """What the responses of a run change by where residual terms stand for the free terms of what lies outside, (m, L)."""
+    hz, zeta, shapes, gone = terms
+    q = theta.outside_hz.size
+    known = theta.functions(run)
+    kernel = modal_kernel(run.frequencies_hz, hz, zeta, "accelerance", run.window_rate)
+    functions = np.concatenate([kernel, -known.kernels[0][gone], -known.outside])
+    shapes = np.concatenate([shapes, theta.shapes[:, gone]], axis=1)
+    out = np.zeros(run.responses.shape, complex)
+    for k, (row, force) in enumerate(zip(run.force_rows, run.forces, strict=True)):
+        local = theta.local[index][:, k * q : (k + 1) * q]
+        out += combined(np.concatenate([shapes[run.response_rows] * shapes[row], local], axis=1), functions) * force
+    return out

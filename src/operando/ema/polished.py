@@ -52,8 +52,10 @@ class PolishedAnswer:
     fit : Polished
     outside : OutsideModes
     misfit : float
-        On lines the fit did not use.
+        Of modes and residual terms, on lines the fit did not use.
     misfit_by_row : (M,) array
+    free_misfit : float
+        The same with what lies outside free in each run.
     log : OrderLog
     turned : tuple of int
         DOFs whose force was reversed in polarity: opposite sense of force and accelerometer.
@@ -65,6 +67,7 @@ class PolishedAnswer:
     outside: OutsideModes
     misfit: float
     misfit_by_row: Real
+    free_misfit: float
     log: OrderLog
     turned: tuple[int, ...]
     lower: bool
@@ -101,9 +104,10 @@ def polished_answer(
     first = None if lower or share > 0 else free  # of other kernels or weights
     fit, log = search_order(weighted, n_dofs, hz, zeta, lower=lower, first=first, log=log, progress=progress, unseen=unseen)
     final = _final(weighted, n_dofs, fit, lower, log, progress)
-    misfit, by_row = heldout_misfit(core_runs, n_dofs, final, band, final.without if share <= 0 else None)
     gone = make_up(core_runs, final)
     outside = outside_modes(core_runs, final, band, lower, gone=gone)
+    terms = outside.hz, outside.zeta, outside.shapes, gone
+    misfit, by_row, free = heldout_misfit(core_runs, n_dofs, final, band, terms, final.without if share <= 0 else None)
     if gone.size:
         log.rounds.append(f"{gone.size} modes beyond the lines taken for residual terms")
         final = without_modes(final, gone)
@@ -112,7 +116,7 @@ def polished_answer(
         final, outside = remaining_rows(_turn(runs, turned), core, len(dofs), final, outside)
         by_row = _spread(by_row, core, len(dofs))
         rows = tuple(int(core[row]) for row in rows)
-    return PolishedAnswer(final, outside, misfit, by_row, log, rows, lower)
+    return PolishedAnswer(final, outside, misfit, by_row, free, log, rows, lower)
 
 
 def polish_runs(

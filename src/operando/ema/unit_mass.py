@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.ema.linear import LinearFit, stated_covariance
-from operando.ema.pairs import Real
+from operando.ema.pairs import Complex, Real
 
 SMALL_SHARE = 0.1
 """Errors of small residues: this part of the proportional error of the largest one (a hit a little beside its point leaks in others)."""
@@ -112,12 +112,15 @@ def residue_std(fit: LinearFit) -> Real:
     return np.asarray(np.sqrt(fit.correlation * fit.projection.a_std**2 + (share * a) ** 2 + (SMALL_SHARE * share * top) ** 2))
 
 
-def real_residues(fit: LinearFit) -> Real:
-    """Residues rotated to real, (P, n): by the mean phase of each mode, which is 0 for real modes and not for those of local dampers."""
+def in_phase(fit: LinearFit) -> Complex:
+    """Residues rotated by the mean phase of each mode, (P, n), which is 0 for real modes and not for those of local dampers.
+
+    Shapes of unit modal mass are made of the real parts; the imaginary ones are what they leave out.
+    """
     residues = fit.residues()
     weight = 1 / np.maximum(fit.projection.a_std, 1e-300) ** 2
     phase = 0.5 * np.angle(np.sum(weight * residues**2, axis=0))
-    return np.asarray((residues * np.exp(-1j * phase)).real)
+    return np.asarray(residues * np.exp(-1j * phase))
 
 
 def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
@@ -132,21 +135,31 @@ def unit_mass_shapes(fit: LinearFit, n_dofs: int) -> UnitMassShapes:
     """
     n = fit.n_modes
     rows, columns = fit.pairs.rows, fit.pairs.columns
-    std, residues = residue_std(fit), real_residues(fit)
+    std, residues = residue_std(fit), in_phase(fit)
     shapes, scaled = np.zeros((n_dofs, n)), np.zeros(n, bool)
     poles = np.concatenate([fit.poles.hz, fit.poles.zeta])
     by_poles = np.zeros((n_dofs * n, 2 * n))
     own = np.zeros((n, n_dofs, n_dofs))
     for r in range(n):
-        shape, scaled[r], gain, variance = _one_shape(rows, columns, residues[:, r], std[:, r], n_dofs)
+        shape, scaled[r], gain, variance = _one_shape(rows, columns, residues[:, r].real, std[:, r], n_dofs)
         shapes[:, r] = shape
         by_poles[r * n_dofs : (r + 1) * n_dofs] = gain @ fit.projection.slope[:, r]
-        own[r] = variance
+        own[r] = variance + _left_out(gain @ residues[:, r].imag, variance)
     # poles in Hz and as ratios; what they do to the shapes, and what the residues leave by themselves
     carry = np.concatenate([np.diag(poles), by_poles])
     covariance = ModalCovariance(carry, stated_covariance(fit), own)
     drive = tuple((int(p), fit.projection.a[p] / std[p]) for p in fit.pairs.drive_points)
     return UnitMassShapes(shapes, scaled, drive, covariance)
+
+
+def _left_out(imaginary: Real, variance: Real) -> Real:
+    """What the imaginary part of a shape adds to its covariance, (M, M): as a deviation of its size, without what noise alone makes of it.
+
+    R_jk − φ_jφ_k = i(φ_jχ_k + χ_jφ_k): an error χ of the real shape would change |H| by as much.
+    """
+    power = float(imaginary @ imaginary)
+    beyond = max(0.0, 1 - float(np.trace(variance)) / power) if power > 0 else 0.0
+    return np.asarray(beyond * np.outer(imaginary, imaginary))
 
 
 def _one_shape(

@@ -1,0 +1,200 @@
+"""The model that is handed out against the FRFs it was fitted to: a chain of masses with a damper to ground, by its own matrices.
+
+The truth is (K + iωC − ω²M)⁻¹ at each line; nothing of the analysis is used to make it.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from operando import Frf, fit_ema
+from operando.diagnosis import with_complex_modes
+from operando.diagnosis.criteria import MOST_CHI_SQUARE, REST_DISCREPANCY
+from operando.diagnosis.idle import Idle
+from operando.diagnosis.posterior import at_rest
+from operando.ema.findings import NOTABLE_MISFIT, misfit_findings
+from operando.ema.unit_mass import _left_out
+
+DOFS = tuple(f"{i + 1}+Z" for i in range(5))
+REFERENCES = (0, 3)
+BAND = (15.0, 190.0)  # four modes; the fifth stands at 202 Hz
+HZ = np.arange(10.0, 200.0, 0.1)
+DAMPED = 1
+"""Mass from which the damper goes to ground."""
+
+
+def matrices(damper):
+    """Mass, damping and stiffness of five masses of 4 to 5.6 kg between springs of 2 MN/m: 1 % of damping in each mode, and a damper [N s/m]."""
+    mass = np.diag(4.0 * (1 + 0.1 * np.arange(5)))
+    stiff = 2e6 * (np.diag([2.0, 2.0, 2.0, 2.0, 1.0]) - np.eye(5, k=1) - np.eye(5, k=-1))
+    root = np.sqrt(np.diag(mass))
+    squares, vectors = np.linalg.eigh(stiff / np.outer(root, root))
+    phi = vectors / root[:, None]
+    damping = mass @ phi @ np.diag(0.02 * np.sqrt(squares)) @ phi.T @ mass
+    damping[DAMPED, DAMPED] += damper
+    return mass, damping, stiff
+
+
+def exact(damper, hz):
+    """Accelerance (5, references, lines)."""
+    mass, damping, stiff = matrices(damper)
+    w = 2 * np.pi * hz[:, None, None]
+    receptance = np.linalg.inv(stiff + 1j * w * damping - w**2 * mass)
+    return np.moveaxis(-(w**2) * receptance, 0, 2)[:, list(REFERENCES)]
+
+
+def true_poles(damper):
+    """Frequencies [Hz] and damping ratios of the complex modes."""
+    mass, damping, stiff = matrices(damper)
+    state = np.block([[np.zeros((5, 5)), np.eye(5)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damping)]])
+    poles = np.linalg.eigvals(state)
+    poles = poles[poles.imag > 0]
+    poles = poles[np.argsort(np.abs(poles))]
+    return np.abs(poles) / 2 / np.pi, -poles.real / np.abs(poles)
+
+
+def measured(damper, noise, seed=0):
+    """FRFs with white noise of a share of the rms of each pair, and its variance."""
+    h = exact(damper, HZ)
+    std = noise * np.sqrt(np.mean(np.abs(h) ** 2, axis=2, keepdims=True)) * np.ones(h.shape)
+    rng = np.random.default_rng(seed)
+    h = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    return Frf(h, HZ, DOFS, tuple(DOFS[i] for i in REFERENCES), "accelerance", variance=std**2)
+
+
+@cache
+def fitted(damper, noise, ema="auto"):
+    frf = measured(damper, noise)
+    return frf, fit_ema(frf, band=BAND, ema=ema)
+
+
+def left(model, frf):
+    """Reduced chi-square of the FRFs that the model makes, over all lines and pairs in its band."""
+    part = frf.band(*BAND)
+    h = model.frf(part.frequencies_hz, part.responses, part.references, "accelerance").data
+    return float(np.mean(np.abs(h - part.data) ** 2 / part.variance))
+
+
+def misfits(model):
+    return [f for f in model.findings if f.kind == "misfit"]
+
+
+@pytest.mark.parametrize(
+    ("damper", "noise"), [(0.0, 1e-3), (0.0, 1e-2), (30.0, 1e-3), (30.0, 1e-2), (100.0, 1e-3), (100.0, 1e-2), (400.0, 1e-3)]
+)
+def test_the_misfit_is_that_of_the_model_handed_out(damper, noise):
+    frf, model = fitted(damper, noise)
+    assert model.misfit == pytest.approx(left(model, frf), rel=0.05)
+    assert model.details.free_misfit == pytest.approx(1.0, abs=0.05)
+    by_dof = model.details.misfit_by_dof
+    assert np.mean(by_dof) == pytest.approx(model.misfit, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+@pytest.mark.parametrize("ema", ["auto", "linear"])
+def test_a_model_as_good_as_its_fit_has_no_finding(noise, ema):
+    _, model = fitted(0.0, noise, ema)
+    assert 0.9 < model.misfit < 1 + 0.5 * (NOTABLE_MISFIT - 1)
+    assert not model.findings
+
+
+def test_no_finding_where_noise_hides_the_phase():
+    """The damper ties the modes as before, and its part in the FRFs is below their noise."""
+    _, model = fitted(30.0, 1e-2)
+    assert 1.1 < model.misfit < NOTABLE_MISFIT
+    assert not model.findings
+
+
+@pytest.mark.parametrize(("damper", "noise"), [(30.0, 1e-3), (100.0, 1e-2), (400.0, 1e-3)])
+def test_a_finding_says_that_real_shapes_do_not_describe_the_frfs(damper, noise):
+    _, model = fitted(damper, noise)
+    (found,) = misfits(model)
+    assert found.severity == "warning"
+    assert f"is {model.misfit:.3g}; the fit behind it" in found.message
+    assert "real shapes do not describe them" in found.consequence
+    assert "with_complex_modes" in found.action
+
+
+@pytest.mark.parametrize(("damper", "noise"), [(30.0, 1e-3), (100.0, 1e-3), (100.0, 1e-2), (400.0, 1e-3), (400.0, 1e-2)])
+def test_the_variance_of_the_frfs_holds_what_real_shapes_leave_out(damper, noise):
+    """Sums over the band: peaks count most. Noise alone was 17 to 3400 times too small for them."""
+    _, model = fitted(damper, noise)
+    hz = HZ[(HZ >= BAND[0]) & (HZ <= BAND[1])]
+    made = model.frf(hz, DOFS, [DOFS[i] for i in REFERENCES], "accelerance")
+    error = np.abs(made.data - exact(damper, hz)) ** 2
+    assert 0.5 < error.sum() / made.variance.sum() < 2
+    assert 0.5 < np.median(error / made.variance) < 2
+
+
+@pytest.mark.parametrize(("damper", "noise"), [(100.0, 1e-3), (400.0, 1e-2)])
+def test_poles_are_those_of_the_complex_modes(damper, noise):
+    """Shapes alone are worse for being real: frequencies and damping ratios of the free fit stand within their deviations."""
+    _, model = fitted(damper, noise)
+    hz, zeta = (values[:4] for values in true_poles(damper))
+    assert np.all(np.abs(model.frequencies_hz[:4] - hz) < 3 * model.frequency_std_hz[:4])
+    assert np.all(np.abs(model.damping_ratios[:4] - zeta) < 3 * model.damping_ratio_std[:4])
+    assert np.all(model.frequency_std_hz[:4] < 2e-4 * hz)
+
+
+def test_noise_of_phase_widens_no_shape():
+    """Imaginary parts as large as noise makes them are no property of the mode; twenty times as large, they are all of its deviation."""
+    rng = np.random.default_rng(0)
+    variance = np.diag(rng.uniform(0.5, 2.0, 40) ** 2)
+    added = [np.trace(_left_out(rng.standard_normal(40) * np.sqrt(np.diag(variance)), variance)) / np.trace(variance) for _ in range(200)]
+    assert np.mean(added) < 0.15
+    large = 20 * np.sqrt(np.diag(variance))
+    np.testing.assert_allclose(_left_out(large, variance), (1 - 1 / 400) * np.outer(large, large), rtol=1e-12)
+    assert not _left_out(np.zeros(40), variance).any()
+
+
+def test_complex_modes_are_taken_where_the_misfit_says_so_and_the_error_is_small():
+    """A damper of 30 N s/m leaves less than 1 % of the FRFs, which is 21 times their noise."""
+    frf, model = fitted(30.0, 1e-3)
+    assert model.misfit > MOST_CHI_SQUARE
+    known = Idle.of(model, BAND, frf.references)
+    assert at_rest(known, frf, BAND).state.alpha < REST_DISCREPANCY
+    found = with_complex_modes(model, frf)
+    assert found.coupling is not None
+    assert found.misfit == pytest.approx(1.0, abs=0.2)
+    assert left(found, frf) == pytest.approx(1.0, abs=0.1)
+    assert not misfits(found)
+    # on both sides of the limit
+    asked = replace(model, misfit=0.99 * MOST_CHI_SQUARE)
+    assert with_complex_modes(asked, frf) is asked
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_real_modes_stay_real_whatever_the_misfit(noise):
+    """Fitted again, they have to earn ties: a misfit of another cause makes no complex modes."""
+    frf, model = fitted(0.0, noise)
+    asked = replace(model, misfit=100.0)
+    assert with_complex_modes(asked, frf) is asked
+
+
+def test_the_finding_names_what_the_model_goes_without():
+    def one(misfit, free=1.0, **parts):
+        (found,) = misfit_findings(misfit, free, {"shift": 0.0, "phase": 0.0, "shape": 0.0, "outside": 0.0} | parts)
+        return found
+
+    assert "real shapes" in one(2.0, phase=1.0).consequence
+    assert "one shape of unit modal mass" in one(2.0, shape=1.0, phase=0.5).consequence
+    assert "one frequency for all" in one(2.0, shift=1.0).consequence
+    assert "outside the band" in one(2.0, outside=1.0).consequence
+    assert not misfit_findings(0.99 * NOTABLE_MISFIT, 1.0, {"phase": 1.0})
+    assert one(1.01 * NOTABLE_MISFIT, phase=1.0).kind == "misfit"
+    # what the fit behind it leaves as well is no matter of real shapes
+    assert "linearity" in one(4.0, free=3.0, phase=1.0).consequence
+    assert not misfit_findings(float("nan"), float("nan"), {"phase": 1.0})
+
+
+def test_wrong_gain_at_one_reference_is_told_from_complex_modes():
+    """Sensors stay, and the force at one reference counts 10 % too much: residues contradict one scale, and are in phase."""
+    frf = measured(0.0, 1e-3)
+    data = frf.data.copy()
+    data[:, 1] *= 1.1
+    model = fit_ema(replace(frf, data=data), band=BAND, ema="linear")
+    (found,) = misfits(model)
+    assert "one shape of unit modal mass" in found.consequence
+    assert model.misfit == pytest.approx(left(model, replace(frf, data=data)), rel=0.1)
