@@ -14,7 +14,11 @@ from operando.diagnosis import with_complex_modes
 from operando.diagnosis.criteria import MOST_CHI_SQUARE, REST_DISCREPANCY
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.posterior import at_rest
+from operando.ema.discrepancy import STUDENT_FREEDOM, student_weights
 from operando.ema.findings import NOTABLE_MISFIT, misfit_findings
+from operando.ema.linear import FEW_PLACES, fit_linear, stated_covariance
+from operando.ema.pairs import frf_pairs, informative_lines
+from operando.ema.projection import Poles
 from operando.ema.unit_mass import _left_out
 
 DOFS = tuple(f"{i + 1}+Z" for i in range(5))
@@ -26,7 +30,7 @@ DAMPED = 1
 
 
 def matrices(damper):
-    """Mass, damping and stiffness of five masses of 4 to 5.6 kg between springs of 2 MN/m: 1 % of damping in each mode, and a damper [N s/m]."""
+    """Mass, damping and stiffness of five masses between springs of 2 MN/m, 1 % in each mode, and a damper [N s/m]."""
     mass = np.diag(4.0 * (1 + 0.1 * np.arange(5)))
     stiff = 2e6 * (np.diag([2.0, 2.0, 2.0, 2.0, 1.0]) - np.eye(5, k=1) - np.eye(5, k=-1))
     root = np.sqrt(np.diag(mass))
@@ -121,14 +125,14 @@ def test_a_finding_says_that_real_shapes_do_not_describe_the_frfs(damper, noise)
 def test_the_variance_of_the_frfs_holds_what_real_shapes_leave_out(damper, noise):
     """Sums over the band: peaks count most. Noise alone was 17 to 3400 times too small for them."""
     _, model = fitted(damper, noise)
-    hz = HZ[(HZ >= BAND[0]) & (HZ <= BAND[1])]
+    hz = measured(0.0, 1e-3).band(*BAND).frequencies_hz
     made = model.frf(hz, DOFS, [DOFS[i] for i in REFERENCES], "accelerance")
     error = np.abs(made.data - exact(damper, hz)) ** 2
     assert 0.5 < error.sum() / made.variance.sum() < 2
     assert 0.5 < np.median(error / made.variance) < 2
 
 
-@pytest.mark.parametrize(("damper", "noise"), [(100.0, 1e-3), (400.0, 1e-2)])
+@pytest.mark.parametrize(("damper", "noise"), [(30.0, 1e-3), (100.0, 1e-3), (100.0, 1e-2), (400.0, 1e-3)])
 def test_poles_are_those_of_the_complex_modes(damper, noise):
     """Shapes alone are worse for being real: frequencies and damping ratios of the free fit stand within their deviations."""
     _, model = fitted(damper, noise)
@@ -198,3 +202,65 @@ def test_wrong_gain_at_one_reference_is_told_from_complex_modes():
     (found,) = misfits(model)
     assert "one shape of unit modal mass" in found.consequence
     assert model.misfit == pytest.approx(left(model, replace(frf, data=data)), rel=0.1)
+
+
+def weighted_fit(columns, y, plain):
+    """Least squares with Student weights to their end: coefficients, weights, what is left."""
+    weight = np.ones(y.size)
+    for _ in range(30):
+        half = np.sqrt(weight / plain)[:, None]
+        x = np.linalg.lstsq(half * columns, half[:, 0] * y, rcond=None)[0]
+        squares = np.abs(y - columns @ x) ** 2
+        weight = (STUDENT_FREEDOM + 2) / (STUDENT_FREEDOM + 2 * squares / plain)
+    return x, weight, squares
+
+
+@pytest.mark.parametrize("stated", [0.5, 0.734, 1.0])
+def test_the_slope_of_student_weights_gives_the_scatter(stated):
+    """Complex straight lines with Gaussian noise of variance 1, taken for ``stated``: as small as that where its size is fitted."""
+    rng = np.random.default_rng(3)
+    columns = np.stack([np.ones(60), np.linspace(-1, 1, 60)], axis=1) + 0j
+    plain = np.full(60, stated)
+    found, by_scores, by_slope = [], [], []
+    for _ in range(400):
+        y = (rng.standard_normal(60) + 1j * rng.standard_normal(60)) / np.sqrt(2)
+        x, weight, squares = weighted_fit(columns, y, plain)
+        weights, slope = student_weights(squares, plain)
+        np.testing.assert_allclose(weights, weight, rtol=1e-12)
+        inverse = np.linalg.inv((columns.T.real * weight / plain) @ columns.real)
+        scores = (columns.T.real * weight**2 * squares / plain**2) @ columns.real
+        found.append(x)
+        by_scores.append(0.5 * np.diag(inverse @ scores @ inverse))
+        by_slope.append(by_scores[-1] * (weights.mean() / slope.mean()) ** 2)
+    scatter = np.mean(np.abs(found) ** 2, axis=0) / 2  # of real and imaginary part
+    np.testing.assert_allclose(np.mean(by_slope, axis=0) / scatter, 1, atol=0.12)  # two standard deviations of 800 values, and 4 unknowns
+    assert np.all(np.mean(by_scores, axis=0) < 0.75 * scatter)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["variance known", "variance fitted"])
+def test_damping_of_a_roving_test_scatters_as_stated(known):
+    """26 points roved, one reference: from point to point errors count as they are seen, with the slope of their weights."""
+    n, noise, hz_of = 26, 1e-2, np.arange(10.0, 200.0, 0.5)
+    stiff = 5.4e7 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    stiff[-1, -1] /= 2
+    mass = 4.0 * (1 + 0.1 * np.arange(n))
+    squares, vectors = np.linalg.eigh(stiff / np.sqrt(np.outer(mass, mass)))
+    hz, phi = np.sqrt(squares) / 2 / np.pi, vectors / np.sqrt(mass)[:, None]
+    w, s = 2 * np.pi * hz, 2j * np.pi * hz_of
+    gain = s**2 / (s**2 + 0.02 * w[:, None] * s + (w**2)[:, None])
+    exact_h = ((phi * phi[-1]) @ gain)[:, None]
+    std = noise * np.sqrt(np.mean(np.abs(exact_h) ** 2, axis=2, keepdims=True)) * np.ones(exact_h.shape)
+    dofs, inside = tuple(f"{i + 1}+Z" for i in range(n)), np.flatnonzero(hz < 204.0)
+    assert n >= FEW_PLACES
+    error, stated = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        h = exact_h + std * (rng.standard_normal(std.shape) + 1j * rng.standard_normal(std.shape)) / np.sqrt(2)
+        frf = Frf(h, hz_of, dofs, dofs[-1:], "accelerance", variance=std**2 if known else None)
+        pairs = frf_pairs(frf, frf.responses, (12.0, 199.5))
+        pairs = pairs.lines(informative_lines(pairs.frequencies_hz, hz[inside], np.full(inside.size, 0.01)))
+        fit = fit_linear(pairs, Poles(hz[inside], np.full(inside.size, 0.01)), (12.0, 199.5), rounds=8)
+        error.append(np.log(fit.poles.zeta[:3] / 0.01))
+        stated.append(np.diag(stated_covariance(fit))[inside.size : inside.size + 3])
+    ratio = np.sqrt(np.mean(stated) / np.mean(np.square(error)))
+    assert 0.85 < ratio < 1.15  # of 120 values: 1 ± 2 standard deviations; 0.83 and 0.76 before the slope of the weights counted

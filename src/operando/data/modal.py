@@ -55,7 +55,7 @@ class ModalModel(ModalFigures, Noun):
     band_hz : (float, float), optional
         Analysis band [Hz].
     misfit : float, optional
-        Mean squared standardised residual on lines the fit did not use.
+        Reduced chi-square of the FRFs of this model, under the noise of those it was fitted to, on lines the fit did not use.
     si : bool
         Whether the shapes are in SI; False where the units of the data were not known.
     findings : tuple of Finding

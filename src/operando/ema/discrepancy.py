@@ -93,6 +93,17 @@ def _updated(squares: Real, power: Real, noise: Real, kappa: Real, alpha2: Real,
     return kappa, np.clip(alpha2 * np.sqrt(up), 1e-14, ALPHA_MOST**2)
 
 
+def student_weights(squares: Real, plain: Real) -> tuple[Real, Real]:
+    """Student weights w of residuals, and the slope of the score w e: w − 2xw²/(4 + 2) with x = |e|²/plain.
+
+    A normal matrix has w where the mean of the slope belongs. Scores between two inverses of it (a sandwich) make variances that are too
+    small by the square of the ratio of both: 1.7 for Gaussian noise (Huber, Proc. 5th Berkeley Symp. 1, 1967, 221–233).
+    """
+    x = squares / plain
+    weights = (STUDENT_FREEDOM + 2) / (STUDENT_FREEDOM + 2 * x)
+    return weights, weights - 2 * x * weights**2 / (STUDENT_FREEDOM + 2)
+
+
 def line_correlation(error: Complex, variance: Real) -> float:
     """ν = 1 + 2 Σ_k ρ_k: how many lines count as one, from the autocorrelation of the normalised residuals to its first value below 0.1."""
     x = error / np.sqrt(variance)

@@ -33,7 +33,7 @@ of a close mode of the same size that is 3° out of phase (sin 3° = 0.05, proje
 
 NOTABLE_MISFIT = 1.5
 """Reduced chi-square of the model over that of the fit behind it (at least 1) from which a finding says so: something is left above 1.5
-(contract, "Verdicts"). Where real shapes are true the two differed by 0.12 at most, of FRFs with noise of 0.1 and 1 % (tests/test_ema_handed_out.py)."""
+(contract, "Verdicts"). Where real shapes are true the two differ by 0.12 at most, with noise of 0.1 and 1 % (tests/test_ema_handed_out.py)."""
 
 _LEFT_OUT = {
     "phase": (
@@ -161,7 +161,9 @@ def misfit_findings(misfit: float, free: float = float("nan"), parts: Mapping[st
     if parts and misfit > NOTABLE_MISFIT * max(free, 1.0):
         said += f"; the fit behind it, with unknowns of its own in each pair, has {free:.3g}"
         consequence, action = _LEFT_OUT[max(parts, key=lambda name: parts[name])]
-        return [Finding("misfit", said, "warning", consequence=f"FRFs of the model are off by more than noise: {consequence}", action=action)]
+        return [
+            Finding("misfit", said, "warning", consequence=f"FRFs of the model are off by more than noise: {consequence}", action=action)
+        ]
     if not (np.isfinite(misfit) and misfit > 3):
         return []
     return [

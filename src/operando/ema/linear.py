@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.ema.discrepancy import Variance, fit_variance, line_correlation
+from operando.ema.discrepancy import Variance, fit_variance, line_correlation, student_weights
 from operando.ema.pairs import Complex, Pairs, Real
 from operando.ema.projection import (
     CURVED_SHARE,
@@ -17,6 +17,7 @@ from operando.ema.projection import (
     Coefficients,
     Poles,
     Projection,
+    basis,
     modal_power,
     project,
     search_poles,
@@ -25,6 +26,7 @@ from operando.ema.projection import (
     tail_columns,
     updated_spreads,
 )
+from operando.synthesis import power_of
 
 MAX_DAMPING = 0.15
 NOISE_LIMITED = 0.01
@@ -244,14 +246,28 @@ def _covariance(pairs: Pairs, projection: Projection, nu: float) -> Real:
 
 
 def stated_covariance(fit: LinearFit) -> Real:
-    """Covariance of [ln f, ln ζ] to be stated: that of the fit, and what a drift within a place does to the damping.
+    """Covariance of [ln f, ln ζ] to be stated: that of the fit, what Student weights do to the damping, and a drift within a place.
 
     1/(x + iζ) averaged over a spread s is as with ζ(1 + s²/ζ²). A random walk over all places of rms δ has s² = δ²/places within one.
+    Frequencies err by the shifts of the pairs, whose spread no weight has made smaller; of few places the lines say as much as is true.
     """
     variances, n = np.diag(fit.covariance).copy(), fit.n_modes
     places = max(1, np.unique(fit.pairs.places[fit.pairs.places >= 0]).size)
+    if places >= FEW_PLACES:
+        variances[n:] *= _damping_slope(fit)
     variances[n:] += np.minimum(fit.poles.drift**2 / fit.poles.zeta**2 / places, 1.0) ** 2
     return _raised(fit.covariance, variances)
+
+
+def _damping_slope(fit: LinearFit) -> Real:
+    """Factors to the true variances of damping ratios by scores under Student weights, (n,), at the lines that tell each of them."""
+    plain, gz = fit.variance.plain, basis(fit.pairs.frequencies_hz, fit.poles, fit.pairs.window_rate)[4]
+    weights, slope = student_weights(power_of(fit.projection.error), plain)
+    out = []
+    for a, kernel in zip(fit.projection.a.T, gz, strict=True):
+        told = a[:, None] ** 2 * power_of(kernel) / plain
+        out.append((np.sum(told * weights) / max(float(np.sum(told * slope)), 1e-300)) ** 2 if told.any() else 1.0)
+    return np.array(out)
 
 
 def _inverse(normal: Real) -> Real:

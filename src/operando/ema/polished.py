@@ -107,7 +107,7 @@ def polished_answer(
     gone = make_up(core_runs, final)
     outside = outside_modes(core_runs, final, band, lower, gone=gone)
     terms = outside.hz, outside.zeta, outside.shapes, gone
-    misfit, by_row, free = heldout_misfit(core_runs, n_dofs, final, band, terms, final.without if share <= 0 else None)
+    misfit, by_row, free_misfit = heldout_misfit(core_runs, n_dofs, final, band, terms, final.without if share <= 0 else None)
     if gone.size:
         log.rounds.append(f"{gone.size} modes beyond the lines taken for residual terms")
         final = without_modes(final, gone)
@@ -116,7 +116,7 @@ def polished_answer(
         final, outside = remaining_rows(_turn(runs, turned), core, len(dofs), final, outside)
         by_row = _spread(by_row, core, len(dofs))
         rows = tuple(int(core[row]) for row in rows)
-    return PolishedAnswer(final, outside, misfit, by_row, free, log, rows, lower)
+    return PolishedAnswer(final, outside, misfit, by_row, free_misfit, log, rows, lower)
 
 
 def polish_runs(
