@@ -33,13 +33,14 @@ of a close mode of the same size that is 3° out of phase (sin 3° = 0.05, proje
 
 NOTABLE_MISFIT = 1.5
 """Reduced chi-square of the model over that of the fit behind it (at least 1) from which a finding says so: something is left above 1.5
-(contract, "Verdicts"). Where real shapes are true the two differ by 0.12 at most, with noise of 0.1 and 1 % (tests/test_ema_handed_out.py)."""
+(contract, "Verdicts"). Where real shapes are true the two differ by 0.12 at most
+(tests/test_ema_handed_out.py)."""
 
 _LEFT_OUT = {
     "phase": (
         "real shapes do not describe them; the standard deviations of the shapes hold the part that is left out",
-        "take complex modes: operando.diagnosis.with_complex_modes(model, idle_frf), as operando run does by itself; "
-        "local dampers look like this",
+        "try complex modes: operando.diagnosis.with_complex_modes(model, idle_frf), as operando run does by itself, takes them where they "
+        "explain more; local dampers look like this",
     ),
     "shape": (
         "residues of the pairs contradict one shape of unit modal mass",
