@@ -20,6 +20,7 @@ from operando.ema.linear import FEW_PLACES, fit_linear, stated_covariance
 from operando.ema.pairs import frf_pairs, informative_lines
 from operando.ema.projection import Poles
 from operando.ema.unit_mass import _left_out
+from operando.indicators import INTERVAL
 
 DOFS = tuple(f"{i + 1}+Z" for i in range(5))
 REFERENCES = (0, 3)
@@ -121,25 +122,17 @@ def test_a_finding_says_that_real_shapes_do_not_describe_the_frfs(damper, noise)
     assert "with_complex_modes" in found.action
 
 
-@pytest.mark.parametrize(("damper", "noise"), [(30.0, 1e-3), (100.0, 1e-3), (100.0, 1e-2), (400.0, 1e-3), (400.0, 1e-2)])
-def test_the_variance_of_the_frfs_holds_what_real_shapes_leave_out(damper, noise):
-    """Sums over the band: peaks count most. Noise alone was 17 to 3400 times too small for them."""
-    _, model = fitted(damper, noise)
-    hz = measured(0.0, 1e-3).band(*BAND).frequencies_hz
-    made = model.frf(hz, DOFS, [DOFS[i] for i in REFERENCES], "accelerance")
-    error = np.abs(made.data - exact(damper, hz)) ** 2
-    assert 0.5 < error.sum() / made.variance.sum() < 2
-    assert 0.5 < np.median(error / made.variance) < 2
-
-
-@pytest.mark.parametrize(("damper", "noise"), [(30.0, 1e-3), (100.0, 1e-3), (100.0, 1e-2), (400.0, 1e-3)])
-def test_poles_are_those_of_the_complex_modes(damper, noise):
-    """Shapes alone are worse for being real: frequencies and damping ratios of the free fit stand within their deviations."""
-    _, model = fitted(damper, noise)
+@pytest.mark.parametrize(("damper", "noise", "draws"), [(30.0, 1e-3, 1), (100.0, 1e-3, 1), (400.0, 1e-3, 1), (400.0, 1e-2, 6)])
+def test_poles_are_those_of_the_complex_modes(damper, noise, draws):
+    """Shapes alone are worse for being real: 95 % intervals of frequencies and damping ratios of the free fit hold the truth."""
     hz, zeta = (values[:4] for values in true_poles(damper))
-    assert np.all(np.abs(model.frequencies_hz[:4] - hz) < 3 * model.frequency_std_hz[:4])
-    assert np.all(np.abs(model.damping_ratios[:4] - zeta) < 3 * model.damping_ratio_std[:4])
-    assert np.all(model.frequency_std_hz[:4] < 2e-4 * hz)
+    z = []
+    for seed in range(draws):
+        model = fit_ema(measured(damper, noise, seed), band=BAND)
+        z += [(model.frequencies_hz[:4] - hz) / model.frequency_std_hz[:4], (model.damping_ratios[:4] - zeta) / model.damping_ratio_std[:4]]
+        assert np.all(model.frequency_std_hz[:4] < 2e-4 * hz)
+    assert np.mean(np.abs(z) < INTERVAL) >= 0.9
+    assert np.max(np.abs(z)) < 4
 
 
 def test_noise_of_phase_widens_no_shape():

@@ -12,6 +12,7 @@ from scipy.linalg import eigh
 
 from operando.data import Finding
 from operando.errors import IdentificationError
+from operando.indicators import INTERVAL
 from operando.oma.diagram import Prepared
 from operando.oma.estimate import Estimate, normalise_shapes, taken_poles, to_displacement
 from operando.oma.subspace import Factors, Poles, Realisation, poles_of_orders, realise
@@ -253,9 +254,10 @@ def uncertain_decays(estimate: Estimate, keep_hz: Sequence[float]) -> dict[int, 
     out = {}
     for i in range(n):
         hz, zeta = float(estimate.hz[i]), float(estimate.zeta[i])
-        ill_determined = 1.96 * std[i] > 2 * zeta * hz or 1.96 * std[n + i] > zeta
+        half_hz, half = INTERVAL * float(std[i]), INTERVAL * float(std[n + i])
+        ill_determined = half_hz > 2 * zeta * hz or half > zeta
         if ill_determined and not any(abs(hz - f) < 0.01 * f for f in keep_hz):
-            value = f"{hz:.4g} ± {1.96 * float(std[i]):.2g} Hz, damping ratio {100 * zeta:.3g} ± {196 * float(std[n + i]):.3g} %"
+            value = f"{hz:.4g} ± {half_hz:.2g} Hz, damping ratio {100 * zeta:.3g} ± {100 * half:.3g} %"
             out[i] = ("uncertain", f"{value}: the decays do not hold this pole")
     return out
 

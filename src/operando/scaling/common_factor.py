@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from operando.data import Finding, ModalModel
+from operando.indicators import INTERVAL
 from operando.scaling.pairing import Pairing
 
 LEAST_MODES = 3
@@ -73,7 +74,7 @@ def sampling_rate_finding(pairing: Pairing, idle: ModalModel, operating: ModalMo
         return None
     return Finding(
         "sampling_rate",
-        f"all {len(alike)} operational modes that keep their shape lie at {factor:.5f} ± {1.96 * std:.5f} times their idle frequency"
+        f"all {len(alike)} operational modes that keep their shape lie at {factor:.5f} ± {INTERVAL * std:.5f} times their idle frequency"
         + _taken_for(factor, std),
         "warning",
         consequence="if the sampling rate of one file is wrong, all frequencies and the operational FRFs are shifted by this factor; if "
