@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import operando
-from operando import plots
+from operando import contrib, plots
 from operando.errors import DataError, OperandoError
 
 IDLE = operando.ModalModel([20.0, 45.0], [0.01, 0.02], np.array([[1, 1], [1, -1]]), "1+Z, 2+Z", "unit_modal_mass")
@@ -109,3 +109,38 @@ def test_numbers_that_are_written_otherwise_are_taken() -> None:
     assert FRF.without_bands(()) is FRF
     with pytest.raises(DataError, match="not positive"):
         operando.TimeRecord([[0.0, 1.0]], 0.0, [MOTION])
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        plots.plot_comparison,
+        plots.plot_dynamic_stiffness,
+        plots.plot_frf_rms,
+        plots.plot_hybrid,
+        plots.plot_stabilization_of,
+        plots.plot_steps,
+        plots.plot_where,
+        lambda given: plots.plot_synthesis_correlation(given, IDLE),
+        lambda given: plots.plot_synthesis_correlation(FRF, given),
+        lambda given: plots.plot_frf_rms(FRF, given or "FRFs"),
+        lambda given: plots.plot_location(given, operando.Geometry((1, 2), np.eye(3)[:2])),
+    ],
+)
+@pytest.mark.parametrize("given", [None, "results", [1.0, 2.0]], ids=["none", "text", "list"])
+def test_a_figure_of_something_else_is_refused_with_advice(draw: Callable[[Any], Any], given: Any) -> None:
+    with pytest.raises(operando.errors.ObjectError) as error:
+        draw(given)
+    assert any(name in str(error.value) for name in (type(given).__name__, "str", "list of float"))
+    assert error.value.hint
+
+
+@pytest.mark.parametrize("given", [None, "force", [[1.0], [2.0, 3.0]]], ids=["none", "text", "ragged"])
+def test_signals_that_are_no_numbers_are_refused_with_advice(given: Any) -> None:
+    for call in (
+        lambda: contrib.fit_single(given, [0.0, 1.0, 2.0], 100.0, (1.0, 20.0)),
+        lambda: contrib.fit_single([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], given, (1.0, 20.0)),
+    ):
+        with pytest.raises(DataError) as error:
+            call()
+        assert error.value.hint

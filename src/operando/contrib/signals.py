@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data import number_of, numbers_of
 from operando.errors import DataError
 
 Real = NDArray[np.float64]
@@ -36,11 +37,12 @@ def checked_signals(sampling_hz: float, several: str = "", **signals: ArrayLike)
     >>> checked_signals(100.0, force=[0, 1], response=[2, 3])[1].tolist()
     [2.0, 3.0]
     """
-    if not (np.isfinite(sampling_hz) and sampling_hz > 0):
-        raise DataError(f"sampling_hz is {sampling_hz}", hint="give the samples a second, more than 0")
+    rate = "give the samples a second, more than 0"
+    if not number_of(sampling_hz, "sampling_hz", rate) > 0:
+        raise DataError(f"sampling_hz is {sampling_hz}", hint=rate)
     out = []
     for name, given in signals.items():
-        x = np.asarray(given, float)
+        x = numbers_of(given, name, "give one row of samples")
         if name == several:
             x = np.atleast_2d(x)
         if x.ndim != (2 if name == several else 1):

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from operando.errors import DataError
-from operando.plots.errors import draw_errors
+from operando.plots.errors import document_of, draw_errors
 from operando.plots.style import GREEN, GREY, IDLE, INK, MEASURED, MODEL, new_axes, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+DRAWN = "a diagnosis is drawn", "diagnose(idle, check=frf) makes one"
+"""What figures say of what is none, and what to do."""
 
 
 def plot_steps(diagnosis: Any, axes: Axes | None = None) -> Axes:
@@ -45,7 +48,7 @@ def plot_steps(diagnosis: Any, axes: Axes | None = None) -> Axes:
     >>> [t.get_text() for t in ax.get_xticklabels()]
     ['idle model', '+ ground_spring\\n2+Z']
     """
-    told = _document(diagnosis)
+    told = document_of(diagnosis, *DRAWN)
     rows = list(told.get("ladder") or ())
     if not rows:
         raise DataError("the diagnosis has no steps", hint=told.get("reason"))
@@ -101,7 +104,7 @@ def plot_where(diagnosis: Any, axes: Axes | None = None, *, by: str = "dof") -> 
     >>> [float(bar.get_height()) for bar in operando.plots.plot_where({"where": where}).patches]
     [4.3, 8.1]
     """
-    told = _document(diagnosis)
+    told = document_of(diagnosis, *DRAWN)
     rows = [dict(r) for r in (told.get("where") or {}).get(f"by_{by}") or ()]
     return draw_errors(rows, axes, by=by, floor=None, hint=told.get("reason"))
 
@@ -134,7 +137,7 @@ def plot_dynamic_stiffness(diagnosis: Any, axes: Axes | None = None, *, number: 
     >>> operando.plots.plot_dynamic_stiffness({"picture": {"dynamic_stiffness": [curve]}}).get_title("left")
     'Dynamic stiffness at 2+Z'
     """
-    told = _document(diagnosis)
+    told = document_of(diagnosis, *DRAWN)
     curves = list((told.get("picture") or {}).get("dynamic_stiffness") or ())
     if not 0 <= number < len(curves):
         raise DataError(f"the diagnosis has dynamic stiffness at {len(curves)} locations, not number {number}", hint=told.get("reason"))
@@ -152,12 +155,6 @@ def plot_dynamic_stiffness(diagnosis: Any, axes: Axes | None = None, *, number: 
         axes.set_title(f"Dynamic stiffness at {', '.join(map(str, curve['location']))}")
         axes.legend(loc="best")
     return axes
-
-
-def _document(diagnosis: Any) -> dict[str, Any]:
-    """A diagnosis as its document."""
-    found = diagnosis if isinstance(diagnosis, Mapping) else diagnosis.to_dict()
-    return dict(found)
 
 
 def _added(effect: Mapping[str, Any] | None) -> str:

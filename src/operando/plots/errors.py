@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from operando.errors import DataError
+from operando.errors import DataError, ObjectError
 from operando.plots.matrix import draw_matrix
 from operando.plots.style import GREEN, GREY, IDLE, INK, MODEL, ORANGE, PURPLE, SKY, YELLOW_BROWN, new_axes, number, style
 
@@ -20,6 +20,15 @@ MODEL_COLORS = {"ofrf": MODEL, "idle": IDLE, "idle_shapes": ORANGE, "msf_all": S
 
 LEAST_TOP = 0.5
 """The colour scale of an error map reaches at least so far [dB]."""
+
+
+def document_of(found: Any, what: str, hint: str) -> dict[str, Any]:
+    """A result as its document; one that is a document already is taken as it is."""
+    if isinstance(found, Mapping):
+        return dict(found)
+    if not hasattr(found, "to_dict"):
+        raise ObjectError(f"{what}, not {type(found).__name__}", hint=hint)
+    return dict(found.to_dict())
 
 
 def plot_error_map(
@@ -191,7 +200,7 @@ def plot_comparison(comparison: Any, axes: Axes | None = None, *, by: str = "dof
     >>> operando.plots.plot_comparison(operando.compare(other, one)).get_ylabel()
     'Level error, rms [dB]'
     """
-    told = comparison if isinstance(comparison, Mapping) else comparison.to_dict()
+    told = document_of(comparison, "a comparison is drawn", "compare(model, measured) makes one")
     rows = [dict(r) for r in told.get(f"by_{by}") or ()]
     axes = draw_errors(rows, axes, by=by, floor=told.get("noise_floor_db"), hint="; ".join(told.get("notes") or ()) or None)
     if told.get("error_db") is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Frf, ModalModel, ordered_band
+from operando.data import Frf, ModalModel, expect, ordered_band
 from operando.errors import DataError, ObjectError
 from operando.indicators import frf_correlation
 from operando.plots.frfs import magnitude_label
@@ -217,6 +217,8 @@ def plot_synthesis_correlation(
     >>> operando.plots.plot_synthesis_correlation(frf, model).get_title(loc="left")
     'Synthesis correlation, mean 100.0 %, least 100.0 % at 1+Z from 1+Z'
     """
+    expect(frf, Frf, "measured FRFs are compared", "read(file).frfs and estimate_frf(records) give FRFs")
+    expect(model, ModalModel | Frf, "a model or its FRFs are compared", "fit_ema(frf) gives a model")
     given = None if isinstance(model, Frf) else model.band_hz
     band = given if band is None else band
     measured = frf if band is None else frf.band(*ordered_band(band))

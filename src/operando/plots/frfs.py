@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import Frf, ordered_band, quantity_named, unit_of
+from operando.data import Frf, expect, ordered_band, quantity_named, unit_of
 from operando.dof import Dof
 from operando.errors import DataError, ObjectError
 from operando.plots.style import (
@@ -349,6 +349,8 @@ def plot_frf_rms(
     >>> operando.plots.plot_frf_rms(frf).get_ylabel()
     'rms accelerance [(m/s²)/N]'
     """
+    expect(measured, Frf, "FRFs are drawn", "read(file).frfs and estimate_frf(records) give FRFs")
+    expect(model, Frf | None, "synthesised FRFs are drawn beside them", "model.frf(frequencies) makes some")
     if model is not None and model.data.shape != measured.data.shape:
         raise DataError(f"the model has FRFs {model.data.shape}, the measurement {measured.data.shape}", hint="synthesise it on its lines")
     with style():

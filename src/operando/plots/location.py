@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from operando.data import Geometry, direction_of
 from operando.dof import Dof, parse_dofs
 from operando.errors import DataError, DofError, ObjectError
+from operando.plots.diagnosis import DRAWN
+from operando.plots.errors import document_of
 from operando.plots.shapes import plot_geometry, unclipped
 from operando.plots.style import GREY, IDLE, INK, style
 
@@ -91,7 +93,7 @@ def plot_location(diagnosis: Any, geometry: Geometry, axes: Axes | None = None, 
     """
     if not isinstance(geometry, Geometry):
         raise ObjectError(f"a {type(geometry).__name__} is no geometry", hint="read(file).geometry is one")
-    document = diagnosis if isinstance(diagnosis, Mapping) else diagnosis.to_dict()
+    document = document_of(diagnosis, *DRAWN)
     here = marks(document.get("effects") or (), geometry)
     others = marks(document.get("ambiguous_with") or (), geometry)
     if not here and not others:

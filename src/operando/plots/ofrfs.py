@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from operando.data import Frf, ModalModel
 from operando.dof import DofIndex
-from operando.errors import DataError
+from operando.errors import DataError, ObjectError
 from operando.indicators import INTERVAL
 from operando.plots.frfs import PARTS, curve, degrees, magnitude_label, magnitude_limits, places_of, shown_lines, title_pairs, titled_pairs
 from operando.plots.style import DASHES, IDLE, MEASURED, MODEL, frequency_axis, style, thin
@@ -159,7 +159,8 @@ def plot_hybrid(
     >>> operando.plots.plot_hybrid(hybrid, response="2+Z", reference="1+Z", frequencies=np.arange(10, 60, 0.1)).get_ylabel()
     'Accelerance [(m/s²)/N]'
     """
-    modal = hybrid.modal
+    if not isinstance(modal := getattr(hybrid, "modal", None), ModalModel):
+        raise ObjectError(f"a hybrid model is drawn, not {type(hybrid).__name__}", hint="scale_operational(idle, operating) makes one")
     known = DofIndex(modal.dofs)
     most = modal.dofs[int(np.argmax(np.sum(np.abs(modal.shapes) / np.max(np.abs(modal.shapes), axis=0), axis=1)))]
     first = lambda dofs: next((d for d in dofs if d in known), most)  # noqa: E731

@@ -195,6 +195,7 @@ def plot_stabilization_of(model: ModalModel, axes: Axes | None = None, *, frf: F
     >>> operando.plots.plot_stabilization_of(found).get_ylabel()
     'Model order [poles]'
     """
+    expect(model, ModalModel, "the stabilisation diagram of modes is drawn", "fit_ema(frf) and fit_oma(record) keep theirs")
     kept = getattr(model.details, "stabilization", None)
     if kept is None:
         raise DataError("the model keeps no stabilisation diagram", hint="those of fit_ema and fit_oma do")
