@@ -147,6 +147,8 @@ def plot_hybrid(
 
     Raises
     ------
+    ObjectError
+        If it is no hybrid model.
     DofError
         If the model, or the measurement, does not have the pair.
 
