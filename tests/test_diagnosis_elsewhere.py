@@ -13,7 +13,17 @@ from operando.diagnosis.arrow import ROUNDING, Factor, Information
 from operando.diagnosis.between import SAME_SET_UP
 from operando.diagnosis.case import Case
 from operando.diagnosis.corrected import effects_of
-from operando.diagnosis.criteria import AS_AT_REST, BETWEEN_STD, LEAST_BETWEEN_STD, LOOSE, NEIGHBOURS, ONE_SYSTEM, STRAINED, WITHOUT_SENSOR
+from operando.diagnosis.criteria import (
+    AS_AT_REST,
+    BETWEEN_STD,
+    LEAST_BETWEEN_STD,
+    LOOSE,
+    MOST_CHI_SQUARE,
+    NEIGHBOURS,
+    ONE_SYSTEM,
+    STRAINED,
+    WITHOUT_SENSOR,
+)
 from operando.diagnosis.hypotheses import (
     _HALF,
     Lacking,
@@ -28,7 +38,7 @@ from operando.diagnosis.hypotheses import (
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import _grown, with_lacking
 from operando.diagnosis.midway import located, midway, with_midway
-from operando.diagnosis.posterior import fit
+from operando.diagnosis.posterior import fit, leaves_noise, on_validation_lines
 from operando.diagnosis.rival import Rival, score, started
 from operando.diagnosis.scan import robust_cost, robust_scan
 from operando.diagnosis.search import _BESIDE, WAYS, Found, Search
@@ -325,6 +335,25 @@ def test_a_weak_mode_is_looked_for_before_another_day_is(size):
     assert [e.kind for e in found.effects] == ["missing_mode"]
     assert found.effects[0].values["frequency"] == pytest.approx(pole / 2 / np.pi, rel=1e-3)
     assert not any(line.startswith("on another day") for line in said)
+
+
+def test_a_mode_between_the_lines_that_validate_is_seen():
+    """A narrow one changes some of the fitted lines alone: lines that validate keep a chi-square of 0.6 without it (``no_misfit``)."""
+    w, _, phi, damping = modes()
+    mass, stiff = matrices()
+    frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
+    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
+    shape = 0.02 * phi[:, 1] * np.array([1, -1, 1, 1, -1])
+    mode = np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * 0.005 * pole * line)
+    check = CheckRun("run", "1 N", replace(frf, data=frf.data + mode))
+    days = Case(Idle.of(identified(), BAND, (DOFS[0], DOFS[3])), check.frf, BAND, spreads={}, correlated=1.0)
+    without = fit(days, days.forward.start)
+    assert on_validation_lines(without)[0] < MOST_CHI_SQUARE
+    assert not leaves_noise(without)
+    found = diagnose_frf(identified(), [check], idle_frf=rest())
+    assert found.verdict == "explained"
+    assert [e.kind for e in found.effects] == ["missing_mode"]
+    assert found.effects[0].values["frequency"] == pytest.approx(pole / 2 / np.pi, rel=1e-3)
 
 
 def test_a_mode_that_explains_the_lines_spares_the_search_for_two_effects():

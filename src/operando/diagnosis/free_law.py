@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
-from operando.diagnosis.posterior import State, approach, names, on_validation_lines
+from operando.diagnosis.criteria import EXPLAINED, ROBUST
+from operando.diagnosis.posterior import State, approach, leaves_noise, names
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, responses
 from operando.diagnosis.terms import FREE_LAW, Term, added
@@ -44,7 +44,7 @@ def with_free_law(case: Case, floor: float, say: Say = lambda text: None) -> Sta
     ends = side_by_side(lambda row: fitted_if_can_be(case, row[1], _ROUGH, floor=floor), near[:_FITTED])
     tried = [state for state in ends if state is not None]
     best = max(tried, key=score, default=None)
-    if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
+    if best is None or best.alpha > EXPLAINED or not leaves_noise(best):
         return None
     where = ", ".join(case.ends(best.terms[0]))
     say(f"a force law that is no kind of the catalogue, {where}: {best.log_evidence:.1f}, discrepancy {best.alpha:.4f}")

@@ -9,13 +9,13 @@ import numpy as np
 
 from operando.data import Geometry
 from operando.diagnosis.case import Case
-from operando.diagnosis.criteria import AS_AT_REST, EARNED, EXPLAINED, LEAST_DISCREPANCY, LOOSE, MOST_CHI_SQUARE, PROMOTED
+from operando.diagnosis.criteria import AS_AT_REST, EARNED, EXPLAINED, LEAST_DISCREPANCY, LOOSE, PROMOTED
 from operando.diagnosis.days import promotions, untouched
 from operando.diagnosis.free_law import of_a_kind, with_free_law
 from operando.diagnosis.idle import Idle
 from operando.diagnosis.lacking import with_lacking
 from operando.diagnosis.midway import midway, with_midway
-from operando.diagnosis.posterior import State, approach, fit, names, on_validation_lines
+from operando.diagnosis.posterior import State, approach, fit, leaves_noise, names
 from operando.diagnosis.rival import Rival, fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say, robust_cost, robust_scan
 from operando.diagnosis.search import DEPTH, WAYS, Found, remounted, search
@@ -170,7 +170,7 @@ def back_to_one_set_up(case: Case, state: State, floor: float, beyond: float = P
 
 def _explains(state: State, alone: State) -> bool:
     """Whether a state leaves nothing but noise, and is more probable than two days and no effect."""
-    return state.alpha < LOOSE and score(state) > score(alone) and on_validation_lines(state)[0] < MOST_CHI_SQUARE
+    return state.alpha < LOOSE and score(state) > score(alone) and leaves_noise(state)
 
 
 def no_effect_at_a_sensor(

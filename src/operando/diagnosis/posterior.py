@@ -17,6 +17,7 @@ from operando.diagnosis.criteria import (
     EXPLAINED,
     FIT_LINES,
     LEAST_DISCREPANCY,
+    MOST_CHI_SQUARE,
     MOST_DISCREPANCY,
     REST_DISCREPANCY,
     REST_LINES,
@@ -57,6 +58,7 @@ class State:
     robustly: bool = False
     least_change: float | None = field(default=None, init=False, repr=False)  # of the FRFs by one of its effects, once it is asked for
     _validated: tuple[float, float] | None = field(default=None, init=False, repr=False)
+    _fitted: float | None = field(default=None, init=False, repr=False)
 
     @property
     def case(self) -> Case:
@@ -284,6 +286,21 @@ def on_validation_lines(state: State) -> tuple[float, float]:
     if state._validated is None:
         state._validated = left_on(state.case, state.x, state.alpha, state.case.lines.validation)
     return state._validated
+
+
+def on_fitted_lines(state: State) -> float:
+    """Reduced chi-square of the lines fitted, under noise and discrepancy, per value."""
+    if state._fitted is None:
+        state._fitted = left_on(state.case, state.x, state.alpha, state.case.lines.fit)[0]
+    return state._fitted
+
+
+def leaves_noise(state: State) -> bool:
+    """Whether a state leaves no more than noise of the lines it was fitted to, and of those that validate.
+
+    One narrow peak that the model lacks may stand between lines that validate: it is in those that were fitted alone.
+    """
+    return max(on_validation_lines(state)[0], on_fitted_lines(state)) < MOST_CHI_SQUARE
 
 
 def left_on(case: Case, x: Point, alpha: float, at: Array) -> tuple[float, float]:

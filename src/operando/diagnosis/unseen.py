@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from operando.diagnosis.case import COLUMNS, Case
-from operando.diagnosis.criteria import EXPLAINED, MOST_CHI_SQUARE, ROBUST
+from operando.diagnosis.criteria import EXPLAINED, ROBUST
 from operando.diagnosis.idle import Idle
-from operando.diagnosis.posterior import State, approach, on_validation_lines
+from operando.diagnosis.posterior import State, approach, leaves_noise
 from operando.diagnosis.rival import fitted_if_can_be, score, started
 from operando.diagnosis.scan import Say
 from operando.diagnosis.terms import Term, added
@@ -162,7 +162,7 @@ def with_unseen_motion(case: Case, again: Callable[[Idle], Sequence[Case]], floo
     for way in sorted((way for way in near if way.cost < _COST * nothing.cost), key=lambda way: way.cost):
         state = _fitted(case, again, way, floor if best is None else max(floor, best.log_evidence))
         best = state if best is None or (state is not None and score(state) > score(best)) else best
-    if best is None or best.alpha > EXPLAINED or on_validation_lines(best)[0] >= MOST_CHI_SQUARE:
+    if best is None or best.alpha > EXPLAINED or not leaves_noise(best):
         return None
     say(f"{_what(best)}: {best.log_evidence:.1f}, discrepancy {best.alpha:.4f}")
     return best

@@ -23,7 +23,7 @@ from operando.diagnosis.criteria import (
 )
 from operando.diagnosis.days import unlike_days, untouched
 from operando.diagnosis.free_law import free_law_text
-from operando.diagnosis.posterior import State, left_on, on_validation_lines, with_discrepancy
+from operando.diagnosis.posterior import State, leaves_noise, left_on, on_fitted_lines, on_validation_lines, with_discrepancy
 from operando.diagnosis.result import spacing
 from operando.diagnosis.rival import fitted_if_can_be, score
 from operando.diagnosis.scan import LinearScan
@@ -247,7 +247,7 @@ def with_validation(found: Found) -> Found:
 
 def explains_lines(state: State) -> bool:
     """Whether a state leaves no more on lines that were not fitted than an explanation may leave."""
-    return on_validation_lines(state)[0] < MOST_CHI_SQUARE and state.alpha <= EXPLAINED
+    return leaves_noise(state) and state.alpha <= EXPLAINED
 
 
 def misses_idle_frfs(rest: State) -> bool:
@@ -306,7 +306,8 @@ def verdict_and_reason(found: Found, rest: State | None, blind: Sequence[float] 
             return "unexplained", still
         if far and not best.terms:
             return "inconclusive", far
-        left = f"validation lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
+        lines, chi = max(("validation", chi), ("fitted", on_fitted_lines(best)), key=lambda row: row[1])
+        left = f"{lines} lines are left at a chi-square of {chi:.2g} with a discrepancy of {100 * best.alpha:.2g} %"
         return "unexplained", far or left
     if unlike := unlike_neighbours(best):
         return "unexplained", unlike
