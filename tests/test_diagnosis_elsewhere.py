@@ -320,15 +320,20 @@ def test_a_mode_that_the_idle_model_lacks_is_found_with_its_shape():
     assert found.model.modes().n_modes == N
 
 
+def one_mode_more(w, phi, size, zeta):
+    """FRFs of a mode 1.3 times as high as the second, of a part of its shape with signs changed, and its pole [rad/s]."""
+    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
+    shape = size * phi[:, 1] * np.array([1, -1, 1, 1, -1])
+    return np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * zeta * pole * line), pole
+
+
 @pytest.mark.parametrize("size", [0.04, 0.06])
 def test_a_weak_mode_is_looked_for_before_another_day_is(size):
     """Another day leaves little of the lines, and takes the weaker one for what days do (``no_misfit``)."""
     w, _, phi, damping = modes()
     mass, stiff = matrices()
     frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
-    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
-    shape = size * phi[:, 1] * np.array([1, -1, 1, 1, -1])
-    mode = np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * 0.01 * pole * line)
+    mode, pole = one_mode_more(w, phi, size, 0.01)
     said = []
     check = CheckRun("run", "1 N", replace(frf, data=frf.data + mode))
     found = diagnose_frf(identified(), [check], idle_frf=rest(), progress=said.append)
@@ -342,9 +347,7 @@ def test_a_mode_between_the_lines_that_validate_is_seen():
     w, _, phi, damping = modes()
     mass, stiff = matrices()
     frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
-    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
-    shape = 0.02 * phi[:, 1] * np.array([1, -1, 1, 1, -1])
-    mode = np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * 0.005 * pole * line)
+    mode, pole = one_mode_more(w, phi, 0.02, 0.005)
     check = CheckRun("run", "1 N", replace(frf, data=frf.data + mode))
     days = Case(Idle.of(identified(), BAND, (DOFS[0], DOFS[3])), check.frf, BAND, spreads={}, correlated=1.0)
     without = fit(days, days.forward.start)
@@ -361,9 +364,7 @@ def test_a_mode_that_explains_the_lines_spares_the_search_for_two_effects():
     w, _, phi, damping = modes()
     mass, stiff = matrices()
     frf = measured(mass, damping, stiff, (0, 3), 2e-4, 1)
-    line, pole = 2j * np.pi * HZ, 1.3 * w[1]
-    shape = 0.2 * phi[:, 1] * np.array([1, -1, 1, 1, -1])
-    mode = np.outer(shape, shape[[0, 3]])[..., None] * line**2 / (pole**2 + line**2 + 2 * 0.01 * pole * line)
+    mode, _ = one_mode_more(w, phi, 0.2, 0.01)
     said = []
     found = diagnose_frf(identified(), [CheckRun("run", "1 N", replace(frf, data=frf.data + mode))], idle_frf=rest(), progress=said.append)
     assert found.verdict == "explained"

@@ -123,8 +123,8 @@ def test_residual_modes_that_carry_the_structure_count():
     assert not np.any(make_case(floats, [moved_as(floats, r) for r in records()[:2]]).modes.spurious(b, 5.0))
 
 
-def test_lines_below_the_band_say_whether_the_structure_stands():
-    """:data:`SURE_Z` standard errors decide; where the two predictions are alike there is nothing to decide."""
+def test_lines_below_the_band_say_whether_the_structure_stands(monkeypatch):
+    """``SURE_Z`` standard errors of the lines down to ``LOWEST`` decide; where both predictions are alike there is nothing to decide."""
     false = with_low_residuals(STRIP.idle(), 2.0)
     case = make_case(false, records()[:2])
     assert case.modes.grounded
@@ -133,6 +133,13 @@ def test_lines_below_the_band_say_whether_the_structure_stands():
     assert not true.modes.grounded
     floats = make_case(false, [moved_as(false, r) for r in records()[:2]])
     assert not contradicted(floats.runs, floats.modes)
+    limits = "operando.diagnosis.records.case."
+    for name, value in (("SURE_Z", 1e6), ("LOWEST", 1.0)):  # surer than any lines can be, and without a line
+        with monkeypatch.context() as other:
+            other.setattr(limits + name, value)
+            assert not contradicted(case.runs, case.modes)
+    monkeypatch.setattr(limits + "SURE_Z", -1e6)
+    assert contradicted(floats.runs, floats.modes)
 
 
 def test_the_best_linear_law_is_bounded_where_bands_have_no_fitted_lines():

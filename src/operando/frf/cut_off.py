@@ -97,7 +97,7 @@ def cut_off_modes(
 
 
 def with_whole_decays(responses: Array, modes: Sequence[CutOff], starts: NDArray[np.intp], block: int, sampling_hz: float) -> Array:
-    """Responses (n, n_samples) whose blocks hold the whole decays of their own hits, and nothing of the hits before: in place.
+    """Responses (n, n_samples) whose blocks hold the whole decays of their own hits, and nothing of those before; changed in place.
 
     The error of a block, p·(y[s−1] − y[s+N−1])/(1 − p/z) at its lines, is in time the decay pⁿ⁺¹/(1 − p^N) of the same state.
     """

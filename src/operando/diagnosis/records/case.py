@@ -19,7 +19,8 @@ SET_LINES = 3000
 """Lines of a run in the fit and select sets together."""
 
 LOWEST, SURE_Z = 0.1, 2.0
-"""Lines below the band down to this part of its first line show whether the structure stands; standard errors that decide it (95 %)."""
+"""Lines below the band down to this part of its first line show whether the structure stands: a decade, over which the motion of a mass
+grows a hundredfold; farther down sensors drift. Standard errors that decide it (95 %)."""
 
 BLOCKS = 18
 """Blocks of neighbouring lines that go to the sets in turn."""
