@@ -1016,6 +1016,29 @@ def test_something_simpler_than_two_effects_is_asked_for_where_one_does_not_expl
     assert (found.best.alpha < EXPLAINED) is not two
 
 
+@pytest.mark.parametrize(("depth", "begun"), [(1, 1), (2, 0), (2, 1), (4, 0)])
+def test_a_search_ends_with_one_effect_more_than_it_looks_for(depth, begun, monkeypatch):
+    """Where none of them explains the lines: another hypothesis may, and is asked before more effects are."""
+
+    def state(count):
+        terms = tuple(Term("point_mass", (i,), (0.0,)) for i in range(count))
+        how = {"alpha": 0.5, "robustly": False, "log_evidence": 1e3 * count, "x": None, "case": None, "carried": lambda terms: None}
+        return SimpleNamespace(terms=terms, key=tuple(t.key for t in terms), **how)
+
+    def grow(self, *args):
+        more = state(len(self.best().terms) + 1)
+        self.pool[more.key] = more
+
+    first = state(begun)
+    run = Search(case(), lambda text: None, depth=depth, start=Found(first, state(0), {first.key: first}))
+    for name in ("_robust_stage", "one_more_about", "_grow"):
+        monkeypatch.setattr(Search, name, grow)
+    monkeypatch.setattr(Search, "fitted", lambda *args: [])
+    monkeypatch.setattr(Search, "_leave_to_days", lambda self: None)
+    monkeypatch.setattr("operando.diagnosis.search.score", lambda state: state.log_evidence)
+    assert len(run.run().best.terms) == begun + depth + 1
+
+
 @pytest.mark.parametrize("change", [add_mass, add_damper])
 def test_each_fourth_line_ranks_candidates_as_all_lines_do(change, monkeypatch):
     """``rough``: the location and the size found robustly about the idle model, and where the robust way to its fit ends."""

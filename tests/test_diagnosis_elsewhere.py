@@ -29,6 +29,7 @@ from operando.diagnosis.hypotheses import (
     Lacking,
     _apart,
     between_sensors,
+    on_a_sum,
     grown_by_a_mode,
     instead_of_two,
     mode_with_nothing_touched,
@@ -203,9 +204,24 @@ def test_a_size_that_is_held_begins_where_the_frfs_are_the_same(size):
     assert held.terms[0].values[0] == pytest.approx(np.log(size), abs=2 * np.sqrt(held.covariance[0, 0]))
 
 
-@pytest.mark.parametrize(("count", "worth", "taken"), [(2, 40.0, False), (1, 40.0, True), (1, -WAYS + 1, True), (1, -WAYS - 1, False)])
-def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count, worth, taken):
-    """Where effects at sensors explain the lines: their shapes are known, so no as many elsewhere take their place; one does for two."""
+@pytest.mark.parametrize(
+    ("count", "worth", "on_sum", "taken"),
+    [
+        (2, 40.0, False, False),
+        (1, 40.0, False, True),
+        (1, -WAYS + 1, False, True),
+        (1, -WAYS - 1, False, False),
+        (2, 1.0, True, True),
+        (2, -1.0, True, False),
+        (3, 40.0, True, False),
+    ],
+)
+def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count, worth, on_sum, taken):
+    """Where effects at sensors explain the lines: their shapes are known, so no as many elsewhere take their place; one does for two.
+
+    As many do where one acts on the sum of two motions, which no part at these sensors has.
+    """
+    monkeypatch.setattr(hypotheses, "on_a_sum", lambda state, geometry: on_sum)
     idle = SimpleNamespace(midway={9: (0.5, 0.0, 0.0)})
     at_sensors = SimpleNamespace(
         terms=(Term("ground_damper", (1,), (1.0,)), Term("ground_damper", (2,), (1.0,))), alpha=1e-3, log_evidence=0.0
@@ -219,6 +235,23 @@ def test_an_effect_between_sensors_stands_for_several_at_them(monkeypatch, count
     found = SimpleNamespace(best=at_sensors, empty=empty)
     best, _ = search_elsewhere(found, 10.0, lambda idle: [None, None], BEAM, lambda text: None, 1, False)
     assert (best.best is elsewhere) == taken
+
+
+@pytest.mark.parametrize(
+    ("sign", "places", "kind", "asked"),
+    [
+        (-1, (1, 2), "coupling_spring", True),
+        (-1, (1, 2), "channel_swap", False),  # of channels, no part
+        (-1, (1, 3), "coupling_spring", False),  # with a sensor between them
+        (1, (1, 2), "coupling_spring", False),
+    ],
+)
+def test_one_effect_between_sensors_is_looked_for_where_one_acts_on_the_sum_of_their_motions(sign, places, kind, asked):
+    """A spring between points acts on how far they move apart; with channels of opposite senses the difference is twice the motion midway."""
+    dofs = tuple(replace(d, sign=sign) if i == 1 else d for i, d in enumerate(DOFS))
+    state = SimpleNamespace(terms=(Term(kind, places, (0.0,)),), case=SimpleNamespace(dofs=dofs))
+    assert on_a_sum(state, LINE) == between_sensors(state, LINE) == asked
+    assert not on_a_sum(state, None)
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ from operando.diagnosis.poor_idle import one_effect, with_what_is_left
 from operando.diagnosis.posterior import AtRest, at_rest
 from operando.diagnosis.result import Diagnosis, where_it_fails
 from operando.diagnosis.rival import score
-from operando.diagnosis.search import WAYS, Found, search
+from operando.diagnosis.search import DEPTH, WAYS, Found, search
 from operando.diagnosis.sensor_mass import of_a_sensor
 from operando.diagnosis.size_by_level import levels_disagree
 from operando.diagnosis.suggested import suggested_by_modes
@@ -179,7 +179,7 @@ def diagnose_frf(
         if asked_for_all and found.unnamed is None and (elsewhere or modes):
             found, odds = search_elsewhere(found, odds, cases, geometry, say, elsewhere, modes)
             found = with_validation(found)
-        if 0 < len(found.best.terms) <= AT_FIRST and left() and not explains_lines(found.best) and not no_other_day(found.best):
+        if 0 < len(found.best.terms) < DEPTH and left() and not explains_lines(found.best) and not no_other_day(found.best):
             say("further effects:")
             found = with_validation(search(found.best.case, say, start=found))
         # shapes between sensors can be made to be many a motion: a force at sensors, whose shapes are known, goes before one there

@@ -128,8 +128,9 @@ def search_both(
         same = search(one_set_up, say, start=Found(back, same.empty, {s.key: s for s in (same.empty, back)}))
         best = same.best
     odds = -np.inf if remounted(best) else score(best) - score(found.best)
-    if odds <= 0 and again is not None and geometry is not None and days.elsewhere and untouched(found.best):
-        there = with_nothing_touched(same, alone, again, geometry, say, score(alone))
+    summed = on_a_sum(found.best, geometry)
+    if odds <= 0 and again is not None and geometry is not None and days.elsewhere and (summed or untouched(found.best)):
+        there = with_nothing_touched(same, alone, again, geometry, say, score(found.best if summed else alone))
         if there is not None:
             return there
     return (same if odds > 0 else found), odds
@@ -375,7 +376,8 @@ def search_elsewhere(
         other = with_likely_sizes(other, say)
         bar = score(best.best)
         if places == 1:  # what is there explains the lines, with shapes that are known: one effect is an answer where it stands for several
-            bar = bar - WAYS if len(other.best.terms) < len(best.best.terms) and other.best.alpha < EXPLAINED else np.inf
+            fewer = len(best.best.terms) - len(other.best.terms) if other.best.alpha < EXPLAINED else -1
+            bar = bar - WAYS if fewer > 0 else bar if fewer == 0 and on_a_sum(best.best, geometry) else np.inf
         if score(other.best) > bar and any(t.places and t.places[0] in wider.midway for t in other.best.terms):
             best, odds = other, its_odds
     if modes:
@@ -450,14 +452,26 @@ def with_mode(grown: Idle, again: Callable[[Idle], Sequence[Case]], bar: float, 
 
 
 def between_sensors(state: State, geometry: Geometry | None) -> bool:
-    """Whether several effects stand at the sensors beside a place, and at both: one effect between them moves both."""
+    """Whether one effect between two sensors may stand for what was found: for several beside it, at both; for one on their sum."""
     if geometry is None:
         return False
     for place in midway(state.case.dofs, geometry):
         beside = [set(t.places) for t in state.terms if set(t.places) & set(place.ends)]
         if len(beside) > 1 and set(place.ends) <= set().union(*beside):
             return True
-    return False
+    return on_a_sum(state, geometry)
+
+
+def on_a_sum(state: State, geometry: Geometry | None) -> bool:
+    """Whether an effect acts on the difference of two neighbouring channels of opposite senses.
+
+    The sum of two motions is twice what lies half-way between them: what acts there changes the FRFs like this, and no spring does.
+    """
+    if geometry is None:
+        return False
+    dofs = state.case.dofs
+    ends = [set(p.ends) for p in midway(dofs, geometry) if dofs[p.ends[0]].sign != dofs[p.ends[1]].sign]
+    return any(t.structural and set(t.places) in ends for t in state.terms)
 
 
 def _apart(state: State) -> bool:
