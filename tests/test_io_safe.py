@@ -17,10 +17,10 @@ import pytest
 
 from io_files import SHARED
 from operando.data import Channel, TimeRecord
+from operando.data.declared import is_of
 from operando.dof import Dof
 from operando.errors import FormatError, MissingError
 from operando.io import read, read_hdf5, write_hdf5
-from operando.io.hints import is_of
 from operando.io.safe import DEFLATE_RATIO, FREE_BYTES, GROWTH, guard, memory_allowed
 
 h5py = pytest.importorskip("h5py")

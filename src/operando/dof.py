@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,14 @@ _NAME = re.compile(r"^[a-z][a-z0-9_]{0,15}$")
 _NODE_ALONE = re.compile(rf"^{_NODE}$")
 
 
+def _whole(value: object) -> int | None:
+    """A whole number; None where it is none."""
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        return None
+
+
 def split_node(node: Node) -> tuple[str, int]:
     """Component (empty where there is none) and number of a node.
 
@@ -35,11 +44,11 @@ def split_node(node: Node) -> tuple[str, int]:
     DofError
         If a text is no node label.
     """
-    if not isinstance(node, str):
-        return "", int(node)
-    match = _NODE_ALONE.match(node)
+    if (number := _whole(node)) is not None:
+        return "", number
+    match = _NODE_ALONE.match(node) if isinstance(node, str) else None
     if match is None:
-        raise DofError(f"{node[:60]!r} is no node label", hint="write a number, or component and number as in FRAM:12")
+        raise DofError(f"{node!r:.60} is no node label", hint="write a number, or component and number as in FRAM:12")
     return (match[1] or "").rstrip(), int(match[2])
 
 
@@ -97,10 +106,10 @@ class Dof:
         if not 0 <= number < 10**MAX_NUMBER_DIGITS:
             text = f"node number {self.node} is negative" if number < 0 else f"the node number has more than {MAX_NUMBER_DIGITS} digits"
             raise DofError(text, hint=f"node numbers start at 0 and have up to {MAX_NUMBER_DIGITS} digits")
-        if self.axis not in AXES and not (_NAME.match(self.axis) and self.axis.upper() not in AXES):
+        if not isinstance(self.axis, str) or (self.axis not in AXES and not (_NAME.match(self.axis) and self.axis.upper() not in AXES)):
             hint = "use X, Y, Z, RX, RY, RZ, nothing for a scalar, or the name of a direction in lower case"
             raise DofError(f"unknown axis {self.axis!r}", hint=hint)
-        if self.sign not in (1, -1) or (self.axis == "" and self.sign != 1):
+        if _whole(self.sign) not in (1, -1) or (self.axis == "" and self.sign != 1):
             raise DofError(f"sign {self.sign} of DOF {self.node}{self.axis} is not allowed")
 
     @classmethod

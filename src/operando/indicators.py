@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operando.data.declared import explain_arguments
 from operando.data.frf import Frf
 from operando.data.modal import ModalModel, phase_collinearity
 from operando.data.objects import counted, names_text
@@ -62,7 +63,7 @@ def mac(first: ArrayLike | ModalModel, second: ArrayLike | ModalModel | None = N
                 hint="measure both states at two DOFs or more; DOFs of the first: " + ", ".join(map(str, first.dofs[:20])),
             )
         if left := left_out(first, other, dofs):
-            warnings.warn(f"MAC {left}", stacklevel=2)
+            warnings.warn(f"MAC {left}", stacklevel=3)
     else:
         a, b = np.asarray(first), np.asarray(other)
     if not (np.issubdtype(a.dtype, np.number) and np.issubdtype(b.dtype, np.number) and a.ndim in (1, 2) and b.ndim in (1, 2)):
@@ -201,3 +202,6 @@ def mean_phase_deviation(shape: ArrayLike) -> float:
     size = np.abs(v)
     angle = np.arccos(np.clip(np.divide(along, size, out=np.ones_like(size), where=size > 0), 0, 1))
     return float(np.sum(size * angle) / np.sum(size))
+
+
+explain_arguments(__name__)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from operando.atomic import writing
-from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted, plots
+from operando.data import Finding, Frf, Geometry, ModalModel, Short, counted, number_of, plots
 from operando.errors import MissingError
 
 if TYPE_CHECKING:
@@ -42,6 +42,11 @@ class CheckRun(Short):
     frf: Frf
     force_n: float | None = None
     levels_agree: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.force_n is not None:
+            self.force_n = number_of(self.force_n, "force_n", "give the least rms of the forces [N]", 0.0)
 
     def facts(self) -> dict[str, str]:
         """What the short form says."""

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
-from operando.errors import FormatError, MissingError, ObjectError, OperandoError
+from operando.errors import DataError, FormatError, MissingError, ObjectError, OperandoError
 from operando.paths import near_path, path_of
 from operando.results import Results
 
@@ -100,7 +100,7 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
     FormatError
         If it is no results file of operando, or damaged.
     """
-    from operando.io import UNREADABLE, check_fields, check_objects, opened_hdf5, read_objects
+    from operando.io import UNREADABLE, check_objects, opened_hdf5, read_objects
 
     path = path_of(path, "results are loaded from their folder")
     if path.is_dir():
@@ -119,9 +119,10 @@ def load_results(path: str | Path, only: Iterable[str] | None = None) -> Results
                 raise FormatError("an HDF5 file, but no results of operando", where=str(path), hint="expected model.h5 of a results folder")
             values = read_objects(file, [name for name in _NAMES if name in wanted and name in file])
         results = Results(**values)
+    except DataError as error:
+        raise FormatError(error.message, where=str(path), hint="the file is damaged") from error
     except OperandoError:
         raise
     except UNREADABLE as error:
         raise FormatError(f"cannot be read: {error}", where=str(path), hint="rebuild it with `operando run`") from error
-    check_fields(results, str(path))
     return results

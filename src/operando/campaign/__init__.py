@@ -2,5 +2,8 @@
 
 from operando.campaign.config import Campaign, load_campaign
 from operando.campaign.driver import run_campaign
+from operando.data import explain_arguments
 
 __all__ = ["Campaign", "load_campaign", "run_campaign"]
+
+explain_arguments(__name__)

@@ -7,6 +7,7 @@ from operando.compare.maps import clear_lines, error_map, level_error_db, rms_ov
 from operando.compare.measures import SNR_LIMIT, Lines
 from operando.compare.models import ModelComparison, compare_models, modal_of
 from operando.compare.route import FOUND, Route, gets_worse, recommended
+from operando.data import explain_arguments
 
 __all__ = [
     "FOUND",
@@ -27,3 +28,5 @@ __all__ = [
     "rms_over",
     "with_effect",
 ]
+
+explain_arguments(__name__)

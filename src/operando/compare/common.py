@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from operando.compare.comparison import Comparison
 
 
+@runtime_checkable
 class FrfModel(Protocol):
     """Anything that makes FRFs."""
 

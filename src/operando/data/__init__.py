@@ -12,6 +12,7 @@ from operando.data.arrays import (
     positive_band,
 )
 from operando.data.coupling import ModalCoupling
+from operando.data.declared import check_fields, explain_arguments, listed
 from operando.data.findings import Finding, group_findings, once_of_a_sense, with_further
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.geometry import Appearance, CoordinateSystem, Geometry, direction_of, node_motion
@@ -52,17 +53,20 @@ __all__ = [
     "TimeRecord",
     "band_limits",
     "bands_of",
+    "check_fields",
     "common_name",
     "complex_of",
     "counted",
     "direction_of",
     "expect",
+    "explain_arguments",
     "file_hash",
     "filling",
     "force_rms",
     "frequencies_of",
     "group_findings",
     "level_groups",
+    "listed",
     "mapped_rows",
     "names_text",
     "node_motion",
@@ -82,3 +86,5 @@ __all__ = [
     "unit_of",
     "with_further",
 ]
+
+explain_arguments(__name__)

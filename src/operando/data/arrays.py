@@ -86,7 +86,7 @@ def numbers_of(values: Any, what: str, hint: str) -> NDArray[np.float64]:
         raise DataError(f"{what} {values!r:.200}: no numbers", hint=hint) from error
 
 
-def number_of(value: Any, what: str, hint: str) -> float:
+def number_of(value: Any, what: str, hint: str, least: float = -np.inf) -> float:
     """One finite number, or an error that says what it is for.
 
     Parameters
@@ -97,6 +97,8 @@ def number_of(value: Any, what: str, hint: str) -> float:
         What it is, in words.
     hint : str
         What to give instead.
+    least : float, optional
+        The least that it may be.
 
     Returns
     -------
@@ -105,7 +107,7 @@ def number_of(value: Any, what: str, hint: str) -> float:
     Raises
     ------
     DataError
-        If it is none, not finite, or several.
+        If it is none, not finite, several, or too small.
 
     Examples
     --------
@@ -115,6 +117,8 @@ def number_of(value: Any, what: str, hint: str) -> float:
     number = numbers_of(value, what, hint)
     if number.ndim or not np.isfinite(number):
         raise DataError(f"{what} {value!r:.200} is not one finite number", hint=hint)
+    if number < least:
+        raise DataError(f"{what} {value!r:.200} is below {least:g}", hint=hint)
     return float(number)
 
 

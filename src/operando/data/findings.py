@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from operando.data.declared import check_fields
 from operando.errors import DataError
 from operando.printable import first_few
 
@@ -50,6 +51,7 @@ class Finding:
     action: str = ""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.severity not in ("info", "warning", "error"):
             raise DataError(f"severity {self.severity!r} is none of info, warning, error")
 

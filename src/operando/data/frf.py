@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import bands_of, frozen, ordered_band
+from operando.data.arrays import bands_of, frozen, number_of, ordered_band
+from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
 from operando.data.objects import ByContent, Noun, common_name, counted, names_text, plots
 from operando.data.provenance import Provenance
@@ -140,7 +141,11 @@ class Frf(Noun):
             object.__setattr__(self, "axis", FrequencyAxis(self.axis))
         object.__setattr__(self, "responses", parse_dofs(self.responses))
         object.__setattr__(self, "references", parse_dofs(self.references))
-        object.__setattr__(self, "findings", tuple(self.findings))
+        object.__setattr__(self, "findings", listed(self.findings))
+        rate = number_of(self.exponential_window_rate, "exponential_window_rate", "give the decay rate of the window [1/s]", 0.0)
+        object.__setattr__(self, "exponential_window_rate", rate)
+        if self.averages is not None:
+            object.__setattr__(self, "averages", number_of(self.averages, "averages", "give how many there are", 0.0))
         expected = (len(self.responses), len(self.references), len(self.axis))
         if self.data.shape != expected:
             raise DataError(f"FRF data have shape {self.data.shape}, labels and axis say {expected}")
@@ -154,6 +159,7 @@ class Frf(Noun):
             if self.setups.shape != expected[:2]:
                 raise DataError(f"setups has shape {self.setups.shape}, expected {expected[:2]}")
         object.__setattr__(self, "quantity", quantity_named(self.quantity, reciprocals=False))
+        check_fields(self)
         for label, dofs in (("response", self.responses), ("reference", self.references)):
             seen = set()
             for d in dofs:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operando.data.arrays import frozen
+from operando.data.declared import check_fields, listed
 from operando.data.objects import Noun, counted, names_text, plots
 from operando.data.provenance import Provenance
 from operando.dof import Dof, Node, node_label, parse_dofs, split_node
@@ -17,6 +18,12 @@ from operando.errors import DataError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+def _nodes(given: Any) -> Any:
+    """Nodes with their labels; what lists none is left for :func:`check_fields` to refuse."""
+    nodes = listed(given)
+    return tuple(node_label(*split_node(n)) for n in nodes) if isinstance(nodes, tuple) else nodes
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,7 @@ class CoordinateSystem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin", frozen(self.origin, float, 1, "origin"))
         object.__setattr__(self, "axes", frozen(self.axes, float, 2, "axes"))
+        check_fields(self)
         if self.origin.shape != (3,) or self.axes.shape != (3, 3):
             raise DataError(f"coordinate system {self.number}: origin {self.origin.shape} and axes {self.axes.shape}, not (3,) and (3, 3)")
 
@@ -74,6 +82,9 @@ class Appearance:
     line_names: tuple[str, ...] = ()
     line_colors: tuple[int, ...] = ()
     face_colors: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -125,8 +136,13 @@ class Geometry(Noun):
     appearance: Appearance = field(default_factory=Appearance)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", tuple(node_label(*split_node(n)) for n in self.nodes))
+        object.__setattr__(self, "nodes", _nodes(self.nodes))
         object.__setattr__(self, "coordinates", frozen(self.coordinates, float, 2, "coordinates"))
+        for part in ("lines", "faces"):
+            given = listed(getattr(self, part))
+            object.__setattr__(self, part, tuple(map(_nodes, given)) if isinstance(given, tuple) else given)
+        object.__setattr__(self, "systems", listed(self.systems))
+        check_fields(self)
         if self.coordinates.shape != (len(self.nodes), 3):
             raise DataError(f"{len(self.nodes)} nodes but coordinates of shape {self.coordinates.shape}")
         if len(set(self.nodes)) != len(self.nodes):

@@ -389,7 +389,7 @@ def _stretches(data: Any) -> Iterator[tuple[int, NDArray[Any]]]:
             yield i, np.asarray(data[i, first : first + PIECE])
 
 
-def row_statistics(data: Any) -> RowStatistics:
+def row_statistics(data: NDArray[Any] | MappedSamples) -> RowStatistics:
     """Statistics of the rows of a record, in one pass; made once for samples in a file.
 
     Parameters

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data.arrays import frozen, numbers_of
+from operando.data.arrays import frozen, numbers_of, positive_band
 from operando.data.coupling import ModalCoupling
+from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
 from operando.data.frf import FrequencyAxis, Frf
 from operando.data.modal_figures import ModalFigures
@@ -99,21 +100,25 @@ class ModalModel(ModalFigures, Noun):
     def __post_init__(self) -> None:
         put = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
         put("dofs", parse_dofs(self.dofs))
-        put("findings", tuple(self.findings))
+        put("findings", listed(self.findings))
         arrays = checked_terms(self.frequencies_hz, self.damping_ratios, self.shapes, "modes", len(self.dofs))
         for name, value in zip(("frequencies_hz", "damping_ratios", "shapes"), arrays, strict=True):
             put(name, value)
+        if self.covariance is not None:
+            put("covariance", frozen(self.covariance, float, 2, "covariance"))
+        if self.band_hz is not None:
+            put("band_hz", positive_band(self.band_hz))
+        in_band = frozen(np.ones(self.n_modes, bool) if self.in_band is None else self.in_band, bool, 1, "in_band")
+        put("in_band", in_band)
+        check_fields(self)
+        if self.misfit is not None and self.misfit < 0:
+            raise DataError(f"misfit {self.misfit:g} is below 0", hint="give a reduced chi-square")
         residuals = self.residuals if self.residuals is not None and len(self.residuals) else None
         put("residuals", residuals)
         if residuals is not None and residuals.shapes.shape[0] != len(self.dofs):
             raise DataError(f"residual terms of {residuals.shapes.shape[0]} DOFs do not belong to modes of {len(self.dofs)} DOFs")
-        n = self.n_modes
-        in_band = frozen(np.ones(n, bool) if self.in_band is None else self.in_band, bool, 1, "in_band")
-        put("in_band", in_band)
-        if in_band.shape != (n,):
+        if in_band.shape != (self.n_modes,):
             raise DataError("in_band needs one entry a mode")
-        if self.covariance is not None:
-            put("covariance", frozen(self.covariance, float, 2, "covariance"))
         if self.scaling not in ("unit_modal_mass", "unscaled"):
             raise DataError(f"scaling {self.scaling!r} is neither unit_modal_mass nor unscaled")
         if self.scaling == "unit_modal_mass" and np.iscomplexobj(self.terms.shapes):

@@ -11,10 +11,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from operando.data.declared import check_fields
 from operando.errors import ObjectError
 from operando.paths import path_of
 from operando.printable import printable
@@ -25,6 +26,15 @@ if TYPE_CHECKING:
 
 MOST_NAMES = 4
 """Names shown of a list in the short form of an object."""
+
+
+@runtime_checkable
+class Named(Protocol):
+    """An object with a name."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
 
 
 def plots() -> Any:
@@ -66,7 +76,7 @@ def names_text(names: Iterable[object], most: int = MOST_NAMES) -> str:
     return ", ".join(words) if len(words) <= most else f"{', '.join(words[: most - 1])}, … ({len(words)})"
 
 
-def common_name(objects: Iterable[Any]) -> str:
+def common_name(objects: Iterable[Named]) -> str:
     """The ``name`` that all objects have; empty where they differ: what is made of several files is not called after one of them.
 
     Parameters
@@ -138,6 +148,11 @@ def _same(one: Any, two: Any) -> bool:
 
 class Short(ByContent):
     """Short ``repr``, and a table in notebooks; both from the facts that an object states about itself."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def facts(self) -> dict[str, str]:
         """What the short form of the object says: name of each fact → words."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from operando.data.declared import check_fields
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -22,6 +24,9 @@ class Provenance:
     inputs: tuple[tuple[str, str], ...] = ()
     calls: tuple[str, ...] = field(default=())
     measured: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def then(self, call: str) -> Provenance:
         """The same inputs with one more processing step."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from operando.data import mapped
 from operando.data.arrays import frozen, number_of
+from operando.data.declared import check_fields, listed
 from operando.data.findings import Finding
 from operando.data.mapped import MappedSamples, RowStatistics, mapped_memmap, row_statistics, scaled_rows
 from operando.data.objects import Noun, counted, names_text, plots
@@ -75,6 +76,7 @@ class Channel:
             object.__setattr__(self, "quantity", stated_unit(self.unit, self.quantity)[0])
         except UnitError as error:
             raise UnitError(error.message, where=f"channel {self.label}" if self.label else None, hint=error.hint) from None
+        check_fields(self)
 
     @property
     def label(self) -> str:
@@ -144,11 +146,12 @@ class TimeRecord(Noun):
             found = f"{channels!r:.100}: 'channels' of TimeRecord is tuple of other things, expected tuple[Channel, ...]"
             raise DataError(found, where=self.name or None, hint=hint)
         object.__setattr__(self, "channels", channels)
-        object.__setattr__(self, "findings", tuple(self.findings))
+        object.__setattr__(self, "findings", listed(self.findings))
         if self.data.shape[0] != len(self.channels):
             raise DataError(f"{self.data.shape[0]} rows but {len(self.channels)} channel labels", where=self.name or None)
         object.__setattr__(self, "sampling_hz", number_of(self.sampling_hz, "sampling rate", "give the samples in a second [Hz]"))
         object.__setattr__(self, "start_s", number_of(self.start_s, "start_s", "give the time of the first sample [s]"))
+        check_fields(self)
         if not self.sampling_hz > 0:
             raise DataError(f"sampling rate {self.sampling_hz} Hz is not positive", where=self.name or None)
         scales = [stated_unit(c.unit, c.quantity) for c in self.channels]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operando.data import explain_arguments
 from operando.diagnosis.applied import Applied
 from operando.diagnosis.by_hand import apply_effects
 from operando.diagnosis.complex_idle import with_complex_modes
@@ -24,3 +25,5 @@ __all__ = [
     "measured_distortion",
     "with_complex_modes",
 ]
+
+explain_arguments(__name__)

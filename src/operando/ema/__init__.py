@@ -1,5 +1,6 @@
 """Experimental modal analysis: candidate poles, maximum-likelihood fit of real modes, residual modes, comparison with sdypy-EMA."""
 
+from operando.data import explain_arguments
 from operando.ema.by_hand import poles_by_hand, without_doubts
 from operando.ema.candidates import Candidate, candidate_poles, stabilization_diagram
 from operando.ema.details import EmaDetails
@@ -33,3 +34,5 @@ __all__ = [
     "stabilization_diagram",
     "without_doubts",
 ]
+
+explain_arguments(__name__)

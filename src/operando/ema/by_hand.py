@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Finding, ModalModel
+from operando.data import Finding, ModalModel, expect
 from operando.ema.answers import LinearModes
+from operando.ema.details import EmaDetails
 from operando.ema.doubts import evidence_of_modes
 from operando.ema.findings import doubtful_findings
 from operando.ema.linear import LinearFit
@@ -110,6 +111,7 @@ def poles_by_hand(automatic: ModalModel) -> list[Pole]:
     >>> [round(hz) for hz, _, _ in poles_by_hand(found)[:2]]
     [20, 45]
     """
+    expect(automatic.details, EmaDetails, "poles beside the modes are known from the details of an EMA", "give what fit_ema(frf) returned")
     terms, known = automatic.terms, (*range(automatic.n_modes), *_doubtful_terms(automatic))
     poles = [(float(terms.frequencies_hz[i]), float(terms.damping_ratios[i]), i) for i in known]
     return poles + [(c.frequency_hz, c.damping_ratio, -1) for c in automatic.details.candidates if _beside(c.frequency_hz, poles) is None]

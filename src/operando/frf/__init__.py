@@ -1,5 +1,6 @@
 """FRF estimation: H1, H2, Hv, several references, hammer hits, local rational models, checks."""
 
+from operando.data import explain_arguments
 from operando.frf.checks import (
     check_drive_points,
     check_frf,
@@ -57,3 +58,5 @@ __all__ = [
     "whole",
     "without_hits",
 ]
+
+explain_arguments(__name__)

@@ -1,12 +1,12 @@
 """Reading and writing of measurement files: UFF, HDF5, MATLAB, CSV, SEP005."""
 
+from operando.data import explain_arguments
 from operando.io.columns import NoHeader, NoLines, NoMeasurement, NoRate
 from operando.io.content import Content, FileHeader, SetInfo
 from operando.io.convert import convert
 from operando.io.csv import read_csv, write_csv
 from operando.io.detect import detect_format, read
 from operando.io.hdf5 import UNREADABLE, check_objects, read_hdf5, read_objects, write_hdf5
-from operando.io.hints import check_fields
 from operando.io.inspect import inspect_content, inspect_files
 from operando.io.matlab import read_matlab, write_matlab
 from operando.io.objects import load_object, object_names
@@ -23,7 +23,6 @@ __all__ = [
     "NoMeasurement",
     "NoRate",
     "SetInfo",
-    "check_fields",
     "check_objects",
     "convert",
     "detect_format",
@@ -47,3 +46,5 @@ __all__ = [
     "write_matlab",
     "write_uff",
 ]
+
+explain_arguments(__name__)

@@ -24,11 +24,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from operando.atomic import replacing
-from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, mapped, mapped_rows, pieces
+from operando.data import MappedSamples, StoredFile, StoredRow, TimeRecord, check_fields, mapped, mapped_rows, pieces
 from operando.dof import Dof
 from operando.errors import FormatError, OperandoError
 from operando.io.hdf5_tree import HASH, TREE, Target, encode, hash_of, write_dataset
-from operando.io.hints import check_fields
 from operando.io.safe import check_growth, opened_hdf5, trust
 
 if TYPE_CHECKING:
@@ -376,11 +375,11 @@ def _decode_class(tree: dict[str, Any], stored: _Stored) -> Any:
         values[name] = stored.samples(item["__array__"], item.get(HASH)) if is_samples else _decode(item, stored)
     try:
         made = kind(**values) if make is None else make(values)
+        check_fields(made)
     except OperandoError as error:
         reason = f"cannot make {kind.__name__} from what the file holds: {error.message}"
         raise FormatError(reason, where=stored.where, hint="the file is damaged") from error  # not what a call of the class should give
     except Exception as error:  # values of a wrong type fail anywhere in a constructor
         reason = f"{type(error).__name__}: {error}"
         raise FormatError(f"cannot make {kind.__name__} from what the file holds: {reason}", where=stored.where) from error
-    check_fields(made, stored.where)
     return made

@@ -1,5 +1,6 @@
 """Operational modal analysis: own SSI-cov, SSI-dat, harmonics, uncertainty."""
 
+from operando.data import explain_arguments
 from operando.oma.beside import beside_pyoma
 from operando.oma.details import OmaDetails
 from operando.oma.estimate import normalise_shapes
@@ -19,3 +20,5 @@ __all__ = [
     "normalise_shapes",
     "output_spectra",
 ]
+
+explain_arguments(__name__)

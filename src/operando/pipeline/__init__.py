@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from operando.data import explain_arguments
 from operando.pipeline.lacks import lacking
 
 if TYPE_CHECKING:
@@ -25,3 +26,6 @@ if not TYPE_CHECKING:
         from operando.pipeline.runner import run
 
         return run
+
+
+explain_arguments(__name__)

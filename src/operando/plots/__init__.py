@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operando.data import explain_arguments
 from operando.plots.diagnosis import plot_dynamic_stiffness, plot_steps, plot_where
 from operando.plots.errors import plot_comparison, plot_error_map, plot_errors
 from operando.plots.fits import fit_circle, plot_nyquist, plot_synthesis_correlation
@@ -44,3 +45,5 @@ __all__ = [
     "plot_synthesis_correlation",
     "plot_where",
 ]
+
+explain_arguments(__name__)

@@ -1,5 +1,6 @@
 """Raw-data checks: findings with numbers, never silent deletion."""
 
+from operando.data import explain_arguments
 from operando.quality.between import check_gains, check_shapes, check_states
 from operando.quality.overview import SHOWN_CHANNELS, Overview, Pulse, densities, overview, pulses
 from operando.quality.record import check_channels, check_forces, check_record, check_runs, dissipated_shares
@@ -27,3 +28,5 @@ __all__ = [
     "pulses",
     "soft_clipping",
 ]
+
+explain_arguments(__name__)

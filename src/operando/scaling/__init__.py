@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operando.data import explain_arguments
 from operando.limits import METHODS
 from operando.scaling.condensed import CondensedBasis, choose_dofs, condensed_basis, condensed_mass
 from operando.scaling.hybrid import scale_operational
@@ -23,3 +24,5 @@ __all__ = [
     "real_shapes",
     "scale_operational",
 ]
+
+explain_arguments(__name__)

@@ -1,5 +1,6 @@
 """Stabilisation diagrams, automatic mode selection, reasons of rejected poles (shared by EMA and OMA)."""
 
+from operando.data import explain_arguments
 from operando.stabilization.classify import classify, stability_letters
 from operando.stabilization.select import HAND_TOLERANCE, demote, select_modes, track_poles
 from operando.stabilization.table import STATUS, PoleTable, RejectedPole, Stabilization, Tolerances
@@ -17,3 +18,5 @@ __all__ = [
     "stability_letters",
     "track_poles",
 ]
+
+explain_arguments(__name__)

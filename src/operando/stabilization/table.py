@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import Frf, Short, counted, plots
+from operando.data import Frf, Short, check_fields, counted, plots
 from operando.errors import DataError
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Tolerances:
     max_damping: float = 0.25
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not (self.frequency > 0 and self.damping > 0 and 0 <= self.mac <= 1 and self.max_damping > 0):
             raise DataError(f"tolerances out of range: {self}", hint="frequency, damping, max_damping > 0 and 0 <= mac <= 1")
 
@@ -66,6 +67,7 @@ class PoleTable:
     status: NDArray[np.int_]
 
     def __post_init__(self) -> None:
+        check_fields(self)
         p = self.order.size
         if not (self.frequency_hz.shape == self.damping_ratio.shape == self.status.shape == (p,) and self.vectors.shape[1] == p):
             raise DataError("columns of the pole table have different lengths")

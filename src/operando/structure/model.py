@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, Short, counted, expect, several
+from operando.data import FrequencyAxis, Frf, Geometry, ModalModel, Receptances, Short, counted, expect, number_of, numbers_of, several
 from operando.data.undriven import undriven_variance
 from operando.dof import Dof, match_dofs, parse_dofs
 from operando.errors import ConfigError, DataError
@@ -70,6 +70,11 @@ class Model(Short):
         hint = 'parse_effect("point_mass@12+Z=mass:0.2") reads one, and Model.add takes the text'
         effects = several(self.effects, Effect, "a model is made of effects", hint)
         object.__setattr__(self, "effects", tuple(effects))
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", numbers_of(self.covariance, "covariance", "give that of all values of the effects"))
+        share = number_of(self.discrepancy, "discrepancy", "give the share of an FRF that no parameter explains", 0.0)
+        object.__setattr__(self, "discrepancy", share)
+        super().__post_init__()
         if self.idle.scaling != "unit_modal_mass":
             raise DataError("effects need an idle model of unit modal mass", hint="give units to the EMA, so that shapes can be scaled")
         size = sum(len(e.definition.parameters) for e in self.effects)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operando.data import ModalModel
+from operando.data import ModalModel, check_fields
 from operando.errors import ConfigError
 
 Array = NDArray[Any]
@@ -56,8 +56,11 @@ class Parameter:
     plain: str = ""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.transform not in TRANSFORMS:
             raise ConfigError(f"transform {self.transform!r} of {self.name} is none of {', '.join(TRANSFORMS)}")
+        if np.isnan([v for v in (self.low, self.high, self.default) if v is not None]).any():
+            raise ConfigError(f"a bound or the default of {self.name} is NaN", hint="give numbers, or None for what follows from the band")
 
     def bounds(self, band_hz: tuple[float, float] | None = None) -> tuple[float, float]:
         """Lower and upper bound; the band stands in where the kind leaves a bound open.

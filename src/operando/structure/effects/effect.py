@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from operando.data import check_fields, listed, numbers_of, positive_band
 from operando.dof import Dof, parse_dofs
 from operando.errors import ConfigError
 from operando.indicators import INTERVAL
@@ -72,7 +73,11 @@ class Effect:
         definition = kind_of(self.kind)
         put("location", parse_dofs(self.location))
         if self.position is not None:
-            put("position", tuple(float(v) for v in self.position))
+            hint = "give x, y, z [m]"
+            xyz = numbers_of(self.position, f"position of {self.kind}", hint)
+            if xyz.shape != (3,) or not np.all(np.isfinite(xyz)):
+                raise ConfigError(f"the position of {self.kind} is {self.position!r:.60}, not three numbers", hint=hint)
+            put("position", tuple(float(v) for v in xyz))
             put("direction", str(Dof.parse(f"0{self.direction}"))[1:])
             if self.location or definition.places != 1 or definition.group in ("sensor", "force"):
                 raise ConfigError(
@@ -85,6 +90,9 @@ class Effect:
             )
         elif definition.places == 2 and self.location[0].same_axis(self.location[1]):
             raise ConfigError(f"{self.kind} needs two different DOFs, got {self.location[0]} twice")
+        put("fixed", listed(self.fixed))
+        if self.band_hz is not None:
+            put("band_hz", positive_band(self.band_hz))
         if not isinstance(self.values, Mapping):
             raise ConfigError(f"the values of {self.kind} are {self.values!r:.60}", hint='give a dict, as {"mass": 0.2}')
         values = dict(self.values)
@@ -92,9 +100,16 @@ class Effect:
             definition.parameter(name)
         for p in (*definition.parameters, *definition.constants):
             if definition.acts == "excitation":
-                values[p.name] = tuple(float(v) for v in np.atleast_1d(values.get(p.name, ())))
+                given = numbers_of(values.get(p.name, ()), f"{p.name} of {self.kind}", f"give numbers [{p.unit}]")
+                values[p.name] = tuple(float(v) for v in given.ravel())
             elif p.name not in values:
                 values[p.name] = p.start(self.band_hz)
+            else:
+                number = numbers_of(values[p.name], f"{p.name} of {self.kind}", "give a number" + (f" [{p.unit}]" if p.unit else ""))
+                if number.ndim or not np.isfinite(number):
+                    rule = "positive" if p.transform == "log" else "finite"
+                    raise ConfigError(f"{p.name} of {self.kind} must be {rule}, got {values[p.name]!r:.60}")
+                values[p.name] = float(number)
         removed = self.removed
         if definition.removable:
             # A negative size is the same effect taken away.
@@ -104,12 +119,15 @@ class Effect:
         elif removed:
             raise ConfigError(f"{self.kind} cannot be removed: its opposite is no physical effect")
         for p in definition.parameters:
-            value = float(values[p.name])
-            if not np.isfinite(value) or (p.transform == "log" and value <= 0):
-                raise ConfigError(f"{p.name} of {self.kind} must be {'positive' if p.transform == 'log' else 'finite'}, got {value:g}")
-            values[p.name] = value
+            if p.transform == "log" and values[p.name] <= 0:
+                raise ConfigError(f"{p.name} of {self.kind} must be positive, got {values[p.name]:g}")
         put("values", values)
         put("removed", removed)
+        check_fields(self)
+        for name, std in self.std.items():
+            definition.parameter(name)
+            if std < 0:
+                raise ConfigError(f"the standard deviation of {name} of {self.kind} is {std:g}", hint="give one of at least 0")
 
     @property
     def definition(self) -> EffectKind:
