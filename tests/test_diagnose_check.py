@@ -212,7 +212,7 @@ def test_a_refit_that_fails_is_refused(chain, idle, inerter, monkeypatch):
     left, without = (
         float(part.split()[0]) for part in str(refused.value).replace(",", " ").split("chi-square of ")[1].split("without it ")
     )
-    monkeypatch.setattr("operando.diagnosis.by_hand._FAILED", 1.1 * left / max(without, 1.0))
+    monkeypatch.setattr("operando.diagnosis.applied.FAILED", 1.1 * left / max(without, 1.0))
     assert len(apply_effects(idle, effects, check=check).effects) == 2  # no farther off than the limit allows
 
 

@@ -15,7 +15,7 @@ from operando.data.levels import force_rms
 from operando.diagnosis import apply_to_records
 from operando.diagnosis.at_level import following
 from operando.diagnosis.stored import effect_model
-from operando.errors import ConfigError, MissingError
+from operando.errors import ConfigError, IdentificationError, MissingError
 from operando.frf import estimate_frf
 from operando.io import read, write_uff
 from operando.pipeline.by_hand import check_records
@@ -58,6 +58,19 @@ def test_values_that_are_held_stay():
     partly = replace(parse_effect("clearance@5+Z=stiffness:6e3,gap:1e-3", BAND), fixed=("gap",))
     with pytest.raises(ConfigError, match="all of its values or none"):
         apply_to_records(STRIP.idle(), [partly], records()["clearance"])
+
+
+def test_a_fit_that_fails_is_refused(monkeypatch):
+    """As on FRFs: what leaves more of the fitted lines than the model without the effect is no fit."""
+    monkeypatch.setattr("operando.diagnosis.records.apply.fit_law", lambda fit, kind: None)
+    far = "cubic_stiffness@3+Z=coefficient:1e11"
+    with pytest.raises(IdentificationError, match="the refit failed: with cubic_stiffness it leaves") as refused:
+        applied("cubic", far)
+    assert "--fix" in refused.value.hint
+    monkeypatch.setattr("operando.diagnosis.applied.FAILED", 1e12)
+    assert applied("cubic", far).effects[0].values["coefficient"] == 1e11
+    held = applied("cubic", far, refit=False)
+    assert held.ladder[1]["misfit"] > held.ladder[0]["misfit"]
 
 
 def test_a_needless_spring_beside_it_earns_nothing():

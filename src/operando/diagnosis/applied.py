@@ -7,13 +7,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from operando.data import Short
+from operando.errors import IdentificationError
 from operando.structure import Model
 from operando.structure.effects import Effect
+
+FAILED = 1.5
+"""Times the chi-square of the fitted lines without an effect, from which on a refit with it has failed: priors alone make less."""
 
 _LITTLE = 0.1  # an effect that lowers the misfit by less than this part has no support in the data
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Applied(Short):
     """A model with effects chosen by hand.
 
@@ -54,6 +58,28 @@ class Applied(Short):
             "words": list(self.words),
             "judged_on": dict(self.judged_on),
         }
+
+
+def failed(before: float, after: float) -> bool:
+    """Whether a refit with an effect leaves more of the lines it was fitted to than that without it: no optimum does."""
+    return after > FAILED * max(before, 1.0)
+
+
+def refuse_failed(effect: Effect, before: float, after: float) -> None:
+    """The refit with an effect must come as near to the fitted lines as that without it.
+
+    Raises
+    ------
+    IdentificationError
+        If it does not.
+    """
+    if failed(before, after):
+        raise IdentificationError(
+            f"the refit failed: with {effect.kind} it leaves a reduced chi-square of {after:.4g} of the lines fitted, "
+            f"without it {before:.4g}",
+            where=effect.place or None,
+            hint="give other start values, or hold them with --fix; nothing was changed",
+        )
 
 
 def words_of(effect: Effect, before: float, after: float) -> str:

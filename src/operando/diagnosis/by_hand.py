@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from operando.data import Frf, Geometry, ModalModel, expect, positive_band, several
-from operando.diagnosis.applied import Applied, words_of
+from operando.diagnosis.applied import Applied, failed, refuse_failed, words_of
 from operando.diagnosis.arguments import UNKNOWN_UNITS, band_asked, validation_runs
 from operando.diagnosis.between import SAME_SET_UP, spreads_of
 from operando.diagnosis.case import Case
@@ -26,16 +26,13 @@ from operando.diagnosis.rival import fitted_if_can_be, started
 from operando.diagnosis.scan import LinearScan, robust_scan
 from operando.diagnosis.terms import SEARCHED, Term
 from operando.dof import match_dofs
-from operando.errors import ConfigError, DataError, IdentificationError, MissingError
+from operando.errors import ConfigError, DataError, MissingError
 from operando.results import CheckRun
 from operando.structure.effects import Effect, parse_effect
 from operando.threads import one_blas_thread
 
 _PARTS = (1e-2, 1e-4, 1e-6)
 """Of the start value of an effect, from which a refit begins again where it ended farther from the lines than without the effect."""
-
-_FAILED = 1.5
-"""Times the chi-square of the fitted lines without an effect, from which on a refit with it has failed: priors alone make less."""
 
 _HANDLED = ("dynamic_stiffness", "sensor_map", "modal_change", "added_mode")
 
@@ -149,7 +146,9 @@ def apply_effects(
             if states[-1].alpha > LOOSE or _explains_better(other_day, states[-1]):
                 steps = _steps(other_day, terms, say)
                 states = steps if not strained(steps[-1]) and steps[-1].log_evidence > states[-1].log_evidence else states
-        _refuse_failed(states)
+        for last, state in pairwise(states):
+            if len(state.terms[-1].fixed) < len(state.terms[-1].values):
+                refuse_failed(effects_of(state)[-1], _left(last, last.alpha), _left(state, last.alpha))
         final = states[-1]
         if final.alpha < EXPLAINED:
             final = fit(final.case, final.x, final.alpha, own_spreads=True)
@@ -214,7 +213,7 @@ def _steps(case: Case, terms: Sequence[Term], say: Callable[[str], None]) -> lis
             raise DataError(f"no FRF has {term.kind} with these values", hint="give other start values")
         best = max(found, key=lambda s: s.log_evidence)
         for part in _PARTS:
-            if not _worse(last, best) or (faint := _faint(term, part)) is None:
+            if not failed(_left(last, last.alpha), _left(best, last.alpha)) or (faint := _faint(term, part)) is None:
                 break
             say(f"the refit failed: again from {part:g} times the start value")
             state = fitted_if_can_be(case, last.carried([*last.terms, faint]), last.alpha)
@@ -234,30 +233,6 @@ def _faint(term: Term, part: float) -> Term | None:
 def _left(state: State, alpha: float) -> float:
     """Reduced chi-square of the fitted lines under a discrepancy."""
     return left_on(state.case, state.x, tolerated(alpha), state.case.lines.fit)[0]
-
-
-def _worse(before: State, after: State) -> bool:
-    """Whether a state leaves more of the lines it was fitted to than the one with an effect less: no optimum does."""
-    return _left(after, before.alpha) > _FAILED * max(_left(before, before.alpha), 1.0)
-
-
-def _refuse_failed(states: Sequence[State]) -> None:
-    """The refit of each step must come as near to the fitted lines as the step before it.
-
-    Raises
-    ------
-    IdentificationError
-        If one does not, and its values are not held.
-    """
-    for before, after in pairwise(states):
-        effect, term = effects_of(after)[-1], after.terms[-1]
-        if len(term.fixed) < len(term.values) and _worse(before, after):
-            raise IdentificationError(
-                f"the refit failed: with {effect.kind} it leaves a reduced chi-square of {_left(after, before.alpha):.4g} of the lines "
-                f"fitted, without it {_left(before, before.alpha):.4g}",
-                where=effect.place or None,
-                hint="give other start values, or hold them with --fix; nothing was changed",
-            )
 
 
 def _explains_better(case: Case, state: State) -> bool:

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from operando.compare.measures import misfit
 from operando.data import Geometry, ModalModel, TimeRecord
-from operando.diagnosis.applied import words_of
+from operando.diagnosis.applied import refuse_failed, words_of
 from operando.diagnosis.records.case import RecordsCase, Sets, make_case
 from operando.diagnosis.records.closed_loop import closed_loop_force
 from operando.diagnosis.records.conclude import effect_of, equivalents_of, pictures_of, simulated
 from operando.diagnosis.records.diagnose import wanted_kinds
 from operando.diagnosis.records.fit_laws import fit_law
-from operando.diagnosis.records.hold_out import judged_on, step_row
+from operando.diagnosis.records.hold_out import judged_on, lines_of, step_row
 from operando.diagnosis.records.place import Weighted
 from operando.diagnosis.records.refine import refined, std_of
 from operando.diagnosis.records.result import RecordsApplied, linear_model
@@ -68,6 +69,8 @@ def apply_to_records(
         If the idle model has no scale.
     ConfigError
         If an effect has no restoring force of displacement and velocity, or only some of its values are to be held.
+    IdentificationError
+        If the fit with an effect ends farther from the records it is fitted to than without it.
     """
     if idle.scaling != "unit_modal_mass" or not idle.si:
         raise DataError("the idle model has no scale, so no effect has a size in it", hint="give the units of force and acceleration")
@@ -87,13 +90,18 @@ def apply_to_records(
                     tried[i] = _fitted(_with_laws(first, others), effects[i], tried[i].law, held[i])
         steps = _steps(first, effects, tried)
         weighted = [Weighted.of(r) for r in first.runs]
-        rows = [step_row(0, None, first, weighted, [r.error for r in first.runs])]
+        errors = [[r.error for r in first.runs], *(t.spot.errors(t.law) for t in steps)]
+        rows = [step_row(0, None, first, weighted, errors[0])]
+        n = len(first.fitted)
+        left = [misfit(lines_of(weighted[:n], of_runs[:n])) or 0.0 for of_runs in errors]
         stated: list[Effect] = []
         for k, (effect, t) in enumerate(zip(effects, steps, strict=True)):
             std = {} if held[k] else std_of(t)
             stated.append(replace(effect, values={n: abs(v) for n, v in t.law.values.items()}, std=std))
             # The spot saw the records without the earlier effects already.
-            rows.append(step_row(k + 1, stated[-1], first, weighted, t.spot.errors(t.law)))
+            rows.append(step_row(k + 1, stated[-1], first, weighted, errors[k + 1]))
+            if not held[k] and not effect.removed:
+                refuse_failed(stated[-1], left[k], left[k + 1])
         better = _better(first, rows, steps, say)
         notes: list[str] = []
         picture = pictures_of(first, stated, steps, notes)
