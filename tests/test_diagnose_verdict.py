@@ -14,6 +14,7 @@ from operando.compare.verdict import FLOOR_DB, GOOD, PARTLY, floor_reason, verdi
 from operando.data import Finding, Frf, ModalModel
 from operando.diagnosis import apply_effects, diagnose, verdict
 from operando.diagnosis.criteria import SUPPORTED, UNUSUAL
+from operando.diagnosis.document import noise_hides
 from operando.diagnosis.search import Found
 from operando.diagnosis.terms import Term
 from operando.diagnosis.verdict import moved_peaks, peaks_text, with_sizes
@@ -298,3 +299,15 @@ def test_an_effect_of_unknown_size_takes_nothing_from_one_that_is_sure(monkeypat
     assert with_sizes(Found(alone, empty, {s.key: s for s in (empty, alone)})).best is alone
     weak = state_of(damper, score=-299.0, std=[0.03])  # no more than nothing is
     assert with_sizes(Found(both, empty, pool | {weak.key: weak})).best is both
+
+
+def test_noise_hides_an_effect_only_where_most_lines_are_noisy():
+    """Lines between peaks may have any noise; the rest decides whether noise or the error of the model is larger."""
+    level, variance = np.ones((10, 1, 1)), np.full((10, 1, 1), 0.01**2)
+    variance[:3] = 1.0
+    lines = SimpleNamespace(fit=np.arange(10), there=np.array([[True]]), variance=variance, level=level)
+    case = SimpleNamespace(lines=lines)
+    assert not noise_hides(case, 0.02)
+    assert noise_hides(case, 0.005)
+    variance[:6] = 1.0
+    assert noise_hides(case, 0.02)
